@@ -4,70 +4,17 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
-from twodof.blocks.declarations import Param, Port, State, shape
-from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
-from twodof.blocks.expressions.graph import leaves, walk
-from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.expressions.expr import fault
+from twodof.blocks.mistakes import HIDDEN
+from twodof.blocks.namespaces import Clock as Clock
 from twodof.blocks.plain_data import plain_data
-from twodof.errors import DiagramError, listed, shown
-
-MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
-
-Values = Mapping[str, Any]
-
-
-class Namespace:
-    """What a block's methods read: attributes by name, a live view of `values`. An unknown name is an error."""
-
-    what: ClassVar[str] = "name"
-
-    def __init__(self, values: dict[str, Any]) -> None:
-        self.__dict__ = values
-
-    def __getattr__(self, name: str) -> Any:
-        known = ", ".join(self.__dict__) or "none"
-        raise DiagramError(f"there is no {self.what} {name!r}", "", f"there are: {known}")
-
-    def __getitem__(self, name: str) -> Any:
-        return getattr(self, name)
-
-
-class Inputs(Namespace):
-    """The inputs of a block."""
-
-    what = "input"
-
-
-class States(Namespace):
-    """The states of a block."""
-
-    what = "state"
-
-
-class Parameters(Namespace):
-    """The parameters of a block, given and derived."""
-
-    what = "parameter"
-
-
-class Clock:
-    """Time as a block sees it: `tick` (uint32 base tick), `dt` [s] of the block, `base_dt` [s] of the tick."""
-
-    def __init__(self, tick: Any, dt: Any, base_dt: Any) -> None:
-        self.tick = tick
-        self.dt = dt
-        self.base_dt = base_dt
-
-    @property
-    def time(self) -> Any:
-        """Seconds since the start, tick * base_dt (in float32 exact to 2^24 ticks: count ticks where that matters)."""
-        return to_real(self.tick) * self.base_dt
+from twodof.blocks.trace import Trace, trace_of
+from twodof.errors import DiagramError, listed
 
 
 class Block:
@@ -75,6 +22,9 @@ class Block:
 
     `u`, `x`, `p` are the inputs, states and parameters by attribute, `t` is a `Clock`. Each method returns a mapping
     from names to values; a method with one name to give may return the bare value. See docs/explanation/language.md.
+
+    What a method gives depends on what it is given, and on attributes that `__init__` sets. Once the block is traced
+    they are fixed.
     """
 
     inputs: Sequence[Port] = ()
@@ -115,10 +65,25 @@ class Block:
         """Jumps of continuous states after the integration: `x` is integrated, `u` is that of the step's start."""
         return {}
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if "_traced" in self.__dict__:
+            raise fault(f"the attribute {name!r} of a traced block is assigned", HIDDEN)
+        super().__setattr__(name, value)
+
     @functools.cached_property
     def trace(self) -> Trace:
         """What the methods record; made once. Raises DiagramError if they break the language's rules."""
-        return _trace(self)
+        self.__dict__["_traced"] = True  # from here on, for a method may set an attribute while it is traced
+        try:
+            return trace_of(self)
+        except DiagramError:
+            del self.__dict__["_traced"]  # what is wrong may be an attribute
+            raise
+
+    def written(self, method: str) -> Callable[..., Any]:
+        """The Python function that says what `method` gives, for messages."""
+        function: Callable[..., Any] = getattr(type(self), method)
+        return function
 
 
 REGISTRY: dict[str, type[Block]] = {}
@@ -180,141 +145,3 @@ def _arguments_of(block: str) -> Iterator[None]:
         raise DiagramError(error.what, where, error.remedy) from error
     except (TypeError, ValueError, ArithmeticError, LookupError) as error:
         raise DiagramError(f"it cannot be made: {error!s:.200}", block, "see docs/reference/blocks.md") from error
-
-
-@dataclass(frozen=True)
-class Trace:
-    """The expressions of a block, over the leaves `input`, `state`, `param` (by name), `tick` and `dt`.
-
-    `feedthrough[port]` are the inputs that an output (or its edge) depends on in the same tick.
-    """
-
-    outputs: dict[str, Expr]
-    edges: dict[str, tuple[Expr, Expr]]
-    update: dict[str, Expr]
-    derivative: dict[str, Expr]
-    project: dict[str, Expr]
-    prepare: dict[str, Expr]
-    feedthrough: dict[str, frozenset[str]]
-    uses_tick: frozenset[str]  # outputs that depend on the tick
-
-
-SECTIONS = ("prepare", "output", "edges", "update", "derivative", "project")
-
-
-def trace_clock(tick: bool = True) -> Clock:
-    """The clock that tracing sees."""
-    return Clock(
-        leaf("tick", "tick", "uint32") if tick else None,
-        leaf("dt", "dt", "real"),
-        leaf("dt", "base_dt", "real"),
-    )
-
-
-def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
-    """The leaves of kind `op` for what is declared, by name."""
-    return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
-
-
-def _trace(block: Block) -> Trace:
-    name = type(block).__name__
-    check_declarations(block, name)
-    with tracing(name):
-        u = Inputs(leaves_of("input", block.inputs))
-        x = States(leaves_of("state", block.states))
-        given = leaves_of("param", block.params)
-        p = Parameters(given | leaves_of("param", block.derived))
-        t = trace_clock()
-        discrete = [s for s in block.states if not s.continuous]
-        continuous = [s for s in block.states if s.continuous]
-        prepare = returned(name, "prepare", block.prepare(Parameters(dict(given)), trace_clock(False)), block.derived)
-        outputs = returned(name, "output", block.output(u, x, p, t), block.outputs)
-        update = returned(name, "update", block.update(u, x, p, t), discrete, partial=True)
-        derivative = returned(name, "derivative", block.derivative(u, x, p, t), continuous)
-        project = returned(name, "project", block.project(u, x, p, t), continuous, partial=True)
-        edges = {}
-        for port, (fraction, after) in dict(block.edges(u, x, p, t)).items():
-            if port not in outputs or outputs[port].width is not None:
-                raise DiagramError(
-                    f"edges names {port!r}, which is not a scalar output", name, "name an output of the block"
-                )
-            edges[port] = (as_expr(fraction, "real"), as_expr(after, outputs[port].kind))
-    needs = {o: [e, *edges.get(o, ())] for o, e in outputs.items()}
-    return Trace(
-        outputs,
-        edges,
-        update,
-        derivative,
-        project,
-        prepare,
-        {o: frozenset(leaves(roots, "input")) for o, roots in needs.items()},
-        frozenset(o for o, roots in needs.items() if any(n.op == "tick" for n in walk(roots))),
-    )
-
-
-def check_declarations(block: Block, name: str) -> None:
-    """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
-    parameters: list[Any] = [*block.params, *block.derived]
-    by_name = {p.name: p for p in parameters}
-    kinds: dict[str, Sequence[Any]] = {
-        "input": block.inputs,
-        "output": block.outputs,
-        "state": block.states,
-        "parameter": parameters,
-    }
-    for what, declared in kinds.items():
-        if len(declared) > MAX_PORTS:
-            raise DiagramError(f"{len(declared)} {what}s", name, f"a block has at most {MAX_PORTS}; use arrays")
-        names = [d.name for d in declared]
-        if len(set(names)) < len(names):
-            raise DiagramError(
-                f"two {what}s are named {max(names, key=names.count)!r}", name, "names are unique within a block"
-            )
-    for s in block.states:
-        if isinstance(s.initial, str) and not (s.initial in by_name and shape(by_name[s.initial]) == shape(s)):
-            raise DiagramError(
-                f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
-                name,
-                "name a parameter of the same type and width",
-            )
-
-
-def names_given(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
-    """What a block's method returned as a mapping, with its names checked against those declared."""
-    if not isinstance(result, Mapping):
-        if len(declared) != 1:
-            raise DiagramError(
-                f"{method} returns one bare value for {len(declared)} names", name, "return a dict by name"
-            )
-        result = {declared[0].name: result}
-    known = {d.name for d in declared}
-    for n in result:
-        if n not in known:
-            raise DiagramError(
-                f"{method} gives {shown(n)}, which is not declared", name, f"it may give: {listed(sorted(known))}"
-            )
-    for n in () if partial else known:
-        if n not in result:
-            raise DiagramError(f"{method} does not give {n!r}", name, "give each declared name a value")
-    return dict(result)
-
-
-def returned(name: str, method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
-    """What a traced method returned, as Exprs of the declared types, in the order of declaration."""
-    by_name = names_given(name, method, result, declared, partial)
-    return {d.name: _fit(by_name[d.name], d, f"{name}.{method}: {d.name}") for d in declared if d.name in by_name}
-
-
-def _fit(value: Any, declared: Any, where: str) -> Expr:
-    if declared.width is not None and isinstance(value, (list, tuple, Vector)):
-        value = vector([v if isinstance(v, Expr) else as_expr(v, declared.kind) for v in value])
-    if declared.width is not None and not isinstance(value, Expr):
-        raise DiagramError(f"a scalar is given for an array of {declared.width}", where, "give a list")
-    fitted = value if isinstance(value, Expr) else as_expr(value, declared.kind)
-    if shape(fitted) != shape(declared):
-        raise DiagramError(
-            f"a {shape(fitted)} is given for a {shape(declared)}",
-            where,
-            "convert it, or declare the name with that type",
-        )
-    return fitted

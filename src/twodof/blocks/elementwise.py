@@ -5,11 +5,12 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import Any
 
-from twodof.blocks.block import MAX_PORTS, Block, Clock
+from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
 from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.trace import MAX_PORTS
 from twodof.errors import DiagramError
 
 NUMERIC = ("real", "int32", "uint32")

@@ -6,11 +6,13 @@ from typing import Any
 import numpy as np
 from hypothesis import settings
 
-from twodof.blocks.block import Block, Clock, Parameters, names_given
+from twodof.blocks.block import Block
 from twodof.blocks.declarations import numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
+from twodof.blocks.namespaces import Clock, Parameters
 from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.trace import names_given
 
 few = settings(max_examples=20)
 """For properties of blocks: each example is hundreds of steps on the reference."""
@@ -55,7 +57,7 @@ def values_at(block: Block, ticks: Iterable[int], dt: float, precision: str = "f
         period = numbers.real_type()(dt)
         given = {p.name: numeric(p.value, p.kind, p.width, p.name) for p in block.params}
         prepared = block.prepare(Parameters(dict(given)), Clock(None, period, period))
-        made = names_given("block", "prepare", prepared, block.derived)
+        made = names_given("prepare", prepared, block.derived)
         derived = {d.name: numeric(made[d.name], d.kind, d.width, d.name) for d in block.derived}
         p, nothing = Parameters(given | derived), Parameters({})
         clocks = (Clock(numbers.UInt32(int(tick)), period, period) for tick in ticks)

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Block, Diagram
-from twodof.blocks.block import MAX_PORTS
 from twodof.blocks.library import (
     Concatenate,
     Constant,
@@ -19,6 +18,7 @@ from twodof.blocks.library import (
 )
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.blocks.trace import MAX_PORTS
 from twodof.compile import build
 from twodof.errors import DiagramError
 

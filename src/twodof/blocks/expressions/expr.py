@@ -6,11 +6,8 @@ an Expr and record; a block's code cannot tell which.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from contextvars import ContextVar
-from typing import Any
+from typing import Any, Never
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -18,65 +15,34 @@ import numpy as np
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
+from twodof.blocks.expressions.recording import LINES, ROOM, TRACING, users_line
+from twodof.blocks.expressions.recording import at_most as at_most
+from twodof.blocks.expressions.recording import during as during
+from twodof.blocks.expressions.recording import fault as fault
+from twodof.blocks.expressions.recording import noting_lines as noting_lines
+from twodof.blocks.expressions.recording import recording as recording
+from twodof.blocks.expressions.recording import tracing as tracing
 from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
-LANGUAGE = "twodof.blocks.expressions."  # frames of its modules are not the user's
 LOOPS = ("build", "fold")
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
-_tracing: ContextVar[str] = ContextVar("tracing", default="")
-_room: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes that may still be recorded
-_lines: ContextVar[dict[int, str] | None] = ContextVar("lines", default=None)
-
-
-@contextmanager
-def during(variable: ContextVar[Any], value: Any) -> Iterator[None]:
-    """Set a context variable while the enclosed code runs."""
-    token = variable.set(value)
-    try:
-        yield
-    finally:
-        variable.reset(token)
-
-
-def at_most(nodes: int) -> AbstractContextManager[None]:
-    """Raise DiagramError as soon as the enclosed code has recorded more than `nodes` new nodes."""
-    return during(_room, [nodes])
-
-
-def noting_lines(lines: dict[int, str]) -> AbstractContextManager[None]:
-    """Note in `lines`, by the id of each operation, the user's file and line at which the enclosed code records it."""
-    return during(_lines, lines)
-
-
-def tracing(path: str) -> AbstractContextManager[None]:
-    """Name the block that is being traced, for the errors that its code may cause."""
-    return during(_tracing, path)
-
-
-def _users_line() -> str:
-    """The innermost line that is outside the language and its library, as FILE:LINE."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("twodof.blocks."):
-        frame = frame.f_back
-    return f"{frame.f_code.co_filename}:{frame.f_lineno}"
-
-
-def fault(what: str, remedy: str) -> DiagramError:
-    """A mistake in a block's code, with the block and the user's line that made it."""
-    frame = sys._getframe(1)
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(LANGUAGE):
-        frame = frame.f_back
-    line = f"{frame.f_code.co_filename}:{frame.f_lineno}"
-    block = _tracing.get()
-    return DiagramError(what, f"block {block}, {line}" if block else line, remedy)
 
 
 def _operator(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
     """The methods that record `self op other` and `other op self`."""
     return lambda self, other: _binary(op, self, other), lambda self, other: _binary(op, other, self)
+
+
+def _refused(what: str, remedy: str) -> Callable[..., Never]:
+    """A method that Python or numpy calls for something that recorded values do not do."""
+
+    def method(*_: Any, **__: Any) -> Never:
+        raise fault(what, remedy)
+
+    return method
 
 
 class Expr:
@@ -107,6 +73,9 @@ class Expr:
     def bodies(self) -> tuple[Expr, ...]:
         """What a loop evaluates at each turn; none of other nodes."""
         return self.args[len(self.outside) :]
+
+    def __setattr__(self, name: str, value: Any) -> Never:
+        raise fault(f"{name!r} of a recorded value is assigned", "values do not change: compute another one")
 
     def __hash__(self) -> int:
         return id(self)
@@ -192,6 +161,21 @@ class Expr:
         raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
+    __setitem__ = _refused("an element of an array is assigned", "arrays do not change: write a = store(a, i, value)")
+    __delitem__ = _refused("an element of an array is deleted", "arrays have a fixed length: make another with vector")
+    __round__ = _refused("round() does not work on recorded values", "write floor(x + 0.5)")
+    __floor__ = _refused("math.floor() does not work on recorded values", "use floor of twodof.blocks")
+    __ceil__ = _refused("math.ceil() does not work on recorded values", "use ceil of twodof.blocks")
+    __trunc__ = _refused("math.trunc() does not work on recorded values", "use trunc of twodof.blocks")
+    __divmod__ = _refused("divmod() does not work on recorded values", "write a // b and a % b (integers)")
+    __rdivmod__ = __divmod__
+    __array__ = _refused("a recorded value does not fit into an array of numpy", "make an array with vector([...])")
+
+    def __array_function__(self, function: Callable[..., Any], *_: Any) -> Never:
+        raise fault(
+            f"np.{function.__name__} does not work on recorded values",
+            "use the functions of twodof.blocks, such as where, minimum and vector, and fold for sums",
+        )
 
     def __neg__(self) -> Any:
         return _unary("neg", self)
@@ -227,18 +211,19 @@ def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, widt
     key = (op, kind, width, tuple(map(id, args)), tag)
     found = _table.get(key)
     if found is None:
-        room = _room.get()
+        room = ROOM.get()
         if room is not None:
             room[0] -= 1
             if room[0] < 0:
-                raise DiagramError("it records too many operations", _tracing.get(), "compute less, or in loops")
+                raise DiagramError("it records too many operations", TRACING.get(), "compute less, or in loops")
         found = Expr.__new__(Expr)
-        found.op, found.kind, found.width, found.args, found.data = op, kind, width, args, data
-        found.loops = _loops(found)
+        for name, value in (("op", op), ("kind", kind), ("width", width), ("args", args), ("data", data)):
+            object.__setattr__(found, name, value)
+        object.__setattr__(found, "loops", _loops(found))
         _table[key] = found
-    lines = _lines.get()
+    lines = LINES.get()
     if lines is not None and args and id(found) not in lines:
-        lines[id(found)] = _users_line()
+        lines[id(found)] = users_line()
     return found
 
 
@@ -356,7 +341,7 @@ def arrays_among(*values: Any) -> bool:
 def traced(*values: Any) -> bool:
     """Whether an operation on `values` must be recorded: one of them is an Expr, or a block is being traced."""
     # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
-    if _tracing.get():
+    if TRACING.get():
         return True
     return Expr in map(type, values)  # any() would cost the reference's innermost loop twice the time
 
@@ -367,7 +352,7 @@ def where(condition: Any, a: Any, b: Any) -> Any:
     Two literals give a real.
     """
     # What the reference meets all the time comes first: two numbers of one type of the language.
-    if type(condition) is np.bool_ and type(a) is type(b) and type(a) in numbers.scalars() and not _tracing.get():
+    if type(condition) is np.bool_ and type(a) is type(b) and type(a) in numbers.scalars() and not TRACING.get():
         return a if condition else b
     if arrays_among(condition, a, b):
         return rules.spread(where, condition, a, b)
@@ -490,8 +475,3 @@ def call(name: str, *args: Expr) -> Expr:
     values = tuple(as_expr(a, "real") for a in args)
     scalars(name, *values)
     return node("call", "real", values, name)
-
-
-def recording() -> bool:
-    """Whether a block is being traced: loops are then recorded, else run."""
-    return bool(_tracing.get())

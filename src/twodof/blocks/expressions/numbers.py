@@ -233,6 +233,17 @@ def cast(value: Any, kind: str) -> Any:
     )
 
 
+def identical(a: Any, b: Any) -> bool:
+    """Whether two numbers, or tuples of them, are of one type and the same to the bit; NaN is one value."""
+    if type(a) is not type(b):
+        return False
+    if isinstance(a, tuple):
+        return len(a) == len(b) and all(map(identical, a, b))
+    if isinstance(a, np.floating):
+        return bool(a == b and np.signbit(a) == np.signbit(b)) or bool(a != a and b != b)
+    return bool(a == b)
+
+
 def plain(value: Any) -> Any:
     """A number of the language as a Python number, a Vector as a list."""
     if isinstance(value, Vector):

@@ -38,6 +38,9 @@ class FunctionBlock(Block):
             return {port.name: value for port, value in zip(self.outputs, result, strict=True)}
         return result
 
+    def written(self, method: str) -> Callable[..., Any]:
+        return self.function if method == "output" else super().written(method)
+
 
 def function_block(
     function: Callable[..., Any],
@@ -79,7 +82,9 @@ def function_block(
     for name in [*ports, *tunables]:
         raise DiagramError(f"{name!r} is declared", label, "give the function an argument of this name")
     declared = [Port(port) if isinstance(port, str) else port for port in outputs]
-    made: type[FunctionBlock] = type(label, (FunctionBlock,), {"__doc__": function.__doc__})
+    # The class is as much the user's as the function is.
+    names = {"__doc__": function.__doc__, "__module__": getattr(function, "__module__", "__main__")}
+    made: type[FunctionBlock] = type(label, (FunctionBlock,), names)
     return made(function, found_inputs, declared, found_params)
 
 

@@ -13,6 +13,7 @@ from twodof.blocks.declarations import Param, Port, State, check_initial, narrow
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
+from twodof.blocks.trace import steady_trace
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
@@ -127,6 +128,8 @@ class Hierarchy:
         self.cells: list[Cell] = []
         self.writers: dict[Cell | DiagramLevel, Cell] = {}  # of data stores
         self.root = self._open(diagram, DiagramLevel(diagram, diagram.name, None, ""), "", (), {})
+        for cell in self.cells:
+            steady_trace(cell.block, cell.path)
         self._connect()
         self._check_states()
         self.schedule = self._order()

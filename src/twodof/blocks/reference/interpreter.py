@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.block import Block, Clock, Inputs, Parameters, States, names_given
 from twodof.blocks.declarations import Param, Port, State, check_tick, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import UInt32, Vector
 from twodof.blocks.machine import Machine
+from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
 from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, PortOf
+from twodof.blocks.reference.method import running
 from twodof.errors import DiagramError
 
 Watch = Callable[[Cell, str, Mapping[str, Any], tuple[Any, ...]], None]
@@ -87,10 +88,31 @@ class _Run:
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
         self.discrete = cell.discrete
         self.continuous = cell.continuous
-        self.output = _Method(self, cell.block.output, cell.block.outputs)
-        self.update = _Method(self, cell.block.update, self.discrete)
-        self.derivative = _Method(self, cell.block.derivative, self.continuous)
-        self.project = _Method(self, cell.block.project, self.continuous)
+        block, path = cell.block, cell.path
+        self._output = running(path, block, "output", block.outputs)
+        self._edges = running(path, block, "edges", ()) if block.trace.edges else None
+        self._update = running(path, block, "update", self.discrete)
+        self._derivative = running(path, block, "derivative", self.continuous)
+        self._project = running(path, block, "project", self.continuous)
+        self.prepare = running(path, block, "prepare", block.derived)
+
+    def output(self) -> dict[str, Any]:
+        return self._output(*self.seen)
+
+    def edges(self) -> dict[str, Any]:
+        return self._edges(*self.seen) if self._edges else {}
+
+    def update(self) -> dict[str, Any]:
+        return self._update(*self.seen)
+
+    def derivative(self) -> dict[str, Any]:
+        return self._derivative(*self.seen)
+
+    def project(self) -> dict[str, Any]:
+        return self._project(*self.seen)
+
+    def set_tick(self, tick: int) -> None:
+        vars(self.t)["tick"] = UInt32(tick)
 
     def told(self, method: str, values: dict[str, Any]) -> dict[str, Any]:
         """What a method gave, after it was shown to who watches."""
@@ -106,27 +128,6 @@ class _Run:
     def clear_outputs(self) -> None:
         initial = self.cell.initial
         self.y.update({p.name: _number(initial.get(p.name, 0), p, p.name) for p in self.cell.block.outputs})
-
-
-class _Method:
-    """A method of a running block: what it gives, as numbers of the declared types (tracing has checked the names)."""
-
-    def __init__(self, run: _Run, method: Callable[..., Any], declared: Sequence[Port | State]) -> None:
-        self._seen, self._path, self._method = run.seen, run.cell.path, method
-        self._declared = [(d.name, d.kind, d.width, None if d.width is not None else d.kind) for d in declared]
-
-    def __call__(self) -> dict[str, Any]:
-        result = self._method(*self._seen)
-        if type(result) is not dict and not isinstance(result, Mapping):
-            result = {self._declared[0][0]: result}
-        types = numbers.scalar_types()
-        given = {}
-        for name, kind, width, scalar in self._declared:
-            if name in result:
-                value = result[name]
-                # What is of the type already, as nearly all is, needs no look at what else it could be.
-                given[name] = value if type(value) is types.get(scalar) else numeric(value, kind, width, self._path)
-        return given
 
 
 class ReferenceMachine(Machine):
@@ -154,9 +155,9 @@ class ReferenceMachine(Machine):
             levels = [level for level in run.cell.levels if level.resets_outputs]
             run.clears = [self._place(level.enable) for level in levels if level.enable]
         begun: set[str] = set()
-        self._schedule: list[tuple[_Run, Block, Sequence[str], bool]] = []  # and whether it is the cell's first place
+        self._schedule: list[tuple[_Run, Sequence[str], bool]] = []  # and whether it is the cell's first place
         for cell, ports in self.hierarchy.schedule:
-            self._schedule.append((self._runs[cell.path], cell.block, ports, cell.path not in begun))
+            self._schedule.append((self._runs[cell.path], ports, cell.path not in begun))
             begun.add(cell.path)
         self._without_outputs = [run for path, run in self._runs.items() if path not in begun]
         self._logged = [(name, *self._place(driver)) for name, driver in program.signals.items()]
@@ -229,18 +230,17 @@ class ReferenceMachine(Machine):
         return logged
 
     def _outputs(self) -> None:
-        for run, block, ports, first in self._schedule:
+        for run, ports, first in self._schedule:
             if first:
                 self._begin(run)
             run.feed()
             if run.active:
                 fresh = run.output()
-                edges = block.edges(*run.seen) if block.trace.edges else {}
+                edges = run.edges()
                 for port in ports:
                     run.y[port] = fresh[port]
                     if port in edges:
-                        fraction, after = edges[port]
-                        run.after[port] = numbers.cast(fraction, "real"), numbers.cast(after, "real")
+                        run.after[port] = edges[port]
                 if run.watch is not None:
                     run.told("output", {port: fresh[port] for port in ports})
                     run.told("edges", {port: run.after[port] for port in ports if port in edges})
@@ -253,7 +253,7 @@ class ReferenceMachine(Machine):
 
     def _begin(self, run: _Run) -> None:
         """Find whether the cell acts in this tick, and its states as they read in this tick."""
-        run.t.tick = UInt32(self.tick)
+        run.set_tick(self.tick)
         run.after = {}
         run.active = run.cell.rate.due(self.tick) and all(values[key] for values, key in run.enables)
         # A diagram restarts as a whole: also what is slower, or disabled by itself.
@@ -331,12 +331,8 @@ class ReferenceMachine(Machine):
     def _prepare(self, run: _Run) -> None:
         cell = run.cell
         given = {name: self._values[root] for name, root in cell.parameters.items()}
-        clock = Clock(None, run.t.dt, run.t.base_dt)
-        result = cell.block.prepare(Parameters(dict(given)), clock)
-        derived = names_given(cell.path, "prepare", result, cell.block.derived)
         run.p.update(given)
-        run.p.update({d.name: _number(derived[d.name], d, cell.path) for d in cell.block.derived})
-        run.told("prepare", {d.name: run.p[d.name] for d in cell.block.derived})
+        run.p.update(run.told("prepare", run.prepare(Parameters(given), Clock(None, run.t.dt, run.t.base_dt))))
 
     def _initial(self, run: _Run) -> dict[str, Any]:
         return {

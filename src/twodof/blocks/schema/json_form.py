@@ -15,6 +15,7 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.schema.loader import Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
+from twodof.blocks.trace import steady_trace
 from twodof.errors import DiagramError, shown
 
 SCHEMA = "twodof/diagram"
@@ -153,7 +154,7 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
             for k in ("inputs", "outputs", "states", "params", "derived")
         },
         "crossing": block.crossing,
-        **graph_to_json(block.trace),
+        **graph_to_json(steady_trace(block, name)),
     }
 
 

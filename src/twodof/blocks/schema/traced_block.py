@@ -3,13 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from twodof.blocks.block import SECTIONS, Block, Clock, Trace, leaves_of
+from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import check_name, fits, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, scalars, tracing
-from twodof.blocks.expressions.graph import OPERATIONS, evaluate, free_bounds, walk
+from twodof.blocks.expressions.graph import OPERATIONS, free_bounds, walk
+from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of
 from twodof.errors import DiagramError, shown
 
 MAX_LENGTH = 1_000_000
@@ -32,17 +33,7 @@ class TracedBlock(Block):
 
     def _section(self, name: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         exprs = self.sections[name]
-        return dict(zip(exprs, self._values(list(exprs.values()), u, x, p, t), strict=True))
-
-    def _values(self, exprs: list[Expr], u: Any, x: Any, p: Any, t: Clock) -> list[Any]:
-        def value(item: Expr) -> Any:
-            if item.op == "tick":
-                return t.tick
-            if item.op == "dt":
-                return t.dt if item.data == "dt" else t.base_dt
-            return {"input": u, "state": x, "param": p}[item.op][item.data]
-
-        return evaluate(exprs, value, FUNCTIONS)
+        return dict(zip(exprs, computed(list(exprs.values()), u, x, p, t), strict=True))
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return self._section("prepare", None, None, p, t)
@@ -51,7 +42,7 @@ class TracedBlock(Block):
         return self._section("output", u, x, p, t)
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        flat = self._values([e for pair in self.edge_pairs.values() for e in pair], u, x, p, t)
+        flat = computed([e for pair in self.edge_pairs.values() for e in pair], u, x, p, t)
         return {name: (flat[2 * i], flat[2 * i + 1]) for i, name in enumerate(self.edge_pairs)}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

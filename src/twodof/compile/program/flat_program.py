@@ -11,10 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from twodof.blocks.block import Block, Clock, Parameters, Trace, names_given
+from twodof.blocks.block import Block
 from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions import numbers
+from twodof.blocks.namespaces import Clock, Parameters
+from twodof.blocks.trace import Trace, computed
 
 
 @dataclass(eq=False)
@@ -208,10 +210,11 @@ def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key
             for name, parameter in node.parameters.items():
                 d = parameter.declared
                 own[name] = numeric(given.get(parameter.path, d.value), d.kind, d.width, parameter.path)
-            block = node.block
             clock = Clock(None, np.float64(program.dt * node.rate.divider), np.float64(program.dt))
-            made = names_given(node.path, "prepare", block.prepare(Parameters(dict(own)), clock), block.derived)
-            derived = {d.name: numeric(made[d.name], d.kind, d.width, node.path) for d in block.derived}
+            prepare = node.trace.prepare
+            derived = dict(
+                zip(prepare, computed(list(prepare.values()), None, None, Parameters(own), clock), strict=True)
+            )
             values |= {(node, name): value for name, value in (own | derived).items()}
     return values
 

@@ -13,6 +13,7 @@ from twodof.blocks.declarations import Param, Port, check_initial, narrowed, unk
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
+from twodof.blocks.trace import steady_trace
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
 from twodof.errors import DiagramError, nearest, shown
 
@@ -198,9 +199,9 @@ class FlatDiagram:
         """Trace every block; one that cannot be is left out, and its outputs are as if given from outside."""
         for node in list(self.nodes):
             try:
-                _ = node.trace
+                steady_trace(node.block, node.path)
             except DiagramError as error:
-                self.report(DiagramError(error.what, f"{node.path}, {error.where}", error.remedy))
+                self.report(error)
                 self.nodes.remove(node)
                 for signal in node.outputs.values():
                     signal.node = None

@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.blocks.block import Block, Trace
+from twodof.blocks.block import Block
 from twodof.blocks.expressions.expr import Expr, noting_lines
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.trace import by_method
 from twodof.compile.diagram_test.coverage.expression_text import limit_of, text_of
 
 
@@ -33,26 +34,11 @@ class Decision:
     number: int = 0
 
 
-def sections_of(trace: Trace) -> dict[str, dict[str, tuple[Expr, ...]]]:
-    """The expressions of each method by name; one each, of an edge two."""
-    single = {
-        "prepare": trace.prepare,
-        "output": trace.outputs,
-        "update": trace.update,
-        "derivative": trace.derivative,
-        "project": trace.project,
-    }
-    methods: dict[str, dict[str, tuple[Expr, ...]]] = {"edges": dict(trace.edges)}
-    for method, exprs in single.items():
-        methods[method] = {name: (e,) for name, e in exprs.items()}
-    return methods
-
-
 def conditions(block: Block, path: str) -> dict[int, Decision]:
     """The decisions of a block, by the id of the condition's node; `bare` leads there from a node below a `not`."""
     first: dict[int, tuple[Expr, str]] = {}  # by id: the condition, and where it is first used
     users: dict[int, list[Expr]] = {}  # what asks it
-    for method, exprs in sections_of(block.trace).items():
+    for method, exprs in by_method(block.trace).items():
         for name, roots in exprs.items():
             for item in walk(roots):
                 for condition in _chooses(item):

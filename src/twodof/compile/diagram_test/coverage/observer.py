@@ -9,7 +9,8 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.graph import evaluate, walk
 from twodof.blocks.reference.hierarchy import Cell
-from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions, sections_of
+from twodof.blocks.trace import by_method
+from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions
 from twodof.errors import DiagramError
 
 
@@ -30,7 +31,7 @@ class DecisionObserver:
             found = conditions(cell.block, cell.path)
             self.taken |= {decision: set() for decision in found.values()}
             self._conditions[cell.path] = found
-            for method, exprs in sections_of(cell.block.trace).items():
+            for method, exprs in by_method(cell.block.trace).items():
                 if any(_chooses(item, found) for roots in exprs.values() for item in walk(roots)):
                     self._roots[cell.path, method] = exprs
 

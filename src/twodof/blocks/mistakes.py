@@ -1,0 +1,82 @@
+"""Mistakes in a block's own Python, told as an error of this package: which block and method, which line, what to do.
+
+A method runs twice over: on recorded values when its block is traced, and on numbers in the reference. Whatever it
+raises in either is told by `mistake`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from typing import TYPE_CHECKING, Any
+
+from twodof.blocks.expressions.expr import Expr, recording
+from twodof.errors import DiagramError
+
+if TYPE_CHECKING:
+    from twodof.blocks.block import Block
+
+OWN = "twodof"  # the package whose blocks are tested, not guarded
+_NOT_THE_USERS = sys.stdlib_module_names | {"numpy", "scipy"}
+ARGUMENTS = {"prepare": "self, p, t"}  # of the methods; all others take what `output` takes
+HIDDEN = "let it depend on u, x, p and t alone: keep what changes in a state, and set attributes in __init__"
+
+
+def is_users(block: Block) -> bool:
+    """Whether a block is the user's own. This package's blocks are guarded by its tests, which costs no start-up."""
+    return type(block).__module__.partition(".")[0] != OWN
+
+
+def place(block: Block, method: str) -> str:
+    """Where a method stands, for an error: its block, its name, file and line."""
+    function: Any = inspect.unwrap(block.written(method))
+    code = getattr(function, "__code__", None)
+    line = f", {code.co_filename}:{code.co_firstlineno}" if code else ""
+    return f"block {type(block).__name__}.{method}{line}"
+
+
+def mistake(error: Exception, block: Block, method: str) -> DiagramError:
+    """The error to raise for what a method raised. Call it in the function that called the method."""
+    frames = []
+    trace = error.__traceback__.tb_next if error.__traceback__ else None
+    while trace is not None:
+        frames.append(
+            (trace.tb_frame.f_globals.get("__name__", ""), trace.tb_frame.f_code.co_filename, trace.tb_lineno)
+        )
+        trace = trace.tb_next
+    if not frames and isinstance(error, TypeError):
+        what, remedy = (
+            f"it cannot be called: {error}",
+            f"write def {method}({ARGUMENTS.get(method, 'self, u, x, p, t')})",
+        )
+    else:
+        what, remedy = _told(error)
+    users = [row for row in frames if not row[0].startswith("twodof.blocks.") and _top(row[0]) not in _NOT_THE_USERS]
+    where = place(block, method)
+    if users:
+        where = f"block {type(block).__name__}.{method}, {users[-1][1]}:{users[-1][2]}"
+    return DiagramError(what, where, remedy)
+
+
+def _top(module: str) -> str:
+    return module.partition(".")[0]
+
+
+def _told(error: Exception) -> tuple[str, str]:
+    """What is wrong, and what to do about it."""
+    if isinstance(error, DiagramError):
+        return error.what, error.remedy
+    text = f"{type(error).__name__}: {error!s:.300}".removesuffix(": ")
+    recorded = isinstance(error, (TypeError, AttributeError)) and Expr.__name__ in str(error)
+    if recorded and "ufunc" in str(error):
+        return (
+            "a function of numpy is applied to a recorded value",
+            "use the functions of twodof.blocks, such as sin, sqrt, minimum or where",
+        )
+    if recorded:
+        return (
+            f"this is not an operation on recorded values ({text})",
+            "see the operators and functions in docs/explanation/language.md, section 2",
+        )
+    early = recording() and isinstance(error, (LookupError, TypeError, ValueError))
+    return f"its code raises {text}", f"correct this line{'; values are not numbers yet when it runs' if early else ''}"

@@ -1,0 +1,283 @@
+"""Trace: what the methods of a block record, checked against what the block declares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from twodof.blocks.declarations import located, shape
+from twodof.blocks.elementary.functions import FUNCTIONS
+from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
+from twodof.blocks.expressions.graph import evaluate, free_bounds, walk
+from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
+from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
+from twodof.errors import DiagramError, listed, shown
+
+if TYPE_CHECKING:
+    from twodof.blocks.block import Block
+
+MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The expressions of a block, over the leaves `input`, `state`, `param` (by name), `tick` and `dt`.
+
+    `feedthrough[port]` are the inputs that an output (or its edge) depends on in the same tick.
+    """
+
+    outputs: dict[str, Expr]
+    edges: dict[str, tuple[Expr, Expr]]
+    update: dict[str, Expr]
+    derivative: dict[str, Expr]
+    project: dict[str, Expr]
+    prepare: dict[str, Expr]
+    feedthrough: dict[str, frozenset[str]]
+    uses_tick: frozenset[str]  # outputs that depend on the tick
+
+
+SECTIONS = ("prepare", "output", "edges", "update", "derivative", "project")
+
+
+def clock_leaves() -> dict[str, Expr]:
+    """The leaves that a clock shows while a block is traced."""
+    return {
+        "tick": leaf("tick", "tick", "uint32"),
+        "dt": leaf("dt", "dt", "real"),
+        "base_dt": leaf("dt", "base_dt", "real"),
+    }
+
+
+def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
+    """The leaves of kind `op` for what is declared, by name."""
+    return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
+
+
+def trace_of(block: Block) -> Trace:
+    """What the methods of `block` record. Raises DiagramError if they break the language's rules."""
+    check_declarations(block, type(block).__name__)
+    u, x = leaves_of("input", block.inputs), leaves_of("state", block.states)
+    given, clock = leaves_of("param", block.params), clock_leaves()
+    p = given | leaves_of("param", block.derived)
+    discrete = [s for s in block.states if not s.continuous]
+    continuous = [s for s in block.states if s.continuous]
+
+    def result(method: str) -> Any:
+        # Each sees views of its own, through which it cannot reach another method's.
+        if method == "prepare":
+            return called(block, method, Parameters(dict(given)), Clock(None, clock["dt"], clock["base_dt"]))
+        return called(block, method, Inputs(dict(u)), States(dict(x)), Parameters(dict(p)), Clock(**clock))
+
+    def record(method: str, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
+        with tracing(f"{type(block).__name__}.{method}"):
+            found = result(method)
+            try:
+                return returned(method, found, declared, partial)
+            except DiagramError as error:
+                raise DiagramError(error.what, place(block, method), error.remedy) from error
+
+    prepare = record("prepare", block.derived)
+    outputs = record("output", block.outputs)
+    update = record("update", discrete, partial=True)
+    derivative = record("derivative", continuous)
+    project = record("project", continuous, partial=True)
+    with tracing(f"{type(block).__name__}.edges"):
+        edges = _edges(block, result("edges"), outputs)
+    below = {o: walk([e, *edges.get(o, ())]) for o, e in outputs.items()}
+    return Trace(
+        outputs,
+        edges,
+        update,
+        derivative,
+        project,
+        prepare,
+        {o: frozenset(n.data for n in nodes if n.op == "input") for o, nodes in below.items()},
+        frozenset(o for o, nodes in below.items() if any(n.op == "tick" for n in nodes)),
+    )
+
+
+def called(block: Block, method: str, *arguments: Any) -> Any:
+    """What a method returns. Raises DiagramError, which names the user's line, for whatever the method raises."""
+    try:
+        return getattr(block, method)(*arguments)
+    except Exception as error:
+        raise mistake(error, block, method) from error
+
+
+def _edges(block: Block, result: Any, outputs: Mapping[str, Expr]) -> dict[str, tuple[Expr, Expr]]:
+    if result == {}:
+        return {}
+    edges = {}
+    with located(place(block, "edges")):
+        for port, pair in _pairs(result).items():
+            if port not in outputs or outputs[port].width is not None:
+                raise DiagramError(
+                    f"edges names {shown(port)}, which is not a scalar output", "", "name an output of the block"
+                )
+            edges[port] = (as_expr(pair[0], "real"), as_expr(pair[1], outputs[port].kind))
+    return edges
+
+
+def _pairs(result: Any) -> Mapping[str, Any]:
+    """What `edges` returned, if it is a mapping to pairs; else DiagramError."""
+    if not isinstance(result, Mapping):
+        raise DiagramError(
+            f"edges returns {_described(result)}", "", "return a dict: output -> (fraction, value after)"
+        )
+    for port, pair in result.items():
+        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+            raise DiagramError(f"edges gives {_described(pair)} for {shown(port)}", "", "give (fraction, value after)")
+    return result
+
+
+def steady_trace(block: Block, path: str) -> Trace:
+    """The trace of the block at `path`; a user's block is traced again. Raises DiagramError if the graphs differ.
+
+    What is compiled is the first graph. A method that depends on more than it is given would mean another thing at
+    each step of the reference. Values that another block or a loop recorded are refused too.
+    """
+    try:
+        trace = block.trace
+        if is_users(block):
+            _check_steady(block, by_method(trace), by_method(trace_of(block)))
+    except DiagramError as error:
+        raise DiagramError(error.what, f"{path}, {error.where}", error.remedy) from error
+    return trace
+
+
+def _check_steady(block: Block, first: MethodGraphs, again: MethodGraphs) -> None:
+    for method, exprs in first.items():
+        for name in exprs | again[method]:
+            # By identity: equal graphs are one node, and == on two of them would record a comparison.
+            if list(map(id, exprs.get(name, ()))) != list(map(id, again[method].get(name, ()))):
+                raise DiagramError(
+                    f"{method} gives another {name!r} when it is traced again", place(block, method), HIDDEN
+                )
+        _check_own(block, method, [e for roots in exprs.values() for e in roots])
+
+
+MethodGraphs = dict[str, dict[str, tuple[Expr, ...]]]
+"""The expressions of each method by name: one each, of an edge two."""
+
+
+def by_method(trace: Trace) -> MethodGraphs:
+    """What each method gives."""
+    single = {
+        "prepare": trace.prepare,
+        "output": trace.outputs,
+        "update": trace.update,
+        "derivative": trace.derivative,
+        "project": trace.project,
+    }
+    methods: MethodGraphs = {m: {name: (e,) for name, e in exprs.items()} for m, exprs in single.items()}
+    return {**methods, "edges": dict(trace.edges)}
+
+
+def _check_own(block: Block, method: str, roots: Sequence[Expr]) -> None:
+    """Raise DiagramError if `roots` hold a leaf that the method was not given, or a variable outside its loop."""
+    clock = clock_leaves()
+    own = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
+    if method != "prepare":
+        own += [clock["tick"], *leaves_of("param", block.derived).values()]
+        own += [*leaves_of("input", block.inputs).values(), *leaves_of("state", block.states).values()]
+    known = set(map(id, own))
+    for item in walk(roots):
+        if item.op in ("input", "state", "param", "tick", "dt") and id(item) not in known:
+            raise DiagramError(f"{method} uses a value that it was not given, {item!r}", place(block, method), HIDDEN)
+    with located(place(block, method)):
+        if any(free_bounds(roots).values()):
+            raise DiagramError(
+                f"{method} uses a variable of a loop outside that loop", "", "return what a loop computes from its body"
+            )
+
+
+def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]:
+    """Recorded expressions on the values of a step: the judge of a block's methods, and all that a TracedBlock has."""
+
+    def value(item: Expr) -> Any:
+        if item.op == "tick":
+            return t.tick
+        if item.op == "dt":
+            return t.dt if item.data == "dt" else t.base_dt
+        return {"input": u, "state": x, "param": p}[item.op][item.data]
+
+    return evaluate(roots, value, FUNCTIONS)
+
+
+def check_declarations(block: Block, name: str) -> None:
+    """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
+    parameters: list[Any] = [*block.params, *block.derived]
+    by_name = {p.name: p for p in parameters}
+    kinds: dict[str, Sequence[Any]] = {
+        "input": block.inputs,
+        "output": block.outputs,
+        "state": block.states,
+        "parameter": parameters,
+    }
+    for what, declared in kinds.items():
+        if len(declared) > MAX_PORTS:
+            raise DiagramError(f"{len(declared)} {what}s", name, f"a block has at most {MAX_PORTS}; use arrays")
+        names = [d.name for d in declared]
+        if len(set(names)) < len(names):
+            raise DiagramError(
+                f"two {what}s are named {max(names, key=names.count)!r}", name, "names are unique within a block"
+            )
+    for s in block.states:
+        if isinstance(s.initial, str) and not (s.initial in by_name and shape(by_name[s.initial]) == shape(s)):
+            raise DiagramError(
+                f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
+                name,
+                "name a parameter of the same type and width",
+            )
+
+
+def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
+    """What a block's method returned as a mapping, with its names checked against those declared."""
+    if result is None:
+        raise DiagramError(f"{method} returns nothing", "", "end it with return, and what it gives")
+    if not isinstance(result, Mapping):
+        if len(declared) != 1:
+            raise DiagramError(
+                f"{method} returns {_described(result)} for {len(declared)} names", "", "return a dict by name"
+            )
+        result = {declared[0].name: result}
+    known = {d.name for d in declared}
+    for n in result:
+        if n not in known:
+            raise DiagramError(
+                f"{method} gives {shown(n)}, which is not declared", "", f"it may give: {listed(sorted(known))}"
+            )
+    for n in () if partial else known:
+        if n not in result:
+            raise DiagramError(f"{method} does not give {n!r}", "", "give each declared name a value")
+    return dict(result)
+
+
+def _described(value: Any) -> str:
+    return "one recorded value" if isinstance(value, Expr) else f"{shown(value)} of type {type(value).__name__}"
+
+
+def returned(method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
+    """What a traced method returned, as Exprs of the declared types, in the order of declaration."""
+    by_name = names_given(method, result, declared, partial)
+    return {d.name: _fit(by_name[d.name], d) for d in declared if d.name in by_name}
+
+
+def _fit(value: Any, declared: Any) -> Expr:
+    if declared.width is not None and isinstance(value, (list, tuple, Vector)):
+        value = vector([v if isinstance(v, Expr) else as_expr(v, declared.kind) for v in value])
+    if declared.width is not None and not isinstance(value, Expr):
+        raise DiagramError(
+            f"{declared.name!r} is given {_described(value)}, and is an array of {declared.width}", "", "give a list"
+        )
+    fitted = value if isinstance(value, Expr) else as_expr(value, declared.kind)
+    if shape(fitted) != shape(declared):
+        raise DiagramError(
+            f"{declared.name!r} is given a {shape(fitted)}, and is a {shape(declared)}",
+            "",
+            "convert it, or declare the name with that type",
+        )
+    return fitted
