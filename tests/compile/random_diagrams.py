@@ -63,6 +63,7 @@ LATER: tuple[Any, ...] = (
     lambda r: lib.CaseChoice(((0, 5), (-1, 2))),
     lambda r: lib.Merge(2, r.uniform(-2, 2)),
     lambda r: lib.Merge(3, width=3),
+    lambda r: lib.VariableDelay(6, r.uniform(-2, 2), r.random() < 0.5),
 )
 """What came later is drawn by itself."""
 CONTINUOUS: tuple[Any, ...] = (

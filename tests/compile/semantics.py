@@ -22,6 +22,8 @@ from twodof.blocks.library import (
     Mux,
     StoreRead,
     StoreWrite,
+    Sum,
+    VariableDelay,
     ZeroOrderHold,
 )
 
@@ -313,4 +315,44 @@ def stored() -> Told:
         late = cell if k % 4 == 1 else late
         expected.append({"y": cell, "own": own, "inner": inner, "late": late, "wired": cell})
         cell, inner = row["u"] if row["on"] else cell, row["u"]
+    return Told(Case(d, [], given, {}), expected)
+
+
+@told
+def delayed_variably() -> Told:
+    """u[k - n[k]], n clamped to 0 .. 7, or 1 .. 7; in a part that is enabled at times, of scalars and of arrays."""
+    part = Diagram("part")
+    part.input("u")
+    part.input("n", "int32")
+    part.add("pair", Mux(2), a="u", b="seven")
+    part.add("seven", Constant(7.0))
+    part.add("direct", VariableDelay(7, -1.0), u="u", samples="n")
+    part.add("late", VariableDelay(7, -1.0, direct=False), u="u", samples="n")
+    part.add("pairs", VariableDelay(7, [1.0, 2.0], width=2), u="pair", samples="n")
+    part.add("loop", Sum("++"), a="u", b="back")
+    part.add("back", VariableDelay(1, direct=False), u="loop", samples="n")
+    d = whole("delayed_variably", "on")
+    d.input("n", "int32")
+    d.add("part", part, u="u", n="n", enable="on")
+    names = ("direct", "late", "pairs", "loop")
+    for name in names:
+        part.output(name, name)
+        d.output(name, f"part.{name}")
+    given = [{**row, "n": int(row["n"] * 2) + 3} for row in rows(7, ("on",), ("u", "n"))]
+    now: Row = {"direct": 0.0, "late": 0.0, "pairs": [0.0, 0.0], "loop": 0.0}
+    past: list[float] = []
+    total, expected = 0.0, []
+    for row in given:
+        if row["on"]:
+            past.append(row["u"])
+            total += row["u"]
+            n = min(max(row["n"], 0), 7)
+            least = max(n, 1)
+            now = {
+                "direct": past[-1 - n] if n < len(past) else -1.0,
+                "late": past[-1 - least] if least < len(past) else -1.0,
+                "pairs": [past[-1 - n], 7.0] if n < len(past) else [1.0, 2.0],
+                "loop": total,
+            }
+        expected.append(now)
     return Told(Case(d, [], given, {}), expected)

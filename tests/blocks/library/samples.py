@@ -136,6 +136,11 @@ EXTRA: dict[str, list[Config]] = {
         {"A": _MATRIX, "B": [[1.0], [0.5], [0.1]], "C": [[1.0, 2.0, 3.0]], "D": [[0.5]], "initial": [1.0, 0.0, -1.0]},
         {"A": _MATRIX, "B": _MATRIX, "C": _MATRIX[:2]},
     ],
+    "variable_delay": [
+        {"bound": 3, "initial": 0.5, "direct": False},
+        {"bound": 5, "kind": "uint32", "width": 2, "initial": [1, 2]},
+        {"bound": 1, "kind": "bool", "initial": True},
+    ],
     "store_read": [{"store": "other", "kind": "int32", "width": 2}],
     "store_write": [{"store": "other", "kind": "int32", "width": 2}],
     "step": [{"start": 0.1, "before": 0.2, "after": 0.3}],

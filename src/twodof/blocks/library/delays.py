@@ -1,13 +1,13 @@
-"""Blocks that remember: unit, N-sample and fractional delay, zero-order hold, rate transition, data store."""
+"""Blocks that remember: unit, N-sample, variable and fractional delay, zero-order hold, rate transition, data store."""
 
 import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State, check_name
-from twodof.blocks.elementwise import count
+from twodof.blocks.elementwise import count, elementwise
 from twodof.blocks.expressions.arrays import array_of, store
-from twodof.blocks.expressions.expr import int32, to_int32, to_real, where
+from twodof.blocks.expressions.expr import int32, maximum, minimum, to_int32, to_real, where
 
 __all__ = [
     "DataStore",
@@ -17,6 +17,7 @@ __all__ = [
     "StoreRead",
     "StoreWrite",
     "UnitDelay",
+    "VariableDelay",
     "ZeroOrderHold",
 ]
 
@@ -40,44 +41,26 @@ class UnitDelay(Block):
         return u.u
 
 
-@library_block("delay")
-class Delay(Block):
-    """Delay by `samples` samples of the block's own rate: y[k] = u[k - samples], and `initial` for k < samples.
+class _RingBuffer(Block):
+    """The last `bound` inputs, read before one is written; what was before them is `initial`."""
 
-    A ring buffer of `bound` samples, read before it is written. `samples` may be tuned within 1 .. bound (bound is
-    the first value of `samples` unless it is given); a change acts at once on the samples that are kept.
-    """
-
-    def __init__(
-        self,
-        samples: int = 1,
-        bound: int | None = None,
-        initial: Any = 0,
-        kind: str = "real",
-        width: int | None = None,
-        unit: str = "",
-    ) -> None:
-        bound = samples if bound is None else bound
-        self.bound = count(bound, 1, MAX_SAMPLES, "Delay", "bound")
-        self.width = width
-        count(samples, 1, self.bound, "Delay", "samples")
+    def _declare(self, bound: int, initial: Any, kind: str, width: int | None, unit: str) -> None:
+        self.bound, self.width = bound, width
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
-        self.params = [
-            Param("samples", samples, "int32", unit="samples", low=1, high=self.bound),
-            Param("initial", initial, kind, width, unit),
-        ]
+        self.params = [Param("initial", initial, kind, width, unit)]
         self.states = [
-            State("buffer", 0 if kind != "bool" else False, kind, self.bound * (width or 1), unit),
+            State("buffer", 0 if kind != "bool" else False, kind, bound * (width or 1), unit),
             State("before", "initial", kind, width, unit),
             State("position", 0, "int32"),
             State("age", 0, "int32"),
         ]
 
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        back = x.position - p.samples
+    def _past(self, samples: Any, x: Any) -> Any:
+        """u[k - samples], 1 <= samples <= bound."""
+        back = x.position - samples
         place = where(back < 0, back + self.bound, back)
-        arrived = p.samples <= x.age
+        arrived = samples <= x.age
         if self.width is None:
             return where(arrived, x.buffer[place], x.before)
         width = self.width
@@ -96,6 +79,62 @@ class Delay(Block):
             "position": where(after < self.bound, after, int32(0)),
             "age": where(x.age < self.bound, x.age + 1, x.age),
         }
+
+
+@library_block("delay")
+class Delay(_RingBuffer):
+    """Delay by `samples` samples of the block's own rate: y[k] = u[k - samples], and `initial` for k < samples.
+
+    A ring buffer of `bound` samples, read before it is written. `samples` may be tuned within 1 .. bound (bound is
+    the first value of `samples` unless it is given); a change acts at once on the samples that are kept.
+    """
+
+    def __init__(
+        self,
+        samples: int = 1,
+        bound: int | None = None,
+        initial: Any = 0,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        bound = count(samples if bound is None else bound, 1, MAX_SAMPLES, "Delay", "bound")
+        count(samples, 1, bound, "Delay", "samples")
+        self._declare(bound, initial, kind, width, unit)
+        self.params = [Param("samples", samples, "int32", unit="samples", low=1, high=bound), *self.params]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self._past(p.samples, x)
+
+
+@library_block("variable_delay")
+class VariableDelay(_RingBuffer):
+    """Delay by as many samples as the int32 input `samples` says: y[k] = u[k - samples[k]], `initial` before the start.
+
+    `samples` is clamped to 0 .. bound; it may change at any sample, and a change acts at once on the samples that are
+    kept. 0 is the input itself. With `direct` false at least one sample is taken, and the block breaks algebraic
+    loops. A ring buffer of `bound` samples, read before it is written.
+    """
+
+    def __init__(
+        self,
+        bound: int = 10,
+        initial: Any = 0,
+        direct: bool = True,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self._declare(count(bound, 1, MAX_SAMPLES, "VariableDelay", "bound"), initial, kind, width, unit)
+        self.direct = direct
+        self.inputs = [*self.inputs, Port("samples", "int32", unit="samples")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        samples = minimum(maximum(u.samples, int32(1)), int32(self.bound))
+        past = self._past(samples, x)
+        if not self.direct:
+            return past
+        return elementwise(lambda now, then: where(u.samples < 1, now, then), u.u, past)
 
 
 @library_block("fractional_delay")
