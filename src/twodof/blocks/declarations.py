@@ -5,12 +5,13 @@ import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import KINDS, Expr
+from twodof.blocks.expressions.expr import KINDS
+from twodof.blocks.expressions.matrix import Matrix, shape_text
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
@@ -52,8 +53,25 @@ def _keep_plain(declared: Any, *names: str) -> None:
         object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
 
 
-def _check_shape(kind: str, width: int | None, name: str, unit: str) -> None:
+def check_shape(given: object, where: str) -> tuple[int, int]:
+    """`given` as (rows, columns) of a matrix; else DiagramError."""
+    if not isinstance(given, (list, tuple)) or len(given) != 2 or any(type(n) is not int or n < 1 for n in given):
+        raise DiagramError(f"the shape {shown(given)} is not one of a matrix", where, "write (rows, columns)")
+    return given[0], given[1]
+
+
+def _check_shape(declared: "Port | State | Param") -> None:
+    kind, name, unit = declared.kind, declared.name, declared.unit
     check_name(name, "block")
+    if declared.shape is not None:
+        rows, columns = check_shape(declared.shape, name)
+        if declared.width not in (None, rows * columns):
+            raise DiagramError(
+                f"width {shown(declared.width)} and shape {rows}x{columns}", name, "leave the width of a matrix out"
+            )
+        object.__setattr__(declared, "shape", (rows, columns))
+        object.__setattr__(declared, "width", rows * columns)
+    width = declared.width
     if not isinstance(unit, str):
         raise DiagramError(f"the unit {shown(unit)} is not text", name, 'write it as "m/s", or "" for none')
     if kind not in KINDS:
@@ -73,21 +91,25 @@ def located(where: str) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Port:
-    """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared."""
+    """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared.
+
+    With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements.
+    """
 
     name: str
     kind: str = "real"
     width: int | None = None
     unit: str = ""
+    shape: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "width")
-        _check_shape(self.kind, self.width, self.name, self.unit)
+        _check_shape(self)
 
 
 @dataclass(frozen=True)
 class State:
-    """A state. `initial` is a number, a sequence of `width` numbers, or the name of a parameter of the block.
+    """A state. `initial` is a number, `width` numbers, the rows of a matrix, or the name of a parameter of the block.
 
     A discrete state changes by `update`, a continuous one (real only) by `derivative` and `project`.
     """
@@ -98,19 +120,22 @@ class State:
     width: int | None = None
     unit: str = ""
     continuous: bool = False
+    shape: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "initial", "width", "continuous")
-        _check_shape(self.kind, self.width, self.name, self.unit)
+        _check_shape(self)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
         if not isinstance(self.initial, str):
-            _declared(self.initial, self.kind, self.width, self.name)
+            _declared(self.initial, self)
 
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter: default `value` (a sequence if `width` is given), bounds `low` and `high` (inclusive), unit, text.
+    """A parameter: default `value`, bounds `low` and `high` (inclusive), unit, text.
+
+    The value is a sequence if `width` is given, and a sequence of rows if `shape` is.
 
     Raises DiagramError for a default that is not of its kind or not within the bounds, and for bounds that are none. A
     parameter that is not `tunable` is fixed once the diagram runs (it may still be set before).
@@ -125,11 +150,12 @@ class Param:
     high: float = math.inf
     text: str = ""
     tunable: bool = True
+    shape: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "value", "width", "low", "high", "tunable")
-        _check_shape(self.kind, self.width, self.name, self.unit)
-        given = _declared(self.value, self.kind, self.width, self.name)
+        _check_shape(self)
+        given = _declared(self.value, self)
         _check_limits(self)
         free = self.kind == "bool" or (self.low == -math.inf and self.high == math.inf)
         for value in () if free else given:
@@ -137,15 +163,41 @@ class Param:
                 raise DiagramError(f"the default {value} is outside [{self.low}, {self.high}]", self.name, "change one")
 
 
-def shape(declared: Port | State | Param | Expr) -> str:
-    """The type of what is declared or recorded, with its width if it is an array: "real", "int32[3]"."""
-    return declared.kind if declared.width is None else f"{declared.kind}[{declared.width}]"
+class Typed(Protocol):
+    """What has a type and a size: what is declared, recorded, or a signal."""
+
+    @property
+    def kind(self) -> str: ...
+
+    @property
+    def width(self) -> int | None: ...
+
+    @property
+    def shape(self) -> tuple[int, ...] | None: ...
 
 
-def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
+def shape(declared: Typed) -> str:
+    """The type of what is declared or recorded, with its size if it is an array: "real", "int32[3]", "real[3x2]"."""
+    if declared.width is None:
+        return declared.kind
+    return f"{declared.kind}[{'x'.join(map(str, declared.shape or (declared.width,)))}]"
+
+
+def element_names(name: str, declared: Typed) -> list[str]:
+    """The names of a value's elements in the order of memory: "x", "x[0]", or of a matrix "P[0,0]", "P[1,0]"."""
+    if declared.width is None:
+        return [name]
+    if declared.shape is None or len(declared.shape) < 2:
+        return [f"{name}[{i}]" for i in range(declared.width)]
+    rows, columns = declared.shape
+    return [f"{name}[{i},{j}]" for j in range(columns) for i in range(rows)]
+
+
+def _declared(value: Any, declared: State | Param) -> list[Any]:
     """The numbers of a declared value, as given. Raises DiagramError for one that is not of its kind."""
+    kind, name = declared.kind, declared.name
     try:
-        numeric(value, kind, width, name)
+        numeric(value, kind, declared.width, name, declared.shape)
     except OverflowError:
         raise DiagramError(f"{shown(value)} is not a real number", name, "make it smaller") from None
     plain = _plain(value)
@@ -160,6 +212,8 @@ def _declared(value: Any, kind: str, width: int | None, name: str) -> list[Any]:
 def _plain(value: Any) -> list[Any]:
     """The numbers of a value, or its only one, as they were given."""
     scalars = value if isinstance(value, (list, tuple)) else [value]
+    if scalars and isinstance(scalars[0], (list, tuple)):
+        scalars = [one for row in scalars for one in row]
     return [one.value if isinstance(one, Integer) else one for one in scalars]
 
 
@@ -169,10 +223,11 @@ def fits(value: int, kind: str) -> bool:
     return low <= value <= high
 
 
-def check_initial(value: Any, kind: str, width: int | None, where: str) -> Any:
+def check_initial(value: Any, output: Typed, where: str) -> Any:
     """`value` if an output of this type may hold it at first; else DiagramError. It is as strict as a default is."""
+    matrix = output.shape if output.shape and len(output.shape) == 2 else None
     with located(where):
-        Param("initial", value, kind, width)
+        Param("initial", value, output.kind, output.width, shape=matrix)
     return value
 
 
@@ -205,15 +260,44 @@ def narrowed(outer: Param, inner: Param, path: str) -> Param:
     return replace(outer, low=low, high=high)
 
 
-def numeric(value: Any, kind: str, width: int | None, where: str) -> Any:
+def column_major(value: Any, shape: tuple[int, int], where: str) -> Any:
+    """A matrix's elements, column after column; a number and what is flat already as they are.
+
+    Raises DiagramError for rows that are not of the `shape`.
+    """
+    if isinstance(value, Matrix):
+        given, flat = value.shape, value.flat
+    elif isinstance(value, (list, tuple)) and not isinstance(value, Vector):
+        rows = [row.tolist() if isinstance(row, np.ndarray) else row for row in value]
+        lengths = {len(row) if isinstance(row, (list, tuple)) else None for row in rows}
+        columns = lengths.pop() if len(lengths) == 1 else None
+        given = (len(rows),) if columns is None else (len(rows), columns)
+        flat = [row[j] for j in range(columns or 0) for row in rows]
+    else:
+        return value
+    if given != shape:
+        raise DiagramError(
+            f"{shape_text(given)} given for an array of {shape_text(shape)}", where, "give a list of rows"
+        )
+    return flat
+
+
+def rows_of(flat: Any, shape: tuple[int, int] | None) -> Any:
+    """The inverse of `column_major`: a matrix's elements as a list of rows; everything else as it is."""
+    return flat if shape is None else [list(flat[i :: shape[0]]) for i in range(shape[0])]
+
+
+def numeric(value: Any, kind: str, width: int | None, where: str, shape: tuple[int, int] | None = None) -> Any:
     """`value` as a number of the current precision (or a Vector of `width` of them; one number fills an array).
 
-    Raises DiagramError if it is of another type or length.
+    With `shape` it is a matrix's: rows, or a Matrix. Raises DiagramError if it is of another type or length.
     """
     if isinstance(value, np.ndarray):
         value = value.tolist()
     elif isinstance(value, np.generic) and not isinstance(value, np.bool_):
         value = value.item()
+    if shape is not None:
+        value = column_major(value, shape, where)
     try:
         if kind == "bool" and type(value) is int and value in (0, 1):
             value = bool(value)
@@ -236,7 +320,7 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
     try:
         value = plain_data(value, path)
         with numbers.precision("float64"):
-            number = numbers.plain(numeric(value, declared.kind, declared.width, path))
+            number = numbers.plain(numeric(value, declared.kind, declared.width, path, declared.shape))
     except DiagramError as error:
         raise ParameterError(error.what, path, error.remedy) from error
     lowest, highest = _RANGES.get(declared.kind, (-math.inf, math.inf))

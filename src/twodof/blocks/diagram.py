@@ -89,10 +89,17 @@ class Diagram:
         self.parts: dict[str, Part] = {}
         self.connections: dict[tuple[str, str], str] = {}  # (part, port) -> source
 
-    def input(self, name: str, kind: str = "real", width: int | None = None, unit: str = "") -> str:
+    def input(
+        self,
+        name: str,
+        kind: str = "real",
+        width: int | None = None,
+        unit: str = "",
+        shape: tuple[int, int] | None = None,
+    ) -> str:
         """Declare an input; returns its name, which is a source."""
         self._new(name)
-        self.inputs[name] = Port(name, kind, width, unit)
+        self.inputs[name] = Port(name, kind, width, unit, shape)
         return name
 
     def output(self, name: str, source: str | None = None) -> None:
@@ -114,11 +121,12 @@ class Diagram:
         high: float = float("inf"),
         text: str = "",
         tunable: bool = True,
+        shape: tuple[int, int] | None = None,
     ) -> str:
         """Declare a parameter of the diagram, to which parameters of its parts may be bound (see `add`)."""
         self._new(name)
         with located(f"{self.name}.{name}"):
-            self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable)
+            self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable, shape)
         return name
 
     def add(

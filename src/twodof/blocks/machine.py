@@ -14,6 +14,7 @@ from twodof.blocks.declarations import (
     check_steps,
     check_value,
     numeric,
+    rows_of,
     unknown_name,
     unknown_parameter,
 )
@@ -27,9 +28,10 @@ _ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
 class Machine(ABC):
     """One running program: parameters, states and inputs of its own, by name or path.
 
-    A value is a number, or a list of `width` numbers for an array. An input that is not given keeps its last value (0
-    at first). A parameter is refused outside its bounds or its type's range; inputs and states that are integers wrap
-    around. Where the target can fault (docs/reference/compilation.md), a method that computes raises ControllerFault.
+    A value is a number, a list of `width` numbers for a vector, or a list of rows for a matrix. An input that is not
+    given keeps its last value (0 at first). A parameter is refused outside its bounds or its type's range; inputs and
+    states that are integers wrap around. Where the target can fault (docs/reference/compilation.md), a method that
+    computes raises ControllerFault.
     One thread at a time may use a machine: queue the changes of others and apply them between two steps.
     """
 
@@ -40,12 +42,14 @@ class Machine(ABC):
         parameters: Mapping[str, Param],
         inputs: Iterable[Port],
         states: Mapping[str, State],
+        outputs: Mapping[str, tuple[int, int] | None],
     ) -> None:
         self.name = name
         self.precision = precision
         self.parameters = parameters
         self.states = states
         self.inputs = {port.name: port for port in inputs}
+        self._matrices = [(path, shape) for path, shape in outputs.items() if shape]
 
     @property
     @abstractmethod
@@ -66,12 +70,13 @@ class Machine(ABC):
 
     def get(self, path: str) -> Any:
         """A parameter's present value."""
-        self._declared(path)
-        return self._parameter(path)
+        declared = self._declared(path)
+        return as_rows(self._parameter(path), declared.shape)
 
     def state(self, path: str) -> Any:
         """A state's present value. Raises DiagramError for an unknown path."""
-        return self._state(path, self._state_at(path))
+        declared = self._state_at(path)
+        return as_rows(self._state(path, declared), declared.shape)
 
     def set_state(self, path: str, value: Any) -> None:
         """Overwrite a state. Raises DiagramError for an unknown path or a value of another type."""
@@ -82,12 +87,13 @@ class Machine(ABC):
         """One step. Returns values by signal name. Raises DiagramError for an input that does not fit."""
         for name, value in (inputs or {}).items():
             self._write(name, value)
-        return self._step()
+        return self._shaped(self._step())
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """`steps` steps; an input is one value, or an array of `steps` values. Returns arrays by signal name.
 
-        Raises DiagramError for an input that does not fit, and for more than MAX_STEPS steps.
+        Their first axis is the step; those of a vector or matrix follow. Raises DiagramError for an input that does not
+        fit, and for more than MAX_STEPS steps.
         """
         steps = check_steps(steps, self.name)
         columns: dict[str, NDArray[Any]] = {}
@@ -97,11 +103,17 @@ class Machine(ABC):
                 data = np.asarray(value)
             except ValueError as error:
                 raise DiagramError("its rows differ in length", name, "give one value, or one a step") from error
-            if data.shape in ((), _inner(port)):
+            if data.shape in ((), axes(port)):
                 self._write(name, data.tolist())
             else:
                 columns[name] = self._column(port, data, steps)
-        return self._run(steps, columns)
+        return self._shaped(self._run(steps, columns))
+
+    def _shaped(self, values: dict[str, Any]) -> dict[str, Any]:
+        """`values` with matrices as such; targets keep them flat."""
+        for path, shape in self._matrices:
+            values[path] = as_rows(values[path], shape)
+        return values
 
     @abstractmethod
     def _step(self) -> dict[str, Any]:
@@ -159,26 +171,41 @@ class Machine(ABC):
         """`value` as plain numbers of the declared type, in this machine's precision."""
         plain = plain_data(value, where)
         with numbers.precision(self.precision):
-            return numbers.plain(numeric(plain, declared.kind, declared.width, where))
+            return numbers.plain(numeric(plain, declared.kind, declared.width, where, declared.shape))
 
     def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
         """An input's array, checked; integers wrap around."""
         if data.shape[:1] != (steps,):
             raise DiagramError(f"{len(data)} values for {steps} steps", port.name, "give one value, or one a step")
-        return fitting(port, data, data.shape == (steps, *_inner(port)), "", "convert it")
+        return fitting(port, data, data.shape == (steps, *axes(port)), "", "convert it")
 
 
-def _inner(port: Port) -> tuple[int, ...]:
-    return () if port.width is None else (port.width,)
+def axes(declared: Port | State | Param) -> tuple[int, ...]:
+    """The shape of a value outside the program: (), (width,) or (rows, columns)."""
+    return declared.shape or (() if declared.width is None else (declared.width,))
+
+
+def as_rows(value: Any, shape: tuple[int, int] | None) -> Any:
+    """A matrix whose elements stand column after column, in a list or along an array's last axis, as it is shown."""
+    if shape is None:
+        return value
+    if isinstance(value, np.ndarray):
+        return np.ascontiguousarray(value.reshape(*value.shape[:-1], shape[1], shape[0]).swapaxes(-1, -2))
+    return rows_of(value, shape)
 
 
 def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) -> NDArray[Any]:
-    """`data` in the port's type, if its own type allows that and its shape `fits`; else DiagramError."""
+    """`data` in the port's type, if its own type allows that and its shape `fits`; else DiagramError.
+
+    The last axis of a matrix's is that of its elements, column after column.
+    """
     if data.dtype.kind not in _ACCEPTED[port.kind] or not fits:
         raise DiagramError(
-            f"an array of {data.dtype} and shape {data.shape} is given for {port.kind} of width "
-            f"{port.width or 1}{room}",
+            f"an array of {data.dtype} and shape {data.shape} is given for {port.kind} of "
+            f"{f'shape {port.shape}' if port.shape else f'width {port.width or 1}'}{room}",
             port.name,
             remedy,
         )
+    if port.shape:
+        data = data.swapaxes(-1, -2).reshape(*data.shape[:-2], -1)
     return data if port.kind in ("real", "bool") else data.astype(port.kind)

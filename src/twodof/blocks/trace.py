@@ -11,7 +11,9 @@ from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
 from twodof.blocks.expressions.graph import evaluate, free_bounds, walk
+from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
 from twodof.errors import DiagramError, listed, shown
@@ -65,11 +67,15 @@ def trace_of(block: Block) -> Trace:
     discrete = [s for s in block.states if not s.continuous]
     continuous = [s for s in block.states if s.continuous]
 
+    shapes = matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived)
+
     def result(method: str) -> Any:
         # Each sees views of its own, through which it cannot reach another method's.
         if method == "prepare":
-            return called(block, method, Parameters(dict(given)), Clock(None, clock["dt"], clock["base_dt"]))
-        return called(block, method, Inputs(dict(u)), States(dict(x)), Parameters(dict(p)), Clock(**clock))
+            seen = with_matrices(Parameters(dict(given)), shapes[2])
+            return called(block, method, seen, Clock(None, clock["dt"], clock["base_dt"]))
+        views = Inputs(dict(u)), States(dict(x)), Parameters(dict(p))
+        return called(block, method, *map(with_matrices, views, shapes), Clock(**clock))
 
     def record(method: str, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
         with tracing(f"{type(block).__name__}.{method}"):
@@ -202,7 +208,7 @@ def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]
             return t.tick
         if item.op == "dt":
             return t.dt if item.data == "dt" else t.base_dt
-        return {"input": u, "state": x, "param": p}[item.op][item.data]
+        return flat_of({"input": u, "state": x, "param": p}[item.op][item.data])
 
     return evaluate(roots, value, FUNCTIONS)
 
@@ -267,6 +273,16 @@ def returned(method: str, result: Any, declared: Sequence[Any], partial: bool = 
 
 
 def _fit(value: Any, declared: Any) -> Expr:
+    if declared.shape is not None and isinstance(value, (list, tuple)) and not isinstance(value, Vector):
+        value = matrix(value)
+    if declared.shape != (value.shape if isinstance(value, Matrix) else None):
+        found = f"an array of {shape_text(shape_of(value))}" if shape_of(value) else _described(value)
+        raise DiagramError(
+            f"{declared.name!r} is given {found}, and is a {shape(declared)}",
+            "",
+            "give it that shape, or declare the name with the other one",
+        )
+    value = flat_of(value)
     if declared.width is not None and isinstance(value, (list, tuple, Vector)):
         value = vector([v if isinstance(v, Expr) else as_expr(v, declared.kind) for v in value])
     if declared.width is not None and not isinstance(value, Expr):
@@ -274,7 +290,7 @@ def _fit(value: Any, declared: Any) -> Expr:
             f"{declared.name!r} is given {_described(value)}, and is an array of {declared.width}", "", "give a list"
         )
     fitted = value if isinstance(value, Expr) else as_expr(value, declared.kind)
-    if shape(fitted) != shape(declared):
+    if (fitted.kind, fitted.width) != (declared.kind, declared.width):
         raise DiagramError(
             f"{declared.name!r} is given a {shape(fitted)}, and is a {shape(declared)}",
             "",

@@ -53,7 +53,8 @@ class BuiltMachine(Machine):
     def __init__(self, program: BuiltProgram) -> None:
         layout, flat = program.layout, program.flat
         states = {path: found[0] for path, found in program.states.items()}
-        super().__init__(flat.name, program.precision, program.parameters, flat.ports, states)
+        shapes = {path: s.shape for path, s in flat.outputs.items()}
+        super().__init__(flat.name, program.precision, program.parameters, flat.ports, states, shapes)
         self._states = program.states
         self._members = {path: layout.parameters[q].name for path, q in flat.parameters.items()}
         self._inputs = {name: layout.inputs[s].name for name, s in flat.inputs.items()}

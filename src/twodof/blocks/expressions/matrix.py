@@ -176,7 +176,10 @@ def product(a: Any, b: Any) -> Any:
             return fold(
                 inner - 1, [start], lambda k, total: [total + left[(k + 1) * rows + i] * right[base + (k + 1)]]
             )[0]
-        return reduce(operator.add, (read(left, i + k * rows) * read(right, base + k) for k in range(inner)))
+        return reduce(
+            operator.add,
+            (read(left, i + k * rows if k else i) * read(right, base + k if k else base) for k in range(inner)),
+        )
 
     numeric = isinstance(left, Vector) and isinstance(right, Vector)
     if numeric or rows * inner * columns <= UNROLLED or rows * columns == 1:

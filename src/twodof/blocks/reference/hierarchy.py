@@ -223,7 +223,7 @@ class Hierarchy:
             port = part.resolve(source)
         if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
             raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
-        check_initial(value, port.declared.kind, port.declared.width, where)
+        check_initial(value, port.declared, where)
         held = port.cell.initial.setdefault(port.port, value)
         if held != value:
             what = f"{port} starts at {shown(held)} and at {shown(value)}"

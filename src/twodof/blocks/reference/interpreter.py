@@ -138,7 +138,11 @@ class ReferenceMachine(Machine):
         self.hierarchy = program.hierarchy
         diagram = program.diagram
         states = {f"{cell.path}.{s.name}": s for cell in self.hierarchy.cells for s in cell.block.states}
-        super().__init__(diagram.name, program.precision, self.hierarchy.parameters, diagram.inputs.values(), states)
+        shapes = {
+            path: (diagram.inputs[s] if isinstance(s, str) else s.declared).shape for path, s in program.signals.items()
+        }
+        inputs = diagram.inputs.values()
+        super().__init__(diagram.name, program.precision, self.hierarchy.parameters, inputs, states, shapes)
         with numbers.precision(program.precision):
             self._values = {path: _number(p.value, p, path) for path, p in self.parameters.items()}
             self._real_dt = numbers.real_type()(program.dt)
@@ -187,7 +191,7 @@ class ReferenceMachine(Machine):
     def _store_parameters(self, values: Mapping[str, Any]) -> None:
         with numbers.precision(self.precision):
             for path, value in values.items():
-                self._values[path] = _number(value, self.parameters[path], path)
+                self._values[path] = _flat(value, self.parameters[path])
             for run in self._runs.values():
                 if any(root in values for root in run.cell.parameters.values()):
                     self._prepare(run)
@@ -200,15 +204,19 @@ class ReferenceMachine(Machine):
 
     def _store_state(self, path: str, declared: State, value: Any) -> None:
         with numbers.precision(self.precision):
-            self._runs[path.rpartition(".")[0]].x[declared.name] = _number(value, declared, path)
+            self._runs[path.rpartition(".")[0]].x[declared.name] = _flat(value, declared)
 
     def _store_input(self, port: Port, value: Any) -> None:
         with numbers.precision(self.precision):
-            self._inputs[port.name] = _number(value, port, port.name)
+            self._inputs[port.name] = _flat(value, port)
 
     def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
         given = {name: column.tolist() for name, column in columns.items()}
-        rows = [self.step({name: column[k] for name, column in given.items()}) for k in range(steps)]
+        rows = []
+        for k in range(steps):
+            for name, column in given.items():
+                self._store_input(self.inputs[name], column[k])
+            rows.append(self._step())
         return {name: np.array([row[name] for row in rows]) for name in self.program.signals}
 
     def _step(self) -> dict[str, Any]:
@@ -342,7 +350,12 @@ class ReferenceMachine(Machine):
 
 
 def _number(value: Any, declared: Port | State | Param, where: str) -> Any:
-    return numeric(value, declared.kind, declared.width, where)
+    return numeric(value, declared.kind, declared.width, where, declared.shape)
+
+
+def _flat(value: Any, declared: Port | State | Param) -> Any:
+    """Checked numbers as they are kept: a matrix's column after column."""
+    return numeric(value, declared.kind, declared.width, declared.name)
 
 
 def _zero(port: Port) -> Any:

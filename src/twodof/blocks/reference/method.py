@@ -11,6 +11,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port, State, numeric
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
 from twodof.blocks.namespaces import Namespace, twin
 from twodof.blocks.trace import by_method, computed
@@ -26,6 +27,10 @@ class Method:
         self.path, self.block, self.name = path, block, name
         self._method = getattr(block, name)
         self._declared = [(d.name, d.kind, d.width, None if d.width is not None else d.kind) for d in declared]
+        self._matrices = matrices(declared)
+        shapes = [matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived), {}]
+        self._shown = shapes[2:] if name == "prepare" else shapes
+        self._sees_matrices = any(self._shown)
 
     def __call__(self, *seen: Namespace) -> dict[str, Any]:
         return self.given(self._result(seen))
@@ -40,19 +45,21 @@ class Method:
             if name in result:
                 value = result[name]
                 # What is of the type already, as nearly all is, needs no look at what else it could be.
-                given[name] = value if type(value) is types.get(scalar) else self._number(value, kind, width)
+                given[name] = value if type(value) is types.get(scalar) else self._number(value, kind, width, name)
         return given
 
     def _result(self, seen: Sequence[Namespace]) -> Any:
+        if self._sees_matrices:
+            seen = [with_matrices(view, shapes) for view, shapes in zip(seen, self._shown, strict=True)]
         try:
             return self._method(*seen)
         except Exception as error:
             found = mistake(error, self.block, self.name)
             raise DiagramError(found.what, f"{self.path}, {found.where}", found.remedy) from error
 
-    def _number(self, value: Any, kind: str, width: int | None) -> Any:
+    def _number(self, value: Any, kind: str, width: int | None, name: str = "") -> Any:
         try:
-            return numeric(value, kind, width, "")
+            return numeric(value, kind, width, "", self._matrices.get(name))
         except DiagramError as error:
             raise DiagramError(error.what, self.where(), error.remedy) from error
 

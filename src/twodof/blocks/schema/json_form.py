@@ -164,7 +164,7 @@ def _declared_to(item: Port | State | Param) -> dict[str, Any]:
     return {
         key: _encode(value, item.name)
         for key, (value, default) in values.items()
-        if key in ("value", "initial") or value != default
+        if (key in ("value", "initial") or value != default) and not (key == "width" and item.shape)
     }
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
-from twodof.blocks.declarations import NAME, Param, Port, State, located
+from twodof.blocks.declarations import NAME, Param, Port, State, check_shape, located
 from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
@@ -92,7 +92,7 @@ class Loader:
         d = Diagram(name, text(member(data, "text", str, path, ""), MAX_TEXT, path or "diagram", lines=True))
         path = path or d.name
         for port in self._declarations(Port, data, "inputs", path):
-            d.input(port.name, port.kind, port.width, port.unit)
+            d.input(port.name, port.kind, None if port.shape else port.width, port.unit, port.shape)
         for param in self._declarations(Param, data, "params", path):
             d.param(**vars(param))
         parts = member(data, "parts", list, path, [])
@@ -233,7 +233,11 @@ class Loader:
         width = form.get("width")
         if width is not None and (type(width) is not int or width < 1):
             raise DiagramError(f"width {shown(width)}", where, "give an integer from 1, or leave it out")
-        self._count(1, width or 1, where)
+        elements = width or 1
+        if form.get("shape") is not None:
+            rows, columns = check_shape(form["shape"], where)
+            elements = rows * columns
+        self._count(1, elements, where)
         values = {k: self._plain(v, where) if k in _NUMBERS else v for k, v in form.items()}
         return _typed(cls, values, where)
 

@@ -10,6 +10,8 @@ from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, scalars, tracing
 from twodof.blocks.expressions.graph import OPERATIONS, free_bounds, walk
+from twodof.blocks.expressions.matrix import shaped
+from twodof.blocks.matrix_views import matrices
 from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of
 from twodof.errors import DiagramError, shown
 
@@ -29,11 +31,15 @@ class TracedBlock(Block):
         self.derived = declared["derived"]
         self.crossing = crossing
         self.sections: dict[str, dict[str, Expr]] = {s: {} for s in SECTIONS if s != "edges"}
+        states = matrices(self.states)
+        self._matrices = {"prepare": matrices(self.derived), "output": matrices(self.outputs)}
+        self._matrices |= dict.fromkeys(("update", "derivative", "project"), states)
         self.edge_pairs: dict[str, tuple[Expr, Expr]] = {}
 
     def _section(self, name: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         exprs = self.sections[name]
-        return dict(zip(exprs, computed(list(exprs.values()), u, x, p, t), strict=True))
+        values = zip(exprs, computed(list(exprs.values()), u, x, p, t), strict=True)
+        return {key: shaped(value, self._matrices[name].get(key)) for key, value in values}
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return self._section("prepare", None, None, p, t)

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
-from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
@@ -106,7 +106,8 @@ class Scope:
         if width is None:
             writer.assign(target, self.constant(value, kind), kind)
             return
-        values = list(value) if isinstance(value, (list, tuple)) else [value]
+        flat = column_major(value, declared.shape, declared.name) if declared.shape else value
+        values = list(flat) if isinstance(flat, (list, tuple)) else [flat]
         texts = [constant(v, kind, self.precision)[0] for v in values]
         if len(set(texts)) == 1:
             with writer.block(f"for (int32_t i = 0; i < {width}; i++)"):
@@ -219,7 +220,9 @@ class TickEmitter:
                 cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
                 with self.writer.choice(self.terms(group.guard)[0], [cleared]):
                     for s in held:
-                        self.scope.fill(self.writer, self.signal(s), s.before, Port("y", s.kind, s.width))
+                        self.scope.fill(
+                            self.writer, self.signal(s), s.before, Port("y", s.kind, s.width, shape=s.shape)
+                        )
 
     def _action(self, action: Action) -> None:
         node, write = action.node, self.writer

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import Port, State, check_steps, numeric
+from twodof.blocks.declarations import Param, Port, State, check_steps, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.machine import fitting
+from twodof.blocks.machine import axes, fitting
 from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.style import LaneStyle as Style
 from twodof.compile.machine import BuiltMachine, BuiltProgram
@@ -213,7 +213,7 @@ class LanesMachine(BuiltMachine):
     def _checked(self, path: str, value: Any) -> Any:
         declared = self._declared(path)
         fine: set[tuple[type, float]] = set()  # what many lanes have is checked once
-        for lane, given in self._each(value, declared.width, path):
+        for lane, given in self._each(value, declared, path):
             number = isinstance(given, int | float)
             if number and (type(given), given) in fine:
                 continue
@@ -226,7 +226,7 @@ class LanesMachine(BuiltMachine):
                     raise
                 raise ParameterError(f"lane {lane}: {error.what}", path, error.remedy) from error
         with numbers.precision("float64"):  # it is rounded where it is stored
-            return self._numbers(value, declared.kind, declared.width, path)
+            return self._numbers(value, declared, path)
 
     def _store_parameters(self, values: Mapping[str, Any]) -> None:
         for path, data in values.items():
@@ -248,11 +248,11 @@ class LanesMachine(BuiltMachine):
 
     def _plain(self, value: Any, declared: Port | State, where: str) -> Any:
         with numbers.precision(self.precision):
-            return self._numbers(value, declared.kind, declared.width, where)
+            return self._numbers(value, declared, where)
 
     def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
         """An input's array as (steps or 1, lanes or 1[, width]), checked; integers wrap around."""
-        inner = () if port.width is None else (port.width,)
+        inner = axes(port)
         if data.shape == (steps, *inner):
             data = data[:, np.newaxis]
         fits = data.shape in ((steps, self.lanes, *inner), (1, self.lanes, *inner), (steps, 1, *inner))
@@ -260,27 +260,28 @@ class LanesMachine(BuiltMachine):
         remedy = "give one value, or (steps,), (steps, lanes) or (1, lanes) of them, with the width as the last axis"
         return fitting(port, data, fits, room, remedy)
 
-    def _each(self, value: Any, width: int | None, path: str) -> list[tuple[int | None, Any]]:
+    def _each(self, value: Any, declared: Port | State | Param, path: str) -> list[tuple[int | None, Any]]:
         """(lane, its value), or (None, the value) if it is one for all."""
         many = isinstance(value, (np.ndarray, Sequence)) and not isinstance(value, (str, bytes))
         try:
             data: NDArray[Any] = np.asarray(value) if many else np.zeros(())
         except ValueError as error:
             raise ParameterError("its rows differ in length", path, "give each lane the same") from error
-        if data.ndim == 0 or (width is not None and data.shape == (width,)):
+        inner = axes(declared)
+        if data.ndim == 0 or (inner and data.shape == inner):
             return [(None, value)]
-        if data.shape not in ((self.lanes,), (self.lanes, width)) or data.dtype == object:
+        if data.shape not in ((self.lanes,), (self.lanes, *inner)) or data.dtype == object:
             raise ParameterError(
                 f"a value of shape {data.shape} for {self.lanes} lanes", path, "give one value, or one for each lane"
             )
         rows: list[Any] = data.tolist()
         return list(enumerate(rows))
 
-    def _numbers(self, value: Any, kind: str, width: int | None, path: str) -> NDArray[Any]:
+    def _numbers(self, value: Any, declared: Port | State | Param, path: str) -> NDArray[Any]:
         """A value's numbers, with the lane as the first axis, of length 1 if it is one for all."""
-        rows = []
-        for _, given in self._each(value, width, path):
-            rows.append(numbers.plain(numeric(given, kind, width, path)))
+        rows, kind = [], declared.kind
+        for _, given in self._each(value, declared, path):
+            rows.append(numbers.plain(numeric(given, kind, declared.width, path, declared.shape)))
         return np.array(rows, dtype={"real": "float64", "bool": "bool"}.get(kind, kind))
 
     def _views(self, struct: str, member: str) -> Iterable[NDArray[Any]]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
+from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.linear.operating_point import OperatingPoint
@@ -121,11 +122,9 @@ class IntegerStates:
         node, name = key
         path = f"{node.path}.{name}"
         state = next(s for s in node.block.states if s.name == name)
-        if state.width is None:
-            return [path]
-        length, _ = self._index(key, 0)
-        if not length:
-            return [f"{path}[{i}]" for i in range(state.width)]
+        length = 0 if state.width is None else self._index(key, 0)[0]
+        if state.width is None or not length:
+            return element_names(path, state)
         each = state.width // length
         tail = [f"[{i}]" for i in range(each)] if each > 1 else [""]
         return [f"{path}[k-{age + 1}]{t}" for age in range(length) for t in tail]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.declarations import unknown_name
+from twodof.blocks.declarations import element_names, unknown_name
 from twodof.blocks.diagram import BASE, Diagram, Rate
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant
@@ -318,11 +318,11 @@ class _Linearization:
             staying = _needed(a, b, c, names, continuous, left_out)
             a, b, c = a[np.ix_(staying, staying)], b[staying], c[:, staying]
             names, values = [names[j] for j in staying], values[staying]
-        inputs = [e for name, s in self.inputs.items() for e in _elements(name, s.width)]
-        outputs = [e for name, s in self.outputs.items() for e in _elements(name, s.width)]
+        inputs = [e for name, s in self.inputs.items() for e in element_names(name, s)]
+        outputs = [e for name, s in self.outputs.items() for e in element_names(name, s)]
         point = dict(zip(names, map(float, values), strict=True))
         for name, s in self.inputs.items():
-            point |= dict(zip(_elements(name, s.width), self._input_values(s), strict=True))
+            point |= dict(zip(element_names(name, s), self._input_values(s), strict=True))
         return LinearModel(
             a,
             b,
@@ -481,7 +481,3 @@ def _put_values(point: OperatingPoint, states: Sequence[Key], whole: IntegerStat
         places = whole.order(key)
         point.put_numbers(key, places, z[at : at + len(places)])
         at += len(places)
-
-
-def _elements(name: str, width: int | None) -> list[str]:
-    return [name] if width is None else [f"{name}[{i}]" for i in range(width)]

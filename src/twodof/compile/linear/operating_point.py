@@ -36,11 +36,11 @@ class OperatingPoint:
         self.given: set[Key] = set()
         with numbers.precision("float64"):
             self.inputs: dict[FlatSignal, Any] = {
-                s: numeric(at.get(name, 0), s.kind, s.width, name) for name, s in program.inputs.items()
+                s: numeric(at.get(name, 0), s.kind, s.width, name, s.shape) for name, s in program.inputs.items()
             }
             for path, (node, state) in keys.items():
                 if path in at:
-                    self.states[node, state.name] = numeric(at[path], state.kind, state.width, path)
+                    self.states[node, state.name] = numeric(at[path], state.kind, state.width, path, state.shape)
                     self.given.add((node, state.name))
         self.tick = int(at.get("tick", 0))
         self._widths = {(n, s.name): s.width or 1 for n in program.nodes for s in n.block.states}

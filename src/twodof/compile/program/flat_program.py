@@ -30,6 +30,7 @@ class FlatSignal:
     unit: str
     node: Node | None = None
     initial: Any = None
+    shape: tuple[int, int] | None = None
 
     @property
     def before(self) -> Any:
@@ -189,7 +190,7 @@ class FlatProgram:
     @property
     def ports(self) -> list[Port]:
         """The inputs as ports."""
-        return [Port(name, s.kind, s.width, s.unit) for name, s in self.inputs.items()]
+        return [Port(name, s.kind, s.width, s.unit, s.shape) for name, s in self.inputs.items()]
 
     @property
     def integrated(self) -> list[Node]:
@@ -225,7 +226,7 @@ def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[
         return {
             (node, s.name): parameters[node, s.initial]
             if isinstance(s.initial, str)
-            else numeric(s.initial, s.kind, s.width, f"{node.path}.{s.name}")
+            else numeric(s.initial, s.kind, s.width, f"{node.path}.{s.name}", s.shape)
             for node in program.nodes
             for s in node.block.states
         }

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, check_initial, narrowed, unknown_name
+from twodof.blocks.declarations import Param, Port, check_initial, narrowed, shape, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
@@ -103,7 +103,7 @@ class FlatDiagram:
         self.levels: list[_Level] = []
         self.root = _Level(diagram, diagram.name, "")
         self.root.root_inputs = {
-            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit) for p in diagram.inputs.values()
+            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit, shape=p.shape) for p in diagram.inputs.values()
         }
         stack: list[tuple[_Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
             (self.root, BASE, (), {}, 0)
@@ -154,7 +154,7 @@ class FlatDiagram:
             return self.parameters[path]
         outer = bound.declared
         try:
-            if (outer.kind, outer.width) != (declared.kind, declared.width) or _clash(outer.unit, declared.unit):
+            if shape(outer) != shape(declared) or _clash(outer.unit, declared.unit):
                 raise DiagramError(
                     f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
                 )
@@ -180,7 +180,7 @@ class FlatDiagram:
 
     def _with_outputs(self, node: Node) -> Node:
         node.outputs = {
-            o.name: FlatSignal(f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node)
+            o.name: FlatSignal(f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node, shape=o.shape)
             for o in node.block.outputs
         }
         self.nodes.append(node)
@@ -240,7 +240,7 @@ class FlatDiagram:
                 signal = inner.outputs[name] if isinstance(inner, Node) else inner.driver(name)
                 if not signal.path.startswith(f"{inner.path}."):
                     raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
-                found = check_initial(value, signal.kind, signal.width, where)
+                found = check_initial(value, signal, where)
                 if signal.initial not in (None, found):
                     what = f"{signal.path} starts at {shown(signal.initial)} and at {shown(found)}"
                     raise DiagramError(what, where, "give one initial value")
@@ -277,9 +277,9 @@ class FlatDiagram:
         with self._reported():
             source = level.diagram.connections.get((part, port.name))
             signal = level.resolve(source) if source is not None else self._stored(level, part, where)
-            if (signal.kind, signal.width) != (port.kind, port.width):
+            if shape(signal) != shape(port):
                 raise DiagramError(
-                    f"it takes {_shape(port)} and {signal.path} is {_shape(signal)}",
+                    f"it takes {shape(port)} and {signal.path} is {shape(signal)}",
                     where,
                     "convert the signal, or mux and demux it",
                 )
@@ -288,7 +288,7 @@ class FlatDiagram:
                     f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
                 )
             return signal
-        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit)
+        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape)
         self.unknown.add(stand_in)
         return stand_in
 
@@ -365,10 +365,6 @@ class FlatDiagram:
 
 def _clash(a: str, b: str) -> bool:
     return bool(a) and bool(b) and a != b
-
-
-def _shape(declared: Port | FlatSignal) -> str:
-    return declared.kind if declared.width is None else f"{declared.kind}[{declared.width}]"
 
 
 def node_of(signal: FlatSignal) -> Node:

@@ -1,0 +1,287 @@
+"""Matrices as ports, states and parameters: numpy and scipy judge the numbers, the reference every target's bits."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from tests.toolchains import need
+from twodof.blocks import Block, Diagram, Param, Port, State, concatenate, cross, eye, matrix, norm, sum, vector
+from twodof.blocks.reference import Reference
+from twodof.blocks.schema import from_json, to_json
+from twodof.compile import build
+from twodof.compile.lanes import build_lanes
+from twodof.compile.linear.linearize import linearize
+from twodof.errors import DiagramError, ParameterError
+
+Array = NDArray[np.float64]
+PRECISIONS = ("float64", "float32")
+STEPS = 12
+
+
+class KalmanFilter(Block):
+    """Six states and three measurements; the inverse of a 3 x 3 matrix by cross products of its rows."""
+
+    inputs = (Port("z", width=3),)
+    outputs = (Port("x", width=6), Port("P", shape=(6, 6)))
+    states = (State("x", width=6), State("P", "P0", shape=(6, 6)))
+    params = (
+        Param("A", np.eye(6).tolist(), shape=(6, 6)),
+        Param("H", np.eye(3, 6).tolist(), shape=(3, 6)),
+        Param("Q", (0.01 * np.eye(6)).tolist(), shape=(6, 6)),
+        Param("R", np.eye(3).tolist(), shape=(3, 3)),
+        Param("P0", np.eye(6).tolist(), shape=(6, 6)),
+    )
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        predicted = p.A @ x.x
+        P = p.A @ x.P @ p.A.T + p.Q
+        S = p.H @ P @ p.H.T + p.R
+        c = cross(S[1], S[2])
+        inverse = matrix([c, cross(S[2], S[0]), cross(S[0], S[1])]).T / (S[0] @ c)
+        K = P @ p.H.T @ inverse
+        return {"x": predicted + K @ (u.z - p.H @ predicted), "P": (eye(6) - K @ p.H) @ P}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return self.output(u, x, p, t)
+
+
+def kalman() -> Diagram:
+    d = Diagram("kf")
+    d.input("z", width=3)
+    d.add("f", KalmanFilter(), z="z")
+    d.output("x", "f.x")
+    d.output("P", "f.P")
+    return d
+
+
+RANDOM = np.random.default_rng(5)
+A = np.eye(6) + np.diag([0.1] * 3, 3)
+H = RANDOM.normal(size=(3, 6))
+R = np.eye(3) + H[:, :3] @ H[:, :3].T
+Z = RANDOM.normal(size=(STEPS, 3))
+GIVEN = {"f.A": A, "f.H": H, "f.R": R}
+
+
+def by_numpy() -> tuple[Array, Array]:
+    x, P = np.zeros(6), np.eye(6)
+    for z in Z:
+        x, P = A @ x, A @ P @ A.T + 0.01 * np.eye(6)
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+        x, P = x + K @ (z - H @ x), (np.eye(6) - K @ H) @ P
+    return x, P
+
+
+@pytest.fixture(scope="module", params=PRECISIONS)
+def flown(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
+    machine = Reference(kalman(), 0.01, request.param).machine()
+    machine.set_many(GIVEN)
+    return request.param, machine.run(STEPS, {"z": Z})
+
+
+def test_a_kalman_filter_is_that_of_numpy_to_rounding(flown: tuple[str, dict[str, Any]]) -> None:
+    precision, found = flown
+    x, P = by_numpy()
+    assert found["P"].shape == (STEPS, 6, 6)
+    # A step adds a few tens of roundings of numbers near 1, which the filter does not amplify.
+    most = 20 * STEPS * np.finfo(precision).eps
+    assert np.max(np.abs(found["x"][-1] - x)) < most
+    assert np.max(np.abs(found["P"][-1] - P)) < most
+
+
+@pytest.mark.parametrize("target", ["native", "wasm", "cortex-m7"])
+def test_each_target_gives_the_references_bits(target: str, flown: tuple[str, dict[str, Any]]) -> None:
+    if target == "cortex-m7":
+        need("qemu-system-arm", "arm-none-eabi-gcc")
+    precision, expected = flown
+    machine = build(kalman(), 0.01, precision, target=target, optimise="-O1").machine()
+    machine.set_many(GIVEN)
+    found = machine.run(STEPS, {"z": Z})
+    assert np.array_equal(found["x"], expected["x"])
+    assert np.array_equal(found["P"], expected["P"])
+    assert np.array_equal(machine.state("f.P"), expected["P"][-1])
+
+
+def test_lanes_give_the_references_bits(flown: tuple[str, dict[str, Any]]) -> None:
+    precision, expected = flown
+    machine = build_lanes(kalman(), 0.01, 3, precision, optimise="-O0").machine()
+    machine.set_many({**GIVEN, "f.A": np.stack([A, A, np.eye(6)])})
+    found = machine.run(STEPS, {"z": Z})
+    assert found["P"].shape == (STEPS, 3, 6, 6)
+    for lane in (0, 1):
+        assert np.array_equal(found["P"][:, lane], expected["P"])
+    assert not np.array_equal(found["P"][:, 2], expected["P"])
+    assert np.array_equal(machine.get("f.A")[0], A.astype(precision))
+    assert np.array_equal(machine.state("f.P")[1], expected["P"][-1])
+
+
+class Attitude(Block):
+    """A unit quaternion (scalar last) that a body turns with the rate w [rad/s]."""
+
+    inputs = (Port("w", width=3, unit="rad/s"),)
+    outputs = (Port("q", width=4), Port("R", shape=(3, 3)))
+    states = (State("q", [0.0, 0.0, 0.0, 1.0], width=4, continuous=True),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        v, s = x.q[0:3], x.q[-1]
+        skew = matrix([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+        return {"q": x.q, "R": eye(3) + 2 * (s * skew + skew @ skew)}
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        v, s = x.q[0:3], x.q[-1]
+        return 0.5 * concatenate([s * u.w + cross(v, u.w), vector([-(v @ u.w)])])
+
+    def project(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.q / norm(x.q)
+
+
+def test_a_quaternion_turns_as_scipys_rotation_does() -> None:
+    d = Diagram("body")
+    d.input("w", width=3, unit="rad/s")
+    d.add("attitude", Attitude(), w="w")
+    d.output("q", "attitude.q")
+    d.output("R", "attitude.R")
+    w, dt, steps = [0.3, -0.8, 1.1], 0.01, 200
+    machine = build(d, dt, optimise="-O1").machine()
+    out = machine.run(steps + 1, {"w": w})
+    turned = Rotation.from_rotvec(np.array(w) * dt * steps)
+    # RK4: an error of (|w| dt)^5 / 3840 a step at most.
+    most = steps * (np.linalg.norm(w) * dt) ** 5 / 3840 + 1e-13
+    assert np.max(np.abs(out["q"][-1] - turned.as_quat(canonical=True))) < most
+    assert np.max(np.abs(out["R"][-1] - turned.as_matrix())) < 4 * most
+    expected = Reference(d, dt).machine().run(21, {"w": w})
+    assert np.array_equal(out["R"][:21], expected["R"])
+
+
+def test_a_file_keeps_shapes_and_bits(flown: tuple[str, dict[str, Any]]) -> None:
+    precision, expected = flown
+    text = to_json(kalman())
+    assert '"shape": [6, 6]' in text
+    loaded = from_json(text)
+    assert to_json(loaded) == text
+    machine = build(loaded, 0.01, precision, optimise="-O1").machine()
+    machine.set_many(GIVEN)
+    assert np.array_equal(machine.run(STEPS, {"z": Z})["P"], expected["P"])
+    reference = Reference(loaded, 0.01, precision).machine()
+    reference.set_many(GIVEN)
+    assert np.array_equal(reference.run(2, {"z": Z[:2]})["P"], expected["P"][:2])
+
+
+def test_the_example_of_the_language_page_filters() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "explanation" / "language.md").read_text()
+    (example,) = (b for b in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "KalmanFilter" in b)
+    made: dict[str, Any] = {}
+    exec(example, made)
+    z = 0.5 + 0.2 * RANDOM.normal(size=100)
+    out = build(made["d"], 0.01, optimise="-O1").machine().run(100, {"z": z})
+    a, h, x, P = np.array([[1, 0.01], [0, 1]]), np.array([1.0, 0.0]), np.zeros(2), np.eye(2)
+    for measured in z:
+        x, P = a @ x, a @ P @ a.T + np.diag([1e-6, 1e-4])
+        gain = P @ h / (h @ P @ h + 0.04)
+        x, P = x + gain * (measured - h @ x), P - np.outer(gain, h @ P)
+    assert np.allclose(out["x"][-1], x, rtol=0, atol=100 * 2.3e-16)
+    assert np.allclose(out["P"][-1], P, rtol=0, atol=100 * 2.3e-16)
+
+
+def test_a_matrix_of_a_linear_model_names_its_elements() -> None:
+    model = linearize(total(shape=(2, 3)), 0.1)
+    assert model.inputs == ("m[0,0]", "m[1,0]", "m[0,1]", "m[1,1]", "m[0,2]", "m[1,2]")
+    assert model.outputs[1:] == model.inputs
+    assert np.array_equal(model.d, np.vstack([np.ones(6), np.eye(6)]))
+
+
+class Total(Block):
+    """The sum of a matrix, and the matrix."""
+
+    inputs = (Port("m", shape=(2, 3)),)
+    outputs = (Port("y"), Port("m", shape=(2, 3)))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"y": sum(u.m), "m": u.m}
+
+
+def total(**source: Any) -> Diagram:
+    d = Diagram("total")
+    d.input("m", **source)
+    d.add("total", Total(), m="m")
+    d.output("y", "total.y")
+    d.output("m", "total.m")
+    return d
+
+
+@pytest.mark.parametrize("kind", ["reference", "native"])
+def test_values_are_rows_wherever_they_go_in_or_out(kind: str) -> None:
+    d = total(shape=(2, 3))
+    machine = (Reference(d, 0.1) if kind == "reference" else build(d, 0.1, optimise="-O1")).machine()
+    rows = [[1.0, 2.0, 3.0], [4.0, 5.0, 6.5]]
+    assert machine.step({"m": rows}) == {"y": 21.5, "m": rows}
+    assert machine.step({"m": np.array(rows)})["m"] == rows
+    several = RANDOM.normal(size=(4, 2, 3))
+    assert np.array_equal(machine.run(4, {"m": several})["m"], several)
+    assert machine.run(2, {"m": rows})["m"].tolist() == [rows, rows]
+    for bad in ([1.0] * 6, [[1.0, 2.0]] * 3, [[1.0, 2.0, 3.0], [4.0]]):
+        with pytest.raises(DiagramError, match="2x3"):
+            machine.step({"m": bad})
+    with pytest.raises(DiagramError, match=r"shape \(2, 3\)"):
+        machine.run(2, {"m": np.zeros((2, 3, 2))})
+
+
+def test_a_parameter_has_the_declared_shape() -> None:
+    machine = Reference(kalman(), 0.01).machine()
+    machine.set("f.H", H)
+    assert machine.get("f.H") == H.tolist()
+    with pytest.raises(ParameterError, match=r"6x3 given for an array of 3x6.*list of rows"):
+        machine.set("f.H", H.T)
+    with pytest.raises(DiagramError, match="4 given for an array of 2x2"):
+        Param("k", [1.0, 2.0, 3.0, 4.0], shape=(2, 2))
+    with pytest.raises(DiagramError, match="width 5 and shape 2x2"):
+        Port("k", width=5, shape=(2, 2))
+    with pytest.raises(DiagramError, match="not one of a matrix"):
+        Port("k", shape=(2, 0))
+
+
+@pytest.mark.parametrize(("source", "given"), [({"width": 6}, r"real\[6\]"), ({"shape": (3, 2)}, r"real\[3x2\]")])
+def test_ports_of_different_shapes_do_not_connect(source: Any, given: str) -> None:
+    for target in (Reference, build):
+        with pytest.raises(DiagramError, match=rf"it takes real\[2x3\] and m (gives|is) {given}") as caught:
+            target(total(**source), 0.1)
+        assert caught.value.where == "total.m"
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (lambda m: m.T, "an array of 3x2, and is a real.2x3"),
+        (lambda m: m[0], "an array of 3, and is a real.2x3"),
+        (lambda m: 1.0, "and is a real.2x3"),
+        (lambda m: [[1.0, 2.0], [m[0, 0], 4.0]], "an array of 2x2, and is a real.2x3"),
+    ],
+)
+def test_a_method_gives_the_declared_shape(value: Any, message: str) -> None:
+    class Wrong(Total):
+        outputs = (Port("m", shape=(2, 3)),)
+
+        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+            return value(u.m)
+
+    with pytest.raises(DiagramError, match=message):
+        _ = Wrong().trace
+
+
+def test_a_file_of_a_stranger_counts_the_elements_of_matrices() -> None:
+    form = json.loads(to_json(total(shape=(2, 3))))
+    for shape, message in (
+        ([10**5, 10**5], "more than 1000000 values"),
+        ([2], "not one of a matrix"),
+        ([2, -3], "not"),
+    ):
+        form["diagram"]["inputs"][0]["shape"] = shape
+        with pytest.raises(DiagramError, match=message):
+            from_json(json.dumps(form))
