@@ -10,7 +10,7 @@ import pytest
 
 from tests.blocks.library.harness import alone
 from tests.blocks.library.samples import LIBRARY, SAMPLES
-from twodof.blocks import Block, Diagram, Param, Port, State
+from twodof.blocks import Block, Diagram, Param, Port, State, vector
 from twodof.blocks.library import (
     Concatenate,
     Constant,
@@ -210,3 +210,43 @@ def test_a_long_table_is_taken_at_once() -> None:
     times = np.arange(20_000) * 0.01
     table = Table(times, np.sin(times))
     assert table.params[1].value == np.sin(times).tolist()
+
+
+class Weighted(Block):
+    """An array of numpy among recorded values."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    weights = np.array([0.1, 0.7])
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        w = vector(self.weights)
+        return w[0] * u.u + w[1]
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_method_computes_with_an_array_of_numpy_in_both_precisions(precision: str) -> None:
+    d = alone(Weighted())
+    u = np.random.default_rng(5).normal(size=50).astype(precision)
+    real = np.dtype(precision).type
+    expected = (real(0.1) * u + real(0.7)).tolist()
+    for machine in (Reference(d, 0.1, precision).machine(), build(d, 0.1, precision).machine()):
+        assert machine.run(len(u), {"u_in": u})["y_out"].tolist() == expected
+
+
+def test_an_array_of_no_dimension_is_a_number() -> None:
+    d = alone(function_block(lambda u: np.array(2.0) * u - np.array(1)))
+    for machine in (Reference(d, 0.1).machine(), build(d, 0.1).machine()):
+        assert machine.step({"u_in": 3.0}) == {"y_out": 5.0}
+
+
+def test_an_integer_of_numpy_in_a_method_is_refused_with_the_remedy() -> None:
+    class Shifted(Block):
+        inputs = (Port("u", "int32"),)
+        outputs = (Port("y", "int32"),)
+
+        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+            return u.u + np.int64(2)
+
+    with pytest.raises(DiagramError, match=r"int64 is not a number of the language \(write int\(\.\.\.\) around it\)"):
+        Reference(alone(Shifted()), 0.1)

@@ -4,6 +4,8 @@ from collections.abc import Callable, Sequence
 from contextvars import ContextVar
 from typing import Any
 
+import numpy as np
+
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, as_expr, during, fault, node, position, recording, scalars, traced
 from twodof.blocks.expressions.numbers import Int32, Vector
@@ -14,6 +16,8 @@ LOOP_DEPTH: ContextVar[int] = ContextVar("loop depth", default=0)
 
 def vector(elements: Sequence[Any]) -> Any:
     """An array of the given scalars, all of one type."""
+    if isinstance(elements, np.ndarray):
+        elements = elements.tolist()
     if not elements:
         raise fault("an array of no elements", "an array has at least one element")
     anchor = next((v for v in elements if isinstance(v, Expr)), None)

@@ -143,6 +143,8 @@ def spread(f: Callable[..., Any], *values: Any) -> Any:
     if len(shapes) > 1:
         met = " and ".join(shape_text(s) for s in map(shape_of, operands) if s)
         raise fault(f"arrays of {met} meet in one operation", "give them one shape; scalars go with all shapes")
+    if not shapes:  # an array of numpy without a dimension is a number
+        return f(*operands)
     shape = shapes.pop()
     length = int(np.prod(shape))
     parts = [(flat_of(v), bool(shape_of(v))) for v in operands]

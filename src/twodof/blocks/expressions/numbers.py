@@ -262,7 +262,8 @@ def kind_of(value: Any) -> str:
         return "bool"
     if isinstance(value, (int, float, np.floating)):
         return "real"
-    raise DiagramError(f"{type(value).__name__} is not a number of the language", "", "use real, int32, uint32 or bool")
+    remedy = "write int(...) around it" if isinstance(value, np.integer) else "use real, int32, uint32 or bool"
+    raise DiagramError(f"{type(value).__name__} is not a number of the language", "", remedy)
 
 
 def common_kind(values: Iterable[Any]) -> str:
