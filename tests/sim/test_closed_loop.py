@@ -7,6 +7,7 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
@@ -26,6 +27,16 @@ def quiet(loop: ClosedLoop, rings: bool) -> ClosedLoop:
     loop.configure({**lab().snapshot(), "noise": 0.0, "rings": rings, "trim": 0.0, "ring_place": 0.0})
     loop.tune(DEFAULT)
     return loop
+
+
+def test_every_block_of_the_loop_means_the_same_when_it_is_traced_again() -> None:
+    stack, blocks = [closed_loop()], []
+    while stack:
+        for part in stack.pop().parts.values():
+            (stack if isinstance(part.item, Diagram) else blocks).append(part.item)
+    assert len(blocks) > 30
+    for block in blocks:
+        check_steady(block)
 
 
 def test_attitude_steps_are_those_of_the_real_drone(loop: ClosedLoop) -> None:

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
@@ -174,6 +174,19 @@ class Typed(Protocol):
 
     @property
     def shape(self) -> tuple[int, ...] | None: ...
+
+
+class Declared(Protocol):
+    """A block as far as tracing it needs one: what it declares, and where its methods are written."""
+
+    inputs: Sequence[Port]
+    outputs: Sequence[Port]
+    states: Sequence[State]
+    params: Sequence[Param]
+    derived: Sequence[Port]
+
+    def written(self, method: str) -> Callable[..., Any]:
+        """The Python function that says what `method` gives, for messages."""
 
 
 def shape(declared: Typed) -> str:

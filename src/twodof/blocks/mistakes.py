@@ -8,13 +8,11 @@ from __future__ import annotations
 
 import inspect
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from twodof.blocks.declarations import Declared
 from twodof.blocks.expressions.expr import Expr, recording
 from twodof.errors import DiagramError
-
-if TYPE_CHECKING:
-    from twodof.blocks.block import Block
 
 OWN = "twodof"  # the package whose blocks are tested, not guarded
 _NOT_THE_USERS = sys.stdlib_module_names | {"numpy", "scipy"}
@@ -22,12 +20,12 @@ ARGUMENTS = {"prepare": "self, p, t"}  # of the methods; all others take what `o
 HIDDEN = "let it depend on u, x, p and t alone: keep what changes in a state, and set attributes in __init__"
 
 
-def is_users(block: Block) -> bool:
+def is_users(block: Declared) -> bool:
     """Whether a block is the user's own. This package's blocks are guarded by its tests, which costs no start-up."""
     return type(block).__module__.partition(".")[0] != OWN
 
 
-def place(block: Block, method: str) -> str:
+def place(block: Declared, method: str) -> str:
     """Where a method stands, for an error: its block, its name, file and line."""
     function: Any = inspect.unwrap(block.written(method))
     code = getattr(function, "__code__", None)
@@ -35,7 +33,7 @@ def place(block: Block, method: str) -> str:
     return f"block {type(block).__name__}.{method}{line}"
 
 
-def mistake(error: Exception, block: Block, method: str) -> DiagramError:
+def mistake(error: Exception, block: Declared, method: str) -> DiagramError:
     """The error to raise for what a method raised. Call it in the function that called the method."""
     frames = []
     trace = error.__traceback__.tb_next if error.__traceback__ else None

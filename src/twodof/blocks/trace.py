@@ -4,22 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from twodof.blocks.declarations import located, shape
+from twodof.blocks.declarations import Declared, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
-from twodof.blocks.expressions.graph import evaluate, free_bounds, walk
+from twodof.blocks.expressions.graph import evaluate, walk
 from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
-from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
+from twodof.blocks.mistakes import mistake, place
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
 from twodof.errors import DiagramError, listed, shown
-
-if TYPE_CHECKING:
-    from twodof.blocks.block import Block
 
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
 
@@ -58,7 +55,7 @@ def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
     return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
 
 
-def trace_of(block: Block) -> Trace:
+def trace_of(block: Declared) -> Trace:
     """What the methods of `block` record. Raises DiagramError if they break the language's rules."""
     check_declarations(block, type(block).__name__)
     u, x = leaves_of("input", block.inputs), leaves_of("state", block.states)
@@ -105,7 +102,7 @@ def trace_of(block: Block) -> Trace:
     )
 
 
-def called(block: Block, method: str, *arguments: Any) -> Any:
+def called(block: Declared, method: str, *arguments: Any) -> Any:
     """What a method returns. Raises DiagramError, which names the user's line, for whatever the method raises."""
     try:
         return getattr(block, method)(*arguments)
@@ -113,7 +110,7 @@ def called(block: Block, method: str, *arguments: Any) -> Any:
         raise mistake(error, block, method) from error
 
 
-def _edges(block: Block, result: Any, outputs: Mapping[str, Expr]) -> dict[str, tuple[Expr, Expr]]:
+def _edges(block: Declared, result: Any, outputs: Mapping[str, Expr]) -> dict[str, tuple[Expr, Expr]]:
     if result == {}:
         return {}
     edges = {}
@@ -139,32 +136,6 @@ def _pairs(result: Any) -> Mapping[str, Any]:
     return result
 
 
-def steady_trace(block: Block, path: str) -> Trace:
-    """The trace of the block at `path`; a user's block is traced again. Raises DiagramError if the graphs differ.
-
-    What is compiled is the first graph. A method that depends on more than it is given would mean another thing at
-    each step of the reference. Values that another block or a loop recorded are refused too.
-    """
-    try:
-        trace = block.trace
-        if is_users(block):
-            _check_steady(block, by_method(trace), by_method(trace_of(block)))
-    except DiagramError as error:
-        raise DiagramError(error.what, f"{path}, {error.where}", error.remedy) from error
-    return trace
-
-
-def _check_steady(block: Block, first: MethodGraphs, again: MethodGraphs) -> None:
-    for method, exprs in first.items():
-        for name in exprs | again[method]:
-            # By identity: equal graphs are one node, and == on two of them would record a comparison.
-            if list(map(id, exprs.get(name, ()))) != list(map(id, again[method].get(name, ()))):
-                raise DiagramError(
-                    f"{method} gives another {name!r} when it is traced again", place(block, method), HIDDEN
-                )
-        _check_own(block, method, [e for roots in exprs.values() for e in roots])
-
-
 MethodGraphs = dict[str, dict[str, tuple[Expr, ...]]]
 """The expressions of each method by name: one each, of an edge two."""
 
@@ -182,24 +153,6 @@ def by_method(trace: Trace) -> MethodGraphs:
     return {**methods, "edges": dict(trace.edges)}
 
 
-def _check_own(block: Block, method: str, roots: Sequence[Expr]) -> None:
-    """Raise DiagramError if `roots` hold a leaf that the method was not given, or a variable outside its loop."""
-    clock = clock_leaves()
-    own = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
-    if method != "prepare":
-        own += [clock["tick"], *leaves_of("param", block.derived).values()]
-        own += [*leaves_of("input", block.inputs).values(), *leaves_of("state", block.states).values()]
-    known = set(map(id, own))
-    for item in walk(roots):
-        if item.op in ("input", "state", "param", "tick", "dt") and id(item) not in known:
-            raise DiagramError(f"{method} uses a value that it was not given, {item!r}", place(block, method), HIDDEN)
-    with located(place(block, method)):
-        if any(free_bounds(roots).values()):
-            raise DiagramError(
-                f"{method} uses a variable of a loop outside that loop", "", "return what a loop computes from its body"
-            )
-
-
 def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]:
     """Recorded expressions on the values of a step: the judge of a block's methods, and all that a TracedBlock has."""
 
@@ -213,7 +166,7 @@ def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]
     return evaluate(roots, value, FUNCTIONS)
 
 
-def check_declarations(block: Block, name: str) -> None:
+def check_declarations(block: Declared, name: str) -> None:
     """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
     parameters: list[Any] = [*block.params, *block.derived]
     by_name = {p.name: p for p in parameters}

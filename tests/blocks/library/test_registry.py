@@ -9,6 +9,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 
@@ -28,6 +29,7 @@ def test_every_block_has_defaults_and_a_docstring(type_name: str) -> None:
     for config in SAMPLES[type_name]:
         block = cls(**config)
         assert isinstance(block.trace.outputs, dict)
+        check_steady(block)  # a user's block is checked at each build, those of the library here
         assert len(block.outputs) >= 1
 
 

@@ -13,7 +13,7 @@ from twodof.blocks.declarations import Param, Port, State, check_initial, narrow
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
-from twodof.blocks.trace import steady_trace
+from twodof.blocks.steady import steady_trace
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64

@@ -20,7 +20,7 @@ from twodof.errors import DiagramError, shown
 _OWN_PRECISION = "write float(...) around numbers of numpy, which have a precision of their own"
 
 
-class Method:
+class BlockMethod:
     """A method of the block at `path`. A call gives numbers of the declared types (tracing has checked the names)."""
 
     def __init__(self, path: str, block: Block, name: str, declared: Sequence[Port | State]) -> None:
@@ -68,7 +68,7 @@ class Method:
         return f"{self.path}, {place(self.block, self.name)}"
 
 
-class EdgesMethod(Method):
+class EdgesMethod(BlockMethod):
     """The method `edges`: a call gives pairs of reals."""
 
     def given(self, result: Any) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class JudgedMethod:
     reference and the compiled program would differ without a word.
     """
 
-    def __init__(self, method: Method) -> None:
+    def __init__(self, method: BlockMethod) -> None:
         self._method = method
         self._recorded = by_method(method.block.trace)[method.name]
         self._roots = [root for roots in self._recorded.values() for root in roots]
@@ -105,9 +105,9 @@ class JudgedMethod:
         return given
 
 
-def running(path: str, block: Block, name: str, declared: Sequence[Port | State]) -> Method | JudgedMethod:
+def running(path: str, block: Block, name: str, declared: Sequence[Port | State]) -> BlockMethod | JudgedMethod:
     """The method `name` of the block at `path`, which gives what is `declared`."""
-    method = EdgesMethod(path, block, name, ()) if name == "edges" else Method(path, block, name, declared)
+    method = EdgesMethod(path, block, name, ()) if name == "edges" else BlockMethod(path, block, name, declared)
     return JudgedMethod(method) if is_users(block) else method
 
 

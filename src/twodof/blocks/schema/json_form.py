@@ -15,7 +15,7 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.schema.loader import Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
-from twodof.blocks.trace import steady_trace
+from twodof.blocks.steady import steady_trace
 from twodof.errors import DiagramError, shown
 
 SCHEMA = "twodof/diagram"
