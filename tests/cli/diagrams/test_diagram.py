@@ -15,6 +15,7 @@ from twodof.blocks.library import Gain, Sum, UnitDelay
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.app import run
 from twodof.flight.starters import load_diagram
+from twodof.models import velocity
 
 LOOP = Diagram("loop", "a first loop")
 LOOP.input("r")
@@ -180,6 +181,20 @@ def test_linearize_prints_the_model(loop: str, tmp_path: Path, capfd: pytest.Cap
     assert run(["diagram", "linearize", loop, "--at", str(tmp_path / "none.json")]) == 2
     assert run(["diagram", "linearize", loop, "--at", '{"q": 1}']) == 2
     assert "there is no parameter 'q'" in capfd.readouterr().err
+
+
+def test_linearize_says_what_is_left_out_and_what_has_no_effect(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "held.json"
+    d = velocity().diagram
+    d.input("spare")
+    file.write_text(to_json(d))
+    assert run(["diagram", "linearize", str(file)]) == 0
+    out = capfd.readouterr().out
+    assert "x[k+1], one step is 0.004 s; 2 states, 2 inputs, 2 outputs" in out
+    assert "left out: plant.past, 64 elements (nothing depends on it)" in out
+    assert "remark: spare: this input has no effect on any output" in out
 
 
 def test_a_picture_is_svg_and_is_called_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

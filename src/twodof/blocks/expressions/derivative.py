@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
-from twodof.blocks.expressions.graph import OPERATIONS
+from twodof.blocks.expressions.graph import OPERATIONS, walk
 from twodof.blocks.expressions.numbers import Int32, Integer, Vector
 from twodof.errors import DiagramError
 
@@ -36,11 +36,15 @@ Value = Dual | tuple[Dual, ...]
 
 @dataclass(frozen=True)
 class Tie:
-    """A place where a branch changes just at the point: in block `where`, `what`, and the slope that decides."""
+    """A place where a branch changes just at the point: in block `where`, `what`, and the slope that decides.
+
+    `single`: the branch of the point itself is that of the border alone (`==`).
+    """
 
     where: str
     what: str
     slope: Slope
+    single: bool = False
 
 
 def constant(value: Any) -> Value:
@@ -79,18 +83,21 @@ _PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
 
 _STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc}
 _NEVER = math.nan
+_WITHIN = 1e-12  # the sine of an angle by which a direction may leave a border and be within it
 
 
 class Tangent:
     """Evaluates expressions with their slopes, in float64; to be used under `numbers.precision("float64")`.
 
     `direction` says where the seeds move: at a tie the branch is taken that lies there. Without one the branch is that
-    of the point itself. `ties` collects the ties met; `block` is the path that they are noted under.
+    of the point itself. `ties` collects the ties met, `rounded` the blocks in which a slope ends in a rounding; `block`
+    is the path that they are noted under.
     """
 
     def __init__(self, direction: Slope | None = None) -> None:
         self.direction = direction
         self.ties: list[Tie] = []
+        self.rounded: set[str] = set()
         self.block = ""
 
     def evaluate(
@@ -108,6 +115,11 @@ class Tangent:
         return self._evaluate(roots, run)
 
     def _evaluate(self, roots: Sequence[Expr], run: "_Run") -> list[Value]:
+        if not run.bound:  # outside of all loops no loop's variable is read
+            known = run.memos[0]
+            for item in walk(roots, loops=False, known=known):
+                known[id(item)] = self._compute(item, [known[id(a)] for a in item.outside], run)
+            return [known[id(r)] for r in roots]
         stack = [(r, False) for r in reversed(roots)]
         while stack:
             item, ready = stack.pop()
@@ -115,19 +127,21 @@ class Tangent:
             if id(item) in known:
                 continue
             if ready:
-                known[id(item)] = self._compute(item, run)
+                known[id(item)] = self._compute(item, self._values(item.outside, run), run)
             else:
                 stack.append((item, True))
                 stack.extend((a, False) for a in reversed(item.outside))
-        return [run.known(r.loops)[id(r)] for r in roots]
+        return self._values(roots, run)
 
-    def _compute(self, item: Expr, run: "_Run") -> Value:
+    def _values(self, items: Sequence[Expr], run: "_Run") -> list[Value]:
+        return [run.known(item.loops)[id(item)] for item in items]
+
+    def _compute(self, item: Expr, args: list[Value], run: "_Run") -> Value:
         op = item.op
         if op == "const":
             return Dual(numbers.cast(item.data, item.kind))
         if op == "bound":
             return run.bound[item.data]
-        args = [run.known(a.loops)[id(a)] for a in item.outside]
         if op in ("build", "fold"):
             return self._loop(item, args, run)
         if op == "vector":
@@ -175,12 +189,16 @@ class Tangent:
             return float(np.sign(d.value))
         return self._side("the argument of abs is 0", d.slope) or 1.0
 
-    def _side(self, what: str, slope: Slope) -> float:
-        """-1, 1 or 0: to which side of a tie the direction leads."""
+    def _side(self, what: str, slope: Slope, single: bool = False) -> float:
+        """-1, 1 or 0: to which side of a tie the direction leads; 0 where it stays on it."""
         if not slope.any():
             return 0.0
-        self.ties.append(Tie(self.block, what, slope))
-        return 0.0 if self.direction is None else float(np.sign(slope @ self.direction))
+        self.ties.append(Tie(self.block, what, slope, single))
+        if self.direction is None:
+            return 0.0
+        along = slope @ self.direction
+        stays = abs(along) <= _WITHIN * np.linalg.norm(slope) * np.linalg.norm(self.direction)
+        return 0.0 if stays else float(np.sign(along))
 
     def _stepwise(self, item: Expr, d: list[Dual]) -> Any:
         """What has no slope of its own and may jump: comparisons, rounding, conversion to an integer."""
@@ -190,12 +208,15 @@ class Tangent:
             if values[0] != values[1]:
                 return found
             difference = _sum(d[0].slope, 1.0, d[1].slope, -1.0)
-            side = 0.0 if difference is None else self._side("both sides of a comparison are equal", difference)
+            what = "both sides of a comparison are equal"
+            side = 0.0 if difference is None else self._side(what, difference, item.op in ("eq", "ne"))
             if side == 0.0:
                 return found
             return np.bool_(side < 0.0 if item.op in ("lt", "le") else item.op == "ne")
         x, slope = float(values[0]), d[0].slope
         name = {"call": item.data, "convert": "trunc"}.get(item.op, "")
+        if name in _STEPS:
+            self.rounded.add(self.block)
         if name not in _STEPS or slope is None or not math.isfinite(x) or x != math.floor(x):
             return found
         side = self._side("a number that is rounded is whole", slope)

@@ -1,6 +1,6 @@
 """Walking and recomputing expression graphs; iterative, because a graph may be deeper than Python's stack."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.expressions import numbers
@@ -46,8 +46,11 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-def walk(roots: Iterable[Expr], loops: bool = True) -> list[Expr]:
-    """Every node below `roots` once, arguments before their users. With `loops` false, loop bodies are not entered."""
+def walk(roots: Iterable[Expr], loops: bool = True, known: Container[int] = ()) -> list[Expr]:
+    """Every node below `roots` once, arguments before their users. With `loops` false, loop bodies are not entered.
+
+    Nodes whose id is in `known` are left out, with what only they need.
+    """
     order: list[Expr] = []
     seen: set[int] = set()
     stack: list[tuple[Expr, bool]] = [(r, False) for r in reversed(list(roots))]
@@ -55,7 +58,7 @@ def walk(roots: Iterable[Expr], loops: bool = True) -> list[Expr]:
         item, done = stack.pop()
         if done:
             order.append(item)
-        elif id(item) not in seen:
+        elif id(item) not in seen and id(item) not in known:
             seen.add(id(item))
             stack.append((item, True))
             stack.extend((a, False) for a in reversed(item.args if loops else item.outside))

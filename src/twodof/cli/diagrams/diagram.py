@@ -1,6 +1,7 @@
 """`twodof diagram`: start one, check it, test it, draw it, see the C that it becomes, linearize it."""
 
 import json as json_text
+from collections.abc import Mapping
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
@@ -305,8 +306,21 @@ def _print_model(found: LinearModel) -> None:
         console.print("\npoles")
         for pole in sorted(found.poles(), key=lambda q: (abs(q), q.imag)):
             console.print(f"  {_pole(complex(pole), found.dt)}")
-    for name, why in found.left_out.items():
-        console.print(f"left out: {name} ({why})")
+    for names, why in _alike(found.left_out):
+        console.print(f"left out: {escape(names)} ({why})")
+    for name, what in found.remarks.items():
+        console.print(f"remark: {escape(name)}: {what}")
+
+
+def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The names that are left out for the same reason; of an array one name and how many there are."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, why in left_out.items():
+        groups.setdefault((name.partition("[")[0], why), []).append(name)
+    return [
+        (names[0] if len(names) == 1 else f"{path}, {len(names)} elements", why)
+        for (path, why), names in groups.items()
+    ]
 
 
 def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> Table:

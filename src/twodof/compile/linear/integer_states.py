@@ -1,6 +1,7 @@
 """What integer and bool states do while the real ones rest at a point: they settle, or they go round a ring buffer."""
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -8,8 +9,10 @@ from typing import Any
 
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Value, plain
+from twodof.blocks.expressions.graph import leaves, walk
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.linear.operating_point import OperatingPoint
+from twodof.compile.linear.parts import Parts
 from twodof.compile.linear.tangent import TangentStep
 from twodof.compile.program.flat_program import FlatProgram, Key, Node
 from twodof.errors import DiagramError
@@ -33,10 +36,10 @@ class Cycle:
 class IntegerStates:
     """The integer and bool states of a program at a point."""
 
-    def __init__(self, program: FlatProgram, point: OperatingPoint, divider: int) -> None:
+    def __init__(self, program: FlatProgram, point: OperatingPoint, parts: Parts) -> None:
         self.program = program
         self.point = point
-        self.divider = divider
+        self.parts = parts
         self.cycles: dict[Node, Cycle] = {}
         self.shift = 0
 
@@ -49,7 +52,7 @@ class IntegerStates:
             self.cycles = {}
             now = step()
             before = dict(self.point.states)
-            for node in self.program.nodes:
+            for node in self.parts.nodes:
                 names = tuple(
                     s.name
                     for s in node.discrete
@@ -64,6 +67,14 @@ class IntegerStates:
     def _settle(self, node: Node, names: tuple[str, ...], step: TangentStep) -> None:
         roots = [node.trace.update[name] for name in names]
         states: dict[Key, Value] = dict(step.states)
+        # What these states do not change is computed once.
+        fixed: dict[Any, Value] = {}
+        step.evaluate(node, roots, states, memos={node: fixed})
+        moving: set[int] = set()
+        for e in walk(roots):
+            if (e.op == "state" and e.data in names) or any(id(a) in moving for a in e.args):
+                moving.add(id(e))
+                fixed.pop(id(e), None)
         seen: dict[Whole_, int] = {}
         values: list[Whole_] = []
         while len(values) <= MAX_STEPS:
@@ -78,12 +89,55 @@ class IntegerStates:
                 return
             seen[key] = len(values)
             values.append(now)
-            states |= {(node, name): v for name, v in zip(names, step.evaluate(node, roots, states), strict=True)}
+            found = step.evaluate(node, roots, states, memos={node: dict(fixed)})
+            states |= {(node, name): v for name, v in zip(names, found, strict=True)}
+        names = tuple(n for i, n in enumerate(names) if len({_key(v[i]) for v in values}) > MAX_STEPS // 4) or names
+        outputs = ", ".join(self.parts.outputs_of(node))
+        free = self.parts.free_outputs(node)
+        ask = f", or ask for the outputs {', '.join(free)} only" if free else ""
+        if index := self._indexes(node, names):
+            remedy = (
+                f"let {index} come round, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring{ask}"
+            )
+        else:
+            remedy = f"give them with `at`, which holds them there{ask}"
         raise DiagramError(
-            f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps",
+            f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps; "
+            f"what depends on them: {outputs}",
             node.path,
-            "hold them with `at`, or linearize around this block",
+            remedy,
         )
+
+    def _indexes(self, node: Node, names: Iterable[str]) -> str:
+        """That of the states `names` which says where a buffer of reals is written, "" if none does."""
+        for e in node.trace.update.values():
+            item = e
+            while item.op == "store" and item.kind == "real":
+                if found := leaves([item.args[1]], "state") & set(names):
+                    return min(found)
+                item = item.args[0]
+        return ""
+
+    def check_held(self, step: TangentStep) -> dict[str, str]:
+        """Of the whole-number states that `at` holds and that would move: what to know of each.
+
+        Raises DiagramError for the write index of a buffer: held, nothing that is written would be read.
+        """
+        notes = {}
+        for node, name in sorted(self.point.given, key=lambda k: (k[0].path, k[1])):
+            e = node.trace.update.get(name)
+            if node not in self.parts.nodes or e is None or e.kind == "real" or not step.active(node.guard):
+                continue
+            if _same(plain(step.evaluate(node, [e])[0]), self.point.states[node, name]):
+                continue
+            if self._indexes(node, [name]):
+                raise DiagramError(
+                    "`at` holds it, and it says where a buffer is written: what is written would never be read",
+                    f"{node.path}.{name}",
+                    "leave it out of `at`: where an index comes round, the model follows it",
+                )
+            notes[f"{node.path}.{name}"] = "held by `at`; left alone it moves"
+        return notes
 
     def _ring(self, node: Node, names: tuple[str, ...], cycle: list[Whole_]) -> str:
         """The one state that counts 0 .. N - 1 round and round, N the cycle's length; "" if there is none."""
@@ -97,15 +151,20 @@ class IntegerStates:
             return names[i]
         return ""
 
+    def rings(self) -> set[Key]:
+        """The states that are write indices of rings."""
+        return {(node, cycle.ring) for node, cycle in self.cycles.items() if cycle.ring}
+
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
-        """(length, write index `ahead` steps on) of the ring that a state is; (0, 0) if it is none."""
+        """(length, write index `ahead` periods on) of the ring that a state is; (0, 0) if it is none."""
         node, name = key
         cycle = self.cycles.get(node)
         width = self.point.width(key)
         e = node.trace.update.get(name)
         if cycle is None or not cycle.ring or e is None or e.op != "store" or width % len(cycle.values):
             return 0, 0
-        at = cycle.values[(self.shift + ahead) % len(cycle.values)][cycle.names.index(cycle.ring)]
+        steps = (self.shift + ahead) * self.parts.steps(node)
+        at = cycle.values[steps % len(cycle.values)][cycle.names.index(cycle.ring)]
         return len(cycle.values), int(at.value)
 
     def order(self, key: Key, ahead: int = 0) -> list[int]:
@@ -130,21 +189,21 @@ class IntegerStates:
         return [f"{path}[k-{age + 1}]{t}" for age in range(length) for t in tail]
 
     def phases(self) -> list[int]:
-        """By how many steps what goes round must be turned, to see that the model stays the same.
+        """By how many periods what goes round must be turned, to see that the model stays the same.
 
         A ring's places are alike except for its end: some of them will do. Anything else is turned through all its
         values. Raises DiagramError where these are too many.
         """
         found: set[int] = set()
         for node, cycle in self.cycles.items():
-            n = len(cycle.values)
+            n = len(cycle.values) // math.gcd(len(cycle.values), self.parts.steps(node))
             if cycle.ring:
                 found |= {1, n // 2, n - 1}
             elif n <= ALL_PHASES:
                 found |= set(range(1, n))
             else:
                 raise DiagramError(
-                    f"its whole-number states {', '.join(cycle.names)} come round after {n} steps only",
+                    f"its whole-number states {', '.join(cycle.names)} come round after {n} periods only",
                     node.path,
                     "hold them with `at`, or linearize around this block",
                 )
@@ -152,7 +211,7 @@ class IntegerStates:
 
     @contextmanager
     def turned(self, shift: int) -> Iterator[None]:
-        """Within the block, everything that goes round is `shift` steps on, with the same samples in its buffers."""
+        """Within the block, everything that goes round is `shift` periods on, with the same samples in its buffers."""
         before = dict(self.point.states)
         orders = {
             (node, s.name): self.order((node, s.name))
@@ -162,7 +221,8 @@ class IntegerStates:
         }
         self.shift = shift
         for node, cycle in self.cycles.items():
-            for name, value in zip(cycle.names, cycle.values[shift % len(cycle.values)], strict=True):
+            steps = shift * self.parts.steps(node)
+            for name, value in zip(cycle.names, cycle.values[steps % len(cycle.values)], strict=True):
                 self.point.states[node, name] = value
         for key, old in orders.items():
             items = list(before[key])

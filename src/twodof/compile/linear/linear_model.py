@@ -21,7 +21,8 @@ class LinearModel:
     Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns
     by paths. There `[i]` is an element of an array and `[k-i]` the sample of i steps ago in a delay. `point` has the
     values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
-    of the diagram that the model does not have why.
+    of the diagram that the model does not have why. `remarks` name each input that has no effect on any output at the
+    point, each output that nothing moves, and each whole-number state that moves unless `at` holds it.
     """
 
     a: Array
@@ -36,6 +37,7 @@ class LinearModel:
     output_values: Mapping[str, float] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     name: str = "diagram"
+    remarks: Mapping[str, str] = field(default_factory=dict)
 
     def poles(self) -> Complex:
         """The eigenvalues of A, shape (n,): in the z plane, or in rad/s where `dt` is None."""
@@ -89,6 +91,7 @@ class LinearModel:
             "point": dict(self.point),
             "output_values": dict(self.output_values),
             "left_out": dict(self.left_out),
+            "remarks": dict(self.remarks),
         }
 
 

@@ -1,26 +1,28 @@
 """linearize: the exact linear model of a diagram at a point, by differentiating its expression graph.
 
-docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what happens to delays, counters, noise
-and kinks.
+docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what happens to delays, rates, counters,
+noise and kinks.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.declarations import element_names, unknown_name
-from twodof.blocks.diagram import BASE, Diagram, Rate
+from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant
+from twodof.blocks.expressions.derivative import plain
+from twodof.compile.linear.coordinates import Coordinates
+from twodof.compile.linear.equilibrium import move_to_equilibrium
 from twodof.compile.linear.integer_states import IntegerStates
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.operating_point import OperatingPoint
-from twodof.compile.linear.tangent import States, TangentStep, elements
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
-from twodof.compile.program.flatten import constants
+from twodof.compile.linear.parts import Parts
+from twodof.compile.linear.slopes import Matrices, Slopes, observed
+from twodof.compile.linear.tangent import elements
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
@@ -28,9 +30,7 @@ Array = NDArray[np.float64]
 
 MAX_STATES = 1500
 TIME = ("auto", "continuous", "discrete")
-WHAT = ("next", "slope", "projection")  # of the states: after a step, their derivatives, after the jumps
-DIRECTIONS = 8  # tried at a tie beside the two across each
-SAME = 1e-9  # relative: what two branches that agree may differ by, rounded on their ways
+OTHER_PERIODS = (1, 63, 1000)  # at which a model must be the same, if anything reads the tick
 
 
 def linearize(
@@ -50,12 +50,18 @@ def linearize(
     is not named has its initial value, its default or 0. With `trim` the states are moved to an equilibrium near it,
     or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the
     model's: inputs of the diagram, or signals by path. The default is its real inputs and outputs. A signal that is an
-    input is *cut*: what reads it reads the input instead. `time`: "continuous" (dx/dt), "discrete" (the step map) or,
-    for "auto", continuous where all states are. `keep_all` keeps the states that have no influence or always come back
-    to the point's value.
+    input is *cut*: what reads it reads the input instead. What no output depends on is left out.
 
-    Raises DiagramError for a diagram that does not compile or has several rates, and at a kink, where nothing is
-    differentiable. It also does so for a whole-number state that moves the model, or without an equilibrium.
+    `time`: "continuous" (dx/dt), "discrete" (x[k+1], the step map) or, for "auto", continuous where all states are.
+    A diagram with any discrete state, delay or rate of its own is discrete. Of several rates the model is that over
+    their common period, with the inputs held over it; outputs of slower rates that are held at its start are states.
+    `keep_all` keeps the states that have no influence or always come back to the point's value.
+
+    The model's `remarks` name the inputs that move nothing, the outputs that nothing moves, and what `at` holds.
+
+    Raises DiagramError for a diagram that does not compile, whose rates come round after more than 1000 ticks, and at
+    a kink, where nothing is differentiable. It also does so for a whole-number state, or a tick, that moves the model,
+    and without an equilibrium.
     """
     if time not in TIME:
         raise DiagramError(f"time={time!r}", diagram.name, f"use one of {', '.join(TIME)}")
@@ -64,24 +70,17 @@ def linearize(
     paths = [p for p in dict.fromkeys(wanted) if p not in diagram.outputs and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
     _refuse_triggers(program)
-    work = _Linearization(program, OperatingPoint(program, at or {}), diagram.outputs, inputs, chosen_outputs)
+    point = OperatingPoint(program, at or {})
     with numbers.precision("float64"):
+        work = _Linearization(program, point, diagram.outputs, inputs, chosen_outputs, keep_all)
         work.settle()
         if trim:
-            work.trim(free)
+            continuous = work.is_continuous("auto") and work.manifold() is not None
+            move_to_equilibrium(program.name, work.slopes, free, continuous)
+            work.settle()
         elif free:
             raise DiagramError("inputs are free without trim", diagram.name, "ask for trim too")
         return work.model(time, keep_all)
-
-
-@dataclass
-class _Matrices:
-    """A and B by the seeds, C and D by the seeds: rows of (states, seeds) and (outputs, seeds)."""
-
-    change: Array
-    output: Array
-    value: Array  # the states' next values or derivatives
-    made: Array  # the outputs' values
 
 
 class _Linearization:
@@ -94,25 +93,27 @@ class _Linearization:
         ports: Iterable[str],
         inputs: Sequence[str] | None,
         outputs: Sequence[str] | None,
+        keep_all: bool,
     ) -> None:
         self.program = program
         self.ports = frozenset(ports)  # the diagram's own outputs
         self.point = point
         self.name = program.name
-        rate = _single_rate(program)
-        self.divider = rate.divider
-        point.tick += (rate.offset - point.tick) % rate.divider  # the next at which its blocks are due
-        self.whole = IntegerStates(program, point, self.divider)
         self.inputs = self._inputs(inputs)
         self.outputs = self._outputs(outputs)
-        self.states = self._moving()
-        size = sum(point.width(k) for k in self.states)
-        if size > MAX_STATES:
+        cut = {s for s in self.inputs.values() if s.node is not None}
+        self.parts = Parts(program, self.outputs, cut, keep_all)
+        point.tick = self.parts.start(point.tick)
+        self.whole = IntegerStates(program, point, self.parts)
+        self.coordinates = Coordinates(point, self.whole, self.parts, self.parts.held(self.outputs.values()))
+        if self.coordinates.size > MAX_STATES:
             raise DiagramError(
-                f"its model has {size} states", self.name, f"at most {MAX_STATES}: shorten the delays, or cut signals"
+                f"its model has {self.coordinates.size} states",
+                self.name,
+                f"at most {MAX_STATES}: shorten the delays, or cut signals",
             )
-        self.seeds = size + sum(s.width or 1 for s in self.inputs.values())
-        self.size = size
+        self.slopes = Slopes(program, point, self.parts, self.coordinates, self.inputs, self.outputs)
+        self.held: Mapping[str, str] = {}
 
     def _inputs(self, names: Sequence[str] | None) -> dict[str, FlatSignal]:
         if names is None:
@@ -132,122 +133,21 @@ class _Linearization:
             raise DiagramError(f"{name!r} is {found.kind}", self.name, "a linear model has real inputs and outputs")
         return found
 
-    def _moving(self) -> list[Key]:
-        """The real states that may change."""
-        found: list[Key] = []
-        for node in self.program.nodes:
-            for s in node.block.states:
-                e = node.trace.update.get(s.name)
-                kept = e is None or (e.op == "state" and e.data == s.name)
-                if s.kind == "real" and (s.continuous or not kept):
-                    found.append((node, s.name))
-        return found
-
     def settle(self) -> None:
-        """Bring whole-number states to where they stay, and continuous states to where projections put them."""
-        self.whole.settle(self._plain_step)
-        step = self._plain_step()
-        x = {(n, s.name): self.point.states[n, s.name] for n in self.program.integrated for s in n.continuous}
-        projected = step.projected({k: constant(v) for k, v in x.items()})
-        self.point.put(projected)
+        """Bring whole-number states to where they stay, and continuous states to where projections put them.
 
-    def _seeded(self) -> tuple[States, dict[FlatSignal, Value], dict[FlatSignal, Slope]]:
-        """States and inputs with unit slopes, and the slopes of the signals that are cut."""
-        unit = np.eye(self.seeds)
-        states: States = {k: constant(v) for k, v in self.point.states.items()}
-        at = 0
-        for key in self.states:
-            value = self.point.states[key]
-            items = list(elements(value))
-            for place in self.whole.order(key):
-                items[place] = Dual(items[place], unit[at])
-                at += 1
-            states[key] = tuple(items) if isinstance(value, tuple) else items[0]
-        inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
-        cut: dict[FlatSignal, Slope] = {}
-        for s in self.inputs.values():
-            if s.node is None:
-                duals = tuple(Dual(v, unit[at + i]) for i, v in enumerate(elements(self.point.inputs[s])))
-                inputs[s] = duals[0] if s.width is None else duals
-            elif s.width is None:
-                cut[s] = unit[at]
-            else:
-                raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
-            at += s.width or 1
-        return states, inputs, cut
+        Signals of slower rates are held as they would be after some time at the point.
+        """
+        self._rest()
+        self.whole.settle(lambda: self.slopes.plain_step(rested=True))
+        self.held = self.whole.check_held(self.slopes.plain_step(rested=True))
+        step = self.slopes.plain_step()
+        self.point.put(step.projected(step.continuous()))
+        self._rest()
 
-    def _seeded_step(self, direction: Slope | None = None) -> TangentStep:
-        states, inputs, cut = self._seeded()
-        return TangentStep(self.program, self.point.parameters, states, inputs, self.point.tick, cut, direction)
-
-    def _plain_step(self) -> TangentStep:
-        """A step without slopes."""
-        states: States = {k: constant(v) for k, v in self.point.states.items()}
-        inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
-        return TangentStep(self.program, self.point.parameters, states, inputs, self.point.tick)
-
-    def _once(self, what: str, direction: Slope | None) -> tuple[_Matrices, list[Tie]]:
-        """The slopes of `what` becomes of the states (one of WHAT) and of the outputs, ties resolved by `direction`."""
-        step = self._seeded_step(direction)
-        x = {(n, s.name): step.states[n, s.name] for n in self.program.integrated for s in n.continuous}
-        if what == "slope":
-            new = step.derivative(x)
-        elif what == "projection":
-            new = step.states | step.projected(x)
-        else:
-            new = step.updates()
-            if self.program.integrated:
-                new |= step.projected(step.integrated())
-        rows: list[Dual] = []
-        for key in self.states:
-            items = elements(new[key])
-            rows += [items[place] for place in self.whole.order(key, 1 if what == "next" else 0)]
-            self._finite(key[0].path, items)
-        made: list[Dual] = []
-        for signal in self.outputs.values():
-            made += elements(step.made[signal])
-            self._finite(signal.path, elements(step.made[signal]))
-        return _Matrices(self._stack(rows), self._stack(made), _values(rows), _values(made)), step.tangent.ties
-
-    def _stack(self, rows: Sequence[Dual]) -> Array:
-        none = np.zeros(self.seeds)
-        made = np.array([none if d.slope is None else d.slope for d in rows]).reshape(len(rows), self.seeds)
-        return np.asarray(made + 0.0)  # no -0.0
-
-    def _finite(self, path: str, duals: Sequence[Dual]) -> None:
-        for d in duals:
-            if not np.isfinite(d.value):
-                raise DiagramError(f"it is {d.value} at the point", path, "give another point with `at`")
-            if d.slope is not None and not np.isfinite(d.slope).all():
-                raise DiagramError(
-                    "its slope is infinite or undefined at the point", path, "move the point away (sqrt at 0, 0 / 0)"
-                )
-
-    def matrices(self, what: str, strict: bool = True) -> _Matrices:
-        """The slopes; with `strict` DiagramError at a kink: where directions of motion do not agree on them."""
-        first, ties = self._once(what, None)
-        if not ties:
-            return first
-        # At a tie the branch of the point itself may be one that no motion leads into: somewhere beside it, then.
-        random = np.random.Generator(np.random.PCG64(1))
-        beside, _ = self._once(what, random.standard_normal(self.seeds))
-        if not strict:
-            return beside
-        trials: list[tuple[Slope, Tie]] = []
-        for tie in {t.slope.tobytes(): t for t in ties}.values():
-            normal = tie.slope / np.linalg.norm(tie.slope)
-            noise = 1e-3 * random.standard_normal(self.seeds)
-            trials += [(normal + noise, tie), (-normal + noise, tie)]
-        trials += [(random.standard_normal(self.seeds), ties[0]) for _ in range(DIRECTIONS)]
-        for direction, tie in trials:
-            other, _ = self._once(what, direction)
-            if not (_agree(beside, other) and _close(first.made, other.made) and _close(first.value, other.value)):
-                raise DiagramError(
-                    f"the point is on a kink: {tie.what}, and beside it the slopes differ",
-                    tie.where,
-                    "move the point off it with `at`, or take out the limit, friction or switch that makes it",
-                )
-        return beside
+    def _rest(self) -> None:
+        made = self.slopes.plain_step(rested=True).made
+        self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
 
     def is_continuous(self, time: str) -> bool:
         """Whether the model is dx/dt; DiagramError where that is asked for and cannot be."""
@@ -260,60 +160,66 @@ class _Linearization:
 
     def _sampled(self) -> str:
         """What keeps the diagram from being a continuous one; "" if nothing does."""
-        if not self.program.integrated:
+        if self.parts.several_rates:
+            return f"it has several rates: {self.parts.several_rates}"
+        if not self.parts.integrated:
             return "it has no continuous states"
-        for node, name in self.states:
+        for node, name in self.coordinates.keys:
             if not any(s.name == name for s in node.continuous):
                 return f"the state {node.path}.{name} is discrete"
-        step = self._seeded_step()
-        for node in self.program.integrated:
+        step = self.slopes.step()
+        for node in self.parts.integrated:
             for s in node.drivers.values():
                 if s not in step.read:
                     continue  # computed at the stages of the integration only
                 d = step.read[s]
                 held = s.node is not None and s not in self.program.moving and s not in step.cut
                 for item in elements(d):
-                    if held and item.slope is not None and item.slope[: self.size].any():
+                    if held and item.slope is not None and item.slope[: self.coordinates.size].any():
                         return f"{s.path} samples a continuous state"
         return ""
 
-    def _manifold(self) -> tuple[list[int], Array] | None:
+    def manifold(self) -> tuple[list[int], Array] | None:
         """The states that projections keep, and all states by these; None if projections do more than that.
 
         A projection may set states from others (the sine of an angle that is integrated beside it). Those are not
         states in their own right.
         """
-        p = self.matrices("projection").change[:, : self.size]
-        kept = [j for j in range(self.size) if p[:, j].any()]
+        size = self.coordinates.size
+        p = self._ordered(self.slopes.matrices("projection"), 0).change[:, :size]
+        kept = [j for j in range(size) if p[:, j].any()]
         if not np.array_equal(p[np.ix_(kept, kept)], np.eye(len(kept))):
             return None
         return kept, p[:, kept]
 
+    def _ordered(self, found: Matrices, ahead: int) -> Matrices:
+        """In the model's order, of states that are `ahead` periods on."""
+        return found.ordered(self.coordinates.order(ahead), self.coordinates.order())
+
     def model(self, time: str, keep_all: bool) -> LinearModel:
         """The model, checked at other phases of what goes round."""
         continuous = self.is_continuous(time)
-        found = self.matrices("slope" if continuous else "next")
-        n = self.size
-        names = self._state_names()
-        left_out: dict[str, str] = {}
+        found = self._ordered(self.slopes.matrices("slope" if continuous else "next"), 0 if continuous else 1)
+        n = self.coordinates.size
+        names = self.coordinates.names()
+        left_out = self._elsewhere()
         a, b = found.change[:, :n], found.change[:, n:]
         c, d = found.output[:, :n], found.output[:, n:]
         keep = list(range(n))
-        if continuous:
-            manifold = self._manifold()
-            if manifold is None:
-                if time == "continuous":
-                    raise DiagramError(
-                        "a projection (stop, friction) acts at the point", self.name, 'use time="discrete"'
-                    )
-                return self.model("discrete", keep_all)
+        manifold = None if keep_all and not continuous else self.manifold()
+        if continuous and manifold is None:
+            if time == "continuous":
+                raise DiagramError("a projection (stop, friction) acts at the point", self.name, 'use time="discrete"')
+            return self.model("discrete", keep_all)
+        if manifold is not None:
             keep, reach = manifold
             left_out |= {names[j]: "set from other states at each step" for j in range(n) if j not in keep}
             a, c, b = a[keep] @ reach, c @ reach, b[keep]
-        else:
+        if not continuous:
             self._check_phases(found)
+        self._check_ticks(found, "slope" if continuous else "next")
         names = [names[j] for j in keep]
-        values = _values_of(self.point, self.states, self.whole)[keep]
+        values = self.coordinates.values()[self.coordinates.order()][keep]
         if not keep_all:
             staying = _needed(a, b, c, names, continuous, left_out)
             a, b, c = a[np.ix_(staying, staying)], b[staying], c[:, staying]
@@ -328,7 +234,7 @@ class _Linearization:
             b,
             c,
             d,
-            None if continuous else self.program.dt * self.divider,
+            None if continuous else self.program.dt * self.parts.period,
             tuple(names),
             tuple(inputs),
             tuple(outputs),
@@ -336,74 +242,53 @@ class _Linearization:
             dict(zip(outputs, map(float, found.made), strict=True)),
             left_out,
             self.name,
+            {**self.held, **_idle(a, b, c, d, inputs, outputs, sorted(self.slopes.rounded))},
         )
+
+    def _elsewhere(self) -> dict[str, str]:
+        """The states that may move in nodes that no output depends on."""
+        here = set(self.parts.nodes)
+        return {
+            f"{node.path}.{s.name}": "no output depends on it"
+            for node in self.program.nodes
+            for s in node.block.states
+            if node not in here and s.kind == "real"
+        }
 
     def _input_values(self, s: FlatSignal) -> list[float]:
         if s.node is None:
             return self.point.input_values([s])
-        return [float(m.value) for m in elements(self._plain_step().made[s])]
+        return [float(m.value) for m in elements(self.slopes.plain_step().made[s])]
 
-    def _check_phases(self, found: _Matrices) -> None:
+    def _check_phases(self, found: Matrices) -> None:
         """DiagramError if the model changes while something goes round (a write index, a counter)."""
         for shift in self.whole.phases():
             with self.whole.turned(shift):
-                other = self.matrices("next", strict=False)
-            if not _agree(found, other):
+                other = self._ordered(self.slopes.matrices("next", strict=False), 1)
+            if not found.agree(other):
                 raise DiagramError(
                     "a whole-number state moves, and the model with it",
                     self.whole.guilty(),
                     "a linear model is the same at every step: hold it with `at`, or linearize around this block",
                 )
 
-    def _state_names(self) -> list[str]:
-        return [name for key in self.states for name in self.whole.names(key)]
-
-    def trim(self, free: Sequence[str]) -> None:
-        """Move the states, and the inputs in `free`, to an equilibrium; DiagramError if none is found."""
-        for name in free:
-            if name not in self.inputs or self.inputs[name].node is not None:
-                raise DiagramError(f"{name!r} is not an input to free", self.name, "name a real input")
-        continuous = self.is_continuous("auto") and self._manifold() is not None
-        what = "slope" if continuous else "next"
-        moving: list[int] = []  # the states' columns; those that are named stay, if an input can hold them
-        at = 0
-        for key in self.states:
-            width = self.point.width(key)
-            moving += [] if free and key in self.point.given else range(at, at + width)
-            at += width
-        columns = list(moving)
-        for name, s in self.inputs.items():
-            columns += range(at, at + (s.width or 1)) if name in free else []
-            at += s.width or 1
-        freed = [s for name, s in self.inputs.items() if name in free]
-        states = _values_of(self.point, self.states, self.whole)
-
-        def evaluated(z: Array) -> tuple[Array, Array]:
-            states[moving] = z[: len(moving)]
-            _put_values(self.point, self.states, self.whole, states)
-            self.point.put_inputs(freed, z[len(moving) :])
-            found = self.matrices(what, strict=False)
-            if continuous:
-                return found.value, found.change[:, columns]
-            return found.value - states, (found.change - np.eye(self.size, self.seeds))[:, columns]
-
-        start = np.concatenate([states[moving], self.point.input_values(freed)])
-        if start.size and self.size:
-            from scipy.optimize import least_squares  # imported late: most commands start without it
-
-            best = least_squares(
-                lambda z: evaluated(z)[0], start, lambda z: evaluated(z)[1], xtol=1e-15, ftol=1e-15, gtol=1e-15
-            )
-            left = np.abs(evaluated(best.x)[0])
-            # A residual is a difference of numbers of this size, each rounded some tens of times.
-            if not left.max() <= 1e-9 * (1.0 + float(np.abs(best.x).max())):
-                worst = int(np.argmax(left))
+    def _check_ticks(self, found: Matrices, what: str) -> None:
+        """DiagramError if the model changes with the tick, unless `at` gives the tick."""
+        readers = self.parts.read_tick()
+        if not readers or self.point.tick_given:
+            return
+        for periods in OTHER_PERIODS:
+            with self.point.kept():
+                self.point.tick += periods * self.parts.period
+                other = self._ordered(self.slopes.matrices(what, strict=False), 0 if what == "slope" else 1)
+            same = np.allclose(found.change, other.change) and np.allclose(found.output, other.output)
+            if not same:
                 raise DiagramError(
-                    f"no equilibrium was found: {self._state_names()[worst]} still changes by {left[worst]:.3g}",
-                    self.name,
-                    "start nearer to one with `at`, or free an input that can hold it",
+                    f"the tick moves the model: it is another one {periods} periods later",
+                    ", ".join(readers),
+                    'give the tick in `at`, {"tick": 0}, for the model at that tick alone; to keep samples in a ring, '
+                    "count its places in a state",
                 )
-        self.settle()
 
 
 def _refuse_triggers(program: FlatProgram) -> None:
@@ -416,21 +301,28 @@ def _refuse_triggers(program: FlatProgram) -> None:
             )
 
 
-def _single_rate(program: FlatProgram) -> Rate:
-    """The rate of all blocks that do something; DiagramError if there are several."""
-    ordered = [s for g in program.tick for a in g.actions for s in a.signals]
-    rateless = constants(ordered)
-    live = {s.node for s in ordered if s not in rateless} | {n for n in program.nodes if n.block.states}
-    nodes = [n for n in program.nodes if n in live]
-    rates = {n.rate: n for n in nodes}
-    if len(rates) > 1:
-        (one, a), (two, b) = list(rates.items())[:2]
-        raise DiagramError(
-            f"it has several rates: {a.path} runs at {tuple(one)} and {b.path} at {tuple(two)}",
-            program.name,
-            "a linear model has one: linearize a sub-diagram, or give all parts one rate",
-        )
-    return next(iter(rates), BASE)
+def _idle(
+    a: Array, b: Array, c: Array, d: Array, inputs: Sequence[str], outputs: Sequence[str], rounded: Sequence[str]
+) -> dict[str, str]:
+    """The inputs that move no output, and the outputs that nothing moves, with a word on why."""
+    reached = b != 0.0  # which inputs move which states, sooner or later
+    while True:
+        further = reached | ((a != 0.0) @ reached)
+        if np.array_equal(further, reached):
+            break
+        reached = further
+    moved = (d != 0.0) | ((c != 0.0) @ reached)
+    where = f"; numbers are rounded in {', '.join(rounded)}" if rounded else ""
+    why = f" (see what it passes: a limit, a switch, a product with 0{where})"
+    found = {
+        name: f"this input has no effect on any output at the point{why}"
+        for j, name in enumerate(inputs)
+        if not moved[:, j].any()
+    }
+    for i, name in enumerate(outputs):
+        if not moved[i].any() and not c[i].any():
+            found[name] = f"no state and no input has an effect on this output at the point{why}"
+    return found
 
 
 def _needed(
@@ -452,32 +344,11 @@ def _needed(
             if drop:
                 break
         if not drop:
-            return staying
+            break
         staying = [j for j in staying if j not in drop]
         left_out |= {names[j]: why for j, why in drop.items()}
-
-
-def _agree(a: _Matrices, b: _Matrices) -> bool:
-    pairs = ((a.change, b.change), (a.output, b.output), (a.value, b.value), (a.made, b.made))
-    return all(_close(x, y) for x, y in pairs)
-
-
-def _close(a: Array, b: Array) -> bool:
-    return np.allclose(a, b, rtol=SAME, atol=SAME * (1e-3 + float(np.abs(a).max(initial=0.0))))
-
-
-def _values(duals: Sequence[Dual]) -> Array:
-    return np.array([float(d.value) for d in duals], dtype=np.float64)
-
-
-def _values_of(point: OperatingPoint, states: Sequence[Key], whole: IntegerStates) -> Array:
-    found = [float(elements(point.states[key])[i]) for key in states for i in whole.order(key)]
-    return np.array(found, dtype=np.float64)
-
-
-def _put_values(point: OperatingPoint, states: Sequence[Key], whole: IntegerStates, z: Array) -> None:
-    at = 0
-    for key in states:
-        places = whole.order(key)
-        point.put_numbers(key, places, z[at : at + len(places)])
-        at += len(places)
+    if not len(c):
+        return staying
+    seen = observed(a, c)
+    left_out |= {names[j]: "no output depends on it" for j in staying if not seen[j]}
+    return [j for j in staying if seen[j]]

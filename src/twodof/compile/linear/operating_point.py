@@ -1,6 +1,7 @@
 """Point: the values of a program's parameters, inputs and states at which it is linearized."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,18 @@ class OperatingPoint:
                     self.states[node, state.name] = numeric(at[path], state.kind, state.width, path, state.shape)
                     self.given.add((node, state.name))
         self.tick = int(at.get("tick", 0))
+        self.tick_given = "tick" in at
+        self.held: dict[FlatSignal, Any] = {}  # of slower rates, as they stand before the point's tick
         self._widths = {(n, s.name): s.width or 1 for n in program.nodes for s in n.block.states}
+
+    @contextmanager
+    def kept(self) -> Iterator[None]:
+        """Within the block the point may move; then its states, held signals and tick are what they were."""
+        before = dict(self.states), dict(self.held), self.tick
+        try:
+            yield
+        finally:
+            self.states, self.held, self.tick = before
 
     def width(self, key: Key) -> int:
         """How many numbers a state has."""
@@ -52,14 +64,6 @@ class OperatingPoint:
     def put(self, states: States) -> None:
         """Overwrite states."""
         self.states |= {key: plain(value) for key, value in states.items()}
-
-    def put_numbers(self, key: Key, places: Sequence[int], values: Array) -> None:
-        """Overwrite the elements at `places` of a real state."""
-        old = self.states[key]
-        items = list(elements(old))
-        for place, value in zip(places, values, strict=True):
-            items[place] = np.float64(value)
-        self.states[key] = Vector(items) if isinstance(old, tuple) else items[0]
 
     def input_values(self, signals: Iterable[FlatSignal]) -> list[float]:
         """The present values of some inputs, one after the other."""

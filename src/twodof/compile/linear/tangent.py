@@ -1,6 +1,6 @@
 """One step of a program with its derivatives: docs/explanation/language.md, section 4, on numbers that carry slopes."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,8 @@ class TangentStep:
     """One step from given states and inputs; to be used under `numbers.precision("float64")`.
 
     `cut` replaces signals for all their readers: signal -> the slope that its readers see. `direction` is that of
-    `Tangent`.
+    `Tangent`. `held` are the signals of the tick before, 0 where they are not given. With `nodes` the states of other
+    nodes do not move. With `rested` every rate is due.
     """
 
     def __init__(
@@ -30,8 +31,15 @@ class TangentStep:
         tick: int,
         cut: Mapping[FlatSignal, Slope] | None = None,
         direction: Slope | None = None,
+        held: Mapping[FlatSignal, Value] | None = None,
+        nodes: Container[Node] | None = None,
+        rested: bool = False,
     ) -> None:
         self.program = program
+        self.nodes = [n for n in program.nodes if nodes is None or n in nodes]
+        self.integrated_nodes = [n for n in program.integrated if nodes is None or n in nodes]
+        self.held = held or {}
+        self.rested = rested
         self.parameters = parameters
         self.tangent = Tangent(direction)
         self.tick = tick
@@ -75,12 +83,16 @@ class TangentStep:
 
     def active(self, guard: Guard) -> bool:
         """Whether the nodes of a guard act at this tick."""
-        due = self.tick % guard.rate.divider == guard.rate.offset
-        return due and all(bool(plain(self.read[e])) for e in guard.enables)
+        return self.due(guard) and all(bool(plain(self.read[e])) for e in guard.enables)
+
+    def due(self, guard: Guard) -> bool:
+        """Whether their rate makes the nodes of a guard run at this tick."""
+        return self.rested or self.tick % guard.rate.divider == guard.rate.offset
 
     def _outputs(self) -> None:
         for group in self.program.tick:
             acts = self.active(group.guard)
+            clears = self.due(group.guard) and not all(bool(plain(self.read[e])) for e in group.guard.clears)
             for action in group.actions:
                 node = action.node
                 if action.start is not None:
@@ -89,7 +101,10 @@ class TangentStep:
                         self.states |= {(node, s.name): constant(initial[node, s.name]) for s in node.block.states}
                     continue
                 for s in action.signals:
-                    self.made[s] = self.evaluate(node, [node.trace.outputs[s.port]])[0] if acts else zero(s)
+                    if acts:
+                        self.made[s] = self.evaluate(node, [node.trace.outputs[s.port]])[0]
+                    else:
+                        self.made[s] = zero(s) if clears or s not in self.held else self.held[s]
                     self.read[s] = self.made[s]
                     if s in self.cut:
                         self.read[s] = Dual(plain(self.made[s]), self.cut[s])
@@ -97,11 +112,19 @@ class TangentStep:
     def updates(self) -> States:
         """The discrete states of the next tick."""
         new: States = {}
-        for node in self.program.nodes:
+        for node in self.nodes:
             roots = node.trace.update if self.active(node.guard) else {}
             found = self.evaluate(node, roots.values())
             new |= {(node, name): value for name, value in zip(roots, found, strict=True)}
         return {(n, s.name): self.states[n, s.name] for n in self.program.nodes for s in n.discrete} | new
+
+    def continuous(self) -> States:
+        """The continuous states at the tick."""
+        return {(n, s.name): self.states[n, s.name] for n in self.integrated_nodes for s in n.continuous}
+
+    def following(self) -> States:
+        """All states of the next tick."""
+        return self.states | self.updates() | (self.projected(self.integrated()) if self.integrated_nodes else {})
 
     def derivative(self, x: Mapping[Key, Value], signals: Mapping[FlatSignal, Value] | None = None) -> States:
         """The derivatives of the continuous states at `x`; `signals` replaces those that have an edge."""
@@ -115,7 +138,7 @@ class TangentStep:
                             roots = [action.node.trace.outputs[s.port]]
                             now[s] = self.evaluate(action.node, roots, x, now, memos)[0]
         slopes: States = {}
-        for node in self.program.integrated:
+        for node in self.integrated_nodes:
             names = [s.name for s in node.continuous]
             if self.active(node.guard):
                 found = self.evaluate(node, [node.trace.derivative[name] for name in names], x, now, memos)
@@ -126,10 +149,10 @@ class TangentStep:
 
     def integrated(self) -> States:
         """The continuous states of the next tick, before they are projected: RK4 or Euler, split at edges."""
-        x = {(n, s.name): self.states[n, s.name] for n in self.program.integrated for s in n.continuous}
+        x = self.continuous()
         edges: dict[FlatSignal, tuple[float, Value, Value]] = {}
         for s in self.program.edged:
-            if s.node is not None and self.active(s.node.guard):
+            if s.node is not None and s not in self.cut and self.active(s.node.guard):
                 fraction, after = self.evaluate(s.node, s.node.trace.edges[s.port])
                 edges[s] = float(plain(fraction)), self.read[s], after
         start = 0.0
@@ -156,7 +179,7 @@ class TangentStep:
     def projected(self, x: States) -> States:
         """`x` after the jumps of continuous states."""
         new = dict(x)
-        for node in self.program.integrated:
+        for node in self.integrated_nodes:
             if node.trace.project and self.active(node.guard):
                 found = self.evaluate(node, node.trace.project.values(), x)
                 new |= {(node, name): value for name, value in zip(node.trace.project, found, strict=True)}

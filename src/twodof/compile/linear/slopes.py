@@ -1,0 +1,308 @@
+"""Slopes: the matrices of a program at a point, over one tick or over the common period of its rates, and its kinks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant, plain
+from twodof.compile.linear.coordinates import Coordinates
+from twodof.compile.linear.operating_point import OperatingPoint
+from twodof.compile.linear.parts import Parts
+from twodof.compile.linear.tangent import States, TangentStep, elements
+from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
+from twodof.errors import DiagramError
+
+Array = NDArray[np.float64]
+
+WHAT = ("next", "slope", "projection")  # of the states: after a period, their derivatives, after the jumps
+DIRECTIONS = 8  # tried at a tie beside those across each
+SAME = 1e-9  # relative: what two branches that agree may differ by, rounded on their ways
+NEAR = 0.9  # the cosine of the angle between two borders that count as one
+REST = 1e-12  # relative: what two ticks at rest may differ by
+
+
+@dataclass(frozen=True)
+class Matrices:
+    """A and B by the seeds, C and D by the seeds: rows of (states, seeds) and (outputs, seeds)."""
+
+    change: Array
+    output: Array
+    value: Array  # the states' next values or derivatives
+    made: Array  # the outputs' values
+
+    def ordered(self, rows: Sequence[int], columns: Sequence[int]) -> "Matrices":
+        """With the states in another order, as rows and as the first columns."""
+        n = len(columns)
+        to = [*columns, *range(n, self.change.shape[1])]
+        return Matrices(self.change[np.ix_(rows, to)], self.output[:, to], self.value[list(rows)], self.made)
+
+    def then(self, other: "Matrices") -> "Matrices":
+        """`other` after this, with the same inputs; the outputs are those of the start."""
+        n = len(self.change)
+        change = other.change[:, :n] @ self.change
+        change[:, n:] += other.change[:, n:]
+        return Matrices(change, self.output, other.value, self.made)
+
+    def agree(self, other: "Matrices") -> bool:
+        """Whether they are the same up to roundings."""
+        return close(self.change, other.change) and close(self.output, other.output) and self.meet(other)
+
+    def agree_along(self, other: "Matrices", direction: Slope) -> bool:
+        """Whether a motion in this direction changes the same."""
+        states = close(self.change @ direction, other.change @ direction)
+        return states and close(self.output @ direction, other.output @ direction) and self.meet(other)
+
+    def meet(self, other: "Matrices") -> bool:
+        """Whether the values themselves are the same."""
+        return close(self.value, other.value) and close(self.made, other.made)
+
+
+@dataclass(frozen=True)
+class _Visit:
+    """A tick of the period: its slopes, its ties, and where the point was."""
+
+    found: Matrices
+    ties: list[Tie]
+    states: dict[Key, Any]
+    held: dict[FlatSignal, Any]
+    tick: int
+
+
+class Slopes:
+    """The slopes of a program at a point by its seeds: the coordinates, then the inputs."""
+
+    def __init__(
+        self,
+        program: FlatProgram,
+        point: OperatingPoint,
+        parts: Parts,
+        coordinates: Coordinates,
+        inputs: Mapping[str, FlatSignal],
+        outputs: Mapping[str, FlatSignal],
+    ) -> None:
+        self.program = program
+        self.point = point
+        self.parts = parts
+        self.coordinates = coordinates
+        self.inputs = inputs
+        self.outputs = outputs
+        self.size = coordinates.size
+        self.seeds = self.size + sum(s.width or 1 for s in inputs.values())
+        self._whole = [(n, s) for n in parts.nodes for s in n.block.states if s.kind != "real"]
+        self._paths = {n.path for n in parts.nodes}
+        self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
+
+    def plain_step(self, rested: bool = False) -> TangentStep:
+        """A step without slopes; `rested` with all rates due."""
+        return TangentStep(
+            self.program,
+            self.point.parameters,
+            {k: constant(v) for k, v in self.point.states.items()},
+            {s: constant(v) for s, v in self.point.inputs.items()},
+            self.point.tick,
+            held={s: constant(v) for s, v in self.point.held.items()},
+            nodes=self.parts.nodes,
+            rested=rested,
+        )
+
+    def step(self, direction: Slope | None = None) -> TangentStep:
+        """A step with unit slopes of the coordinates and inputs."""
+        unit = np.eye(self.seeds)
+        states: States = {k: constant(v) for k, v in self.point.states.items()}
+        held: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.held.items()}
+        self.coordinates.seeded(states, held, unit[: self.size])
+        inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
+        cut: dict[FlatSignal, Slope] = {}
+        at = self.size
+        for s in self.inputs.values():
+            if s.node is None:
+                duals = tuple(Dual(v, unit[at + i]) for i, v in enumerate(elements(self.point.inputs[s])))
+                inputs[s] = duals[0] if s.width is None else duals
+            elif s.width is None:
+                cut[s] = unit[at]
+            else:
+                raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
+            at += s.width or 1
+        return TangentStep(
+            self.program,
+            self.point.parameters,
+            states,
+            inputs,
+            self.point.tick,
+            cut,
+            direction,
+            held,
+            self.parts.nodes,
+        )
+
+    def matrices(self, what: str = "next", strict: bool = True) -> Matrices:
+        """The slopes of `what` becomes of the coordinates (one of WHAT) and of the outputs.
+
+        With `strict` DiagramError at a kink: where directions of motion do not agree on them.
+        """
+        visits = self._visits(what)
+        total = visits[0].found
+        for visit in visits[1:]:
+            total = total.then(visit.found)
+        if strict:
+            self._check(what, visits, total)
+        return total
+
+    def _visits(self, what: str) -> list[_Visit]:
+        """The ticks of a period at which something is due; of what is not "next", the first."""
+        start = self.point.tick
+        # At a tie the branch of the point itself may be one that no motion leads into: somewhere beside it, then.
+        direction = np.random.Generator(np.random.PCG64(1)).standard_normal(self.seeds)
+        visits: list[_Visit] = []
+        with self.point.kept():
+            for tick in range(start, start + self.parts.period):
+                if visits and (what != "next" or not self.parts.due(tick)):
+                    continue
+                self.point.tick = tick
+                found, step, new = self._once(what, direction)
+                self.rounded |= step.tangent.rounded & self._paths
+                visits.append(_Visit(found, self._ties(step), dict(self.point.states), dict(self.point.held), tick))
+                if what == "next":
+                    self._follow(step, new)
+        return visits
+
+    def _ties(self, step: TangentStep) -> list[Tie]:
+        return [t for t in step.tangent.ties if t.where in self._paths]
+
+    def _check(self, what: str, visits: Sequence[_Visit], total: Matrices) -> None:
+        """DiagramError if one of the ticks is on a kink; ticks at which everything that matters is the same, once."""
+        seen = observed(total.change[:, : self.size], total.output[:, : self.size])
+        known: list[tuple[Any, Array]] = []
+        with self.point.kept():
+            for visit in visits:
+                self.point.states, self.point.held, self.point.tick = visit.states, visit.held, visit.tick
+                here = self._situation(seen)
+                if visit.ties and not any(_alike(here, other) for other in known):
+                    first, *_ = self._once(what, None)
+                    self._check_kinks(what, first, visit.found, visit.ties)
+                    known.append(here)
+
+    def _follow(self, step: TangentStep, new: States) -> None:
+        """Move the point to the tick after `step`, with its `new` states; what `at` holds stays."""
+        held = {(n, s.name): self.point.states[n, s.name] for n, s in self._whole if (n, s.name) in self.point.given}
+        self.point.put(new)
+        self.point.states |= held
+        self.point.held = {s: plain(v) for s, v in step.made.items() if s.node is not None}
+
+    def _situation(self, seen: NDArray[np.bool_]) -> tuple[Any, Array]:
+        """What decides the branches of a tick: the rates that are due, whole-number states, and the real values.
+
+        Where a ring is written does not, nor a state without a coordinate in `seen`.
+        """
+        rings = self.coordinates.whole.rings()
+        keys = [(n, s.name) for n, s in self._whole if (n, s.name) not in rings]
+        whole = [numbers.plain(self.point.states[key]) for key in keys]
+        return (self.parts.due(self.point.tick), whole), self.coordinates.values()[self.coordinates.whole_arrays(seen)]
+
+    def _check_kinks(self, what: str, first: Matrices, beside: Matrices, ties: Sequence[Tie]) -> None:
+        random = np.random.Generator(np.random.PCG64(2))
+        different = _different(ties)
+        trials: list[tuple[Slope, Tie]] = []
+        for tie in different:
+            normal = tie.slope / np.linalg.norm(tie.slope)
+            noise = 1e-3 * random.standard_normal(self.seeds)
+            trials += [(normal + noise, tie), (-normal + noise, tie)]
+        trials += [(random.standard_normal(self.seeds), ties[0]) for _ in range(DIRECTIONS)]
+        for direction, tie in trials:
+            other, *_ = self._once(what, direction)
+            if not (beside.agree(other) and first.meet(other)):
+                raise DiagramError(
+                    f"the point is on a kink: {tie.what}, and beside it the slopes differ",
+                    tie.where,
+                    "move the point off it with `at`, or take out the limit, friction or switch that makes it",
+                )
+        for tie in different:
+            if not tie.single:
+                continue
+            # A motion within the border: friction that holds goes on holding, whatever else moves.
+            normal = tie.slope / np.linalg.norm(tie.slope)
+            direction = random.standard_normal(self.seeds)
+            direction -= (normal @ direction) * normal
+            other, *_ = self._once(what, direction)
+            if not beside.agree_along(other, direction):
+                raise DiagramError(
+                    f"the point is on a kink: {tie.what}, and what rests there goes on resting (dry friction, a stop)",
+                    tie.where,
+                    "move the point off it with `at`, or take out the friction or stop that makes it",
+                )
+
+    def _once(self, what: str, direction: Slope | None) -> tuple[Matrices, TangentStep, States]:
+        """The slopes over one tick, ties resolved by `direction`; the step and the new states."""
+        step = self.step(direction)
+        if what == "slope":
+            new = step.derivative(step.continuous())
+        elif what == "projection":
+            new = step.states | step.projected(step.continuous())
+        else:
+            new = step.following()
+        rows: list[Dual] = []
+        for key in self.coordinates.keys:
+            self._finite(key[0].path, elements(new[key]))
+            rows += elements(new[key])
+        for s in self.coordinates.held:
+            rows += elements(step.made[s])
+        made: list[Dual] = []
+        for s in self.outputs.values():
+            self._finite(s.path, elements(step.made[s]))
+            made += elements(step.made[s])
+        return Matrices(self._stack(rows), self._stack(made), _values(rows), _values(made)), step, new
+
+    def _stack(self, rows: Sequence[Dual]) -> Array:
+        none = np.zeros(self.seeds)
+        made = np.array([none if d.slope is None else d.slope for d in rows]).reshape(len(rows), self.seeds)
+        return np.asarray(made + 0.0)  # no -0.0
+
+    def _finite(self, path: str, duals: Sequence[Dual]) -> None:
+        for d in duals:
+            if not np.isfinite(d.value):
+                raise DiagramError(f"it is {d.value} at the point", path, "give another point with `at`")
+            if d.slope is not None and not np.isfinite(d.slope).all():
+                raise DiagramError(
+                    "its slope is infinite or undefined at the point", path, "move the point away (sqrt at 0, 0 / 0)"
+                )
+
+
+def observed(a: Array, c: Array) -> NDArray[np.bool_]:
+    """The states that move an output sooner or later."""
+    seen = (c != 0.0).any(axis=0)
+    while True:
+        further = seen | ((a != 0.0).T @ seen)
+        if np.array_equal(further, seen):
+            return np.asarray(seen)
+        seen = further
+
+
+def _different(ties: Sequence[Tie]) -> list[Tie]:
+    """One of those that lie so near to one another that a motion across one crosses them all.
+
+    Each stage of an integration meets the borders of the first, somewhat turned.
+    """
+    found: list[tuple[Tie, Slope]] = []
+    for tie in ties:
+        normal = tie.slope / np.linalg.norm(tie.slope)
+        kind = tie.where, tie.what, tie.single
+        if not any(kind == (t.where, t.what, t.single) and abs(n @ normal) > NEAR for t, n in found):
+            found.append((tie, normal))
+    return [tie for tie, _ in found]
+
+
+def close(a: Array, b: Array) -> bool:
+    """Whether two arrays are the same up to roundings."""
+    return np.allclose(a, b, rtol=SAME, atol=SAME * (1e-3 + float(np.abs(a).max(initial=0.0))))
+
+
+def _alike(a: tuple[Any, Array], b: tuple[Any, Array]) -> bool:
+    return bool(a[0] == b[0] and np.allclose(a[1], b[1], rtol=REST, atol=REST))
+
+
+def _values(duals: Sequence[Dual]) -> Array:
+    return np.array([float(d.value) for d in duals], dtype=np.float64)

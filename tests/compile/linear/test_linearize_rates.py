@@ -1,0 +1,184 @@
+"""Linear models over several rates: against python-control, and against the compiled program over many periods."""
+
+from __future__ import annotations
+
+import random
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+
+from tests.compile.linear.linear_diagrams import DT, chain, same_response
+from twodof.blocks import Block, Diagram, Port, State, int32, store, to_int32
+from twodof.blocks import library as lib
+from twodof.compile import build
+from twodof.compile.linear import integer_states
+from twodof.compile.linear.linearize import linearize
+from twodof.errors import DiagramError
+
+
+def test_a_slow_controller_of_a_continuous_plant_is_python_controls_sampled_loop() -> None:
+    """PI at every fifth tick, the plant at each: the exact hold over the controller's period, up to RK4."""
+    d = Diagram("sampled")
+    d.input("r")
+    d.add("seen", lib.ZeroOrderHold(), rate=(5, 0), u="plant")
+    d.add("error", lib.Sum("+-"), rate=(5, 0), a="r_seen", b="seen")
+    d.add("r_seen", lib.ZeroOrderHold(), rate=(5, 0), u="r")
+    d.add("pi", lib.DiscreteFilter((2.0, -1.9), (1.0, -1.0)), rate=(5, 0), u="error")
+    d.add("hold", lib.ZeroOrderHold(), u="pi")
+    d.add("plant", lib.TransferFunction((5.0,), (1.0, 2.0, 1.0)), u="hold")
+    d.output("y", "plant")
+    step = 5 * DT
+    pi = control.tf([2.0, -1.9], [1.0, -1.0], step)
+    plant = control.c2d(control.tf([5.0], [1.0, 2.0, 1.0]), step)
+    closed = linearize(d, DT)
+    assert closed.dt == step
+    assert closed.states == ("pi.s[0]", "plant.x[0]", "plant.x[1]")
+    # The polynomials of python-control lose some digits where the numerator nearly cancels.
+    same_response(closed, control.feedback(pi * plant, 1), rtol=1e-8)
+    opened = linearize(d, DT, inputs=["pi.y"], outputs=["pi.y"])
+    same_response(opened, lambda z: -(pi * plant)(z), rtol=1e-8)
+
+
+def sampled_diagram(seed: int) -> Diagram:
+    """Linear blocks at rates 1, 2 and 4 with offsets, each behind a hold, and continuous ones, with feedback."""
+    r = random.Random(seed)
+    d = Diagram(f"sampled{seed}")
+    sources = [d.input("u"), d.input("w"), "back"]
+    for i in range(6):
+        divider = r.choice([1, 2, 4])
+        rate = (divider, r.randrange(divider))
+        hold = r.choice([lib.ZeroOrderHold, lib.RateTransition])
+        a, b = (d.add(f"hold_{side}{i}", hold(), rate=rate, u=r.choice(sources)) for side in "ab")
+        total = d.add(f"sum{i}", lib.Sum("+-"), rate=rate, a=a, b=b)
+        block = r.choice(
+            [
+                lib.DiscreteFilter((0.3, 0.1), (1.0, -0.6)),
+                lib.Delay(r.randint(1, 6)),
+                lib.Pid(0.1, 0.2, 0.01, 20.0),
+                *([lib.FirstOrder(0.7, 0.02), lib.FractionalDelay(r.uniform(0.0, 3.0) * DT)] if divider == 1 else []),
+            ]
+        )
+        part = d.add(f"b{i}", block, rate=rate)
+        d.connect(total, f"{part}.{block.inputs[0].name}")
+        sources.append(f"{part}.{block.outputs[0].name}")
+        d.output(f"y{i}", sources[-1])
+    d.add("back", lib.RateTransition(), u=sources[-1])
+    return d
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_diagrams_of_several_rates_fly_as_their_models_do(seed: int) -> None:
+    """Inputs that change once a period, from rest: the compiled outputs at each period's start are the model's."""
+    d = sampled_diagram(seed)
+    model = linearize(d, DT)
+    assert model.dt is not None
+    period = round(model.dt / DT)
+    machine = build(d, DT).machine()
+    start = first_tick(d, period)
+    u = np.random.Generator(np.random.PCG64(seed)).standard_normal((25, 2))
+    held = np.vstack([np.zeros((start, 2)), np.repeat(u, period, axis=0)])
+    out = machine.run(len(held), {"u": held[:, 0], "w": held[:, 1]})
+    x = np.zeros(len(model.a))
+    for k in range(len(u)):
+        expected = model.c @ x + model.d @ u[k]
+        found = [out[name][start + k * period] for name in model.outputs]
+        # Some 25 periods of numbers of about 10, each rounded.
+        np.testing.assert_allclose(found, expected, atol=1e-11)
+        x = model.a @ x + model.b @ u[k]
+
+
+def first_tick(d: Diagram, period: int) -> int:
+    """The first tick at which the most parts are due."""
+    rates = [part.rate for part in d.parts.values()]
+    return max(range(period), key=lambda k: sum(k % r.divider == r.offset for r in rates))
+
+
+def test_what_holds_over_the_start_of_a_period_is_a_state() -> None:
+    d = Diagram("offset")
+    d.input("u")
+    d.add("first", lib.ZeroOrderHold(), rate=(2, 1), u="u")
+    d.add("now", lib.DiscreteFilter((1.0,), (1.0, -0.5)), rate=(2, 0), u="seen")
+    d.add("seen", lib.ZeroOrderHold(), rate=(2, 0), u="first")
+    d.output("y", "now")
+    model = linearize(d, DT)
+    assert model.states == ("now.s[0]", "first.y (held)")
+    # At the even tick y = s + h, s' = s/2 + h/2; at the odd one h' = u.
+    np.testing.assert_array_equal(model.a, [[0.5, 0.5], [0.0, 0.0]])
+    np.testing.assert_array_equal(model.b, [[0.0], [1.0]])
+    np.testing.assert_array_equal(model.c, [[1.0, 1.0]])
+
+
+def test_rates_that_hardly_ever_meet_are_refused_with_a_remedy() -> None:
+    d = chain(lib.UnitDelay())
+    for divider in (97, 89):
+        d.add(f"r{divider}", lib.RateTransition(), rate=(divider, 0), u="u")
+        d.output(f"y{divider}", f"r{divider}")
+    with pytest.raises(DiagramError, match=r"after 8633 ticks.*r97 runs at \(97, 0\).*ask for fewer outputs"):
+        linearize(d, DT)
+    assert linearize(d, DT, outputs=["y", "y97"]).dt == pytest.approx(97 * DT)
+
+
+class Recorder(Block):
+    """u three steps ago, from a ring whose index never comes round, or is the tick."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    states = (State("past", width=8), State("count", 0, "int32"))
+
+    def __init__(self, ticks: bool = False) -> None:
+        self.ticks = ticks
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.past[self._place(x, t, 5)]
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"past": store(x.past, self._place(x, t, 0), u.u), "count": x.count if self.ticks else x.count + 1}
+
+    def _place(self, x: Any, t: Any, ahead: int) -> Any:
+        return ((to_int32(t.tick) if self.ticks else x.count) + ahead) % int32(8)
+
+
+def test_an_index_that_never_comes_round_is_named_and_holding_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Held, nothing that is written would be read: B was 0 without a word."""
+    monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
+    with pytest.raises(DiagramError, match=r"count do not stay or come round.*depends on them: y \(let count come"):
+        linearize(chain(Recorder()), DT)
+    with pytest.raises(DiagramError, match="what is written would never be read") as found:
+        linearize(chain(Recorder()), DT, at={"b0.count": 100})
+    assert found.value.where == "b0.count"
+
+
+def test_a_tick_that_moves_the_model_is_refused_unless_it_is_given() -> None:
+    with pytest.raises(DiagramError, match="the tick moves the model") as found:
+        linearize(chain(Recorder(ticks=True)), DT)
+    assert found.value.where == "b0"
+    model = linearize(chain(Recorder(ticks=True)), DT, at={"tick": 3})
+    assert "no effect on any output" in model.remarks["u"]
+
+
+def test_what_no_output_depends_on_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
+    d = chain(lib.FirstOrder(2.0, 0.3))
+    d.add("record", Recorder(), rate=(7, 0), u="b0_held")
+    d.add("b0_held", lib.ZeroOrderHold(), rate=(7, 0), u="b0")
+    d.output("late", "record")
+    model = linearize(d, DT, outputs=["y"])
+    assert model.dt is None
+    np.testing.assert_allclose(model.a, [[-1 / 0.3]], rtol=1e-15)
+    assert model.left_out == {"record.past": "no output depends on it"}
+    with pytest.raises(DiagramError, match="or ask for the outputs y only"):
+        linearize(d, DT)
+
+
+def test_inputs_without_effect_and_outputs_that_nothing_moves_are_remarks() -> None:
+    d = chain(lib.Gain(2.0), lib.Saturation(-1.0, 1.0), lib.FirstOrder(1.0, 0.5))
+    d.input("spare")
+    d.add("steps", lib.Rounding("floor"), u="u")
+    d.output("whole", "steps")
+    model = linearize(d, DT, at={"u": 1.3})
+    assert set(model.remarks) == {"u", "spare", "whole"}
+    assert "numbers are rounded in steps" in model.remarks["whole"]
+    assert set(linearize(d, DT, at={"u": 0.3}).remarks) == {"spare", "whole"}
+    assert model.to_json()["remarks"] == model.remarks

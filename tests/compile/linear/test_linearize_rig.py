@@ -1,0 +1,180 @@
+"""The whole rig's linear model: against its equations by hand and scipy's exponential, and against compiled flights."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from twodof.blocks import Diagram
+from twodof.compile import build
+from twodof.compile.linear import integer_states
+from twodof.compile.linear.linear_model import LinearModel
+from twodof.compile.linear.linearize import linearize
+from twodof.errors import DiagramError
+from twodof.rig.rig import BASE_DT, TRUTH, rig
+from twodof.signals import GRAVITY
+
+Array = np.ndarray[Any, Any]
+
+THRUST = 0.4
+HOVER: dict[str, Any] = {
+    "fore": THRUST,
+    "aft": THRUST,
+    "rotors.fore": THRUST,
+    "rotors.aft": THRUST,
+    "rotors.fore_ring": [THRUST] * 64,
+    "rotors.aft_ring": [THRUST] * 64,
+}
+"""Level and at rest in mid-rail, the rotors at hover and their commands on the way."""
+
+AIR = ("battery.supply", "turbulence.moment")  # what the slower parts do to the rotors and the drone
+
+
+def test_the_rig_at_hover_is_its_equations_behind_the_rotors_delay() -> None:
+    """Delay, lag, thrust curve, coupled masses: docs/explanation/physics.md for small angles, held over each tick."""
+    model = linearize(rig(), BASE_DT, at=HOVER, inputs=["fore", "aft", *AIR], outputs=TRUTH)
+    assert model.dt == BASE_DT
+    assert [n for n in model.states if "ring" not in n] == [
+        *(f"dynamics.{n}" for n in TRUTH),
+        "rotors.fore",
+        "rotors.aft",
+    ]
+    p = {name: float(param.value) for name, param in rig().params.items()}
+    supply = model.point["battery.supply"]
+    lift, slope = (1 - p["curve"]) * THRUST + p["curve"] * THRUST**2, 1 - p["curve"] + 2 * p["curve"] * THRUST
+    s, m = p["mass_drone"] * p["offset"], p["mass_drone"] + p["mass_cart"]
+    mass = np.linalg.inv([[p["inertia"], s], [s, m]])  # to (q', v')
+    turn = p["arm"] * p["pair_thrust"] * supply * slope
+    moved = mass @ [
+        [-s * GRAVITY - p["spring"], -p["viscous_run"], 0, 0, turn, -turn],
+        [-2 * p["pair_thrust"] * supply * lift, 0, 0, -p["rail_viscous"], 0, 0],
+    ]
+    a = np.zeros((6, 6))
+    a[0, 1] = a[2, 3] = 1.0
+    a[1], a[3] = moved
+    a[4, 4] = a[5, 5] = -1 / p["lag"]
+    b = np.zeros((6, 3))
+    b[4, 0] = b[5, 1] = 1 / p["lag"]
+    b[[1, 3], 2] = mass @ [1.0, 0.0]  # a gust's moment
+    ah = np.block([[a, b], [np.zeros((3, 9))]]) * BASE_DT
+    held = expm(ah)
+    rk4 = np.eye(9) + ah + ah @ ah / 2 + ah @ ah @ ah / 6 + ah @ ah @ ah @ ah / 24  # the exponential's series to dt^4
+    for omega in np.geomspace(0.5, 1500.0, 20):
+        z = np.exp(1j * omega * BASE_DT)
+        found = model.response(omega)[0][:, [0, 1, 3]]
+        # From a command to the angle dt^3 / lag leads and the series ends before dt^5 / lag^3: it tells at high speed.
+        for step, accuracy in ((rk4, 1e-9), (held, 1e-5))[: 2 if omega < 100.0 else 1]:
+            plant = np.linalg.solve(z * np.eye(6) - step[:6, :6], step[:6, 6:])[:4]
+            plant[:, :2] *= z ** -(p["delay"] / BASE_DT)
+            np.testing.assert_allclose(found, plant, rtol=accuracy, atol=1e-13)
+    assert set(model.remarks) == {"battery.supply"}  # level and in trim, more thrust moves nothing
+
+
+def flights(model: LinearModel, at: dict[str, Any], outputs: list[str], small: float) -> tuple[Array, Array]:
+    """(found, expected): half the difference of two compiled flights about the point, and the model's answer.
+
+    The commands change once a period of the model, up and down by `small`.
+    """
+    assert model.dt is not None
+    period = round(model.dt / BASE_DT)
+    u = np.random.Generator(np.random.PCG64(4)).uniform(-small, small, (1200 // period, 2))
+    machine = build(rig(), BASE_DT).machine()
+
+    def flight(sign: float) -> Array:
+        machine.set_many({n: v for n, v in at.items() if n in rig().params})
+        machine.reset()
+        for path, value in at.items():
+            if "." in path:
+                machine.set_state(path, value)
+        commands = THRUST + sign * np.repeat(u, period, axis=0)
+        out = machine.run(len(commands), {"fore": commands[:, 0], "aft": commands[:, 1]})
+        return np.array([out[n][::period] for n in outputs]).T
+
+    x, expected = np.zeros(len(model.a)), np.empty((len(u), len(outputs)))
+    b, d = model.b[:, :2], model.d[:, :2]
+    for k in range(len(u)):
+        expected[k] = model.c @ x + d @ u[k]
+        x = model.a @ x + b @ u[k]
+    return (flight(1.0) - flight(-1.0)) / 2.0, expected
+
+
+STEADY = {"noise": 0.0, "resistance": 0.0, "capacity": 1e9, "charge_start": 0.9}  # the supply stays as it is
+
+
+@pytest.mark.soak
+def test_the_rig_and_its_gyro_fly_as_the_model_of_four_ticks_says() -> None:
+    outputs = [*TRUTH, "gyro_y"]
+    at = HOVER | STEADY
+    model = linearize(rig(), BASE_DT, at=at, inputs=["fore", "aft", *AIR], outputs=outputs)
+    assert model.dt == pytest.approx(4 * BASE_DT)
+    found, expected = flights(model, at, outputs, 1e-6)
+    scale = np.abs(expected).max(axis=0)
+    assert scale.min() > 0.0
+    # Halves of differences: of the squares nothing is left, of the cubes 1e-12; roundings of 1e-16 beside 1e-6.
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-7)
+
+
+@pytest.mark.soak
+def test_the_whole_rig_flies_as_the_model_of_its_common_period_says() -> None:
+    """Battery, accelerometer and gyro with it: 40 ms, in which the load passes the battery once."""
+    outputs = ["voltage", "load", "acc_x", "acc_z", "gyro_y", *TRUTH]
+    load = 1.0  # and the factor on the thrust, where the pack's resistance makes both rest
+    for _ in range(60):
+        load = ((10.5 + 2.1 * 0.9 - 0.03 * 6.0 * load**1.5) / (12.6 - 0.03 * 6.0)) ** 2
+    at = HOVER | {"noise": 0.0, "charge_start": 0.9, "capacity": 1e9, "battery.load": load}
+    model = linearize(rig(), BASE_DT, at=at, outputs=outputs)
+    assert model.dt == pytest.approx(0.04)
+    assert set(model.remarks) == {"acc_z"}  # level, it sees gravity's cosine alone
+    found, expected = flights(model, at, outputs, 1e-6)
+    scale = np.abs(expected).max(axis=0)
+    scale[outputs.index("acc_z")] = 1.0
+    # Roundings of numbers of about 10 beside motions of 1e-7.
+    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-6)
+
+
+def test_the_range_sensors_own_clock_is_refused_with_the_outputs_that_do_without(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)  # of 20,000, each of which takes its time
+    with pytest.raises(DiagramError, match="phase do not stay or come round") as found:
+        linearize(rig(), BASE_DT, at=HOVER)
+    assert found.value.where == "range"
+    assert "ask for the outputs acc_x, acc_z, gyro_y, theta, q, x, v, load, voltage, charge only" in found.value.remedy
+
+
+def sensor(noise: float) -> LinearModel:
+    """The gyro alone, from the commands."""
+    cut = ["fore", "aft", "battery.supply", "turbulence.moment"]
+    return linearize(rig(), BASE_DT, at=HOVER | {"noise": noise}, inputs=cut, outputs=["gyro_y"])
+
+
+@pytest.mark.soak
+def test_a_quantised_sensor_is_a_remark() -> None:
+    """The slope of a rounding is 0: with its noise the gyro is quantised."""
+    model = sensor(1.0)
+    assert not model.c.any()
+    assert "numbers are rounded in imu" in model.remarks["gyro_y"]
+    assert set(model.remarks) == {"gyro_y", *model.inputs}
+
+
+def test_on_a_stop_and_held_by_friction_it_is_refused() -> None:
+    cut = ["fore", "aft", *AIR]
+    for at in ({"dynamics.x": 0.4}, {"coulomb_run": 0.001}):
+        with pytest.raises(DiagramError, match="on a kink") as found:
+            linearize(rig(), BASE_DT, at=HOVER | at, inputs=cut, outputs=TRUTH)
+        assert found.value.where == "dynamics"
+
+
+def test_what_is_cut_may_be_linearized_in_a_diagram_around_the_rig() -> None:
+    d = Diagram("bench")
+    d.input("M")
+    d.add("rig", rig(), fore="M", aft="M")
+    d.output("v", "rig.v")
+    at = {"M": THRUST, **{f"rig.{n}": v for n, v in HOVER.items() if "." in n}, "rig.dynamics.theta": 0.1}
+    cut = ["M", "rig.battery.supply", "rig.turbulence.moment"]
+    model = linearize(d, BASE_DT, at=at, inputs=cut)
+    assert model.b.any()
+    assert "rig.range.ring" in model.left_out
