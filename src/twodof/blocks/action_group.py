@@ -9,7 +9,7 @@ from typing import Any
 from twodof.blocks.declarations import Port, shape
 from twodof.blocks.diagram import Diagram, carried
 from twodof.blocks.library.routing import CaseChoice, FirstTrue, Merge
-from twodof.errors import DiagramError, listed, shown
+from twodof.errors import DiagramError, listed, nearest, shown
 
 __all__ = ["action_group"]
 
@@ -58,7 +58,8 @@ def action_group(
         d.add(action, item, enable=acts[action], enabling=enabling, inputs={n: n for n in item.inputs})
     for output in initial or {}:
         if output not in parts[first].outputs:
-            raise DiagramError(f"there is no output {shown(output)} to start", name, listed(parts[first].outputs))
+            there = f"there are: {nearest(output, parts[first].outputs)}"
+            raise DiagramError(f"there is no output {shown(output)} to start", name, there)
     for output in parts[first].outputs:
         port = _alike(name, output, parts)
         merge = Merge(len(parts), (initial or {}).get(output, 0), port.kind, port.width, port.unit)

@@ -12,7 +12,7 @@ from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
 from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
-from twodof.errors import DiagramError, TwodofError, listed, nearest, shown
+from twodof.errors import DiagramError, TwodofError, nearest, shown
 
 MAX_DEPTH = 64  # of sub-diagrams
 MAX_PARTS = 10_000
@@ -57,7 +57,7 @@ def only(data: Mapping[str, Any], known: set[str], where: str) -> None:
     """Raise DiagramError if `data` has a key that is not `known`: a slip of the pen would change a diagram silently."""
     for key in data:
         if key not in known:
-            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {listed(sorted(known))}")
+            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {nearest(key, sorted(known))}")
 
 
 def text(value: str, most: int, where: str, lines: bool = False) -> str:

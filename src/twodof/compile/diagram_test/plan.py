@@ -13,7 +13,7 @@ from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
 from twodof.compile.diagram_test.scenario import INPUT, OUTPUT, ExpectedTable, Scenario
 from twodof.compile.diagram_test.tick_times import last_tick
-from twodof.errors import DiagramError, listed, shown
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_TICKS = 1_000_000
 
@@ -58,7 +58,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     names |= {check.signal.partition("[")[0]: check.text for check in checks}
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
-            outputs = listed(diagram.outputs)
+            outputs = nearest(name, diagram.outputs)
             raise DiagramError(
                 f"there is no output {shown(name)}",
                 f"{scenario.name}, {what}",
@@ -86,7 +86,7 @@ def _steps(scenario: Scenario, dt: float) -> int:
 
 def _input(diagram: Diagram, name: str, where: str) -> Port:
     if name not in diagram.inputs:
-        raise DiagramError(f"there is no input {shown(name)}", where, f"inputs: {listed(diagram.inputs)}")
+        raise DiagramError(f"there is no input {shown(name)}", where, f"inputs: {nearest(name, diagram.inputs)}")
     return diagram.inputs[name]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import DiagramError, listed, shown
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_BYTES = 64 * 2**20
 MAX_ROWS = 1_000_000
@@ -148,6 +148,7 @@ def read_table(path: str | Path) -> SignalTable:
 def column_of(table: SignalTable, name: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Where one column's cells are given (times or ticks), and these. Raises DiagramError if it is not there."""
     if name not in table.columns:
-        raise DiagramError(f"there is no column {shown(name)}", table.name, f"there are: {listed(table.columns)}")
+        there = f"there are: {nearest(name, table.columns)}"
+        raise DiagramError(f"there is no column {shown(name)}", table.name, there)
     mask = table.given[name]
     return table.at[mask], table.columns[name][mask]
