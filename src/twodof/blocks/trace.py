@@ -10,7 +10,7 @@ from twodof.blocks.declarations import Declared, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
-from twodof.blocks.expressions.graph import evaluate, walk
+from twodof.blocks.expressions.graph import Sight, evaluate, walk
 from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
@@ -153,8 +153,11 @@ def by_method(trace: Trace) -> MethodGraphs:
     return {**methods, "edges": dict(trace.edges)}
 
 
-def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]:
-    """Recorded expressions on the values of a step: the judge of a block's methods, and all that a TracedBlock has."""
+def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any, sight: Sight | None = None) -> list[Any]:
+    """Recorded expressions on the values of a step: the judge of a block's methods, and all that a TracedBlock has.
+
+    `sight` is shown what is computed, as `evaluate` does.
+    """
 
     def value(item: Expr) -> Any:
         if item.op == "tick":
@@ -163,7 +166,7 @@ def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any) -> list[Any]
             return t.dt if item.data == "dt" else t.base_dt
         return flat_of({"input": u, "state": x, "param": p}[item.op][item.data])
 
-    return evaluate(roots, value, FUNCTIONS)
+    return evaluate(roots, value, FUNCTIONS, sight)
 
 
 def check_declarations(block: Declared, name: str) -> None:

@@ -22,7 +22,7 @@ from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, Por
 from twodof.blocks.reference.method import running
 from twodof.errors import DiagramError
 
-Watch = Callable[[Cell, str, Mapping[str, Any], tuple[Any, ...]], None]
+Watch = Callable[[Cell, str, Mapping[str, Any], tuple[Any, Any, Any, Any]], None]
 """Is told what a block's method gave, as far as it counts: the cell, the method, values by name, and what it saw."""
 
 

@@ -5,7 +5,6 @@ each operand of a bool `&` or `|`. It has two sides. One that stands in several 
 `~c` is decided as c is. The conditions of a sub-diagram (enable, reset, trigger) are decisions as well.
 """
 
-import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from pathlib import Path
 from twodof.blocks.block import Block
 from twodof.blocks.expressions.expr import Expr, noting_lines
 from twodof.blocks.expressions.graph import walk
-from twodof.blocks.trace import by_method
+from twodof.blocks.trace import by_method, trace_of
 from twodof.compile.diagram_test.coverage.expression_text import limit_of, text_of
 
 
@@ -54,12 +53,11 @@ def conditions(block: Block, path: str) -> dict[int, Decision]:
     return found
 
 
-def bare(condition: Expr) -> tuple[Expr, bool]:
-    """A condition without its `not`s, and whether it is turned around by them."""
-    turned = False
+def bare(condition: Expr) -> Expr:
+    """A condition without its `not`s."""
     while condition.op == "not":
-        condition, turned = condition.args[0], not turned
-    return condition, turned
+        condition = condition.args[0]
+    return condition
 
 
 def _chooses(item: Expr) -> Iterator[Expr]:
@@ -70,7 +68,7 @@ def _chooses(item: Expr) -> Iterator[Expr]:
     else:
         return
     for condition in given:
-        plain, _ = bare(condition)
+        plain = bare(condition)
         if plain.op != "const":
             yield plain
 
@@ -91,11 +89,9 @@ def _lines(block: Block) -> Mapping[int, str]:
     """The user's file and line of each node that a block's methods record, by the node's id; none of the library's."""
     if type(block).__module__.startswith("twodof.blocks."):
         return {}
-    again = copy.copy(block)
-    again.__dict__.pop("trace", None)
     lines: dict[int, str] = {}
     with noting_lines(lines):
-        _ = again.trace  # the nodes of the first trace live, and so are met again
+        trace_of(block)  # the nodes of the first trace live, and so are met again
     return {
         node: f"{Path(file).name}:{line}" for node, place in lines.items() for file, _, line in [place.rpartition(":")]
     }

@@ -4,12 +4,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import LOOPS, Expr
-from twodof.blocks.expressions.graph import evaluate, walk
+from twodof.blocks.expressions.graph import walk
 from twodof.blocks.reference.hierarchy import Cell
-from twodof.blocks.trace import by_method
+from twodof.blocks.trace import by_method, computed
 from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions
 from twodof.errors import DiagramError
 
@@ -35,16 +34,14 @@ class DecisionObserver:
                 if any(_chooses(item, found) for roots in exprs.values() for item in walk(roots)):
                     self._roots[cell.path, method] = exprs
 
-    def __call__(self, cell: Cell, method: str, values: Mapping[str, Any], seen: Sequence[Any]) -> None:
+    def __call__(self, cell: Cell, method: str, values: Mapping[str, Any], seen: tuple[Any, Any, Any, Any]) -> None:
         """What a method of a running block gave. Raises DiagramError if its recorded expressions give another value."""
         exprs = self._roots.get((cell.path, method))
         if exprs is None:
             return
-        u, x, p, t = seen
-        names = {"input": u, "state": x, "param": p, "tick": {"tick": t.tick}, "dt": {"dt": t.dt, "base_dt": t.base_dt}}
         sight = _Sight(self._conditions[cell.path])
         roots = [root for name in values for root in exprs[name]]
-        again = evaluate(roots, lambda leaf: names[leaf.op][leaf.data], FUNCTIONS, sight)
+        again = computed(roots, *seen, sight)
         given = [v for value in values.values() for v in (value if method == "edges" else (value,))]
         if list(map(_bits, again)) != list(map(_bits, given)):
             raise DiagramError(
@@ -107,4 +104,4 @@ def _key(roots: Sequence[Expr]) -> tuple[int, ...]:
 
 
 def _chooses(item: Expr, known: Mapping[int, Decision]) -> bool:
-    return item.op in ("where", "and", "or") and any(id(bare(a)[0]) in known for a in item.args)
+    return item.op in ("where", "and", "or") and any(id(bare(a)) in known for a in item.args)
