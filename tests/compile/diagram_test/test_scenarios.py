@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
+from typing import Any
 
 import numpy as np
 import pytest
 
-from twodof.blocks import Diagram
+from twodof.blocks import Block, Diagram, Port, maximum
 from twodof.blocks.library import Convert, Gain, Logic, Sum, UnitDelay
 from twodof.compile.diagram_test import (
     ExpectedTable,
@@ -18,6 +19,7 @@ from twodof.compile.diagram_test import (
     Scenario,
     SineInput,
     StepInput,
+    measure_coverage,
     run_scenario,
     run_scenarios,
     table_of,
@@ -167,6 +169,40 @@ def test_arrays_are_fed_and_read_by_element() -> None:
     for check, what in (("y never above 1", "array of 2"), ("y[2] never above 1", "array of 2")):
         with pytest.raises(DiagramError, match=what):
             run_scenario(d, Scenario("x", 0.02, checks=[check]), DT)
+
+
+class Turned(Block):
+    """The transpose of a matrix, with negative elements cut off."""
+
+    inputs = (Port("a", shape=(2, 3)),)
+    outputs = (Port("y", shape=(3, 2)),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return maximum(u.a.T, 0.0)
+
+
+def test_matrices_are_fed_and_read_by_row_and_column() -> None:
+    d = Diagram("matrices")
+    d.input("a", shape=(2, 3))
+    d.add("turned", Turned(), a="a")
+    d.output("y", "turned")
+    rows = [[1.0, 2.0, 3.0], [4.0, -5.0, StepInput(6.0, 0.01)]]
+    checks = ["y[2,0] always equals 3", "y[ 1, 1 ] always equals 0", "y[2, 1] final value within 0 of 6"]
+    scenario = Scenario("rows", 0.01, {"a": rows}, checks=[*checks, "y[2, 1] never above 5"])
+    for target in ("native", "reference"):
+        result = run_scenario(d, scenario, DT, target=target)
+        assert [j.passed for j in result.judgements] == [True, True, True, False]
+        assert result.signals["y"].shape == (2, 3, 2)
+    coverage = measure_coverage(d, [scenario], DT, results=[result])
+    assert coverage.sides == 2 * 6
+    assert len(coverage.missing) == 5  # each element is above 0 or is not, and the one that steps is both
+    table = table_of({"tick": [0, 1], "a[1,2]": [1.0, 7.0], "y[2,1]": [1.0, 7.0]})
+    assert run_scenario(d, Scenario("table", table=ExpectedTable(table)), DT).passed
+    for check in ("y never above 1", "y[0] never above 1", "y[0,2] never above 1"):
+        with pytest.raises(DiagramError, match="array of 3 x 2"):
+            run_scenario(d, Scenario("x", 0.02, checks=[check]), DT, target="reference")
+    with pytest.raises(DiagramError, match="2 values for an array of 3"):
+        run_scenario(d, Scenario("x", 0.02, {"a": [[1, 2], [3, 4]]}, checks=checks), DT, target="reference")
 
 
 def test_integers_are_held_and_must_be_whole() -> None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.compile.diagram_test.judgement import Judgement, first_violation
+from twodof.compile.diagram_test.signal_element import PATTERN
 from twodof.compile.diagram_test.tick_times import first_tick, last_tick
 from twodof.errors import DiagramError, shown
 
@@ -151,7 +152,7 @@ _MAKERS: Mapping[str, Maker] = {
 FORMS = tuple(_MAKERS)
 """How what is claimed of a signal can read."""
 
-_SIGNAL = r"(?P<signal>[A-Za-z][\w.]*(?:\[\d{1,7}\])?)"
+_SIGNAL = rf"(?P<signal>{PATTERN})"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|true|false"
 _TIMES = ("t", "t1", "t2", "since", "until")
 _WHEN = " between T1 and T2| from SINCE| until UNTIL"

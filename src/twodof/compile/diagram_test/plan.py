@@ -9,16 +9,18 @@ from numpy.typing import NDArray
 
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.machine import axes
 from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
 from twodof.compile.diagram_test.scenario import INPUT, OUTPUT, ExpectedTable, Scenario
+from twodof.compile.diagram_test.signal_element import Index, check_index, parse_element
 from twodof.compile.diagram_test.tick_times import last_tick
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_TICKS = 1_000_000
 
-Elements = dict[str, dict[int, NDArray[np.float64]]]
-"""Values of inputs by name and element (0 of a scalar), each of shape (steps,)."""
+Elements = dict[str, dict[Index, NDArray[np.float64]]]
+"""Values of inputs by name and element, each of shape (steps,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +50,14 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     for name, value in scenario.inputs.items():
         where = f"{scenario.name}, {name}"
         port = _input(diagram, name, where)
-        given = _signals(value, port, where)
-        elements[name] = {i: s.values(steps, dt, port.kind != "real") for i, s in enumerate(given)}
+        given = _signals(value, axes(port), where)
+        elements[name] = {i: s.values(steps, dt, port.kind != "real") for i, s in given.items()}
     checks = tuple(assertion(claim) if isinstance(claim, str) else claim for claim in scenario.checks)
     expected = tuple(_read_table(diagram, scenario, steps, dt, elements)) if scenario.table else ()
     if not (checks or expected):
         raise DiagramError("it claims nothing", scenario.name, "add checks, or a table with a column of an output")
-    names = {signal.partition("[")[0]: what for what, signal in expected}
-    names |= {check.signal.partition("[")[0]: check.text for check in checks}
+    names = {parse_element(signal, scenario.name)[0]: what for what, signal in expected}
+    names |= {parse_element(check.signal, scenario.name)[0]: check.text for check in checks}
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
             outputs = nearest(name, diagram.outputs)
@@ -90,21 +92,22 @@ def _input(diagram: Diagram, name: str, where: str) -> Port:
     return diagram.inputs[name]
 
 
-def _signals(value: Any, port: Port, where: str) -> list[InputSignal]:
-    """A signal for each element of the port."""
-    width = 1 if port.width is None else port.width
-    given = list(value) if isinstance(value, (list, tuple)) and port.width is not None else [value] * width
-    if len(given) != width:
-        raise DiagramError(f"{len(given)} values for an array of {width}", where, f"give {width}")
-    signals: list[InputSignal] = []
-    for one in given:
-        if isinstance(one, InputSignal):
-            signals.append(one)
-        elif isinstance(one, (bool, int, float, np.number, np.bool_)):
-            signals.append(ConstantInput(float(one)))
-        else:
-            raise DiagramError(f"{shown(one)} is not a signal", where, "give a number or a signal such as StepInput")
-    return signals
+def _signals(value: Any, sizes: tuple[int, ...], where: str) -> dict[Index, InputSignal]:
+    """A signal for each element of a port with these axes; one alone is that of all elements."""
+    if isinstance(value, (list, tuple)):
+        if not sizes or len(value) != sizes[0]:
+            what = f"an array of {' x '.join(map(str, sizes))}" if sizes else "a number"
+            raise DiagramError(f"{len(value)} values for {what}", where, "give one for each row or element")
+        return {
+            (i, *below): signal
+            for i, one in enumerate(value)
+            for below, signal in _signals(one, sizes[1:], where).items()
+        }
+    if isinstance(value, (bool, int, float, np.number, np.bool_)):
+        value = ConstantInput(float(value))
+    if not isinstance(value, InputSignal):
+        raise DiagramError(f"{shown(value)} is not a signal", where, "give a number or a signal such as StepInput")
+    return dict.fromkeys(np.ndindex(*sizes), value)
 
 
 def _read_table(
@@ -115,7 +118,8 @@ def _read_table(
     assert given is not None
     for column in given.table.columns:
         where = f"{scenario.name}, {given.table.name}, {column}"
-        name, index = _element(column.removeprefix(INPUT).removeprefix(OUTPUT).strip(), where)
+        signal = column.removeprefix(INPUT).removeprefix(OUTPUT).strip()
+        name, index = parse_element(signal, where)
         marked = column.startswith((INPUT, OUTPUT))
         if not marked and name in diagram.inputs and name in diagram.outputs:
             raise DiagramError(
@@ -123,15 +127,12 @@ def _read_table(
             )
         if column.startswith(INPUT) or (not marked and name in diagram.inputs):
             port = _input(diagram, name, where)
-            if (index is None) != (port.width is None) or (index or 0) >= (port.width or 1):
-                raise DiagramError(
-                    f"the input has {port.width or 'no'} elements", where, "of an array name one, v[0], from 0 on"
-                )
-            if (index or 0) in elements.get(name, {}):
+            check_index(index, axes(port), name, where)
+            if index in elements.get(name, {}):
                 raise DiagramError("the input is fed twice", where, "keep one of the two")
-            elements.setdefault(name, {})[index or 0] = _fed(given, column, port, steps, dt, where)
+            elements.setdefault(name, {})[index] = _fed(given, column, port, steps, dt, where)
         else:
-            yield column, name if index is None else f"{name}[{index}]"
+            yield column, signal
 
 
 def _fed(given: ExpectedTable, column: str, port: Port, steps: int, dt: float, where: str) -> NDArray[np.float64]:
@@ -144,21 +145,12 @@ def _fed(given: ExpectedTable, column: str, port: Port, steps: int, dt: float, w
     return between_rows(ticks, given.table.columns[column], steps, given.between if port.kind == "real" else "hold")
 
 
-def _element(text: str, where: str) -> tuple[str, int | None]:
-    """A name and, of `name[3]`, the index."""
-    name, bracket, rest = text.partition("[")
-    if not bracket:
-        return name, None
-    if not (rest.endswith("]") and rest[:-1].isdecimal() and len(rest) < 9):
-        raise DiagramError(f"{shown(text)} is not an element", where, "write v[0]")
-    return name, int(rest[:-1])
-
-
-def _column(port: Port, elements: dict[int, NDArray[np.float64]], steps: int, where: str) -> NDArray[Any]:
+def _column(port: Port, elements: dict[Index, NDArray[np.float64]], steps: int, where: str) -> NDArray[Any]:
     """The values of an input in its type; elements that are not given are 0."""
-    data = np.zeros((steps, port.width or 1))
-    for i, values in elements.items():
-        data[:, i] = values
+    data = np.zeros((steps, *axes(port)))
+    for index, values in elements.items():
+        place: tuple[Any, ...] = (slice(None), *index)
+        data[place] = values
     found: NDArray[Any] = data
     if port.kind != "real":
         low, high = {"bool": (0, 1), "int32": (-(2**31), 2**31 - 1)}.get(port.kind, (0, 2**32 - 1))
@@ -167,4 +159,4 @@ def _column(port: Port, elements: dict[int, NDArray[np.float64]], steps: int, wh
             value = data[odd][0]
             raise DiagramError(f"{value:g} does not fit {port.kind}", where, f"give whole numbers from {low} to {high}")
         found = data.astype(port.kind)
-    return found if port.width is not None else found[:, 0]
+    return found

@@ -14,6 +14,7 @@ from twodof.compile.diagram_test.assertions import Assertion
 from twodof.compile.diagram_test.judgement import ScenarioResult
 from twodof.compile.diagram_test.plan import Plan, plan
 from twodof.compile.diagram_test.scenario import ExpectedColumn, Scenario, expected_column
+from twodof.compile.diagram_test.signal_element import element_of
 from twodof.errors import DiagramError, ParameterError
 
 REFERENCE = "reference"
@@ -74,11 +75,11 @@ def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scenar
     """What is found of a scenario in the signals of its run. Raises DiagramError for a claim about no tick of it."""
     table, name = planned.scenario.table, planned.scenario.name
     claims: list[tuple[Assertion | ExpectedColumn, NDArray[Any]]] = [
-        (check, _values(signals, check.signal, f"{name}, {check.text}")) for check in planned.checks
+        (check, element_of(signals, check.signal, f"{name}, {check.text}")) for check in planned.checks
     ]
     for column, signal in planned.expected:
         assert table is not None
-        values = _values(signals, signal, f"{name}, {column}")
+        values = element_of(signals, signal, f"{name}, {column}")
         whole = values.dtype.kind != "f"
         claims.append((expected_column(table, column, signal, whole, planned.steps, dt), values))
     try:
@@ -86,17 +87,3 @@ def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scenar
     except DiagramError as error:
         raise DiagramError(error.what, f"{name}, {error.where}", error.remedy) from error
     return ScenarioResult(name, judgements, dt * np.arange(planned.steps, dtype=np.float64), signals)
-
-
-def _values(signals: dict[str, NDArray[Any]], signal: str, where: str) -> NDArray[Any]:
-    """One signal, or one element of an array."""
-    name, _, rest = signal.partition("[")
-    values = signals[name]
-    width = values.shape[1] if values.ndim > 1 else None
-    if not rest and width is None:
-        return values
-    index = int(rest[:-1]) if rest else None
-    if width is None or index is None or index >= width:
-        what = "it is not an array" if width is None else f"it is an array of {width}"
-        raise DiagramError(what, where, f"write {name}" if width is None else f"name an element, {name}[0], from 0 on")
-    return values[:, index]

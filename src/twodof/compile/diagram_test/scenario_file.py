@@ -134,7 +134,7 @@ def _check(text: Any, where: str) -> Assertion:
 
 def _input(value: Any, where: str, folder: Path) -> InputValue:
     if isinstance(value, list):
-        return [_signal(one, where, folder) for one in value]
+        return [_input(one, where, folder) for one in value]
     return _signal(value, where, folder)
 
 

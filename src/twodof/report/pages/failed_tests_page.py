@@ -6,6 +6,7 @@ from html import escape
 import numpy as np
 
 from twodof.compile.diagram_test.judgement import Judgement, ScenarioResult
+from twodof.compile.diagram_test.signal_element import element_of
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel
 from twodof.report.plots.canvas import page
 from twodof.report.plots.time_figures import time_figure
@@ -26,9 +27,7 @@ def failed_tests_page(name: str, results: Sequence[ScenarioResult]) -> str:
 
 
 def _figure(number: int, result: ScenarioResult, judgement: Judgement) -> str:
-    signal, _, index = judgement.signal.partition("[")
-    value = result.signals[signal]
-    value = np.asarray(value[:, int(index[:-1])] if index else value, dtype=np.float64)
+    value = element_of(result.signals, judgement.signal, result.name).astype(np.float64)
     marks: list[FigureBand | FigurePoint] = []
     if judgement.limit is not None and np.isfinite(judgement.limit):
         marks.append(FigureBand(judgement.limit, judgement.limit, ""))

@@ -7,6 +7,7 @@ from typing import Any
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.matrix import flat_of
 from twodof.blocks.reference.hierarchy import Cell
 from twodof.blocks.trace import by_method, computed
 from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions
@@ -55,7 +56,7 @@ class DecisionObserver:
 
 def _bits(value: Any) -> str:
     """Equal for equal bits; of NaN there is one."""
-    return repr(numbers.plain(value))
+    return repr(numbers.plain(flat_of(value)))
 
 
 class _Sight:
