@@ -11,6 +11,7 @@ from twodof.blocks import Block, Diagram, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold
+from twodof.blocks.library.discrete import METHODS, RESETS
 
 LIBRARY: tuple[Any, ...] = (
     lambda r: lib.Sum(r.choice(("++", "+-", "-+-"))),
@@ -63,6 +64,8 @@ LATER: tuple[Any, ...] = (
     lambda r: lib.CaseChoice(((0, 5), (-1, 2))),
     lambda r: lib.Merge(2, r.uniform(-2, 2)),
     lambda r: lib.Merge(3, width=3),
+    lambda r: lib.DiscreteIntegrator(r.choice(METHODS), 1.5, "input", reset=r.choice(RESETS)),
+    lambda r: lib.ResetLatch(r.choice(RESETS), r.choice(("input", r.uniform(-2, 2)))),
     lambda r: lib.VariableDelay(6, r.uniform(-2, 2), r.random() < 0.5),
 )
 """What came later is drawn by itself."""
@@ -205,6 +208,8 @@ class Maker:
             made = r.choice(CONTINUOUS)(r)
         else:
             made = FractionalDelay(r.uniform(0.0, 0.05))
+        if rate == (1, 0) and self.more.random() < 0.05:
+            made = lib.ResetIntegrator()
         return made
 
     def sub(

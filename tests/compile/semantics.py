@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from tests.compile.differential import Case
+import numpy as np
+
+from tests.compile.differential import DT, Case
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.blocks.action_group import action_group
 from twodof.blocks.conditions import EDGES
@@ -18,7 +20,9 @@ from twodof.blocks.library import (
     CompareToConstant,
     Constant,
     DataStore,
+    DiscreteIntegrator,
     Gain,
+    Integrator,
     Mux,
     StoreRead,
     StoreWrite,
@@ -26,9 +30,11 @@ from twodof.blocks.library import (
     VariableDelay,
     ZeroOrderHold,
 )
+from twodof.blocks.library.discrete import RESETS
+from twodof.blocks.resettable_integrator import resettable_integrator
 
 Row = Mapping[str, Any]
-STEPS = 120
+STEPS = 80
 
 
 @dataclass(frozen=True)
@@ -355,4 +361,88 @@ def delayed_variably() -> Told:
                 "loop": total,
             }
         expected.append(now)
+    return Told(Case(d, [], given, {}), expected)
+
+
+@told
+def integrated_afresh() -> Told:
+    """Discrete integrators that start from a signal, and again at levels and edges of a bool."""
+    inner = Diagram("inner")
+    d = whole("integrated_afresh", "on", "clear")
+    for name, kind in (("u", "real"), ("x0", "real"), ("clear", "bool")):
+        inner.input(name, kind)
+    d.input("x0")
+    for reset in RESETS:
+        for method in ("forward", "backward"):
+            part = f"{reset}_{method}"
+            block = DiscreteIntegrator(method, 1 / DT, "input", reset=reset)
+            cleared = {} if reset == "none" else {"clear": "clear"}
+            inner.add(part, block, inputs={"u": "u", "x0": "x0", **cleared})
+            inner.output(part, part)
+            d.output(part, f"inner.{part}")
+    inner.add("own", DiscreteIntegrator("forward", 1 / DT, 4.0, reset="falling"), u="u", clear="clear")
+    inner.output("own", "own")
+    d.output("own", "inner.own")
+    d.add("inner", inner, u="u", x0="x0", clear="clear", enable="on")
+    given = rows(8, ("on", "clear"), ("u", "x0"))
+    now = dict.fromkeys(inner.outputs, 0.0)
+    total, before, expected = dict.fromkeys(inner.outputs, 4.0), -1, []
+    for row in given:
+        if row["on"]:
+            edge = {(0, 1): ("rising", "either"), (1, 0): ("falling", "either")}.get((before, int(row["clear"])), ())
+            for name in inner.outputs:
+                reset, _, method = name.partition("_")
+                first = before < 0 and name != "own"
+                if first or (reset == "level" and row["clear"]) or ("falling" if name == "own" else reset) in edge:
+                    total[name] = 4.0 if name == "own" else row["x0"]
+                now[name] = total[name] + row["u"] if method == "backward" else total[name]
+                total[name] += row["u"]
+            before = int(row["clear"])
+        expected.append(dict(now))
+    return Told(Case(d, [], given, {}), expected)
+
+
+def resetting(precision: str) -> Told:
+    """A lag whose integrator starts at its own input's double, where that is beyond bounds: both move inside the step.
+
+    The numbers are those of the precision, by Runge and Kutta's method of order 4 as the language writes it.
+    """
+    d = whole("resetting")
+    d.add("other", Integrator(), u="u")
+    d.add("x0", Gain(2.0), u="other")
+    d.add("beyond", CompareToConstant(">", 0.02), u="other")
+    given = rows(9, (), ("u",))
+    resets = [reset for reset in RESETS if reset != "none"]
+    for reset in resets:
+        lag = resettable_integrator("lag", reset, "input", limits=(-1.0, 1.0))
+        d.add(f"to_{reset}", Sum("+-"), a="u", b=reset)
+        d.add(reset, lag, u=f"to_{reset}", x0="x0", clear="beyond")
+        d.output(reset, reset)
+    real = {"float64": np.float64, "float32": np.float32}[precision]
+    h, two = real(DT), real(2.0)
+    half, sixth = h * real(0.5), h * real(1 / 6)
+
+    def moved(x: Any, slope: Callable[[Any], Any]) -> Any:
+        k1 = slope(x)
+        k2 = slope(x + half * k1)
+        k3 = slope(x + half * k2)
+        k4 = slope(x + h * k3)
+        return x + sixth * (((k1 + two * k2) + two * k3) + k4)
+
+    def bounded(x: Any) -> Any:
+        return max(real(-1.0), min(real(1.0), x))
+
+    other, before = real(0.0), -1
+    x = dict.fromkeys(resets, real(0.0))
+    expected = []
+    for row in given:
+        u, now = real(row["u"]), int(other > real(0.02))
+        edge = {(0, 1): ("rising", "either"), (1, 0): ("falling", "either")}.get((before, now), ())
+        for reset in resets:
+            if before < 0 or (reset == "level" and now) or reset in edge:
+                x[reset] = real(2.0) * other
+        before = now
+        expected.append({reset: bounded(value).item() for reset, value in x.items()})
+        x = {reset: bounded(moved(value, lambda y, u=u: u - bounded(y))) for reset, value in x.items()}
+        other = moved(other, lambda _, u=u: u)
     return Told(Case(d, [], given, {}), expected)

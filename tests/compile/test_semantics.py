@@ -8,7 +8,7 @@ from __future__ import annotations
 import pytest
 
 from tests.compile.differential import DT, reference_run
-from tests.compile.semantics import TOLD
+from tests.compile.semantics import TOLD, resetting
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile.program.check import check
@@ -33,3 +33,12 @@ def test_its_json_means_the_same_and_stays_the_same(name: str) -> None:
     machine = Reference(again, DT).machine()
     assert [machine.step(row) for row in told.case.rows] == told.expected
     assert check(again, DT).fine
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_continuous_integrator_starts_afresh_to_the_bit(precision: str) -> None:
+    told = resetting(precision)
+    found = reference_run(told.case, precision, "rk4").signals
+    assert any(row["rising"] != row["falling"] for row in told.expected)
+    for k, row in enumerate(told.expected):
+        assert {n: found[n][k].item() for n in row} == row, k

@@ -58,6 +58,8 @@ EXTRA: dict[str, list[Config]] = {
     "discrete_integrator": [
         *({"method": m, "gain": 0.7} for m in _RULES),
         *({"method": m, "limits": [-0.01, 0.02], "reset": True, "initial": 0.01, "width": 2} for m in _RULES),
+        *({"reset": e, "initial": "input", "width": 2} for e in ("none", "level", "rising", "falling", "either")),
+        {"reset": "falling", "initial": 0.5, "method": "backward"},
     ],
     "discrete_state_space": [
         {"A": _MATRIX, "B": [[1.0], [0.5], [0.1]], "C": [[1.0, 2.0, 3.0]], "D": [[0.5]], "initial": [1.0, 0.0, -1.0]},
@@ -135,6 +137,11 @@ EXTRA: dict[str, list[Config]] = {
     "state_space": [
         {"A": _MATRIX, "B": [[1.0], [0.5], [0.1]], "C": [[1.0, 2.0, 3.0]], "D": [[0.5]], "initial": [1.0, 0.0, -1.0]},
         {"A": _MATRIX, "B": _MATRIX, "C": _MATRIX[:2]},
+    ],
+    "reset_integrator": [{"limits": [-0.01, 0.02], "width": 2}],
+    "reset_latch": [
+        *({"reset": e, "initial": "input"} for e in ("none", "level", "rising")),
+        {"reset": "either", "initial": [1.0, 2.0], "width": 2},
     ],
     "variable_delay": [
         {"bound": 3, "initial": 0.5, "direct": False},

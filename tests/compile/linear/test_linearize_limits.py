@@ -11,6 +11,7 @@ import pytest
 from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
 from twodof.blocks import Block, Diagram, Port, State, maximum, sqrt, where
 from twodof.blocks import library as lib
+from twodof.blocks.resettable_integrator import resettable_integrator
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import CompileError, DiagramError, ParameterError
 
@@ -124,6 +125,20 @@ def test_a_disabled_sub_diagram_is_frozen() -> None:
     with pytest.raises(DiagramError, match="no linear model does that") as caught:
         linearize(d, DT, at={"on": True})
     assert caught.value.where == "sub"
+
+
+def test_an_integrator_that_can_be_reset_is_one_while_it_is_not() -> None:
+    d = Diagram("lag")
+    for name, kind in (("u", "real"), ("x0", "real"), ("clear", "bool")):
+        d.input(name, kind)
+    d.add("error", lib.Sum("+-"), a="u", b="sum")
+    d.add("sum", resettable_integrator("sum", "rising", "input"), u="error", x0="x0", clear="clear")
+    d.output("y", "sum")
+    model = linearize(d, DT)
+    assert model.dt is None
+    np.testing.assert_array_equal(model.a, [[-1.0]])
+    np.testing.assert_array_equal(model.b, [[1.0, 0.0]])
+    np.testing.assert_array_equal(model.c, [[1.0]])
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,18 @@ from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import clamp, dot, elementwise, limit_params
 from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.library.discrete import LinearStateSpace, quotient
+from twodof.blocks.expressions.expr import where
+from twodof.blocks.library.discrete import LinearStateSpace, ResetRule, quotient
 
-__all__ = ["FirstOrder", "Integrator", "SecondOrder", "StateSpace", "TransferFunction"]
+__all__ = [
+    "FirstOrder",
+    "Integrator",
+    "ResetIntegrator",
+    "ResetLatch",
+    "SecondOrder",
+    "StateSpace",
+    "TransferFunction",
+]
 
 
 @library_block("integrator")
@@ -43,6 +52,74 @@ class Integrator(Block):
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return self.output(u, x, p, t) if self.limited else {}
+
+
+@library_block("reset_latch")
+class ResetLatch(Block):
+    """When a ResetIntegrator starts afresh (`start`), and from what (`x0`): held while the step is integrated.
+
+    It does so in its first sample and, with `reset` "level", while the bool `clear` is true, with "rising", "falling"
+    or "either" at the edges of `clear`, of which the first sample has none. x0 is `initial`, or with
+    initial="input" the input `x0`. `resettable_integrator` (module `twodof.blocks.resettable_integrator`) connects the
+    two.
+    """
+
+    def __init__(
+        self,
+        reset: str = "level",
+        initial: Any = 0.0,
+        width: int | None = None,
+        unit: str = "",
+    ) -> None:
+        self.rule = ResetRule(reset, initial, "ResetLatch", width)
+        self.inputs = self.rule.inputs
+        self.outputs = [Port("x0", width=width, unit=unit), Port("start", "bool")]
+        self.params = [] if self.rule.external else [Param("initial", initial, width=width, unit=unit)]
+        # A block with discrete states is not computed anew inside a step: what it gives is that of the tick.
+        edges = [s for s in self.rule.states if s.name == "before"]
+        self.states = [*edges, State("begun", False, "bool")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        found = self.rule.starts(u, x)
+        return {
+            "x0": u.x0 if self.rule.external else p.initial,
+            "start": ~x.begun if found is None else found | ~x.begun,
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"begun": True, **self.rule.update(u)}
+
+
+@library_block("reset_integrator")
+class ResetIntegrator(Block):
+    """x' = u, y = x; at a tick with `start` x becomes `x0` before the outputs, and is integrated from there.
+
+    `start` and `x0` must not change inside a step, as those of a ResetLatch do not. With `limits` [low, high] y is x
+    clamped to them, and after each step x itself is put back within them. A second state, `moved`, is what u adds in
+    the step alone, for the step that starts at x0.
+    """
+
+    def __init__(self, limits: Sequence[float] | None = None, width: int | None = None, unit: str = "") -> None:
+        bounds = limit_params(limits, "ResetIntegrator", unit)
+        self.limited = bool(bounds)
+        self.inputs = [Port("u", width=width), Port("x0", width=width, unit=unit), Port("start", "bool")]
+        self.outputs = [Port("y", width=width, unit=unit)]
+        self.params = bounds
+        names = ("x", "moved")
+        self.states = [State(name, 0.0, width=width, unit=unit, continuous=True) for name in names]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        def of(s: Any, moved: Any, s0: Any) -> Any:
+            y = where(u.start, s0 + moved, s)
+            return clamp(p.low, p.high, y) if self.limited else y
+
+        return elementwise(of, x.x, x.moved, u.x0)
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"x": u.u, "moved": u.u}
+
+    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"x": self.output(u, x, p, t), "moved": elementwise(lambda _: 0.0, x.moved)}
 
 
 @library_block("first_order")

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.conditions import EDGES, edge_of
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import array_of, fold, store, vector
@@ -19,8 +20,42 @@ __all__ = [
     "MovingAverage",
 ]
 
+RESETS = ("none", "level", *EDGES)
 METHODS = ("forward", "backward", "trapezoidal")
 MAX_ORDER = 64
+
+
+class ResetRule:
+    """When an integrator starts afresh: never, while the bool `clear` is true, or at its edges; and from what.
+
+    With "input" for an initial value it starts from the signal `x0`, also in its first sample, which has no edge.
+    """
+
+    def __init__(self, reset: bool | str, initial: Any, block: str, width: int | None) -> None:
+        named = {False: "none", True: "level"}[reset] if isinstance(reset, bool) else reset
+        self.reset = one_of(named, RESETS, block, "reset")
+        self.external = external = isinstance(initial, str) and initial == "input"
+        at_edges = self.reset in EDGES
+        self.inputs = [Port("clear", "bool")] if self.reset != "none" else []
+        self.inputs += [Port("x0", width=width)] if external else []
+        self.states = [State("before", False, "bool")] if at_edges else []
+        self.states += [State("begun", False, "bool")] if at_edges or external else []
+
+    def starts(self, u: Any, x: Any) -> Any:
+        """Whether it starts afresh in this sample; None if it never does."""
+        found = None
+        if self.reset == "level":
+            found = u.clear
+        elif self.reset != "none":
+            found = x.begun & edge_of(self.reset, x.before, u.clear)
+        if self.external:
+            found = ~x.begun if found is None else found | ~x.begun
+        return found
+
+    def update(self, u: Any) -> dict[str, Any]:
+        """The next values of its states."""
+        given = {"before": u.clear} if self.reset in EDGES else {}
+        return {**given, "begun": True} if self.states else {}
 
 
 @library_block("discrete_integrator")
@@ -31,7 +66,9 @@ class DiscreteIntegrator(Block):
     trapezoidal: y = x + K T/2 u, x' = y + K T/2 u.
 
     `limits` [low, high] keep both y and the state within bounds. With `reset` there is a bool input `clear`: while it
-    is true, x reads as `initial` (so a backward integral then equals its own sample's contribution).
+    is true, x reads as `initial` (so a backward integral then equals its own sample's contribution). With "rising",
+    "falling" or "either" x does so in the samples with such an edge of `clear`; the first sample has none. With
+    initial="input" the initial value is the input `x0`, read in the first sample and at each reset.
     Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems, section 6.1 (the three rules).
     """
 
@@ -41,44 +78,45 @@ class DiscreteIntegrator(Block):
         gain: float = 1.0,
         initial: Any = 0.0,
         limits: Sequence[float] | None = None,
-        reset: bool = False,
+        reset: bool | str = False,
         width: int | None = None,
         unit: str = "",
     ) -> None:
         self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
         bounds = limit_params(limits, "DiscreteIntegrator", unit)
-        self.limited, self.resets = bool(bounds), reset
-        self.inputs = [Port("u", width=width), *([Port("clear", "bool")] if reset else [])]
+        self.limited, self.rule = bool(bounds), ResetRule(reset, initial, "DiscreteIntegrator", width)
+        external = self.rule.external
+        self.inputs = [Port("u", width=width), *self.rule.inputs]
         self.outputs = [Port("y", width=width, unit=unit)]
-        self.params = [Param("gain", gain), Param("initial", initial, width=width, unit=unit), *bounds]
+        own = [] if external else [Param("initial", initial, width=width, unit=unit)]
+        self.params = [Param("gain", gain), *own, *bounds]
         self.derived = [Port("step", unit="s")]
-        self.states = [State("x", "initial", width=width, unit=unit)]
+        first = State("x", 0.0 if external else "initial", width=width, unit=unit)
+        self.states = [first, *self.rule.states]
 
     def prepare(self, p: Any, t: Clock) -> Any:
         step = p.gain * t.dt
         return 0.5 * step if self.method == "trapezoidal" else step
 
-    def _start(self, value: Any, initial: Any, u: Any) -> Any:
-        return where(u.clear, initial, value) if self.resets else value
-
     def _bound(self, value: Any, p: Any) -> Any:
         return clamp(p.low, p.high, value) if self.limited else value
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        starts = self.rule.starts(u, x)
+
+        def begun(s: Any, s0: Any) -> Any:
+            return s if starts is None else where(starts, s0, s)
+
+        initial = u.x0 if self.rule.external else p.initial
         if self.method == "forward":
-            return elementwise(lambda s, s0: self._bound(self._start(s, s0, u), p), x.x, p.initial)
-        return elementwise(
-            lambda v, s, s0: self._bound(self._start(s, s0, u) + p.step * v, p),
-            u.u,
-            x.x,
-            p.initial,
-        )
+            return elementwise(lambda s, s0: self._bound(begun(s, s0), p), x.x, initial)
+        return elementwise(lambda v, s, s0: self._bound(begun(s, s0) + p.step * v, p), u.u, x.x, initial)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         y = self.output(u, x, p, t)
-        if self.method == "backward":
-            return y
-        return elementwise(lambda v, s: self._bound(s + p.step * v, p), u.u, y)
+        if self.method != "backward":
+            y = elementwise(lambda v, s: self._bound(s + p.step * v, p), u.u, y)
+        return {"x": y, **self.rule.update(u)}
 
 
 @library_block("discrete_derivative")
