@@ -30,7 +30,9 @@ def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any
     left_down = dt + before / (less + drive)
     from_up = where(slowed < 0.0, minimum(0.0, (drive + less) * left_up), slowed)
     from_down = where(lifted > 0.0, maximum(0.0, (drive - more) * left_down), lifted)
-    return where(sticks(speed, drive, more, less), speed, where(before > 0.0, from_up, from_down))
+    moved = where(sticks(speed, drive, more, less), speed, where(before > 0.0, from_up, from_down))
+    # Without friction nothing is computed from a quotient that at rest is 0 / 0.
+    return where((more == 0.0) & (less == 0.0), speed, moved)
 
 
 @library_block("models.PitchPendulum")

@@ -14,6 +14,7 @@ from tests.compile.linear.linear_diagrams import DT
 from twodof.compile import build
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
+from twodof.errors import DiagramError
 from twodof.models import Structure, free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
 from twodof.signals import GRAVITY
 
@@ -68,6 +69,22 @@ PLANTS: dict[str, tuple[Structure, dict[str, float], Any, Any, Any, Any]] = {
         np.eye(2),
         [[0], [0]],
     ),
+    "rail as it is": (
+        rail(),
+        {},
+        [[0, 0, 0], [0, 0, 1], [-K, 0, -P]],
+        [[1], [0], [0]],
+        np.eye(3),
+        np.zeros((3, 1)),
+    ),
+    "free_response at rest without friction": (
+        free_response(),
+        {"coulomb": 0.0, "hardening": 2.0},
+        PITCH,
+        [[0], [130.0]],
+        np.eye(2),
+        [[0], [0]],
+    ),
     "longitudinal": (
         longitudinal(),
         {"tau": 0.01},
@@ -114,9 +131,17 @@ def test_a_structure_is_its_textbook_plant_behind_a_hold_and_its_delay(name: str
     found = model.response(omega)
     expected = np.array([textbook(delay, *plant, z) for z in np.exp(1j * omega * DT)])
     # RK4 misses (omega DT)^5 / 120 of a state, below 1e-11 a step; the slow poles multiply that.
-    exact = name not in ("rail", "free_response")
+    exact = not name.startswith(("rail", "free_response"))
     for k in range(len(omega)):
         np.testing.assert_allclose(found[k], expected[k], rtol=1e-10 if exact else 1e-7, atol=1e-13)
+
+
+def test_held_by_dry_friction_it_is_refused() -> None:
+    """At rest, pushed less than the friction holds, the compiled structure does not move: 0, and beside it not 0."""
+    with pytest.raises(DiagramError, match="what rests there goes on resting") as found:
+        linearize(free_response().diagram, DT)
+    assert found.value.where == "plant"
+    assert "take out the friction" in found.value.remedy
 
 
 @pytest.mark.parametrize("name", PLANTS)
