@@ -13,7 +13,21 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tests.toolchains import need
-from twodof.blocks import Block, Diagram, Param, Port, State, concatenate, cross, eye, matrix, norm, sum, vector
+from twodof.blocks import (
+    Block,
+    Diagram,
+    Param,
+    Port,
+    State,
+    array_of,
+    concatenate,
+    cross,
+    eye,
+    matrix,
+    norm,
+    sum,
+    vector,
+)
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
@@ -273,6 +287,58 @@ def test_a_method_gives_the_declared_shape(value: Any, message: str) -> None:
 
     with pytest.raises(DiagramError, match=message):
         _ = Wrong().trace
+
+
+class Chain(Block):
+    """Products and transposes that are loops within loops, and an array of a state's copies."""
+
+    inputs = (Port("m", shape=(9, 7)),)
+    outputs = (Port("y", shape=(9, 9)), Port("copies", width=12), Port("rows", width=4))
+    states = (State("x", [1.0, 2.0, 3.0], width=3),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        y = (u.m @ u.m.T).T
+        rows = array_of(2, lambda i: [x.x[i], u.m[i, 2]])
+        return {"y": y, "copies": array_of(4, lambda i: x.x), "rows": rows}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"x": 2 * x.x}
+
+
+def chain() -> Diagram:
+    d = Diagram("chain")
+    d.input("m", shape=(9, 7))
+    d.add("chain", Chain(), m="m")
+    for name in ("y", "copies", "rows"):
+        d.output(name, f"chain.{name}")
+    return d
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_loops_that_make_arrays_of_arrays_give_the_references_bits(precision: str) -> None:
+    m = RANDOM.normal(size=(3, 9, 7))
+    expected = Reference(chain(), 0.1, precision).machine().run(3, {"m": m})
+    lanes = build_lanes(chain(), 0.1, 2, precision, optimise="-O0").machine().run(3, {"m": m})
+    for source in (chain(), from_json(to_json(chain()))):
+        native = build(source, 0.1, precision, optimise="-O1").machine().run(3, {"m": m})
+        for name, values in expected.items():
+            assert np.array_equal(native[name], values)
+            assert np.array_equal(lanes[name][:, 1], values)
+    assert np.allclose(expected["y"], m @ m.swapaxes(1, 2), rtol=0, atol=200 * np.finfo(precision).eps)
+    assert expected["copies"][1].tolist() == [2.0, 4.0, 6.0] * 4
+
+
+def test_the_linear_model_of_a_product_is_its_derivative() -> None:
+    m = RANDOM.normal(size=(9, 7))
+    model = linearize(chain(), 0.1, at={"m": m.tolist()}, outputs=["y"])
+    # d(m m^T) = dm m^T + m dm^T, column after column.
+    slopes = []
+    for j in range(7):
+        for i in range(9):
+            one = np.zeros((9, 7))
+            one[i, j] = 1.0
+            slopes.append((one @ m.T + m @ one.T).ravel(order="F"))
+    assert np.allclose(model.d, np.array(slopes).T, rtol=0, atol=1e-14)
 
 
 def test_a_file_of_a_stranger_counts_the_elements_of_matrices() -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from twodof.blocks import (
+    array_of,
     concatenate,
     cross,
     diag,
@@ -23,6 +24,7 @@ from twodof.blocks import (
     sqrt,
     sum,
     to_int32,
+    to_real,
     vector,
     where,
     zeros,
@@ -102,6 +104,16 @@ def test_a_product_sums_from_the_left_and_agrees_with_numpy(rows: int, inner: in
 def test_operators_on_more_elements_than_are_written_out_are_a_loop_of_the_same_bits() -> None:
     a = some(1, 11, 6)
     assert both_ways(lambda a: where(a < 0, -a, 2 * a), a).tobytes() == np.where(a < 0, -a, 2 * a).tobytes()
+
+
+def test_an_array_of_arrays_is_all_of_them_one_after_the_other() -> None:
+    def table(v: Any) -> Any:
+        return array_of(4, lambda i: array_of(3, lambda j: v[i] * to_real(j)))
+
+    v = some(1, 4)
+    assert np.array_equal(both_ways(table, v), np.outer(v, [0, 1, 2]).ravel())
+    assert np.array_equal(both_ways(lambda v: array_of(3, lambda i: v), v), np.tile(v, 3))
+    assert np.array_equal(both_ways(lambda v: array_of(2, lambda i: [v[i], v[-1]]), v), [v[0], v[3], v[1], v[3]])
 
 
 def test_a_sum_of_many_terms_is_a_loop_of_the_same_bits() -> None:

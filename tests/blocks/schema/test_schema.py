@@ -121,6 +121,10 @@ HOSTILE = {
     "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),
     "a loop variable outside": (custom(nodes=[["bound", [], "real", 0, 1]], output={"y": 0}), "outside its loop"),
     "an endless loop": (custom(nodes=[["input", [], "u"], ["build", [0], 10**12, 0]]), "is not in 0"),
+    "a long array of arrays": (
+        custom(nodes=[["input", [], "u"], ["build", [0], 1000, 0], ["build", [1], 1001, 0]]),
+        "1000999 is not in 0..999999",
+    ),
     "an operation on an array": (
         custom(nodes=[["input", [], "u"], ["build", [0], 9, 0], ["neg", [1]]]),
         "neg is applied to an array of 9",

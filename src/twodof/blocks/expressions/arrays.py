@@ -44,16 +44,20 @@ def store(array: Any, index: Any, value: Any) -> Any:
 
 
 def array_of(length: int, element: Callable[[Any], Any]) -> Any:
-    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled."""
+    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled.
+
+    Where the elements are arrays themselves, it is all of them, one after the other.
+    """
     if length < 1:
         raise fault("an array of no elements", "an array has at least one element")
     if not recording():
-        return vector([element(Int32(i)) for i in range(length)])
+        made = [element(Int32(i)) for i in range(length)]
+        return vector([v for one in made for v in (one if isinstance(one, (list, tuple)) else (one,))])
     depth = LOOP_DEPTH.get()
     with during(LOOP_DEPTH, depth + 1):
-        body = as_expr(element(node("bound", "int32", (), (depth, 0))))
-    scalars("build", body)
-    return node("build", body.kind, (body,), (length, depth), length)
+        made = element(node("bound", "int32", (), (depth, 0)))
+        body = vector(made) if isinstance(made, (list, tuple)) else as_expr(made)
+    return node("build", body.kind, (body,), (length, depth), length * (body.width or 1))
 
 
 def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:

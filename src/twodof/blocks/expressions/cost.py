@@ -59,8 +59,9 @@ class CostMeter:
                 raise DiagramError(
                     f"loops are nested more than {MAX_LOOP_DEPTH} deep", "", "use fewer loops within one another"
                 )
-            length = loop.data[0]
-            self._loops[id(loop)] = (ExpressionCost(1 + effort.size, 1 + length * (1 + effort.operations)), depth + 1)
+            length, copied = loop.data[0], sum(e.width or 0 for e in loop.bodies)
+            operations = 1 + length * (1 + copied + effort.operations)
+            self._loops[id(loop)] = (ExpressionCost(1 + effort.size, operations), depth + 1)
             self._kept.append(loop)
         return self._sum(nodes)[0]
 

@@ -228,7 +228,8 @@ class Tangent:
         bodies = item.bodies
         if item.op == "build":
             turns = (run.turn(depth, [Dual(Int32(i))]) for i in range(length))
-            return tuple(_scalar(self._evaluate(bodies, turn)[0]) for turn in turns)
+            made = (self._evaluate(bodies, turn)[0] for turn in turns)
+            return tuple(v for one in made for v in (one if isinstance(one, tuple) else (one,)))
         # All results of one loop come from one run of it.
         known = run.known(item.loops)
         key = ("fold", length, depth, *map(id, item.args))

@@ -41,7 +41,11 @@ class Matrix(ArrayOperators):
     def T(self) -> Any:
         """The transpose."""
         rows, columns = self.shape
-        return Matrix(_gather(self.flat, [i + j * rows for i in range(rows) for j in range(columns)]), (columns, rows))
+        if rows * columns <= UNROLLED or isinstance(self.flat, (Vector, list)):
+            flat = _gather(self.flat, [i + j * rows for i in range(rows) for j in range(columns)])
+        else:
+            flat = array_of(rows, lambda i: array_of(columns, lambda j: self.flat[i + j * rows]))
+        return Matrix(flat, (columns, rows))
 
     def __getitem__(self, index: Any) -> Any:
         return rules.part(self, index)
@@ -194,7 +198,7 @@ def product(a: Any, b: Any) -> Any:
     elif rows == 1:
         flat = array_of(columns, lambda j: element(0, j))
     else:
-        flat = array_of(rows * columns, lambda k: element(k % rows, k // rows))
+        flat = array_of(columns, lambda j: array_of(rows, lambda i: element(i, j)))
     return shaped(flat, (rows, columns) if len(first) == len(second) == 2 else None)
 
 

@@ -157,7 +157,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
     if not all(type(n) is int and 0 <= n < len(made) for n in numbers_):
         raise ValueError("an argument does not stand above it")
     args = [made[n] for n in numbers_]
-    if op not in ("select", "store"):
+    if op not in ("select", "store", "build"):
         scalars(str(op), *args)
     found: Expr
     match [op, *data]:
@@ -187,9 +187,9 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
             _in_range(length - 1, MAX_LENGTH)
             _in_range(depth, MAX_LOOP_DEPTH)
             (body,) = args
-            if body.width is not None:
-                raise ValueError("an array of arrays")
-            found = node("build", body.kind, (body,), (length, depth), length)
+            width = length * (body.width or 1)
+            _in_range(width - 1, MAX_LENGTH)
+            found = node("build", body.kind, (body,), (length, depth), width)
         case ["fold", length, depth, which]:
             _in_range(length, MAX_LENGTH)
             _in_range(depth, MAX_LOOP_DEPTH)

@@ -368,9 +368,24 @@ class Renderer:
             return name, ATOM
         length, depth = item.data
         with self._loop(length, depth) as counter:
-            ((body, _),) = self._texts([self._resolve(item.bodies[0])])
-            self.writer.line(f"{name}[{counter}] = {self._stored(body, item.kind)};")
+            body = self._resolve(item.bodies[0])
+            if body.width is not None:
+                self._part(name, f"{counter} * {body.width}", body, target is None)
+            else:
+                ((text, _),) = self._texts([body])
+                self.writer.line(f"{name}[{counter}] = {self._stored(text, item.kind)};")
         return name, ATOM
+
+    def _part(self, name: str, start: str, body: Expr, own: bool) -> None:
+        """Lines that store an array in the part of a longer one that begins at `start`."""
+        part = self.names.new(f"{self.stem}_part")
+        self.writer.line(f"{self.types[body.kind]} *const {part} = &{name}[{start}];")
+        if body.op in ("vector", "build") and id(body) not in self.named:
+            self.targets[id(body)] = part
+        ((text, _),) = self._texts([body])
+        if text != part:
+            self.writer.copy(part, text, body.width or 1, body.kind, own)
+        self.targets.pop(id(body), None)
 
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
         length, depth, which = item.data
