@@ -55,9 +55,10 @@ def _keep_plain(declared: Any, *names: str) -> None:
 
 def check_shape(given: object, where: str) -> tuple[int, int]:
     """`given` as (rows, columns) of a matrix; else DiagramError."""
-    if not isinstance(given, (list, tuple)) or len(given) != 2 or any(type(n) is not int or n < 1 for n in given):
+    size = plain_data(given, where)
+    if not isinstance(size, list) or len(size) != 2 or any(type(n) is not int or n < 1 for n in size):
         raise DiagramError(f"the shape {shown(given)} is not one of a matrix", where, "write (rows, columns)")
-    return given[0], given[1]
+    return size[0], size[1]
 
 
 def _check_shape(declared: "Port | State | Param") -> None:
