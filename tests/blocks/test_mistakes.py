@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.blocks.library.harness import alone
-from tests.blocks.mine import line_of, mine
+from tests.blocks.mine import WellMeant, line_of, mine
 from twodof.blocks import fold, minimum, sin
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
@@ -199,3 +199,32 @@ def test_a_recorded_value_does_not_change() -> None:
     wrong = lambda self, u, x, p, t: setattr(u.u, "data", "k")  # noqa: E731
     for text in refused(mine("output", wrong)()):
         assert_told(text, "part.block, ", "output", line_of(wrong), "'data' of a recorded value is assigned")
+
+
+DECLARED: dict[str, tuple[dict[str, Any], str]] = {
+    "names instead of ports": ({"inputs": ["u"]}, r'inputs holds \'u\'.*write inputs = \[Port\("name"\), ...\]'),
+    "no list": ({"inputs": Port("u")}, "inputs is Port.*and not a list"),
+    "text": ({"outputs": "y"}, "outputs is 'y' and not a list"),
+    "nothing": ({"outputs": None}, "outputs is None and not a list"),
+    "a dictionary": ({"params": {"k": 1.0}}, r"params is {'k': 1.0}.*Param\(\"name\"\)"),
+    "pairs": ({"params": [("k", 1.0)]}, r"params holds \('k', 1.0\)"),
+    "names instead of states": ({"states": ["s"]}, "states holds 's'.*State"),
+}
+
+
+@pytest.mark.parametrize("case", DECLARED)
+def test_what_is_declared_comes_as_lists_of_declarations(case: str) -> None:
+    declared, words = DECLARED[case]
+    block = mine("update", lambda self, u, x, p, t: {}, **declared)()
+    with pytest.raises(DiagramError, match=f"^rig.part: {words}"):
+        Diagram("rig").add("part", block)
+    with pytest.raises(DiagramError, match=f"^Mine: {words}"):
+        _ = block.trace
+
+
+def test_what_is_no_block_is_not_a_part() -> None:
+    for what, words in ((WellMeant, "call the class"), (lambda u: u, "see function_block")):
+        with pytest.raises(DiagramError, match=f"rig.part: .* is neither a block nor a diagram .{words}"):
+            Diagram("rig").add("part", what)  # type: ignore[arg-type]
+    with pytest.raises(DiagramError, match="function_block: 3 is not a function"):
+        function_block(3)  # type: ignore[arg-type]

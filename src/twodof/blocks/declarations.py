@@ -190,6 +190,21 @@ class Declared(Protocol):
         """The Python function that says what `method` gives, for messages."""
 
 
+_WRITTEN_AS = {"inputs": "Port", "outputs": "Port", "derived": "Port", "states": "State", "params": "Param"}
+
+
+def check_lists(block: Declared, where: str) -> None:
+    """Raise DiagramError if what a block declares does not come as lists of declarations."""
+    for what, example in _WRITTEN_AS.items():
+        given = getattr(block, what)
+        remedy = f'write {what} = [{example}("name"), ...]'
+        if isinstance(given, str) or not isinstance(given, Sequence):
+            raise DiagramError(f"{what} is {shown(given)} and not a list", where, remedy)
+        for one in given:
+            if not isinstance(getattr(one, "name", None), str):
+                raise DiagramError(f"{what} holds {shown(one)}", where, remedy)
+
+
 def shape(declared: Typed) -> str:
     """The type of what is declared or recorded, with its size if it is an array: "real", "int32[3]", "real[3x2]"."""
     if declared.width is None:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EDGES
-from twodof.blocks.declarations import Param, Port, check_name, located, unknown_name
+from twodof.blocks.declarations import Param, Port, check_lists, check_name, located, unknown_name
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, nearest, shown
 
@@ -150,11 +150,16 @@ class Diagram:
         """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
 
         `inputs` connects too: {"reset": "source"} is an input that has the name of one of these arguments.
-        Raises DiagramError for a name that is taken or illegal, and for a rate that is not two whole numbers, divider
-        >= 1 and offset in [0, divider).
+        Raises DiagramError for what is neither a block nor a diagram, and for a name that is taken or illegal. It also
+        does so for a rate that is not two whole numbers, divider >= 1 and offset in [0, divider).
         """
         self._new(name)
         path = f"{self.name}.{name}"
+        if not isinstance(item, (Block, Diagram)):
+            remedy = "call the class: Gain() is a block" if isinstance(item, type) else "see function_block"
+            raise DiagramError(f"{shown(item)} is neither a block nor a diagram", path, remedy)
+        if isinstance(item, Block):
+            check_lists(item, path)
         for argument, value in (("rate", rate), ("params", params), ("initial", initial), ("position", position)):
             if isinstance(value, str):
                 raise DiagramError(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from twodof.blocks.declarations import Declared, located, shape
+from twodof.blocks.declarations import Declared, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
@@ -171,6 +171,7 @@ def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any, sight: Sight
 
 def check_declarations(block: Declared, name: str) -> None:
     """Raise DiagramError if two inputs, outputs, states or parameters share a name or a default does not fit."""
+    check_lists(block, name)
     parameters: list[Any] = [*block.params, *block.derived]
     by_name = {p.name: p for p in parameters}
     kinds: dict[str, Sequence[Any]] = {

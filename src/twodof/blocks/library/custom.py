@@ -8,7 +8,7 @@ from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import NAME, Param, Port
 from twodof.blocks.expressions.numbers import Integer, kind_of
 from twodof.blocks.plain_data import plain_data
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, shown
 
 __all__ = ["FunctionBlock", "function_block"]
 
@@ -57,6 +57,8 @@ def function_block(
     Raises DiagramError for a function with *args or **kwargs, a parameter without a default or an input with one. It
     also does so for a declared name that the function does not take.
     """
+    if not callable(function):
+        raise DiagramError(f"{shown(function)} is not a function", "function_block", "give a Python function")
     label = getattr(function, "__name__", "")
     label = label if NAME.fullmatch(label) else "Function"
     ports, tunables = {p.name: p for p in inputs}, {p.name: p for p in params}
