@@ -44,6 +44,18 @@ def nested(depth: int, **leaf: Any) -> Form:
     return data
 
 
+PART: Form = {"name": "part", "diagram": {"name": "part"}}
+
+
+def restarting(depth: int, states: int) -> bytes:
+    """States within diagrams that all restart, each at half of the rate of the one around."""
+    delays = [{"name": f"d{k}", "block": {"type": "unit_delay", "config": {}}} for k in range(states)]
+    data: Form = {"name": "leaf", "parts": delays}
+    for _ in range(depth):
+        data = {"name": "level", "parts": [{"name": "in", "rate": [2, 0], "enabling": "restart", "diagram": data}]}
+    return file(**data)
+
+
 def endless_rate(levels: int, divider: int) -> bytes:
     """A counter that runs at every divider ** levels ticks."""
     data: Form = {"name": "leaf", "parts": [{"name": "n", "block": {"type": "counter", "config": {}}}]}
@@ -397,6 +409,19 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a matrix with NaN": (library("matrix_gain", K=[[{"float": "nan"}]]), r"K\[0\]\[0\] = nan is not finite"),
     "a table in a table": (custom(params=[{"name": "k", "width": 2, "value": [[1], [2]]}]), "a real is expected"),
     "an object for a number": (custom(params=[{"name": "k", "value": {"a": 1}}]), "a real is expected"),
+    "a trigger that is a number": (file(parts=[{**PART, "trigger": 1}]), "'trigger' is missing or of the wrong kind"),
+    "another edge": (file(parts=[{**PART, "trigger": "u", "edge": "rise"}]), "edge='rise'"),
+    "another enabling": (file(parts=[{**PART, "enabling": "afresh"}]), "enabling='afresh'"),
+    "an initial value of nothing": (file(parts=[{**PART, "initial": {"y": 1}}]), "there is no output 'y'"),
+    "initial values that are none": (
+        file(parts=[{**PART, "initial": [1]}]),
+        "'initial' is missing or of the wrong kind",
+    ),
+    "an initial value of 200,000 numbers": (
+        file(parts=[{**PART, "initial": {"y": [0] * 200_000}}]),
+        "more than 100000 numbers",
+    ),
+    "60 diagrams that restart 2,000 states": (restarting(60, 2000), "100000 ports and states in diagrams that restart"),
     "a connection in a circle": (
         file(
             inputs=[{"name": "u"}],

@@ -78,7 +78,7 @@ class Loader:
     """Builds one diagram and counts what it costs."""
 
     def __init__(self) -> None:
-        self.parts = self.declared = self.elements = self.numbers = 0
+        self.parts = self.declared = self.elements = self.numbers = self.restarting = 0
         self.size = self.prepared = self.tick = self.stage = self.edges = 0
         self.integrates = False
         self.meter = CostMeter()
@@ -121,7 +121,13 @@ class Loader:
         only(form, _PART, where)
         item: Block | Diagram
         if "diagram" in form:
+            before = self.declared
             item = self.diagram(member(form, "diagram", dict, where), where, depth + 1)
+            if form.get("enabling") == "restart":  # each such diagram sets the states of all that is inside
+                self.restarting += self.declared - before
+                if self.restarting > MAX_DECLARED:
+                    what = f"more than {MAX_DECLARED} ports and states in diagrams that restart, counted for each such"
+                    raise DiagramError(what, where, "let fewer of the diagrams within one another restart")
         else:
             item = self._block(member(form, "block", dict, where), where)
         rate = member(form, "rate", list, where, [1, 0])

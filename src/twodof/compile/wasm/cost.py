@@ -45,8 +45,9 @@ def _cost(expressions: Iterable[Expr]) -> int:
 def _moved(node: Node) -> int:
     """Values that are held, reset, zeroed or committed: a few operations for each element."""
     block = node.block
+    started = len(node.starts) * sum(s.width or 1 for s in block.states)
     declared: list[Port | State | Param] = [*block.states, *block.outputs, *block.inputs, *block.params]
-    return sum(4 * (d.width or 1) for d in declared) + 8
+    return sum(4 * (d.width or 1) for d in declared) + started + 8
 
 
 _WORD = re.compile(r"[A-Za-z_]\w*")
