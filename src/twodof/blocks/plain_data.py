@@ -7,14 +7,15 @@ import numpy as np
 from twodof.errors import DiagramError
 
 _KINDS = "biufU"  # of numpy's types: bool, integer, unsigned, real, text
+MAX_DEPTH = 8  # of lists within lists
 _SCALARS = frozenset((float, int, bool, str, type(None)))
 
 
-def plain_data(value: Any, where: str) -> Any:
+def plain_data(value: Any, where: str, depth: int = 0) -> Any:
     """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
 
-    The numbers are the same ones: a float32 is a float64 too. Raises DiagramError, at `where`, for complex numbers and
-    for arrays of what is not a number.
+    The numbers are the same ones: a float32 is a float64 too. Raises DiagramError, at `where`, for complex numbers, for
+    arrays of what is not a number, and for lists within lists without end (`depth` counts them).
     """
     if type(value) in _SCALARS:
         return value
@@ -27,7 +28,9 @@ def plain_data(value: Any, where: str) -> Any:
     if isinstance(value, (list, tuple, range)):
         if _SCALARS.issuperset(map(type, value)):
             return list(value)
-        return [plain_data(one, where) for one in value]
+        if depth == MAX_DEPTH:
+            raise DiagramError(f"lists within more than {MAX_DEPTH} lists", where, "give a number, a list or rows")
+        return [plain_data(one, where, depth + 1) for one in value]
     if isinstance(value, complex):
         raise DiagramError(f"the complex number {value} is given", where, "give real numbers")
     return value

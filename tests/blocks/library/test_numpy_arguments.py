@@ -27,7 +27,8 @@ from twodof.blocks.library import (
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
-from twodof.errors import DiagramError, ParameterError
+from twodof.errors import DiagramError, ExperimentError, ParameterError
+from twodof.excitation import Steps
 
 
 def ragged(rows: Any) -> bool:
@@ -283,3 +284,11 @@ def test_a_matrix_of_numpy_is_its_rows(make: Any) -> None:
     machine.set_state("turned.x", views(x.tolist()))
     expected = k[:, :1] * u[:1] + k[:, 1:] * u[1:] + x
     assert machine.step({"u": np.asfortranarray(u)})["y"] == expected.tolist()
+
+
+def test_lists_within_lists_without_end_are_refused() -> None:
+    endless: list[Any] = [1.0]
+    endless.append(endless)
+    for make in (lambda: Gain(endless), lambda: Param("k", endless), lambda: Steps(endless, 1.0)):
+        with pytest.raises((DiagramError, ExperimentError), match="lists within more than 8 lists"):
+            make()
