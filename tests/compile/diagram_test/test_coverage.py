@@ -15,9 +15,9 @@ from tests.compile.random_diagrams import Maker
 from twodof.blocks import Block, Diagram, Param, Port, State, fold, maximum, minimum, where
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Saturation, UnitDelay
+from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Logic, Saturation, UnitDelay
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.compile.diagram_test import PointsInput, Scenario, run_scenarios
+from twodof.compile.diagram_test import PointsInput, Scenario, StepInput, run_scenarios
 from twodof.compile.diagram_test.coverage.coverage import Coverage, measure_coverage
 from twodof.errors import ControllerFault, DiagramError
 
@@ -177,6 +177,23 @@ def test_a_trigger_has_edges_and_none() -> None:
     }
     assert sides(False, True)["inner", "go"] == ("edge", "no edge")
     assert sides(False, True)["inner.limit", "min(p.high, u.u)"] == ("u.u",)
+
+
+@pytest.mark.parametrize("operation", ["and", "or", "nor"])
+def test_each_operand_of_and_and_or_has_two_sides(operation: str) -> None:
+    d = Diagram("logic")
+    for name in "abc":
+        d.input(name, "bool")
+    d.add("logic", Logic(operation, 3), a="a", b="b", c="c")
+    d.output("y", "logic")
+    scenario = Scenario("x", 0.02, {"a": True, "b": StepInput(1, 0.02)}, checks=["y always within [0, 1]"])
+    sign = {"and": "&", "or": "|", "nor": "|"}[operation]
+    assert taken(measure_coverage(d, [scenario], DT)) == {
+        ("logic", "u.a"): ("true",),
+        ("logic", "u.b"): ("true", "false"),
+        ("logic", f"u.a {sign} u.b"): ("true", "false") if operation == "and" else ("true",),
+        ("logic", "u.c"): ("false",),
+    }
 
 
 class Everywhere(Block):

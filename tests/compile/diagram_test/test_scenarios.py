@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from twodof.blocks import Block, Diagram, Port, maximum
 from twodof.blocks.library import Convert, Gain, Logic, Sum, UnitDelay
@@ -25,6 +27,7 @@ from twodof.compile.diagram_test import (
     table_of,
     to_junit,
 )
+from twodof.compile.diagram_test.scenario import expected_column
 from twodof.errors import DiagramError, ParameterError
 
 DT = 0.01
@@ -139,6 +142,28 @@ def test_a_table_feeds_inputs_and_expects_outputs() -> None:
         assert passes or found.failed[0].tick == 30
 
 
+NUMBERS = st.sampled_from([-math.inf, -1.0, 0.0, 0.5, 0.75, 1.0, 2.0, math.inf, math.nan])
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(NUMBERS, NUMBERS), min_size=1, max_size=5), st.sampled_from([0.0, 0.25, 0.5, 1.0]))
+def test_what_is_expected_is_so_within_the_tolerance(rows: list[tuple[float, float]], tolerance: float) -> None:
+    """The sums are exact, so the limit itself can be met: |v - e| <= t + t |e|. NaN and infinity are themselves."""
+    table = table_of({"tick": range(len(rows)), "y": [expected for _, expected in rows]})
+    column = expected_column(ExpectedTable(table, "hold", tolerance, tolerance), "y", "y", False, len(rows), DT)
+
+    def holds(value: float, expected: float) -> bool:
+        if math.isnan(value) or math.isnan(expected):
+            return math.isnan(value) and math.isnan(expected)
+        if math.isinf(value) or math.isinf(expected):
+            return value == expected
+        return abs(value - expected) <= tolerance + tolerance * abs(expected)
+
+    wrong = [k for k, row in enumerate(rows) if not holds(*row)]
+    found = column.judge(np.array([value for value, _ in rows]), DT)
+    assert (found.passed, found.tick) == (not wrong, wrong[0] if wrong else None)
+
+
 def test_only_what_is_given_is_expected_at_rows_or_at_each_tick() -> None:
     """Rows every .1 s: at the rows the lag is exact, on the lines between them it is not, and empty cells pass."""
     columns = rows_of(41)
@@ -237,6 +262,13 @@ def test_integers_are_held_and_must_be_whole() -> None:
 def test_a_scenario_that_does_not_fit_is_refused(scenario: Scenario, what: str) -> None:
     with pytest.raises(DiagramError, match=what):
         run_scenario(lag(), scenario, DT, target="reference")
+
+
+def test_a_parameter_is_set_before_the_states_begin() -> None:
+    """The initial value of a state may be a parameter."""
+    scenario = Scenario("begun", 0.0, {}, {"memory.initial": 2.0}, ["y always equals 2"])
+    for target in ("native", "reference"):
+        assert run_scenario(lag(), scenario, DT, target=target).passed
 
 
 def test_a_mistake_names_its_scenario() -> None:

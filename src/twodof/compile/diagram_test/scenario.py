@@ -25,9 +25,9 @@ class ExpectedTable:
     """Columns of a table that are inputs, and those that are outputs (or paths of signals), which are expected.
 
     `between` says what inputs are between two rows; bools and integers are held in any case. A value v is as expected
-    if |v - e| <= absolute + relative * |e|; both may be a mapping by column. NaN is as expected only if NaN is
-    expected. `at` is where expected values are compared: "rows", at the rows only, or "ticks", at each tick from the
-    first row to the last.
+    if |v - e| <= absolute + relative * |e|; both may be a mapping by column. NaN and infinity are as expected
+    only if they are expected. `at` is where expected values are compared: "rows", at the rows only, or "ticks", at each
+    tick from the first row to the last.
     """
 
     table: SignalTable
@@ -76,7 +76,7 @@ class ExpectedColumn:
         found, expected = values[self.ticks], self.expected
         with np.errstate(invalid="ignore"):
             room = self.absolute + self.relative * np.abs(expected)
-            near = np.abs(found - expected) <= room
+            near = np.isfinite(expected) & (np.abs(found - expected) <= room)  # the room around infinity is infinite
         fine = near | (found == expected) | (np.isnan(found) & np.isnan(expected))
         if fine.all():
             with np.errstate(invalid="ignore"):
