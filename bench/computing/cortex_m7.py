@@ -34,7 +34,7 @@ PLAIN = ("-std=gnu11", "-fhosted", "-ffp-contract=fast", "-fmath-errno", "-ftrap
 """What -O2 alone means to gcc, where our own options say otherwise: with fused multiply-add."""
 NOTES = {
     "position": "; of the difference about 21 are cos, which here reduces any argument, beside cosf, which need not",
-    "attitude": "; by hand the outer loops are branched around, compiled both sides of each choice are computed",
+    "attitude": "; by hand the outer loops are branched around, compiled only the projection is",
 }
 """Modes of the whole cascade, and what explains its figures."""
 UNFUSED = ("-ffp-contract=off",)

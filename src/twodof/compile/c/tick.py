@@ -1,7 +1,7 @@
 """The C of one tick: outputs, returned signals, discrete states."""
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 
 from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.diagram import Rate
@@ -9,10 +9,10 @@ from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
 from twodof.compile.c.expressions import Renderer, Text, constant
 from twodof.compile.c.names import CNames
-from twodof.compile.c.operators import ATOM, C_TYPES
+from twodof.compile.c.operators import ATOM, C_TYPES, LOOSE
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.writer import CWriter
-from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Guard, Node, Start
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Need, Node, Start
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.program.lower import inputs_of
 
@@ -205,6 +205,9 @@ class TickEmitter:
                 real, zero = self.scope.type("real"), self.scope.style.same("0", "real")
                 self.writer.line(f"{real} {fraction} = {self.scope.style.same('1', 'real')}, {after} = {zero};")
         for group in self.program.tick:
+            if group.needs and (self.scope.style.branches or not group.guard.always):
+                self._where_needed(group)
+                continue
             if group.guard.always:
                 for action in group.actions:
                     self._action(action)
@@ -223,6 +226,31 @@ class TickEmitter:
                         self.scope.fill(
                             self.writer, self.signal(s), s.before, Port("y", s.kind, s.width, shape=s.shape)
                         )
+
+    def _where_needed(self, group: Group) -> None:
+        """Outputs that nobody reads unless some conditions hold; they stand in variables that are 0 otherwise."""
+        for action in group.actions:
+            for s in action.signals:
+                self.texts[s] = self.names.new(s.path)
+                self.writer.line(f"{self.scope.type(s.kind)} {self.texts[s]} = {self.scope.constant(0, s.kind)};")
+        with nullcontext() if group.guard.always else self.guarded(group.guard):
+            tests = self._tests(group.needs) if self.scope.style.branches else []
+            outside, self.renderers = self.renderers, {}  # what is declared inside is not seen behind it
+            with self.writer.choice("", tests) if tests else nullcontext():
+                for action in group.actions:
+                    self.writer.line(describe(action.node))
+                    roots = [(self.texts[s], action.node.trace.outputs[s.port]) for s in action.signals]
+                    self.renderer(action.node).assign(roots)
+                    self.computed.update(action.signals)
+            self.renderers = outside
+
+    def _tests(self, needs: Iterable[Need]) -> list[str]:
+        """The C of conditions."""
+        tests = []
+        for need in needs:
+            text, binding = self.renderer(need.node).scalars([need.condition])[0]
+            tests.append(f"({text})" if need.holds and binding == LOOSE else text if need.holds else f"!({text})")
+        return tests
 
     def _action(self, action: Action) -> None:
         node, write = action.node, self.writer

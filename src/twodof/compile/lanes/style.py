@@ -201,6 +201,7 @@ class LaneStyle(CStyle):
     function = "td_inline"
     needs = SCALARS
     tables = False
+    branches = False
 
     def __init__(self, shape: LaneShape) -> None:
         self.shape = shape

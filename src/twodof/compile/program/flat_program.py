@@ -15,6 +15,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.namespaces import Clock, Parameters
 from twodof.blocks.trace import Trace, computed
 
@@ -157,12 +158,27 @@ class Action:
     start: Start | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Need:
+    """A condition of the block `node`, over its inputs and parameters, which must hold (or not) where a value is read.
+
+    `signals` are those that it reads; `meaning` is the condition over paths, the same node for all that say the same.
+    """
+
+    node: Node
+    condition: Expr
+    holds: bool
+    signals: tuple[FlatSignal, ...]
+    meaning: Expr
+
+
 @dataclass(frozen=True)
 class Group:
-    """Actions that share one guard."""
+    """Actions that share one guard. Nobody reads what they compute unless all of `needs` hold."""
 
     guard: Guard
     actions: tuple[Action, ...]
+    needs: tuple[Need, ...] = ()
 
 
 @dataclass(eq=False)

@@ -96,7 +96,7 @@ class MemoryLayout:
             for action in group.actions:
                 for signal in action.signals:
                     wide = signal.width is not None and signal.width > WIDEST_LOCAL
-                    if not group.guard.always or wide:
+                    if (not group.guard.always and not group.needs) or wide:
                         remark = "work" if group.guard.always else "held"
                         self.stored[signal] = self.s.add(_member(signal.path, signal, remark))
         for name, signal in program.inputs.items():

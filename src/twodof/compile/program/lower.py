@@ -1,15 +1,17 @@
 """From a diagram to a program: check, flatten, find what is needed, order."""
 
 import heapq
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from graphlib import TopologicalSorter
+from types import MappingProxyType
 
 from twodof.blocks.declarations import check_tick
 from twodof.blocks.diagram import BASE, Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import leaves
-from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node, Start
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Need, Node, Start
 from twodof.compile.program.flatten import FlatDiagram, conditions_of, drivers_of, node_of, tick_needs
+from twodof.compile.program.need import needs
 from twodof.errors import DiagramError
 
 INTEGRATORS = ("rk4", "euler")
@@ -33,7 +35,10 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
     integrated = [n for n in flat.nodes if n.continuous]
     edged = [s for s in ordered if integrated and node_of(s).trace.edges.get(s.port) is not None]
     stage = _stage(integrated, ordered, moving)
-    live = _live(flat.nodes, outputs.values(), stage, edged, moving)
+    always = [*outputs.values(), *edged, *_read_inside(integrated, stage, moving)]
+    live = _live(flat.nodes, always)
+    chosen = [s for s in ordered if s in live]
+    needed = needs(flat.nodes, chosen, always)
     return FlatProgram(
         diagram.name,
         diagram.text,
@@ -44,7 +49,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         flat.signals,
         flat.parameters,
         flat.nodes,
-        _grouped([s for s in ordered if s in live], flat.nodes, tick_needs),
+        _grouped(chosen, flat.nodes, lambda s: tick_needs(s) + _deciding(needed.get(s, ())), needed),
         _grouped(stage, (), lambda s: [d for d in drivers_of(s) if d in moving]),
         frozenset(moving),
         edged,
@@ -83,25 +88,26 @@ def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: se
     return chosen[::-1]
 
 
-def _live(
-    nodes: Sequence[Node],
-    outputs: Iterable[FlatSignal],
-    stage: Sequence[FlatSignal],
-    edged: Sequence[FlatSignal],
-    moving: set[FlatSignal],
-) -> set[FlatSignal]:
-    """The signals that must be computed at the tick, because they are returned, stored or held."""
-    stack = [*outputs, *edged]
+def _read_inside(
+    integrated: Sequence[Node], stage: Sequence[FlatSignal], moving: set[FlatSignal]
+) -> Iterator[FlatSignal]:
+    """The signals of the tick that the integration reads."""
+    for n in integrated:
+        yield from (s for s in inputs_of(n, n.trace.derivative.values()) if s not in moving)
+    for s in stage:
+        node = node_of(s)
+        yield from (d for d in inputs_of(node, [node.trace.outputs[s.port]]) if d not in moving)
+        if node.guard.enables:
+            yield from (s, *conditions_of(node))
+
+
+def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal]:
+    """The signals that must be computed at the tick: `always`, and those that states need."""
+    stack = list(always)
     for n in nodes:
         if n.block.states:
             stack += conditions_of(n)
             stack += inputs_of(n, [*n.trace.update.values(), *n.trace.project.values()])
-            stack += [s for s in inputs_of(n, n.trace.derivative.values()) if s not in moving]
-    for s in stage:
-        node = node_of(s)
-        stack += [d for d in inputs_of(node, [node.trace.outputs[s.port]]) if d not in moving]
-        if node.guard.enables:
-            stack += [s, *conditions_of(node)]
     live: set[FlatSignal] = set()
     while stack:
         s = stack.pop()
@@ -111,8 +117,19 @@ def _live(
     return live
 
 
+def _deciding(needed: Iterable[Need]) -> list[FlatSignal]:
+    """The driven signals that conditions read."""
+    return [s for need in needed for s in need.signals if s.node is not None]
+
+
+_Key = tuple[Guard, tuple[Need, ...]]
+
+
 def _grouped(
-    signals: Sequence[FlatSignal], nodes: Sequence[Node], needs: Callable[[FlatSignal], list[FlatSignal]]
+    signals: Sequence[FlatSignal],
+    nodes: Sequence[Node],
+    before_it: Callable[[FlatSignal], list[FlatSignal]],
+    needed: Mapping[FlatSignal, tuple[Need, ...]] = MappingProxyType({}),
 ) -> list[Group]:
     """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
     chosen = set(signals)
@@ -124,25 +141,26 @@ def _grouped(
         if isinstance(thing, Start):
             before[thing] = {s for s in (*thing.guard.enables, *thing.signals) if s in chosen}
         else:
-            before[thing] = {s for s in needs(thing) if s in chosen}
+            before[thing] = {s for s in before_it(thing) if s in chosen}
             before[thing].update(starts.get(node_of(thing), ()))
     rank = {thing: i for i, thing in enumerate(things)}
     sorter = TopologicalSorter(before)
     sorter.prepare()
-    queues: dict[Guard, list[int]] = {}
+    queues: dict[_Key, list[int]] = {}
     groups: list[Group] = []
-    open_guard, actions = Guard(BASE), list[Action]()
+    at: _Key = Guard(BASE), ()
+    actions: list[Action] = []
     while sorter.is_active():
         for thing in sorter.get_ready():
-            guard = thing.guard if isinstance(thing, Start) else node_of(thing).guard
-            heapq.heappush(queues.setdefault(guard, []), rank[thing])
-        if not queues.get(open_guard):
+            key: _Key = (thing.guard, ()) if isinstance(thing, Start) else (node_of(thing).guard, needed.get(thing, ()))
+            heapq.heappush(queues.setdefault(key, []), rank[thing])
+        if not queues.get(at):
             if actions:
-                groups.append(Group(open_guard, tuple(actions)))
+                groups.append(Group(at[0], tuple(actions), at[1]))
             # What always runs first, for it wakes what is guarded.
-            open_guard = min((g for g, q in queues.items() if q), key=lambda g: (not g.always, queues[g][0]))
+            at = min((k for k, q in queues.items() if q), key=lambda k: (not k[0].always or bool(k[1]), queues[k][0]))
             actions = []
-        thing = things[heapq.heappop(queues[open_guard])]
+        thing = things[heapq.heappop(queues[at])]
         if isinstance(thing, Start):
             actions.append(Action(thing.node, (), thing))
         elif actions and actions[-1].signals and actions[-1].node is thing.node:
@@ -151,5 +169,5 @@ def _grouped(
             actions.append(Action(node_of(thing), (thing,)))
         sorter.done(thing)
     if actions:
-        groups.append(Group(open_guard, tuple(actions)))
+        groups.append(Group(at[0], tuple(actions), at[1]))
     return groups
