@@ -15,7 +15,7 @@ from twodof.blocks.library import Gain, Sum, UnitDelay
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.app import run
 from twodof.flight.starters import load_diagram
-from twodof.models import velocity
+from twodof.models import pitch_rate
 
 LOOP = Diagram("loop", "a first loop")
 LOOP.input("r")
@@ -187,13 +187,15 @@ def test_linearize_says_what_is_left_out_and_what_has_no_effect(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "held.json"
-    d = velocity().diagram
+    d = pitch_rate().diagram
     d.input("spare")
     file.write_text(to_json(d))
     assert run(["diagram", "linearize", str(file)]) == 0
     out = capfd.readouterr().out
-    assert "x[k+1], one step is 0.004 s; 2 states, 2 inputs, 2 outputs" in out
-    assert "left out: plant.past, 64 elements (nothing depends on it)" in out
+    assert "x[k+1], one step is 0.004 s; 6 states, 2 inputs, 2 outputs" in out
+    assert "plant.past[k-1]  " in out
+    assert "\\[" not in out
+    assert "left out: plant.past, 60 elements (nothing depends on it)" in out
     assert "remark: spare: this input has no effect on any output" in out
 
 

@@ -182,3 +182,11 @@ def test_inputs_without_effect_and_outputs_that_nothing_moves_are_remarks() -> N
     assert "numbers are rounded in steps" in model.remarks["whole"]
     assert set(linearize(d, DT, at={"u": 0.3}).remarks) == {"spare", "whole"}
     assert model.to_json()["remarks"] == model.remarks
+
+
+def test_a_delay_that_is_cut_acts_through_the_whole_step() -> None:
+    """Its edge is cut with it: x' = -x + u held over the step, not over what is left after the edge."""
+    d = chain(lib.FractionalDelay(0.6 * DT), lib.FirstOrder(1.0, 1.0))
+    model = linearize(d, DT, inputs=["b0.y"], time="discrete")
+    np.testing.assert_allclose(model.a, [[np.exp(-DT)]], rtol=1e-13)
+    np.testing.assert_allclose(model.b, [[1.0 - np.exp(-DT)]], rtol=1e-9)  # up to RK4's DT^5 / 120

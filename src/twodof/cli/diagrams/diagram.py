@@ -9,7 +9,6 @@ from typing import Annotated, Any
 
 import numpy as np
 import typer
-from rich.markup import escape
 from rich.table import Table
 
 from twodof.blocks.declarations import unknown_name
@@ -307,9 +306,9 @@ def _print_model(found: LinearModel) -> None:
         for pole in sorted(found.poles(), key=lambda q: (abs(q), q.imag)):
             console.print(f"  {_pole(complex(pole), found.dt)}")
     for names, why in _alike(found.left_out):
-        console.print(f"left out: {escape(names)} ({why})")
+        console.print(f"left out: {names} ({why})")
     for name, what in found.remarks.items():
-        console.print(f"remark: {escape(name)}: {what}")
+        console.print(f"remark: {name}: {what}")
 
 
 def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -326,9 +325,9 @@ def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
 def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> Table:
     table = Table("", box=None, pad_edge=False)
     for name in columns:
-        table.add_column(escape(name), justify="right")
+        table.add_column(name, justify="right")
     for name, row in zip(rows, matrix, strict=True):
-        table.add_row(escape(name), *(f"{v:.6g}" for v in row))
+        table.add_row(name, *(f"{v:.6g}" for v in row))
     return table
 
 

@@ -249,7 +249,7 @@ class Slopes:
             self._finite(key[0].path, elements(new[key]))
             rows += elements(new[key])
         for s in self.coordinates.held:
-            rows += elements(step.made[s])
+            rows += elements(step.held[s] if what == "projection" else step.made[s])
         made: list[Dual] = []
         for s in self.outputs.values():
             self._finite(s.path, elements(step.made[s]))
