@@ -70,6 +70,31 @@ def test_machines_get_json_junit_and_a_page(
     assert "there already" in capfd.readouterr().err
 
 
+TABLE = """
+[[test]]
+name = 'a <b> & "c"'
+[test.table]
+columns = ["tick", "M"]
+rows = [[0, 0.0], [5, 0.5], [9, 0.0]]
+between = "interpolate"
+absolute = 0.01
+at = "ticks"
+"""
+
+
+def test_a_page_draws_what_a_table_expects(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    file, page = tmp_path / "table.toml", tmp_path / "failed.html"
+    file.write_text(TABLE, encoding="utf-8")
+    assert run(["diagram", "test", "empty-attitude", str(file), "--target", "reference", "--html", str(page)]) == 1
+    assert "M as in table, within 0.01: 0 at 0.004 s is below 0.09 by 0.09; 8 ticks" in capfd.readouterr().out
+    text = page.read_text(encoding="utf-8")
+    assert "<figcaption><b>a &lt;b&gt; &amp; &quot;c&quot;: M as in table" in text
+    drawn = text[text.index("<svg") : text.index("</svg>") + 6]
+    ElementTree.fromstring(drawn.replace("<svg ", '<svg xmlns:xlink="x" ', 1))
+    assert drawn.count("stroke: var(--set-point)") == 1
+    assert drawn.count("stroke: var(--measured)") == 1
+
+
 def test_coverage_says_what_was_never_taken_and_can_fail(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["diagram", "test", "pid-attitude", tests[0], "--target", "reference"]
     assert run([*arguments, "--coverage"]) == 0

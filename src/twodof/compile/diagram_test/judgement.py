@@ -1,7 +1,7 @@
 """What a test found: for each assertion whether it holds, and otherwise when and by how much it does not."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -29,12 +29,16 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class ScenarioResult:
-    """One scenario, run. `time` [s] is of shape (n,), and so are `signals`, or (n, width) for an array."""
+    """One scenario, run. `time` [s] is of shape (n,), and so are `signals`; the axes of an array follow.
+
+    `expected` are times [s] and values, of shape (m,), that a table expects, by the judgement's `check`.
+    """
 
     name: str
     judgements: tuple[Judgement, ...]
     time: NDArray[np.float64]
     signals: Mapping[str, NDArray[Any]]
+    expected: Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:

@@ -86,4 +86,5 @@ def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scenar
         judgements = tuple(claim.judge(values.astype(np.float64), dt) for claim, values in claims)
     except DiagramError as error:
         raise DiagramError(error.what, f"{name}, {error.where}", error.remedy) from error
-    return ScenarioResult(name, judgements, dt * np.arange(planned.steps, dtype=np.float64), signals)
+    tables = {c.text: (dt * c.ticks.astype(np.float64), c.expected) for c, _ in claims if isinstance(c, ExpectedColumn)}
+    return ScenarioResult(name, judgements, dt * np.arange(planned.steps, dtype=np.float64), signals, tables)

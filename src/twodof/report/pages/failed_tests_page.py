@@ -15,7 +15,8 @@ MAX_FIGURES = 50
 
 
 def failed_tests_page(name: str, results: Sequence[ScenarioResult]) -> str:
-    """The page of the diagram `name`: for each assertion that does not hold its signal, the limit and the violation.
+    """The page of the diagram `name`: for each assertion that does not hold its signal, what a table expects of it
+    (dashed), and the violation.
 
     The first 50 are drawn.
     """
@@ -35,7 +36,10 @@ def _figure(number: int, result: ScenarioResult, judgement: Judgement) -> str:
         marks.append(
             FigurePoint(judgement.time, judgement.value, f"{judgement.time:.4g} s, limit {judgement.limit:.4g}")
         )
-    panel = Panel(judgement.signal, [FigureLine("measured", result.time, value)], marks, 1.3)
+    lines = [FigureLine("measured", result.time, value)]
+    if judgement.check in result.expected:
+        lines.append(FigureLine("set-point", *result.expected[judgement.check]))
+    panel = Panel(judgement.signal, lines, marks, 1.3)
     title = escape(f"{result.name}: {judgement.check}")
     drawn = time_figure(Figure(number, title, "", [panel]), title)
     caption = f"<b>{title}</b><br>{escape(judgement.text)}"
