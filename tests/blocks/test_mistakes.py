@@ -148,6 +148,12 @@ def test_mistakes_in_every_method_are_told(method: str) -> None:
         assert_told(text, "part.block, ", method, line_of(few), rf"write def {method}\({arguments}\)")
 
 
+@pytest.mark.parametrize(("method", "name"), [("output", "y"), ("derivative", "c"), ("prepare", "g")])
+def test_a_method_that_is_missing_is_told_how_to_write(method: str, name: str) -> None:
+    for text in refused(mine(method, getattr(Block, method))()):
+        assert text.startswith(f"part.block, block Mine.{method}: {method} does not give {name!r} (write def {method}(")
+
+
 EDGES: dict[str, tuple[Written, str]] = {
     "one value": (lambda self, u, x, p, t: {"y": u.u}, r"one recorded value for 'y'.*\(fraction, value after\)"),
     "three values": (lambda self, u, x, p, t: {"y": (0.5, u.u, u.u)}, r"for 'y'.*\(fraction, value after\)"),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import sys
+from traceback import walk_tb
 from typing import Any
 
 from twodof.blocks.declarations import Declared
@@ -25,34 +26,34 @@ def is_users(block: Declared) -> bool:
     return type(block).__module__.partition(".")[0] != OWN
 
 
+def is_missing(block: Declared, method: str) -> bool:
+    """Whether the block's class does not write the method: that of Block, which gives nothing, is called."""
+    return getattr(block.written(method), "__module__", "") == "twodof.blocks.block"
+
+
+def definition(method: str) -> str:
+    """How to write a method."""
+    return f"write def {method}({ARGUMENTS.get(method, 'self, u, x, p, t')})"
+
+
 def place(block: Declared, method: str) -> str:
     """Where a method stands, for an error: its block, its name, file and line."""
     function: Any = inspect.unwrap(block.written(method))
-    code = getattr(function, "__code__", None)
+    code = None if is_missing(block, method) else getattr(function, "__code__", None)
     line = f", {code.co_filename}:{code.co_firstlineno}" if code else ""
     return f"block {type(block).__name__}.{method}{line}"
 
 
 def mistake(error: Exception, block: Declared, method: str) -> DiagramError:
     """The error to raise for what a method raised. Call it in the function that called the method."""
-    frames = []
-    trace = error.__traceback__.tb_next if error.__traceback__ else None
-    while trace is not None:
-        frames.append(
-            (trace.tb_frame.f_globals.get("__name__", ""), trace.tb_frame.f_code.co_filename, trace.tb_lineno)
-        )
-        trace = trace.tb_next
-    if not frames and isinstance(error, TypeError):
-        what, remedy = (
-            f"it cannot be called: {error}",
-            f"write def {method}({ARGUMENTS.get(method, 'self, u, x, p, t')})",
-        )
+    below = [(f.f_globals.get("__name__", ""), f"{f.f_code.co_filename}:{n}") for f, n in walk_tb(error.__traceback__)]
+    below = below[1:]  # without the caller's own
+    if not below and isinstance(error, TypeError):
+        what, remedy = f"it cannot be called: {error}", definition(method)
     else:
         what, remedy = _told(error)
-    users = [row for row in frames if not row[0].startswith("twodof.blocks.") and _top(row[0]) not in _NOT_THE_USERS]
-    where = place(block, method)
-    if users:
-        where = f"block {type(block).__name__}.{method}, {users[-1][1]}:{users[-1][2]}"
+    users = [line for name, line in below if not name.startswith("twodof.blocks.") and _top(name) not in _NOT_THE_USERS]
+    where = f"block {type(block).__name__}.{method}, {users[-1]}" if users else place(block, method)
     return DiagramError(what, where, remedy)
 
 

@@ -14,7 +14,7 @@ from twodof.blocks.expressions.graph import Sight, evaluate, walk
 from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
-from twodof.blocks.mistakes import mistake, place
+from twodof.blocks.mistakes import definition, is_missing, mistake, place
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
 from twodof.errors import DiagramError, listed, shown
 
@@ -80,7 +80,8 @@ def trace_of(block: Declared) -> Trace:
             try:
                 return returned(method, found, declared, partial)
             except DiagramError as error:
-                raise DiagramError(error.what, place(block, method), error.remedy) from error
+                remedy = definition(method) if is_missing(block, method) else error.remedy
+                raise DiagramError(error.what, place(block, method), remedy) from error
 
     prepare = record("prepare", block.derived)
     outputs = record("output", block.outputs)
