@@ -113,7 +113,8 @@ def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal
         s = stack.pop()
         if s.node is not None and s not in live:
             live.add(s)
-            stack += tick_needs(s)
+            # What resets a block that has no states changes nothing in it.
+            stack += tick_needs(s) if s.node.block.states else [*drivers_of(s), *s.node.guard.enables]
     return live
 
 
