@@ -74,11 +74,11 @@ def _text(doc: str | None) -> str:
 
 
 def _ports(ports: Sequence[Port]) -> str:
-    return ", ".join(f"`{p.name}`" + _shape(p.kind, p.width) for p in ports) or "none"
+    return ", ".join(f"`{p.name}`" + _shape(p.kind, p.width, p.shape) for p in ports) or "none"
 
 
-def _shape(kind: str, width: int | None) -> str:
-    size = "" if width is None else f"[{width}]"
+def _shape(kind: str, width: int | None, shape: tuple[int, int] | None = None) -> str:
+    size = "" if width is None else f"[{shape[0]}x{shape[1]}]" if shape else f"[{width}]"
     return f" ({kind}{size})" if kind != "real" or size else ""
 
 

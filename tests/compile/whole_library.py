@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
-from tests.blocks.library.samples import LIBRARY, SAMPLES, add_store
+from tests.blocks.library.samples import LIBRARY, SAMPLES, add_store, flat_output, shaped_input
 from tests.compile.differential import Case
 from twodof.blocks import Diagram
 from twodof.blocks.library import Integrator
@@ -40,9 +40,9 @@ def room(name: str, extra: bool) -> Diagram:
                 source = f"{port.kind}{port.width or ''}_{position}"
                 if source not in d.inputs:
                     d.input(source, port.kind, port.width)
-                d.connect(source, f"{part}.{port.name}")
+                d.connect(shaped_input(d, source, port), f"{part}.{port.name}")
             for port in block.outputs:
-                d.output(f"{part}_{port.name}", f"{part}.{port.name}")
+                d.output(f"{part}_{port.name}", flat_output(d, part, port))
                 if port.name in block.trace.edges:
                     d.add(f"{part}_{port.name}_sum", Integrator(), u=f"{part}.{port.name}")
             add_store(d, block)

@@ -149,7 +149,7 @@ def _block(block: Block) -> str:
 
 def _expressions(block: Block) -> str:
     declared = [getattr(block, which) for which in ("inputs", "outputs", "states", "derived")]
-    names = [(param.name, param.kind, param.width) for param in block.params]
+    names = [(param.name, param.kind, param.width, param.shape) for param in block.params]
     return repr(([list(ports) for ports in declared], names, block.crossing, graph_to_json(block.trace)))
 
 

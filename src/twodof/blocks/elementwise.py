@@ -6,7 +6,7 @@ from functools import partial
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Param, Port
+from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
 from twodof.blocks.expressions.numbers import Vector
@@ -91,6 +91,14 @@ def counts(values: Any, low: int, high: int, block: str, argument: str) -> list[
     if not isinstance(values, (list, tuple)):
         raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of integers within {low} .. {high}")
     return [count(value, low, high, block, argument) for value in values]
+
+
+def sized(name: str, shape: Any, block: str, kind: str = "real", unit: str = "") -> Port:
+    """The port of an array: `shape` is (n,) of a vector, (rows, columns) of a matrix; else DiagramError."""
+    if not isinstance(shape, (list, tuple)) or len(shape) not in (1, 2):
+        raise DiagramError(f"the shape {shape!r:.80} of {name}", block, "write [n], or [rows, columns]")
+    sizes = [count(n, 1, MAX_WIDTH, block, f"the shape of {name}") for n in shape]
+    return Port(name, kind, sizes[0], unit) if len(sizes) == 1 else Port(name, kind, None, unit, (sizes[0], sizes[1]))
 
 
 def reals(values: Any, block: str, argument: str, least: int = 1, finite: bool = True) -> list[float]:

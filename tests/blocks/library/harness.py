@@ -22,7 +22,7 @@ def alone(block: Block) -> Diagram:
     """A diagram that is `block` under the name "block", its ports being those of the diagram."""
     d = Diagram("alone")
     for port in block.inputs:
-        d.input(f"{port.name}_in", port.kind, port.width, port.unit)
+        d.input(f"{port.name}_in", port.kind, port.width, port.unit, port.shape)
     d.add("block", block, **{port.name: f"{port.name}_in" for port in block.inputs})
     for port in block.outputs:
         d.output(f"{port.name}_out", f"block.{port.name}")

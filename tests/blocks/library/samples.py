@@ -96,6 +96,15 @@ EXTRA: dict[str, list[Config]] = {
     ],
     "low_pass": [{"cutoff": 3.0, "method": m, "initial": 0.5} for m in ("forward", "backward", "trapezoidal", "zoh")],
     "low_pass_2": [{"cutoff": 400.0, "initial": 1.0}],
+    "matrix_multiply": [
+        {"a": [3, 2], "b": [2, 4]},
+        {"a": [2], "b": [2]},
+        {"a": [2], "b": [2, 3]},
+        {"a": [9, 8], "b": [8, 3]},
+    ],
+    "norm": [{"shape": [2, 3]}],
+    "reshape": [{"shape": [2, 3], "to": [3, 2], "kind": "int32"}, {"shape": [2, 2], "to": [4]}],
+    "transpose": [{"shape": [3, 2], "kind": "int32"}, {"shape": [9, 8]}],
     "matrix_gain": [{"K": _MATRIX}, {"K": _MATRIX[:1]}, {"K": [[1.0], [2.0]]}],
     "maximum": [{"inputs": 3, "width": 2}, {"kind": "int32"}],
     "merge": [{"inputs": 3, "initial": [1.0, 2.0], "width": 2}, {"initial": True, "kind": "bool"}],
@@ -198,7 +207,7 @@ def room(name: str, rate: tuple[int, int] = BASE) -> Diagram:
             for position, port in enumerate(block.inputs):
                 d.connect(_input(d, port, position, rate), f"{part}.{port.name}")
             for port in block.outputs:
-                d.output(f"{part}_{port.name}", f"{part}.{port.name}")
+                d.output(f"{part}_{port.name}", flat_output(d, part, port, rate))
                 if rate == BASE and port.kind == "real" and port.width is None:
                     d.add(f"{part}_{port.name}_lag", library.FirstOrder(1.0, 0.01), u=f"{part}.{port.name}")
                     d.output(f"{part}_{port.name}_lagged", f"{part}_{port.name}_lag")
@@ -213,7 +222,29 @@ def add_store(d: Diagram, block: Block, rate: tuple[int, int] = BASE) -> None:
         d.add(block.store, library.DataStore(0, port.kind, port.width), rate=rate)
 
 
+def flat_output(d: Diagram, part: str, port: Port, rate: tuple[int, int] = BASE) -> str:
+    """The source of an output's elements: of a matrix as a vector."""
+    if port.shape is None or port.width is None:
+        return f"{part}.{port.name}"
+    flat = library.Reshape(port.shape, (port.width,), port.kind)
+    return d.add(f"{part}_{port.name}_flat", flat, rate=rate, u=f"{part}.{port.name}")
+
+
+def shaped_input(d: Diagram, source: str, port: Port, rate: tuple[int, int] = BASE) -> str:
+    """A source for `port` from one of its elements: of a matrix from a vector."""
+    if port.shape is None or port.width is None:
+        return source
+    name = f"{source}_{port.shape[0]}x{port.shape[1]}"
+    if name in d.parts:
+        return name
+    return d.add(name, library.Reshape((port.width,), port.shape, port.kind), rate=rate, u=source)
+
+
 def _input(d: Diagram, port: Port, position: int, rate: tuple[int, int]) -> str:
+    return shaped_input(d, _flat_input(d, port, position, rate), port, rate)
+
+
+def _flat_input(d: Diagram, port: Port, position: int, rate: tuple[int, int]) -> str:
     name = f"{port.kind}{port.width or ''}_{position}"
     if name not in d.inputs:
         d.input(name, port.kind, port.width)

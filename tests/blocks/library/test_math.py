@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from tests.blocks.library.harness import assert_close, few, noise, run, run_y
 from twodof.blocks.block import Block
+from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import (
     Abs,
     Atan2,
@@ -24,22 +25,27 @@ from twodof.blocks.library import (
     Hypot,
     Index,
     MatrixGain,
+    MatrixMultiply,
     Maximum,
     Minimum,
     MultiportSwitch,
     Mux,
+    Norm,
     Polynomial,
     Power,
     Product,
     Remainder,
+    Reshape,
     Rounding,
     Selector,
     Sign,
     Sum,
     SumOfElements,
     Switch,
+    Transpose,
     Trigonometry,
 )
+from twodof.blocks.reference import Reference
 from twodof.errors import DiagramError
 
 A, B, C = noise(12, 1), noise(12, 2), noise(12, 3)
@@ -202,3 +208,36 @@ def test_mistakes_in_arguments_are_refused() -> None:
     ):
         with pytest.raises(DiagramError):
             make()
+
+
+def test_products_transposes_norms_and_reshapes_are_those_of_numpy() -> None:
+    a, b = A[:6].reshape(2, 3), B.reshape(3, 4)
+    d = Diagram("algebra")
+    d.input("a", shape=(2, 3))
+    d.input("b", shape=(3, 4))
+    d.add("product", MatrixMultiply([2, 3], [3, 4]), a="a", b="b")
+    d.add("turned", Transpose([2, 4]), u="product")
+    d.add("flat", Reshape([4, 2], [8]), u="turned")
+    d.add("size", Norm([4, 2]), u="turned")
+    for name in d.parts:
+        d.output(name, name)
+    out = Reference(d, 0.1).machine().step({"a": a, "b": b})
+    assert_close(np.array(out["product"]), a @ b)
+    assert_close(np.array(out["turned"]), (a @ b).T)
+    assert_close(np.array(out["flat"]), (a @ b).T.ravel(order="F"))
+    assert_close(np.array(out["size"]), np.array(np.linalg.norm(a @ b)))
+
+
+@pytest.mark.parametrize(
+    ("mistake", "message"),
+    [
+        (lambda: MatrixMultiply([2, 3], [2, 3]), "as many columns"),
+        (lambda: MatrixMultiply([], [2]), "write \\[n\\]"),
+        (lambda: Transpose([2, 0]), "give an integer within 1"),
+        (lambda: Norm(3), "write \\[n\\]"),
+        (lambda: Reshape([2, 3], [5]), "as many elements"),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(mistake: Any, message: str) -> None:
+    with pytest.raises(DiagramError, match=message):
+        mistake()

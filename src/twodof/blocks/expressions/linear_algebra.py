@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.expr import fault, sqrt
-from twodof.blocks.expressions.matrix import flat_of, matrix, shape_of, shape_text
+from twodof.blocks.expressions.arrays import fold, vector
+from twodof.blocks.expressions.expr import Expr, fault, sqrt
+from twodof.blocks.expressions.matrix import UNROLLED, flat_of, matrix, shape_of, shape_text
 
 
 def zeros(*shape: int) -> Any:
@@ -59,7 +59,10 @@ def sum(a: Any) -> Any:
     """a[0] + a[1] + ..., from the left; of a matrix column after column."""
     if not shape_of(a):
         raise fault("sum of a scalar", "give an array")
-    return reduce(lambda total, v: total + v, flat_of(a))
+    flat = flat_of(a)
+    if isinstance(flat, Expr) and len(flat) > UNROLLED:
+        return fold(len(flat) - 1, [flat[0]], lambda i, total: [total + flat[i + 1]])[0]
+    return reduce(lambda total, v: total + v, flat)
 
 
 def norm(a: Any) -> Any:

@@ -93,6 +93,9 @@ def function_block(
 def _param(name: str, default: Any) -> Param:
     """A parameter of the type and width of its default; integers are given as int32(...) or uint32(...)."""
     default = plain_data(default, name)
+    if isinstance(default, list) and default and isinstance(default[0], list) and default[0]:
+        rows = [[_plain(v) for v in row] for row in default]
+        return Param(name, rows, kind_of(default[0][0]), shape=(len(rows), len(rows[0])))
     many = isinstance(default, list)
     kind = kind_of(default[0] if many and default else default)
     plain = [_plain(v) for v in default] if many else _plain(default)

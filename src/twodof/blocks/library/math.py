@@ -6,9 +6,10 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
-from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, matrix, one_of, port_series, reals
+from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, matrix, one_of, port_series, reals, sized
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
+from twodof.blocks.expressions.linear_algebra import norm
 from twodof.errors import DiagramError
 
 __all__ = [
@@ -18,13 +19,16 @@ __all__ = [
     "DotProduct",
     "Gain",
     "MatrixGain",
+    "MatrixMultiply",
     "Maximum",
     "Minimum",
+    "Norm",
     "Polynomial",
     "Product",
     "Sign",
     "Sum",
     "SumOfElements",
+    "Transpose",
 ]
 
 
@@ -156,6 +160,48 @@ class DotProduct(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return dot(self.width, lambda j: u.a[j], lambda j: u.b[j])
+
+
+@library_block("matrix_multiply")
+class MatrixMultiply(Block):
+    """y = a b; `a` and `b` are the shapes, [rows, columns] of a matrix or [n] of a vector, two of which give a number.
+
+    Each element is summed from left to right, from its first product.
+    """
+
+    def __init__(self, a: Sequence[int] = (2, 2), b: Sequence[int] = (2,), unit: str = "") -> None:
+        self.inputs = [sized("a", a, "MatrixMultiply"), sized("b", b, "MatrixMultiply")]
+        if a[-1] != b[0]:
+            raise DiagramError(f"a={a!r:.80}, b={b!r:.80}", "MatrixMultiply", "a has as many columns as b has rows")
+        left = [*a[:-1], *b[1:]]
+        self.outputs = [sized("y", left, "MatrixMultiply", unit=unit) if left else Port("y", unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.a @ u.b
+
+
+@library_block("transpose")
+class Transpose(Block):
+    """The transpose y of the matrix u; `shape` is [rows, columns] of u."""
+
+    def __init__(self, shape: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
+        self.inputs = [sized("u", shape, "Transpose", kind, unit)]
+        self.outputs = [sized("y", list(shape)[::-1], "Transpose", kind, unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u.T
+
+
+@library_block("norm")
+class Norm(Block):
+    """y = the square root of the sum of the squares of u; `shape` is [n] or [rows, columns] of u."""
+
+    def __init__(self, shape: Sequence[int] = (3,), unit: str = "") -> None:
+        self.inputs = [sized("u", shape, "Norm", unit=unit)]
+        self.outputs = [Port("y", unit=unit)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return norm(u.u)
 
 
 @library_block("polynomial")

@@ -7,9 +7,11 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
-from twodof.blocks.elementwise import count, counts, elementwise, port_series
+from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import int32, where
+from twodof.blocks.expressions.matrix import flat_of, shaped
+from twodof.errors import DiagramError
 
 __all__ = [
     "CaseChoice",
@@ -20,6 +22,7 @@ __all__ = [
     "Merge",
     "MultiportSwitch",
     "Mux",
+    "Reshape",
     "Selector",
     "Switch",
 ]
@@ -35,6 +38,25 @@ class Switch(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return elementwise(lambda a, b: where(u.condition, a, b), u.a, u.b)
+
+
+@library_block("reshape")
+class Reshape(Block):
+    """The elements of u as an array of another shape, column after column.
+
+    `shape` is that of u, `to` that of y: [n] of a vector, [rows, columns] of a matrix.
+    """
+
+    def __init__(
+        self, shape: Sequence[int] = (4,), to: Sequence[int] = (2, 2), kind: str = "real", unit: str = ""
+    ) -> None:
+        self.inputs = [sized("u", shape, "Reshape", kind, unit)]
+        self.outputs = [sized("y", to, "Reshape", kind, unit)]
+        if self.inputs[0].width != self.outputs[0].width:
+            raise DiagramError(f"shape={shape!r:.80}, to={to!r:.80}", "Reshape", "both have as many elements")
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return shaped(flat_of(u.u), self.outputs[0].shape)
 
 
 @library_block("multiport_switch")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from html import escape as escape_html
 
 from twodof.blocks.block import Block
-from twodof.blocks.declarations import Port, unknown_name
+from twodof.blocks.declarations import Port, shape, unknown_name
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
@@ -155,9 +155,8 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
 
 
 def _remark(port: Port) -> str:
-    shape = "" if port.kind == "real" and port.width is None else port.kind
-    shape += "" if port.width is None else f"[{port.width}]"
-    return " ".join(([f"[{port.unit}]"] if port.unit else []) + ([shape] if shape else []))
+    kind = "" if port.kind == "real" and port.width is None else shape(port)
+    return " ".join(([f"[{port.unit}]"] if port.unit else []) + ([kind] if kind else []))
 
 
 def _nets(
