@@ -183,8 +183,7 @@ def assertion(text: str) -> Assertion:
     remedy = f"write SIGNAL and one of: {'; '.join(FORMS)}; the first four may end with between T1 and T2"
     if not isinstance(text, str) or len(text) > MAX_TEXT:
         raise DiagramError("this is not an assertion", shown(text), remedy)
-    plain = re.sub(r"\s*([,\[\]])\s*", r"\1", " ".join(text.split())).replace(",", ", ").replace("within[", "within [")
-    plain = re.sub(r"\](?=[a-z])", "] ", plain)
+    plain = _evenly_spaced(text)
     for form, make in _READ:
         found = form.fullmatch(plain)
         if found:
@@ -194,6 +193,12 @@ def assertion(text: str) -> Assertion:
             _check(made, numbers)
             return made
     raise DiagramError("this is not an assertion", shown(text), remedy)
+
+
+def _evenly_spaced(text: str) -> str:
+    """`text` with one blank between words, and none beside brackets but before the band of `within`."""
+    tight = re.sub(r"\s*([,\[\]])\s*", r"\1", " ".join(text.split()))
+    return re.sub(r"\](?=[a-z])", "] ", tight.replace(",", ", ").replace("within[", "within ["))
 
 
 def _number(word: str) -> float:
