@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
-from twodof.blocks import Block, Diagram, Param, Port, State, array_of, fold, real, sqrt
+from tests.compile.linear.linear_diagrams import DT, Smooth, chain, pendulum, same_response
+from twodof.blocks import Block, Diagram, Port, array_of, fold, real
 from twodof.blocks import library as lib
-from twodof.blocks.elementary import functions as f
 from twodof.compile import build
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
@@ -227,39 +226,6 @@ def test_a_sampled_loop_has_the_margins_that_python_control_finds() -> None:
 
 
 # The compiled step
-
-
-class Smooth(Block):
-    """Two states, smooth and coupled, discrete or continuous."""
-
-    inputs = (Port("u"),)
-    outputs = (Port("y"), Port("z"))
-
-    def __init__(self, continuous: bool, seed: int) -> None:
-        r = random.Random(seed)
-        self.k = [r.uniform(-1.0, 1.0) for _ in range(9)]
-        self.params = [Param("p", r.uniform(0.5, 1.5))]
-        self.derived = [Port("double")]
-        start = [r.uniform(-0.5, 0.5) for _ in range(2)]
-        self.states = [State("a", start[0], continuous=continuous), State("b", start[1], continuous=continuous)]
-
-    def prepare(self, p: Any, t: Any) -> Any:
-        return 2.0 * p.p
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        k = self.k
-        return {"y": k[0] * f.sin(x.a) + x.b * x.b, "z": k[1] * f.tanh(u.u + x.a) + sqrt(2.0 + x.b * u.u)}
-
-    def _change(self, u: Any, x: Any, p: Any) -> Any:
-        k = self.k
-        a = k[2] * x.a + f.atan2(x.b + u.u, 2.0 + x.a) * p.double
-        return {"a": a, "b": k[3] * f.exp(k[4] * x.a) - x.b / (1.0 + x.a * x.a) + k[5] * u.u}
-
-    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {} if self.states[0].continuous else self._change(u, x, p)
-
-    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return self._change(u, x, p) if self.states[0].continuous else {}
 
 
 def smooth_diagram(seed: int) -> Diagram:

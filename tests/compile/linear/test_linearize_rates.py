@@ -9,7 +9,7 @@ import control
 import numpy as np
 import pytest
 
-from tests.compile.linear.linear_diagrams import DT, chain, same_response
+from tests.compile.linear.linear_diagrams import DT, Smooth, chain, same_response
 from twodof.blocks import Block, Diagram, Port, State, int32, store, to_int32
 from twodof.blocks import library as lib
 from twodof.compile import build
@@ -95,6 +95,61 @@ def first_tick(d: Diagram, period: int) -> int:
     return max(range(period), key=lambda k: sum(k % r.divider == r.offset for r in rates))
 
 
+def smooth_diagram(seed: int) -> Diagram:
+    """Nonlinear parts at rates 1, 2 and 4, in sub-diagrams of which some are enabled and some reset."""
+    r = random.Random(seed)
+    d = Diagram(f"smooth{seed}")
+    sources = [d.input("u"), d.input("w")]
+    d.input("on", "bool")
+    for i in range(5):
+        divider = r.choice([1, 1, 2, 4])
+        block = Smooth(divider == 1, r.randrange(10**6)) if r.random() < 0.7 else lib.Pid(0.3, 0.2, 0.01, 20.0)
+        inner = Diagram(f"inner{i}")
+        inner.input("v")
+        inner.add("b", block)
+        inner.connect("v", f"b.{block.inputs[0].name}")
+        inner.output("y", f"b.{block.outputs[0].name}")
+        rate = (divider, 0)
+        d.add(f"held{i}", lib.ZeroOrderHold(), rate=rate, u=r.choice(sources))
+        condition = r.choice([{}, {"enable": "on"}, {"reset": "on"}, {"enable": "on", "disabled": "reset"}])
+        d.add(f"s{i}", inner, rate=rate, v=f"held{i}", **condition)
+        sources.append(f"s{i}.y")
+        d.output(f"y{i}", sources[-1])
+    return d
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(2, 30))])
+def test_over_a_period_each_column_is_a_difference_of_the_compiled_steps(seed: int) -> None:
+    """The slopes change from tick to tick as the point moves: states after a period, outputs at its start."""
+    d = smooth_diagram(seed)
+    at = {"u": 0.2, "w": -0.3, "on": seed % 2 == 1}
+    model = linearize(d, DT, at=at, time="discrete", keep_all=True)
+    assert model.dt is not None
+    machine = build(d, DT).machine()
+    kept = [n for n in model.states if "held" not in n]
+    rows = [model.states.index(n) for n in kept]
+
+    def after(name: str, shift: float) -> tuple[Any, Any]:
+        machine.reset()
+        inputs = dict(at)
+        if name in inputs:
+            inputs[name] += shift
+        else:
+            machine.set_state(name, machine.state(name) + shift)
+        y = machine.step(inputs)
+        for _ in range(round(model.dt / DT) - 1):
+            machine.step(inputs)
+        return np.array([machine.state(n) for n in kept]), np.array([y[n] for n in model.outputs])
+
+    h = 1e-5  # errors: third derivatives times h^2 and roundings 1e-16 / h, both near 1e-10
+    for to_x, to_y, names in ((model.a, model.c, model.states), (model.b, model.d, model.inputs)):
+        for j, name in enumerate(names):
+            if name in kept or name in at:
+                up, down = after(name, h), after(name, -h)
+                np.testing.assert_allclose(to_x[rows, j], (up[0] - down[0]) / (2 * h), atol=1e-7)
+                np.testing.assert_allclose(to_y[:, j], (up[1] - down[1]) / (2 * h), atol=1e-7)
+
+
 def test_what_holds_over_the_start_of_a_period_is_a_state() -> None:
     d = Diagram("offset")
     d.input("u")
@@ -104,6 +159,7 @@ def test_what_holds_over_the_start_of_a_period_is_a_state() -> None:
     d.output("y", "now")
     model = linearize(d, DT)
     assert model.states == ("now.s[0]", "first.y (held)")
+    assert model.to_control().nstates == 2
     # At the even tick y = s + h, s' = s/2 + h/2; at the odd one h' = u.
     np.testing.assert_array_equal(model.a, [[0.5, 0.5], [0.0, 0.0]])
     np.testing.assert_array_equal(model.b, [[0.0], [1.0]])
