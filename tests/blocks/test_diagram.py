@@ -74,6 +74,25 @@ def test_a_block_without_such_an_input_says_what_is_possible() -> None:
         d.add("gain", Gain(), reset="u")
 
 
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"enabling": "afresh"}, "enabling='afresh' .use one of keep, restart"),
+        ({"disabled": "zero"}, "disabled='zero' .use one of hold, reset"),
+        ({"trigger": "u", "edge": "up"}, "edge='up' .use one of rising, falling, either"),
+        ({"edge": "falling"}, "edge='falling' without a trigger"),
+    ],
+)
+def test_a_condition_that_is_none_is_refused(options: dict[str, str], what: str) -> None:
+    d = Diagram("d")
+    d.input("u", "bool")
+    with pytest.raises(DiagramError, match=what):
+        d.add("part", Diagram("part"), **options)
+    with pytest.raises(DiagramError, match="a block cannot be restarted"):
+        d.add("gain", Gain(), u="u", enabling="restart")
+    assert not d.parts
+
+
 def test_rates_that_multiply_without_end_are_refused() -> None:
     """Beyond the tick's 2^32 a block runs once; only where no number holds the period any more is the end."""
 

@@ -165,33 +165,6 @@ class Diagram:
                 raise DiagramError(
                     f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
                 )
-        for argument, source in zip(CONDITIONS, (enable, reset, trigger), strict=True):
-            if source is None:
-                continue
-            if isinstance(item, Block):
-                raise DiagramError(
-                    f"a block cannot be {_PAST[argument]}",
-                    path,
-                    _as_input(item, argument, source) or "put it into a sub-diagram",
-                )
-            if inputs is None and argument in item.inputs:
-                raise DiagramError(
-                    f"{argument}= is both an input of the sub-diagram and what makes it {argument}",
-                    path,
-                    f"{_as_input(item, argument, source)}; with inputs={{...}}, {argument}= means the condition",
-                )
-        if disabled not in ("hold", "reset"):
-            raise DiagramError(
-                f"disabled={shown(disabled)}", path, _as_input(item, "disabled", disabled) or 'use "hold" or "reset"'
-            )
-        for argument, choice, choices in (("enabling", enabling, ("keep", "restart")), ("edge", edge, EDGES)):
-            if choice not in choices:
-                remedy = _as_input(item, argument, choice) or f"use one of {', '.join(choices)}"
-                raise DiagramError(f"{argument}={shown(choice)}", path, remedy)
-        if edge != "rising" and trigger is None:
-            raise DiagramError(f"edge={shown(edge)} without a trigger", path, "give trigger= too")
-        if enabling == "restart" and isinstance(item, Block):
-            raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
         for output in initial or {}:
             if output not in port_names(item, "output"):
                 there = nearest(output, port_names(item, "output"))
@@ -206,9 +179,11 @@ class Diagram:
         divider, offset = _pair(rate, path, "rate")
         checked = Rate(divider, offset).check(path)
         place = None if position is None else _pair(position, path, "position")
-        self.parts[name] = Part(
+        part = Part(
             name, item, checked, dict(params or {}), enable, reset, trigger, edge, disabled, enabling, held, place
         )
+        _check_conditions(part, path, by_keyword=inputs is None)
+        self.parts[name] = part
         for port, source in {**(inputs or {}), **ports}.items():
             self.connect(source, f"{name}.{port}")
         return name
@@ -267,6 +242,33 @@ def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
 
 
 _PAST = {"enable": "enabled", "reset": "reset", "trigger": "triggered"}
+_CHOICES = {"disabled": ("hold", "reset"), "enabling": ("keep", "restart"), "edge": EDGES}
+
+
+def _check_conditions(part: Part, path: str, by_keyword: bool) -> None:
+    """Raise DiagramError for conditions that a part cannot have; `by_keyword`: all its inputs were given so."""
+    for argument in CONDITIONS:
+        source = getattr(part, argument)
+        if source is None:
+            continue
+        as_input = _as_input(part.item, argument, source)
+        if isinstance(part.item, Block):
+            raise DiagramError(f"a block cannot be {_PAST[argument]}", path, as_input or "put it into a sub-diagram")
+        if by_keyword and argument in part.item.inputs:
+            raise DiagramError(
+                f"{argument}= is both an input of the sub-diagram and what makes it {_PAST[argument]}",
+                path,
+                f"{as_input}; with inputs={{...}}, {argument}= means the condition",
+            )
+    for argument, choices in _CHOICES.items():
+        choice = getattr(part, argument)
+        if choice not in choices:
+            remedy = _as_input(part.item, argument, choice) or f"use one of {', '.join(choices)}"
+            raise DiagramError(f"{argument}={shown(choice)}", path, remedy)
+    if part.edge != "rising" and part.trigger is None:
+        raise DiagramError(f"edge={shown(part.edge)} without a trigger", path, "give trigger= too")
+    if part.enabling == "restart" and isinstance(part.item, Block):
+        raise DiagramError("a block cannot be restarted", path, "put it into a sub-diagram")
 
 
 def _as_input(item: Block | Diagram, name: str, source: str) -> str:

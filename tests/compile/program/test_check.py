@@ -122,6 +122,22 @@ def test_sizes_and_feed_through_of_a_small_diagram() -> None:
     assert ("alone", "nothing reads its outputs: it is left out") in said
 
 
+def test_what_the_language_adds_for_conditions_is_not_counted_as_blocks() -> None:
+    part = Diagram("part")
+    part.add("sum", lib.Constant(1.0))
+    part.output("y", "sum")
+    d = Diagram("d")
+    d.input("on", "bool")
+    d.add("part", part, enable="on", trigger="on", enabling="restart")
+    d.output("y", "part")
+    found = check(d, DT)
+    assert found.sizes is not None
+    assert found.sizes.blocks == 1
+    assert found.sizes.discrete_states == 3  # enabled before; what the trigger was, and whether it was looked at
+    assert not found.remarks
+    assert found.feedthrough == {"y": ("on",)}
+
+
 def test_defaults_that_divide_by_zero_are_remarked() -> None:
     class Reciprocal(Block):
         inputs = (Port("u"),)
