@@ -128,10 +128,10 @@ def test_readme_code_runs(tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
-def test_the_code_of_the_page_on_testing_runs(tmp_path: Path) -> None:
-    blocks = re.findall(
-        r"```python\n(.*?)```", (PROJECT / "docs" / "how-to" / "test-a-diagram.md").read_text(), flags=re.DOTALL
-    )
+@pytest.mark.parametrize("name", ["test-a-diagram", "come-from-simulink"])
+def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
+    page = PROJECT / "docs" / "how-to" / f"{name}.md"
+    blocks = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
     assert blocks
     script = tmp_path / "page.py"
     script.write_text("\n".join(blocks))
