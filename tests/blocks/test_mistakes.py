@@ -170,6 +170,23 @@ def test_what_edges_returns_is_checked(case: str) -> None:
         assert_told(text, "part.block, ", "edges", line_of(written), words)
 
 
+MATRICES: dict[str, tuple[Written, str]] = {
+    "a ufunc of numpy": (lambda self, u, x, p, t: np.sin(u.M)[0, 0], "function of numpy"),
+    "np.linalg.norm": (lambda self, u, x, p, t: np.linalg.norm(u.M), r"np\.linalg\.norm.*norm.*@ for products"),
+    "np.array": (lambda self, u, x, p, t: np.array(u.M)[0, 0], "array of numpy"),
+    "an element assigned": (lambda self, u, x, p, t: u.M.__setitem__((0, 0), 1.0), r"store\(a, i, value\).*matrix"),
+    "a method of arrays": (lambda self, u, x, p, t: u.M.sum(), "recorded values.*'sum'"),
+}
+
+
+@pytest.mark.parametrize("case", MATRICES)
+def test_a_mistake_with_a_matrix_is_told_as_with_a_number(case: str) -> None:
+    written, words = MATRICES[case]
+    with pytest.raises(DiagramError) as caught:
+        _ = mine("output", written, inputs=(Port("M", shape=(2, 2)),))().trace
+    assert_told(str(caught.value), "", "output", line_of(written), words)
+
+
 def unready(self: Any, u: Any, x: Any, p: Any, t: Any) -> Any:
     if type(u.u) is np.float64:
         return {1.0: u.u}[u.u]  # here

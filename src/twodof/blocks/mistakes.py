@@ -13,10 +13,12 @@ from typing import Any
 
 from twodof.blocks.declarations import Declared
 from twodof.blocks.expressions.expr import Expr, recording
+from twodof.blocks.expressions.matrix import Matrix
 from twodof.errors import DiagramError
 
 OWN = "twodof"  # the package whose blocks are tested, not guarded
 _NOT_THE_USERS = sys.stdlib_module_names | {"numpy", "scipy"}
+_RECORDED = (Expr.__name__, Matrix.__name__)  # as Python's own errors name them
 ARGUMENTS = {"prepare": "self, p, t"}  # of the methods; all others take what `output` takes
 HIDDEN = "let it depend on u, x, p and t alone: keep what changes in a state, and set attributes in __init__"
 
@@ -66,7 +68,7 @@ def _told(error: Exception) -> tuple[str, str]:
     if isinstance(error, DiagramError):
         return error.what, error.remedy
     text = f"{type(error).__name__}: {error!s:.300}".removesuffix(": ")
-    recorded = isinstance(error, (TypeError, AttributeError)) and Expr.__name__ in str(error)
+    recorded = isinstance(error, (TypeError, AttributeError)) and any(name in str(error) for name in _RECORDED)
     if recorded and "ufunc" in str(error):
         return (
             "a function of numpy is applied to a recorded value",

@@ -22,6 +22,7 @@ from twodof.blocks.expressions.recording import fault as fault
 from twodof.blocks.expressions.recording import noting_lines as noting_lines
 from twodof.blocks.expressions.recording import recording as recording
 from twodof.blocks.expressions.recording import tracing as tracing
+from twodof.blocks.expressions.refusals import Refusals
 from twodof.errors import DiagramError
 
 KINDS = ("real", "int32", "uint32", "bool")
@@ -36,16 +37,7 @@ def _operator(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], 
     return lambda self, other: _binary(op, self, other), lambda self, other: _binary(op, other, self)
 
 
-def _refused(what: str, remedy: str) -> Callable[..., Never]:
-    """A method that Python or numpy calls for something that recorded values do not do."""
-
-    def method(*_: Any, **__: Any) -> Never:
-        raise fault(what, remedy)
-
-    return method
-
-
-class Expr:
+class Expr(Refusals):
     """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
 
     `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
@@ -53,7 +45,6 @@ class Expr:
     """
 
     __slots__ = ("__weakref__", "args", "data", "kind", "loops", "op", "width")
-    __array_ufunc__ = None  # numpy must not make object arrays of these
 
     op: str
     kind: str
@@ -161,21 +152,6 @@ class Expr:
         raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
-    __setitem__ = _refused("an element of an array is assigned", "arrays do not change: write a = store(a, i, value)")
-    __delitem__ = _refused("an element of an array is deleted", "arrays have a fixed length: make another with vector")
-    __round__ = _refused("round() does not work on recorded values", "write floor(x + 0.5)")
-    __floor__ = _refused("math.floor() does not work on recorded values", "use floor of twodof.blocks")
-    __ceil__ = _refused("math.ceil() does not work on recorded values", "use ceil of twodof.blocks")
-    __trunc__ = _refused("math.trunc() does not work on recorded values", "use trunc of twodof.blocks")
-    __divmod__ = _refused("divmod() does not work on recorded values", "write a // b and a % b (integers)")
-    __rdivmod__ = __divmod__
-    __array__ = _refused("a recorded value does not fit into an array of numpy", "make an array with vector([...])")
-
-    def __array_function__(self, function: Callable[..., Any], *_: Any) -> Never:
-        raise fault(
-            f"np.{function.__name__} does not work on recorded values",
-            "use the functions of twodof.blocks, such as where, minimum and vector, and fold for sums",
-        )
 
     def __neg__(self) -> Any:
         return _unary("neg", self)

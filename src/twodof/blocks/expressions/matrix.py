@@ -17,6 +17,7 @@ from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.arrays import array_of, fold, vector
 from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum, minimum, position, traced
 from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.expressions.refusals import Refusals
 
 UNROLLED = 64  # products of a matrix product, or elements of an array, that are written out; more are a loop
 LONGEST_SUM = 32  # terms of one element of a product that are written out; more are a loop within the loop
@@ -25,7 +26,7 @@ Shape = tuple[int, ...]
 """() of a scalar, (n,) of a vector, (rows, columns) of a matrix."""
 
 
-class Matrix(ArrayOperators):
+class Matrix(Refusals, ArrayOperators):
     """A matrix of `shape` (rows, columns) over the array `flat`, which holds column after column.
 
     `m[i, j]` is an element, `m[i]` a row, `m[:, j]` a column, `m[0:2, 1:3]` a part. It counts and iterates over rows.
