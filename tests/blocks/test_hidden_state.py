@@ -210,7 +210,10 @@ COMPUTED: dict[str, tuple[Written, str]] = {
     "a count that shows late": (rare, r"output gives 'y' = -?\d\.0 now, and -?\d\.0 as it was traced"),
     "a look at the type": (looked, r"output gives 'y' = 2\.0 now, and 1\.0 as it was traced"),
     "an error swallowed": (swallowed, r"output gives 'y' = -0\.0 now, and 0\.0 as it was traced"),
-    "a value kept from tracing": (kept, "a real is expected and input:u:real of type Expr is given"),
+    "a value kept from tracing": (
+        kept,
+        "gives a value that it kept from when it was traced.*keep what changes in a state",
+    ),
     "equal keys that are not the same": (
         lambda self, u, x, p, t: cached(u.u),
         "output gives 'y' = -?inf now, and -?inf",

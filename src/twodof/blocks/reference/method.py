@@ -10,6 +10,7 @@ import numpy as np
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port, State, numeric
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
@@ -61,6 +62,9 @@ class BlockMethod:
         try:
             return numeric(value, kind, width, "", self._matrices.get(name))
         except DiagramError as error:
+            if isinstance(value, Expr):
+                what = f"{self.name} gives a value that it kept from when it was traced"
+                raise DiagramError(what, self.where(), HIDDEN) from error
             raise DiagramError(error.what, self.where(), error.remedy) from error
 
     def where(self) -> str:
