@@ -24,9 +24,12 @@ from twodof.blocks import (
     cross,
     eye,
     matrix,
+    maximum,
     norm,
+    outer,
     sum,
     vector,
+    where,
 )
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
@@ -351,3 +354,97 @@ def test_a_file_of_a_stranger_counts_the_elements_of_matrices() -> None:
         form["diagram"]["inputs"][0]["shape"] = shape
         with pytest.raises(DiagramError, match=message):
             from_json(json.dumps(form))
+
+
+LARGEST = 100  # elements of an array of random algebra
+
+
+class RandomAlgebra(Block):
+    """Random operations on vectors and matrices of random shapes; every result is an output."""
+
+    def __init__(self, seed: int, operations: int) -> None:
+        self.seed, self.operations = seed, operations
+        rng = np.random.default_rng(seed)
+        sizes = [int(n) for n in rng.choice([1, 2, 3, 5, 9, 13], 3)]
+        self.inputs = [Port(f"m{i}{j}", shape=(a, b)) for i, a in enumerate(sizes) for j, b in enumerate(sizes)]
+        self.inputs += [Port(f"v{i}", width=n) for i, n in enumerate(sizes)]
+        self.states = [State("x", 0.5, shape=(sizes[0], sizes[1]))]
+        self.outputs = [Port(f"y{k}") for k in range(operations)] + [Port("last", width=sizes[0])]
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        rng = np.random.default_rng(self.seed + 1)
+        pool: list[Any] = [u[port.name] for port in self.inputs] + [x.x]
+
+        def any_of(fits: Any) -> Any:
+            found = [a for a in pool if fits(a.shape)]
+            return found[int(rng.integers(len(found)))]
+
+        numbers: dict[str, Any] = {}
+        for k in range(self.operations):
+            a = any_of(lambda shape: True)
+            match int(rng.integers(9)):
+                case 0:
+                    made = a @ any_of(lambda shape, n=a.shape[-1]: shape[0] == n)
+                case 1:
+                    made = a.T
+                case 2:
+                    made = a[::-1]
+                case 3:
+                    made = where(a < any_of(lambda shape, s=a.shape: shape == s), a, -a)
+                case 4:
+                    made = a / (1.0 + norm(a))
+                case 5:
+                    made = a[-1] if len(a.shape) == 2 else a[0:1]
+                case 6:
+                    made = a[:, 0] if len(a.shape) == 2 else outer(a, any_of(lambda shape: len(shape) == 1))
+                case 7:
+                    made = maximum(a * 0.5, any_of(lambda shape, s=a.shape: shape == s) - 0.1)
+                case _:
+                    made = concatenate([a, any_of(lambda shape, s=a.shape: shape == s)])
+            if np.prod(made.shape) > LARGEST:
+                made = a
+            if made.shape == ():
+                made = vector([made, 1.0])
+            pool.append(made)
+            numbers[f"y{k}"] = sum(made)
+        return numbers | {"last": any_of(lambda shape: shape == (self.outputs[-1].width,))}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"x": 0.9 * x.x + u[self.inputs[1].name]}
+
+
+def algebra(seed: int, operations: int) -> Diagram:
+    d, block = Diagram("algebra"), RandomAlgebra(seed, operations)
+    for port in block.inputs:
+        d.input(port.name, width=port.width if port.shape is None else None, shape=port.shape)
+    d.add("block", block, inputs={port.name: port.name for port in block.inputs})
+    for port in block.outputs:
+        d.output(port.name, f"block.{port.name}")
+    return d
+
+
+def same_everywhere(seed: int, operations: int, precision: str, targets: tuple[str, ...]) -> None:
+    d = algebra(seed, operations)
+    rng = np.random.default_rng(seed)
+    given = {n: rng.normal(size=(4, *(p.shape or (p.width,)))) for n, p in d.inputs.items()}
+    expected = Reference(d, 0.1, precision).machine().run(4, given)
+    for target in targets:
+        if target == "lanes":
+            lanes = build_lanes(d, 0.1, 2, precision, optimise="-O0").machine().run(4, given)
+            found = {name: values[:, 1] for name, values in lanes.items()}
+        else:
+            found = build(d, 0.1, precision, target=target, optimise="-O1").machine().run(4, given)
+        for name, values in expected.items():
+            assert np.array_equal(found[name], values, equal_nan=True), (seed, target, name)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_random_algebra_gives_the_references_bits(precision: str) -> None:
+    same_everywhere(PRECISIONS.index(precision), 8, precision, ("native",))
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(2, 40))
+def test_much_random_algebra_gives_the_references_bits(seed: int) -> None:
+    need("qemu-system-arm", "arm-none-eabi-gcc")
+    same_everywhere(seed, 20, PRECISIONS[seed % 2], ("native", "lanes", "wasm", "cortex-m7"))
