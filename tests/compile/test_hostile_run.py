@@ -87,7 +87,7 @@ def test_a_constant_index_is_clamped_where_the_array_is_written_out() -> None:
 
 
 def test_a_million_operations_run_within_their_fuel() -> None:
-    machine = build(from_json(loops([340, 340])), DT, target="wasm").machine()
+    machine = build(from_json(loops([310, 310])), DT, target="wasm").machine()
     assert machine.step({"u": 1.0})["y"] > 0.0
 
 

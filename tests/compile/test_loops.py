@@ -92,7 +92,9 @@ class Loops(Block):
             steady = array_of(3, lambda j: sin(x.a[j]) * u.u)  # the same at each turn of both loops
             turning = array_of(3, lambda j: steady[j] + to_real(i))  # another at each turn of the outer one
             both = fold(3, [u.u], lambda j, s: [s + turning[j] * array_of(2, lambda k: turning[k + i])[j - 1]])[0]
-            return both + sin(to_real(i) * u.u) + steady[u.k]
+            counted = fold(3, [u.u], lambda j, s: [s - turning[(i * 2 - j + 7) // 2 % 3]])[0]
+            wrapped = fold(3, [u.u], lambda j, s: [s - turning[(j - i) // 2] + steady[(i - 3) % 2]])[0]
+            return both + sin(to_real(i) * u.u) + steady[u.k] + counted + wrapped
 
         def turn(i: Any, first: Any, second: Any) -> list[Any]:
             kept = array_of(3, lambda j: x.a[j] * 0.5)
