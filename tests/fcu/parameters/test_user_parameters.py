@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.fcu.parameters.tuned import ALL, KIND, Numbers, tuned, with_names
+from tests.fcu.parameters.tuned import ALL, KIND, Law, Numbers, tuned, with_inputs, with_names
+from twodof.blocks import Param
+from twodof.blocks.reference import Reference
 from twodof.compile.px4 import make_module
 from twodof.compile.px4.parameters import MOST
 from twodof.fcu.control.flight_code import FlightCode
@@ -18,6 +20,7 @@ from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.table import wire_rows
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.starters import STARTERS, starter
+from twodof.flight.templates import ATTITUDE
 
 NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,30}", fullmatch=True)
 DIAGRAMS = st.sampled_from(["mine", "a", "TH", "thrust_bar", "x_y"])
@@ -135,3 +138,24 @@ def test_a_bound_that_no_float32_holds_is_reached_and_not_passed() -> None:
         flying = code.parameter(f"{KIND}.share")
         assert flying == pytest.approx(reached, rel=1e-7)
         assert 1 / 3 <= flying <= 2 / 3
+
+
+class Weighted(Law):
+    """The law of `tuned`, with a matrix among its parameters."""
+
+    params = (*Law.params, Param("Q", [[1.0, 2.0, 3.0], [4.0, 5.0, 0.1]], shape=(2, 3)))
+
+
+def test_the_elements_of_a_matrix_stand_as_in_memory_and_fly_as_rows() -> None:
+    d = with_inputs("mine", ATTITUDE)
+    d.add("law", Weighted(), inputs={port.name: port.name for port in ATTITUDE.inputs})
+    d.output("M", "law.M")
+    (own,) = user_parameters([d])
+    rows = [row for row in own.rows if ".Q" in (row.user_path or "")]
+    assert [np.float32(row.default) for row in rows] == [np.float32(v) for v in (1, 4, 2, 5, 3, 0.1)]
+    values = {row.name: row.default for row in own.rows} | {rows[1].name: 40.0}
+    (flying,) = (value for path, value in own.flying(values).items() if path.endswith(".Q"))
+    assert flying == [[1.0, 2.0, 3.0], [40.0, 5.0, 0.1]]
+    machine = Reference(d, 0.004).machine()
+    machine.set("law.Q", flying)
+    assert machine.get("law.Q") == flying

@@ -124,7 +124,7 @@ def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[Ke
     kept: list[KeptParameter] = []
     for path, parameter in program.parameters.items():
         d = parameter.declared
-        values = [float(v) for v in np.ravel(np.asarray(d.value))]
+        values = [float(v) for v in np.ravel(np.asarray(d.value), order="F")]
         if d.width is not None and d.width > WIDEST:
             kept.append(KeptParameter(path, f"an array of {d.width} elements; up to {WIDEST} are shown"))
         elif d.kind == "real" and not all(math.isfinite(float32(v)) for v in values):
@@ -144,7 +144,7 @@ def float32(value: float) -> float:
 
 def _row(program: FlatProgram, name: str, path: str, index: int | None) -> ExportedParameter:
     d = program.parameters[path].declared
-    value = np.ravel(np.asarray(d.value))
+    value = np.ravel(np.asarray(d.value), order="F")
     default = float(value[0 if index is None or len(value) == 1 else index])
     if d.kind == "real":
         low, high = max(float32(d.low), -LARGEST_FLOAT), min(float32(d.high), LARGEST_FLOAT)

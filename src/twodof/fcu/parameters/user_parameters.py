@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks import Diagram, Param
+from twodof.blocks.declarations import rows_of
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names
@@ -47,12 +48,12 @@ class UserParameters:
         """What is to fly, by path (`attitude_control.k_q`): numbers, lists for arrays; `values` by the rows' names."""
         flying: dict[str, Any] = {}
         for path, (declared, rows) in self._elements.items():
-            defaults = np.ravel(np.asarray(declared.value)).tolist()
+            defaults = np.ravel(np.asarray(declared.value), order="F").tolist()
             numbers = [
                 _exact(declared, row, values[row.name], defaults[place if len(defaults) > 1 else 0])
                 for place, row in enumerate(rows)
             ]
-            flying[path] = numbers[0] if declared.width is None else numbers
+            flying[path] = numbers[0] if declared.width is None else rows_of(numbers, declared.shape)
         return flying
 
 
