@@ -19,7 +19,7 @@ from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum,
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.expressions.refusals import Refusals
 
-UNROLLED = 64  # products of a matrix product, or elements of an array, that are written out; more are a loop
+UNROLLED = 16  # elements of an array, or products of a matrix product, that are written out; more are a loop
 LONGEST_SUM = 32  # terms of one element of a product that are written out; more are a loop within the loop
 
 Shape = tuple[int, ...]
