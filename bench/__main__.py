@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.computing import closed_loop, cortex_m7, greybox, lanes, start_up, targets
+from bench.computing import closed_loop, cortex_m7, greybox, lanes, matrices, start_up, targets
 from bench.measure import Figure, machine
 from bench.stack import companion, flight_stack, kill_latency, link
 from twodof.flightlog.atomic import atomic_write
@@ -28,6 +28,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "kill_latency": kill_latency.run,
     "lanes": lanes.run,
     "link": link.run,
+    "matrices": matrices.run,
     "start_up": start_up.run,
     "targets": targets.run,
 }

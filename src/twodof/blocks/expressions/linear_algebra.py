@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from functools import reduce
 from typing import Any
 
-from twodof.blocks.expressions.arrays import fold, vector
+from twodof.blocks.expressions.arrays import array_of, fold, vector
 from twodof.blocks.expressions.expr import Expr, fault, sqrt
-from twodof.blocks.expressions.matrix import UNROLLED, flat_of, matrix, shape_of, shape_text
+from twodof.blocks.expressions.matrix import WRITTEN, Matrix, flat_of, matrix, shape_of, shape_text
 
 
 def zeros(*shape: int) -> Any:
@@ -45,6 +45,9 @@ def concatenate(arrays: Sequence[Any], axis: int = 0) -> Any:
 
 def outer(a: Any, b: Any) -> Any:
     """The matrix of a[i] * b[j]."""
+    rows, columns = len(a), len(b)
+    if isinstance(a, Expr) and isinstance(b, Expr) and rows * columns > WRITTEN:
+        return Matrix(array_of(columns, lambda j: array_of(rows, lambda i: a[i] * b[j])), (rows, columns))
     return matrix([[left * right for right in b] for left in a])
 
 
@@ -60,7 +63,7 @@ def sum(a: Any) -> Any:
     if not shape_of(a):
         raise fault("sum of a scalar", "give an array")
     flat = flat_of(a)
-    if isinstance(flat, Expr) and len(flat) > UNROLLED:
+    if isinstance(flat, Expr) and len(flat) > WRITTEN:
         return fold(len(flat) - 1, [flat[0]], lambda i, total: [total + flat[i + 1]])[0]
     return reduce(lambda total, v: total + v, flat)
 

@@ -19,7 +19,8 @@ from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum,
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.expressions.refusals import Refusals
 
-UNROLLED = 16  # elements of an array, or products of a matrix product, that are written out; more are a loop
+UNROLLED = 16  # products of a matrix product that are written out; more are a loop
+WRITTEN = 4  # elements of another array that are written out; more are a loop, which compilers vectorise
 LONGEST_SUM = 32  # terms of one element of a product that are written out; more are a loop within the loop
 
 Shape = tuple[int, ...]
@@ -42,7 +43,7 @@ class Matrix(Refusals, ArrayOperators):
     def T(self) -> Any:
         """The transpose."""
         rows, columns = self.shape
-        if rows * columns <= UNROLLED or isinstance(self.flat, (Vector, list)):
+        if rows * columns <= WRITTEN or isinstance(self.flat, (Vector, list)):
             flat = _gather(self.flat, [i + j * rows for i in range(rows) for j in range(columns)])
         else:
             flat = array_of(rows, lambda i: array_of(columns, lambda j: self.flat[i + j * rows]))
@@ -155,7 +156,7 @@ def spread(f: Callable[..., Any], *values: Any) -> Any:
     parts = [(flat_of(v), bool(shape_of(v))) for v in operands]
     # In a loop each operand must be one array: literals and numbers are written out.
     written = any(isinstance(flat, (list, Vector)) for flat, array in parts if array)
-    if written or length <= UNROLLED:
+    if written or length <= WRITTEN:
         flat = vector([f(*(_pick(v, k) if array else v for v, array in parts)) for k in range(length)])
     else:
         flat = array_of(length, lambda i: f(*(v[i] if array else v for v, array in parts)))

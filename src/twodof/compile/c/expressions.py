@@ -192,7 +192,7 @@ class Renderer:
             made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
             if made is None:
                 made = self._expression(item, args)
-                trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0])
+                trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0]) or self._counts(item)
                 shared = uses[id(item)] > 1 or id(item) in before
                 if not trivial and (shared or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
                     name = self.names.numbered(f"{self.stem}_t")
@@ -202,6 +202,10 @@ class Renderer:
                 self._name(item, made)
             texts[id(item)] = made
         return [texts[id(r)] for r in roots]
+
+    def _counts(self, item: Expr) -> bool:
+        """Whether it is an index of loop counters: it stands where it is used, as by hand."""
+        return item.op in PLAIN and item.kind == "int32" and index_range(item, self.limits) is not None
 
     def _order(self, roots: Iterable[Expr]) -> list[Expr]:
         order: list[Expr] = []
