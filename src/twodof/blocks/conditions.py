@@ -40,7 +40,7 @@ class EnabledAgain(Block):
 
 
 class TriggerEdge(Block):
-    """y is true in the sample in which u has an edge. The first sample has none: what u was before is not known."""
+    """y is true in the sample in which u has an edge. The first sample does not: what u was before is not known."""
 
     crossing = True
 

@@ -150,14 +150,14 @@ class Diagram:
         """Add a part and connect its inputs by keyword (`u="source"`); returns its name.
 
         `inputs` connects too: {"reset": "source"} is an input that has the name of one of these arguments.
-        Raises DiagramError for what is neither a block nor a diagram, and for a name that is taken or illegal. It also
+        Raises DiagramError for an item that is not a block or diagram, and for a name that is taken or illegal. It also
         does so for a rate that is not two whole numbers, divider >= 1 and offset in [0, divider).
         """
         self._new(name)
         path = f"{self.name}.{name}"
         if not isinstance(item, (Block, Diagram)):
             remedy = "call the class: Gain() is a block" if isinstance(item, type) else "see function_block"
-            raise DiagramError(f"{shown(item)} is neither a block nor a diagram", path, remedy)
+            raise DiagramError(f"{shown(item)} is not a block or a diagram", path, remedy)
         if isinstance(item, Block):
             check_lists(item, path)
         for argument, value in (("rate", rate), ("params", params), ("initial", initial), ("position", position)):

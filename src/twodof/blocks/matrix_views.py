@@ -15,7 +15,7 @@ def matrices(*declared: Iterable[Port | State | Param]) -> dict[str, tuple[int, 
 
 
 def with_matrices(view: View, shapes: Mapping[str, tuple[int, int]]) -> View:
-    """A view (Inputs, States, Parameters) with its matrices as such; `view` itself if it has none."""
+    """A view (Inputs, States, Parameters) with its matrices as such; `view` itself without matrices."""
     if not shapes:
         return view
     values: dict[str, Any] = vars(view)

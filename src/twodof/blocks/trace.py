@@ -104,7 +104,7 @@ def trace_of(block: Declared) -> Trace:
 
 
 def called(block: Declared, method: str, *arguments: Any) -> Any:
-    """What a method returns. Raises DiagramError, which names the user's line, for whatever the method raises."""
+    """What a method returns. Raises DiagramError, which names the user's line, for each error in it."""
     try:
         return getattr(block, method)(*arguments)
     except Exception as error:
@@ -155,7 +155,7 @@ def by_method(trace: Trace) -> MethodGraphs:
 
 
 def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any, sight: Sight | None = None) -> list[Any]:
-    """Recorded expressions on the values of a step: the judge of a block's methods, and all that a TracedBlock has.
+    """Recorded expressions on the values of a step: the judge of a block's methods, and what a TracedBlock consists of.
 
     `sight` is shown what is computed, as `evaluate` does.
     """

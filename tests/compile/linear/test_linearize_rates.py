@@ -197,7 +197,7 @@ class Recorder(Block):
 
 
 def test_an_index_that_never_comes_round_is_named_and_holding_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Held, nothing that is written would be read: B was 0 without a word."""
+    """If it is held, what is written is never read: B was 0 without a word."""
     monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
     with pytest.raises(DiagramError, match=r"count do not stay or come round.*depends on them: y \(let count come"):
         linearize(chain(Recorder()), DT)

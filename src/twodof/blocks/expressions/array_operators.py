@@ -1,4 +1,4 @@
-"""The operators that arrays have, whatever their elements are: numbers, or nodes of a graph."""
+"""The operators of arrays of numbers and of arrays of nodes."""
 
 import operator
 from collections.abc import Callable

@@ -33,8 +33,8 @@ class ExpressionCost:
 class CostMeter:
     """Measures graphs; those of one meter may share loops, which are then measured once.
 
-    A body that two loops share is compiled and computed in each of them, but for what the loop does not change: that is
-    computed once before it. So a few hundred nested loops can stand for more operations than there are atoms. The
+    A body that two loops share is compiled and computed in each of them. What a loop does not change is computed once,
+    before it. So a few hundred nested loops can stand for more operations than there are atoms. The
     numbers grow so fast only for nested loops, whose depth is bounded.
     """
 

@@ -58,8 +58,8 @@ class Integrator(Block):
 class ResetLatch(Block):
     """When a ResetIntegrator starts afresh (`start`), and from what (`x0`): held while the step is integrated.
 
-    It does so in its first sample and, with `reset` "level", while the bool `clear` is true, with "rising", "falling"
-    or "either" at the edges of `clear`, of which the first sample has none. x0 is `initial`, or with
+    It does so in its first sample. With `reset` "level" it also does while the bool `clear` is true, and with "rising",
+    "falling" or "either" at the edges of `clear`; the first sample is not an edge. x0 is `initial`, or with
     initial="input" the input `x0`. `resettable_integrator` (module `twodof.blocks.resettable_integrator`) connects the
     two.
     """

@@ -240,7 +240,7 @@ class DataStore(Block):
 
     Its input is fed by the one StoreWrite of its name, or by a connection. It is read by StoreReads, or by
     connections. Both look in the diagram that they are in and then in those around it; the nearest store of the name
-    is theirs. So a store reads as it did before the tick, whatever the order in which the blocks run. It is `initial`
+    is theirs. So a store reads as it did before the tick; the order of the blocks does not matter. It is `initial`
     until it is written, and keeps what was written while its writer does not act.
     """
 

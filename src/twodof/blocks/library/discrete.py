@@ -67,7 +67,7 @@ class DiscreteIntegrator(Block):
 
     `limits` [low, high] keep both y and the state within bounds. With `reset` there is a bool input `clear`: while it
     is true, x reads as `initial` (so a backward integral then equals its own sample's contribution). With "rising",
-    "falling" or "either" x does so in the samples with such an edge of `clear`; the first sample has none. With
+    "falling" or "either" x does so in the samples with such an edge of `clear`; the first sample is not one. With
     initial="input" the initial value is the input `x0`, read in the first sample and at each reset.
     Source: Franklin, Powell, Workman, Digital Control of Dynamic Systems, section 6.1 (the three rules).
     """

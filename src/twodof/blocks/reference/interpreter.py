@@ -55,7 +55,7 @@ class Reference:
         self.signals |= {path: self.hierarchy.signal(path) for path in self.log}
 
     def machine(self, watch: Watch | None = None) -> ReferenceMachine:
-        """A fresh instance in its initial state, which shows `watch` all that its blocks compute."""
+        """A fresh instance in its initial state, which shows `watch` everything that its blocks compute."""
         return ReferenceMachine(self, watch)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 class Judgement:
     """One assertion, judged. `text` says what was found.
 
-    Where it does not hold, `tick`, `time` [s] and `value` are those of the first violation, `limit` is what the value
+    Where it does not hold, `tick`, `time` [s] and `value` are those of the first violation. `limit` is what the value
     passed, and `by` how far (NaN for a value that is NaN). They are None for an assertion that holds.
     """
 

@@ -42,8 +42,8 @@ class Plan:
 def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     """`scenario` for `diagram` at the base tick `dt` [s].
 
-    Raises DiagramError for an input or output that is not there, an input that is fed twice or with what its type does
-    not hold, and a scenario that claims nothing.
+    Raises DiagramError for an input or output that is not there, and for a scenario that claims nothing. It does so too
+    for an input that is fed twice, or with values that are not of its type.
     """
     steps = _steps(scenario, dt)
     elements: Elements = {}

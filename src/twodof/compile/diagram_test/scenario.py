@@ -62,7 +62,7 @@ class ExpectedTable:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedColumn:
-    """An output that is to be as in a table: `expected` at `ticks`, both of shape (n,), within the tolerance."""
+    """An output that must be as in a table: `expected` at `ticks`, both of shape (n,), within the tolerance."""
 
     text: str
     signal: str

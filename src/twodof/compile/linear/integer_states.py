@@ -121,7 +121,7 @@ class IntegerStates:
     def check_held(self, step: TangentStep) -> dict[str, str]:
         """Of the whole-number states that `at` holds and that would move: what to know of each.
 
-        Raises DiagramError for the write index of a buffer: held, nothing that is written would be read.
+        Raises DiagramError for the write index of a buffer: if it is held, what is written is never read.
         """
         notes = {}
         for node, name in sorted(self.point.given, key=lambda k: (k[0].path, k[1])):

@@ -22,7 +22,7 @@ class LinearModel:
     by paths. There `[i]` is an element of an array and `[k-i]` the sample of i steps ago in a delay. `point` has the
     values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
     of the diagram that the model does not have why. `remarks` name each input that has no effect on any output at the
-    point, each output that nothing moves, and each whole-number state that moves unless `at` holds it.
+    point, and each output that nothing moves. They also name each whole-number state that moves unless `at` holds it.
     """
 
     a: Array

@@ -54,7 +54,7 @@ def linearize(
 
     `time`: "continuous" (dx/dt), "discrete" (x[k+1], the step map) or, for "auto", continuous where all states are.
     A diagram with any discrete state, delay or rate of its own is discrete. Of several rates the model is that over
-    their common period, with the inputs held over it; outputs of slower rates that are held at its start are states.
+    their common period, with the inputs held over it. Outputs of slower rates that are held at its start are states.
     `keep_all` keeps the states that have no influence or always come back to the point's value.
 
     The model's `remarks` name the inputs that move nothing, the outputs that nothing moves, and what `at` holds.

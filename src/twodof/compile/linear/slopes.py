@@ -196,7 +196,7 @@ class Slopes:
     def _situation(self, seen: NDArray[np.bool_]) -> tuple[Any, Array]:
         """What decides the branches of a tick: the rates that are due, whole-number states, and the real values.
 
-        Where a ring is written does not, nor a state without a coordinate in `seen`.
+        The place where a ring is written does not. A state without a coordinate in `seen` does not either.
         """
         rings = self.coordinates.whole.rings()
         keys = [(n, s.name) for n, s in self._whole if (n, s.name) not in rings]

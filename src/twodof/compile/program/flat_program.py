@@ -52,7 +52,7 @@ class Condition:
     """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled.
 
     `trigger` is true where its trigger has an edge; it acts only there. At its own ticks (those of `rate`) with
-    `restart` true, all states inside become initial, whatever else acts.
+    `restart` true, all states inside become initial, also where nothing else acts.
     """
 
     path: str
@@ -162,7 +162,8 @@ class Action:
 class Need:
     """A condition of the block `node`, over its inputs and parameters, which must hold (or not) where a value is read.
 
-    `signals` are those that it reads; `meaning` is the condition over paths, the same node for all that say the same.
+    `signals` are those that it reads; `meaning` is the condition over paths: one node for
+    conditions of several blocks that say the same.
     """
 
     node: Node

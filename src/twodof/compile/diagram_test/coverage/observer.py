@@ -94,7 +94,7 @@ class _Sight:
 
 @dataclass
 class _Turns:
-    """What the turns of a loop took, and the ids of what they used of all that is computed before the loop."""
+    """What the turns of a loop took, and the ids of what they used of the values computed before the loop."""
 
     taken: set[tuple[Decision, int]] = field(default_factory=set)
     before: set[int] = field(default_factory=set)
