@@ -247,7 +247,7 @@ def test_what_is_declared_comes_as_lists_of_declarations(case: str) -> None:
 
 def test_what_is_no_block_is_not_a_part() -> None:
     for what, words in ((WellMeant, "call the class"), (lambda u: u, "see function_block")):
-        with pytest.raises(DiagramError, match=f"rig.part: .* is neither a block nor a diagram .{words}"):
+        with pytest.raises(DiagramError, match=f"rig.part: .* is not a block or a diagram .{words}"):
             Diagram("rig").add("part", what)  # type: ignore[arg-type]
     with pytest.raises(DiagramError, match="function_block: 3 is not a function"):
         function_block(3)  # type: ignore[arg-type]

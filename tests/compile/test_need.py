@@ -182,7 +182,7 @@ def rows(seed: int) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    ("first", "count"), [(0, 30), *(pytest.param(30 + 50 * k, 50, marks=pytest.mark.soak) for k in range(20))]
+    ("first", "count"), [(0, 15), *(pytest.param(15 + 50 * k, 50, marks=pytest.mark.soak) for k in range(20))]
 )
 def test_what_is_left_out_changes_no_bit(first: int, count: int) -> None:
     precision = ("float64", "float32")[first // 50 % 2]

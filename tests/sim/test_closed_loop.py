@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Diagram
-from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
@@ -176,6 +176,7 @@ def test_an_interpreted_loop_is_not_kept_as_a_compiler_may_be_installed(monkeypa
         return Reference(diagram, dt, precision, log)
 
     monkeypatch.setattr(module, "build", interpreted)
+    monkeypatch.setattr(ReferenceMachine, "run", lambda *_: {})  # it takes seconds to settle, which is not asked here
     for log in (("mode_held.y",), ["mode_held.y"]):  # a list is as good as a tuple
         ClosedLoop(log=log)  # type: ignore[arg-type]
     assert asked == [("mode_held.y",)] * 2

@@ -1,6 +1,6 @@
 """steady_trace: the trace of a block of which it is certain that it stays the same."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import located
@@ -29,6 +29,7 @@ def check_steady(block: Block) -> None:
     each step of the reference. Values that another block or a loop recorded are refused too.
     """
     first, again = by_method(block.trace), by_method(trace_of(block))
+    prepared, stepped = _own(block)
     for method, exprs in first.items():
         for name in exprs | again[method]:
             # By identity: equal graphs are one node, and == on two of them would record a comparison.
@@ -36,19 +37,23 @@ def check_steady(block: Block) -> None:
                 raise DiagramError(
                     f"{method} gives another {name!r} when it is traced again", place(block, method), HIDDEN
                 )
-        _check_own(block, method, [e for roots in exprs.values() for e in roots])
+        own = prepared if method == "prepare" else stepped
+        _check_own(block, method, [e for roots in exprs.values() for e in roots], own)
 
 
-def _check_own(block: Block, method: str, roots: Sequence[Expr]) -> None:
-    """Raise DiagramError if `roots` hold a leaf that the method was not given, or a variable outside its loop."""
+def _own(block: Block) -> tuple[dict[int, Expr], dict[int, Expr]]:
+    """The leaves that `prepare` is given, and those that the other methods are, by id."""
     clock = clock_leaves()
-    own = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
-    if method != "prepare":
-        own += [clock["tick"], *leaves_of("param", block.derived).values()]
-        own += [*leaves_of("input", block.inputs).values(), *leaves_of("state", block.states).values()]
-    known = set(map(id, own))
+    prepared = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
+    stepped = [*prepared, clock["tick"], *leaves_of("param", block.derived).values()]
+    stepped += [*leaves_of("input", block.inputs).values(), *leaves_of("state", block.states).values()]
+    return {id(e): e for e in prepared}, {id(e): e for e in stepped}
+
+
+def _check_own(block: Block, method: str, roots: Sequence[Expr], own: Mapping[int, Expr]) -> None:
+    """Raise DiagramError if `roots` hold a leaf that the method was not given, or a variable outside its loop."""
     for item in walk(roots):
-        if item.op in ("input", "state", "param", "tick", "dt") and id(item) not in known:
+        if item.op in ("input", "state", "param", "tick", "dt") and id(item) not in own:
             raise DiagramError(f"{method} uses a value that it was not given, {item!r}", place(block, method), HIDDEN)
     with located(place(block, method)):
         if any(free_bounds(roots).values()):

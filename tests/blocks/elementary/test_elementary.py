@@ -390,8 +390,10 @@ def test_on_expressions_a_call_is_recorded() -> None:
     assert functions.atan2(1.0, x).args[0].data == 1.0
     with pytest.raises(DiagramError, match="int32"):
         functions.sin(leaf("input", "n", "int32"))
-    with pytest.raises(DiagramError, match="sin is applied to an array of 3"):
-        functions.sin(leaf("input", "v", "real", 3))
+    v = leaf("input", "v", "real", 3)
+    assert [e.args for e in functions.sin(v).args] == [(v[i],) for i in range(3)]
+    with pytest.raises(DiagramError, match="arrays of 3 and 2 meet"):
+        functions.atan2(v, leaf("input", "w", "real", 2))
 
 
 def test_tables_name_the_same_functions() -> None:

@@ -219,8 +219,8 @@ def test_matrices_are_fed_and_read_by_row_and_column() -> None:
         assert [j.passed for j in result.judgements] == [True, True, True, False]
         assert result.signals["y"].shape == (2, 3, 2)
     coverage = measure_coverage(d, [scenario], DT, results=[result])
-    assert coverage.sides == 2 * 6
-    assert len(coverage.missing) == 5  # each element is above 0 or is not, and the one that steps is both
+    assert coverage.sides == 2  # a loop's turns are one decision
+    assert not coverage.missing  # one element is cut off, the others are not
     table = table_of({"tick": [0, 1], "a[1,2]": [1.0, 7.0], "y[2,1]": [1.0, 7.0]})
     assert run_scenario(d, Scenario("table", table=ExpectedTable(table)), DT).passed
     for check in ("y never above 1", "y[0] never above 1", "y[0,2] never above 1"):
