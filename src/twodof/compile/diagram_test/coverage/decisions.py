@@ -1,8 +1,8 @@
 """The decisions of a diagram: what can go one way or another, and where it stands.
 
 A *condition* is a bool that chooses. It is the first argument of a `where` (a minimum, a limit and a switch are made
-of it), or an operand of a bool `&` or `|`. It has two sides. One that stands in several places of a block is one decision, and
-`~c` is decided as c is. The conditions of a sub-diagram (enable, reset, trigger) are decisions as well.
+of it), or an operand of a bool `&` or `|`. It has two sides. One that stands in several places of a block is one
+decision, and `~c` is decided as c is. The conditions of a sub-diagram (enable, reset, trigger) are decisions as well.
 """
 
 from collections.abc import Iterator, Mapping
