@@ -8,7 +8,8 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.action_group import action_group
-from twodof.blocks.library import Gain
+from twodof.blocks.library import Gain, Norm
+from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
 
@@ -55,3 +56,17 @@ def test_each_input_of_a_merge_has_one_writer() -> None:
     group = action_group("group", {"a": action("a")}, action("b"))
     with pytest.raises(DiagramError, match="fed twice"):
         group.connect("otherwise.y", "merge_y.a")
+
+
+def test_an_action_may_read_a_matrix() -> None:
+    size = Diagram("size")
+    size.input("m", shape=(2, 2))
+    size.add("norm", Norm(shape=(2, 2)), u="m")
+    size.output("y", "norm")
+    d = Diagram("d")
+    d.input("on", "bool")
+    d.input("m", shape=(2, 2))
+    d.add("group", action_group("group", {"on": size}), if_on="on", m="m")
+    d.output("y", "group.y")
+    machine = Reference(d, 0.01).machine()
+    assert machine.step({"on": True, "m": [[3.0, 0.0], [0.0, 4.0]]})["y"] == 5.0

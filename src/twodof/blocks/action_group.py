@@ -77,7 +77,7 @@ def _lettered(actions: Mapping[str, Diagram]) -> list[tuple[str, str]]:
 def _input(d: Diagram, port: Port) -> None:
     there = d.inputs.get(port.name)
     if there is None:
-        d.input(port.name, port.kind, port.width, port.unit)
+        d.input(port.name, port.kind, port.width, port.unit, port.shape)
     elif shape(there) != shape(port) or (there.unit and port.unit and there.unit != port.unit):
         both = f"{shape(there)} [{there.unit}] and {shape(port)} [{port.unit}]"
         raise DiagramError(f"two actions have an input {port.name!r}, of {both}", d.name, "rename one")

@@ -1,6 +1,7 @@
 """Walking and recomputing expression graphs; iterative, because a graph may be deeper than Python's stack."""
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from operator import attrgetter
 from typing import Any
 
 from twodof.blocks.expressions import numbers
@@ -46,8 +47,8 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
 }
 
 
-def walk(roots: Iterable[Expr], loops: bool = True, known: Container[int] = ()) -> list[Expr]:
-    """Every node below `roots` once, arguments before their users. With `loops` false, loop bodies are not entered.
+def ordered(roots: Iterable[Expr], below: Callable[[Expr], Sequence[Expr]], known: Container[int] = ()) -> list[Expr]:
+    """`roots` and what `below` says that each needs, once, arguments before their users.
 
     Nodes whose id is in `known` are left out, with what only they need.
     """
@@ -61,8 +62,13 @@ def walk(roots: Iterable[Expr], loops: bool = True, known: Container[int] = ()) 
         elif id(item) not in seen and id(item) not in known:
             seen.add(id(item))
             stack.append((item, True))
-            stack.extend((a, False) for a in reversed(item.args if loops else item.outside))
+            stack.extend((a, False) for a in reversed(below(item)))
     return order
+
+
+def walk(roots: Iterable[Expr], loops: bool = True, known: Container[int] = ()) -> list[Expr]:
+    """Every node below `roots`, `ordered`. With `loops` false, loop bodies are not entered."""
+    return ordered(roots, attrgetter("args" if loops else "outside"), known)
 
 
 KEPT = ("vector", "build", "store", "fold", "call")
@@ -97,25 +103,9 @@ def unchanging(
     return list(found.values())[::-1]
 
 
-def scope(roots: Iterable[Expr], known: Mapping[int, Any]) -> list[Expr]:
-    """What is computed where `roots` are, arguments before their users; loops are not entered.
-
-    What a loop does not change comes before it. Nodes whose ids are `known` are at hand: they are left out.
-    """
-    order: list[Expr] = []
-    seen: set[int] = set()
-    stack: list[tuple[Expr, bool]] = [(r, False) for r in reversed(list(roots))]
-    while stack:
-        item, done = stack.pop()
-        if done:
-            order.append(item)
-        elif id(item) not in seen and id(item) not in known:
-            seen.add(id(item))
-            stack.append((item, True))
-            if item.op in LOOPS:
-                stack.extend((e, False) for e in reversed(unchanging(item)))
-            stack.extend((a, False) for a in reversed(item.outside))
-    return order
+def scope(roots: Iterable[Expr], known: Container[int]) -> list[Expr]:
+    """What is computed where `roots` are, `ordered`: loops are not entered, what they do not change comes before."""
+    return ordered(roots, lambda item: (*item.outside, *unchanging(item)) if item.op in LOOPS else item.outside, known)
 
 
 def leaves(roots: Iterable[Expr], op: str) -> set[str]:

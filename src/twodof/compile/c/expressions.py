@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
-from twodof.blocks.expressions.graph import unchanging, walk
+from twodof.blocks.expressions.graph import ordered, unchanging, walk
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
@@ -167,7 +167,7 @@ class Renderer:
                 self.writer.copy(target, text, root.width, root.kind)
 
     def _texts(self, roots: Sequence[Expr]) -> list[Text]:
-        order = self._order(roots)
+        order = ordered(roots, self._args)
         uses: dict[int, int] = {}
         for item in order:
             for a in self._args(item):
@@ -206,20 +206,6 @@ class Renderer:
     def _counts(self, item: Expr) -> bool:
         """Whether it is an index of loop counters: it stands where it is used, as by hand."""
         return item.op in PLAIN and item.kind == "int32" and index_range(item, self.limits) is not None
-
-    def _order(self, roots: Iterable[Expr]) -> list[Expr]:
-        order: list[Expr] = []
-        seen: set[int] = set()
-        stack = [(r, False) for r in reversed(list(roots))]
-        while stack:
-            item, done = stack.pop()
-            if done:
-                order.append(item)
-            elif id(item) not in seen:
-                seen.add(id(item))
-                stack.append((item, True))
-                stack.extend((a, False) for a in reversed(self._args(item)))
-        return order
 
     def _args(self, item: Expr) -> tuple[Expr, ...]:
         if id(item) in self.named:
