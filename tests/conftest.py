@@ -2,6 +2,7 @@
 tests' order, and `--quick`, which leaves out the files of tests/slow.txt.
 """
 
+import gc
 import os
 import resource
 import signal
@@ -89,6 +90,11 @@ def pytest_runtest_makereport(
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """What waits for real time to pass comes first, so that the others fill its time."""
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
+
+
+def pytest_collection_finish() -> None:
+    """What stands now stays to the end: thousands of tests, which every full collection would look through again."""
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")
