@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tests.compile.random_blocks import RandomBlock
+from tests.compile.random_machines import machine_block, random_table
 from twodof.blocks import Block, Diagram, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
@@ -98,6 +99,7 @@ class Maker:
     def __init__(self, seed: int, small: bool = False) -> None:
         self.rng = random.Random(seed)
         self.more = random.Random(~seed)  # for what came later, so that the seeds' diagrams stay what they were
+        self.machines = random.Random(seed + 1)  # the same for state machines
         self.small = small
         self.size = 3 if small else 8
         self.paths: list[str] = []
@@ -210,6 +212,8 @@ class Maker:
             made = FractionalDelay(r.uniform(0.0, 0.05))
         if rate == (1, 0) and self.more.random() < 0.05:
             made = lib.ResetIntegrator()
+        if self.machines.random() < 0.08:
+            made = machine_block(random_table(self.machines))
         return made
 
     def sub(

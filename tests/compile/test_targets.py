@@ -7,6 +7,7 @@ A test is a group of diagrams in one precision on all targets: the reference, wh
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -31,6 +32,7 @@ from tests.compile.differential import (
 )
 from tests.compile.every_operator import every_operator
 from tests.compile.lanes.lanes_differential import lane_programs
+from tests.compile.machine_cases import machine_case
 from tests.compile.semantics import TOLD, resetting
 from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
@@ -63,6 +65,9 @@ def whole_loop(steps: int) -> list[Case]:
     return [Case(d, [], strange_inputs(d, steps, 2), {})]
 
 
+MACHINES = (3, 5, 8)
+"""Seeds of random state machines."""
+
 Group = tuple[Callable[[], list[Case]], str]
 """What makes the diagrams of a group, and the integrator."""
 
@@ -73,8 +78,9 @@ def operators() -> list[Case]:
 
 
 def semantics() -> list[Case]:
-    """Parts that act at times; test_semantics.py says what the reference should do with them."""
-    return [*(make().case for make in TOLD.values()), resetting("float64").case]
+    """Parts that act at times, and state machines; test_semantics.py and test_state_machine.py say what they do."""
+    machines = [machine_case(random.Random(seed), f"machine{seed}", 80)[0] for seed in MACHINES]
+    return [*(make().case for make in TOLD.values()), resetting("float64").case, *machines]
 
 
 def mixed(first: int, small: int, steps: int, large: int) -> list[Case]:

@@ -13,8 +13,10 @@ from typing import Any
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
-from twodof.blocks.schema.loader import Loader, member, only
+from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
+from twodof.blocks.schema.traced_machine import machine_to_json
+from twodof.blocks.state_machine import StateMachine
 from twodof.blocks.steady import steady_trace
 from twodof.errors import DiagramError, shown
 
@@ -146,6 +148,15 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
     kind = type(block).type_name
     if REGISTRY.get(kind) is type(block):  # a class made from one of the library is another block
         return {"type": kind, "config": _encode(getattr(block, "config", {}), name)}
+    trace = steady_trace(block, name)
+    if isinstance(block, StateMachine):
+        return {
+            "type": MACHINE,
+            "name": block.label or type(block).__name__,
+            **{key: [_declared_to(d) for d in getattr(block, key)] for key in MACHINE_SECTIONS},
+            "crossing": block.crossing,
+            **machine_to_json(block),
+        }
     return {
         "type": "custom",
         "name": block.label if isinstance(block, TracedBlock) else type(block).__name__,
@@ -154,7 +165,7 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
             for k in ("inputs", "outputs", "states", "params", "derived")
         },
         "crossing": block.crossing,
-        **graph_to_json(steady_trace(block, name)),
+        **graph_to_json(trace),
     }
 
 

@@ -12,6 +12,7 @@ from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
 from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
+from twodof.blocks.schema.traced_machine import TracedMachine, machine_from_json
 from twodof.errors import DiagramError, TwodofError, nearest, shown
 
 MAX_DEPTH = 64  # of sub-diagrams
@@ -41,6 +42,9 @@ _PART = {
 }
 _SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
 _FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
+MACHINE = "state_machine"
+MACHINE_SECTIONS = ("inputs", "outputs", "variables", "params", "derived")
+_MACHINE = {"type", "name", "crossing", "nodes", "prepare", "modes", "transitions", *MACHINE_SECTIONS}
 _CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
 
 
@@ -161,6 +165,8 @@ class Loader:
         kind = member(form, "type", str, where)
         if kind == "custom":
             block: Block = self._custom(form, where)
+        elif kind == MACHINE:
+            block = self._machine(form, where)
         elif kind in REGISTRY:
             only(form, {"type", "config"}, where)
             config = self._plain(member(form, "config", dict, where, {}), where)
@@ -195,6 +201,22 @@ class Loader:
         block = TracedBlock(member(form, "name", str, where), declared, crossing)
         graph_from_json(block, form, where)
         return block
+
+    def _machine(self, form: dict[str, Any], where: str) -> TracedMachine:
+        only(form, _MACHINE, where)
+        kinds = dict(zip(MACHINE_SECTIONS, (Port, Port, State, Param, Port), strict=True))
+        declared = {k: self._declarations(cls, form, k, where) for k, cls in kinds.items()}
+        crossing = member(form, "crossing", bool, where, False)
+        machine = TracedMachine(member(form, "name", str, where), declared, crossing)
+        machine_from_json(machine, form, where)
+        own = machine.states[len(machine.variables) :]
+        self._count(len(own), len(own), where)
+        try:
+            with at_most(2 * MAX_SIZE):
+                _ = machine.trace
+        except TwodofError as error:
+            raise DiagramError(error.what, where, error.remedy) from error
+        return machine
 
     def _measure(self, block: Block) -> None:
         """Count what a block adds to what is compiled and to what a step computes, at any rates."""

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import check_name, fits, located, shape
+from twodof.blocks.declarations import State, check_name, fits, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
@@ -72,15 +72,21 @@ def graph_to_json(trace: Trace) -> dict[str, Any]:
     }
     roots = [e for exprs in sections.values() for e in exprs.values()]
     roots += [e for pair in trace.edges.values() for e in pair]
-    order = walk(roots)
-    number = {id(item): i for i, item in enumerate(order)}
-    form: dict[str, Any] = {"nodes": [_node_to(item, number) for item in order]}
+    rows, number = nodes_to_json(roots)
+    form: dict[str, Any] = {"nodes": rows}
     for name, exprs in sections.items():
         if exprs:
             form[name] = {key: number[id(e)] for key, e in exprs.items()}
     if trace.edges:
         form["edges"] = {key: [number[id(f)], number[id(a)]] for key, (f, a) in trace.edges.items()}
     return form
+
+
+def nodes_to_json(roots: Sequence[Expr]) -> tuple[list[list[Any]], dict[int, int]]:
+    """The rows of the nodes of expressions, arguments before their users; and each node's row by its id."""
+    order = walk(roots)
+    number = {id(item): i for i, item in enumerate(order)}
+    return [_node_to(item, number) for item in order], number
 
 
 def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
@@ -103,12 +109,43 @@ def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
 
 def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> None:
     """Fill `block` with the expressions in `form`. Raises DiagramError for a node that is not well formed."""
+    made = nodes_from_json(form, block, block.states, where)
+
+    def section(name: str) -> dict[str, Any]:
+        found = form.get(name, {})
+        if not isinstance(found, dict):
+            raise DiagramError(f"{name!r} is not an object", where, "save the diagram again")
+        return found
+
+    def pick(index: Any, name: str) -> Expr:
+        return picked(made, index, name, where)
+
+    for name in block.sections:
+        block.sections[name] = {key: pick(index, f"{name}.{key}") for key, index in section(name).items()}
+    for key, pair in section("edges").items():
+        if not (isinstance(pair, list) and len(pair) == 2):
+            raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
+        block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
+    roots = [e for exprs in block.sections.values() for e in exprs.values()]
+    roots += [e for pair in block.edge_pairs.values() for e in pair]
+    with located(where):
+        # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
+        if sum(sizes_of(roots)) > MAX_SIZE:
+            raise too_large()
+        _ = block.trace  # checks the types, and that each declared name is given
+
+
+def nodes_from_json(form: Mapping[str, Any], block: Block, states: Sequence[State], where: str) -> list[Expr]:
+    """The expressions that the rows in `form` describe, over what `block` declares and over `states`.
+
+    Raises DiagramError for a row that is not well formed.
+    """
     rows = form.get("nodes")
     if not isinstance(rows, list) or len(rows) > MAX_SIZE:
         raise DiagramError(f"nodes are missing or more than {MAX_SIZE}", where, "save the diagram again")
     leaves = {
         "input": leaves_of("input", block.inputs),
-        "state": leaves_of("state", block.states),
+        "state": leaves_of("state", states),
         "param": leaves_of("param", [*block.params, *block.derived]),
     }
     made: list[Expr] = []
@@ -121,35 +158,23 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
                 raise DiagramError(
                     f"node {i}, {shown(row)}, is not well formed: {what:.200}", where, "save it again"
                 ) from error
+    return made
 
-    def section(name: str) -> dict[str, Any]:
-        found = form.get(name, {})
-        if not isinstance(found, dict):
-            raise DiagramError(f"{name!r} is not an object", where, "save the diagram again")
-        return found
 
-    def pick(index: Any, name: str) -> Expr:
-        if type(index) is not int or not 0 <= index < len(made):
-            raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
-        return made[index]
+def picked(made: Sequence[Expr], index: Any, name: str, where: str) -> Expr:
+    """The expression that `name` says it is. Raises DiagramError for one that is not there."""
+    if type(index) is not int or not 0 <= index < len(made):
+        raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
+    return made[index]
 
-    for name in block.sections:
-        block.sections[name] = {key: pick(index, f"{name}.{key}") for key, index in section(name).items()}
-    for key, pair in section("edges").items():
-        if not (isinstance(pair, list) and len(pair) == 2):
-            raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
-        block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
-    roots = [e for exprs in block.sections.values() for e in exprs.values()]
-    roots += [e for pair in block.edge_pairs.values() for e in pair]
-    with located(where):
-        free = free_bounds(roots)
-        if any(free[id(root)] for root in roots):
-            raise DiagramError("a loop variable stands outside its loop", where, "save the diagram again")
-        # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
-        meter = CostMeter()
-        if sum(meter.measure([e]).size for e in roots) > MAX_SIZE:
-            raise too_large()
-        _ = block.trace  # checks the types, and that each declared name is given
+
+def sizes_of(roots: Sequence[Expr]) -> list[int]:
+    """The size of each expression by itself. Raises DiagramError for a variable that stands outside its loop."""
+    free = free_bounds(roots)
+    if any(free[id(root)] for root in roots):
+        raise DiagramError("a loop variable stands outside its loop", "", "save the diagram again")
+    meter = CostMeter()
+    return [meter.measure([e]).size for e in roots]
 
 
 def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Expr]]) -> Expr:

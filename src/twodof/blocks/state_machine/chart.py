@@ -1,0 +1,143 @@
+"""Chart: the modes of a state machine, and which way each transition takes from each mode; checked for names."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.blocks.declarations import check_name
+from twodof.blocks.state_machine.mode import ACTIONS, MachineFunction, Mode, Transition
+from twodof.errors import DiagramError, nearest, shown
+
+MAX_MODES = 200
+MAX_TRANSITIONS = 1000
+MAX_WAYS = 100  # out of one mode, those of the mode around it included
+MAX_ALL_WAYS = 2000  # from mode to mode
+
+
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """A mode without inner ones, and the mode around it: the machine is in one leaf. `number` is what `mode` says."""
+
+    number: int
+    mode: Mode
+    outer: Mode | None
+
+    @property
+    def path(self) -> tuple[Mode, ...]:
+        """The mode around it, if there is one, and itself."""
+        return (self.mode,) if self.outer is None else (self.outer, self.mode)
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """What a transition does from one leaf: the modes left, inner ones first, and those entered, outer ones first.
+
+    `leaves` are where it may end. There are several where `resumes`, an outer mode, knows in which it was left.
+    """
+
+    number: int
+    transition: Transition
+    source: Leaf
+    left: tuple[Mode, ...]
+    entered: Mode | None
+    leaves: tuple[Leaf, ...]
+    resumes: Mode | None
+
+
+class Chart:
+    """The checked modes and transitions of a machine. Raises DiagramError for names that are wrong or missing.
+
+    `routes` are those of each leaf, by its number, in the order in which they are tried: those of the mode around it
+    come first, and those of one mode in the order in which they are listed.
+    """
+
+    def __init__(self, modes: Sequence[Mode], transitions: Sequence[Transition]) -> None:
+        self.modes = _listed(modes, Mode, "modes", MAX_MODES)
+        self.transitions: list[Transition] = _listed(transitions, Transition, "transitions", MAX_TRANSITIONS)
+        if not self.modes:
+            raise DiagramError("there is no mode to start in", "", 'write modes = [Mode("..."), ...]; the first starts')
+        self.leaves: list[Leaf] = []
+        self.by_name: dict[str, Mode] = {}
+        self.outers: list[Mode] = []
+        for mode in self.modes:
+            self._add(mode, None)
+        if len(self.by_name) > MAX_MODES:
+            raise DiagramError(f"more than {MAX_MODES} modes", "", "make several machines")
+        self.around = {leaf.mode.name: leaf.outer for leaf in self.leaves}
+        for t in self.transitions:
+            for name in (t.source, t.target):
+                if name not in self.by_name:
+                    what = f"the transition {shown(t.source)} -> {shown(t.target)} names no mode"
+                    raise DiagramError(what, "", f"there are: {nearest(name, self.by_name)}")
+        self.routes: list[list[Route]] = []
+        for leaf in self.leaves:
+            self.routes.append(list(self._routes(leaf)))
+            ways = [sum(len(route.leaves) for route in routes) for routes in self.routes]
+            if ways[-1] > MAX_WAYS or sum(ways) > MAX_ALL_WAYS:
+                what = f"more than {MAX_WAYS} ways out of {leaf.mode.name!r}, or {MAX_ALL_WAYS} in all"
+                raise DiagramError(what, "", "make several machines")
+        self.guards = [MachineFunction(t.when, f"when of {t.text}") for t in self.transitions]
+        self.does = [None if t.do is None else MachineFunction(t.do, f"do of {t.text}") for t in self.transitions]
+        self.actions = {
+            (name, action): MachineFunction(getattr(mode, action), f"{action} of {name}")
+            for name, mode in self.by_name.items()
+            for action in ACTIONS
+            if getattr(mode, action) is not None
+        }
+
+    def _add(self, mode: Mode, outer: Mode | None) -> None:
+        check_name(mode.name, "modes")
+        if mode.name in self.by_name:
+            raise DiagramError(f"two modes are named {mode.name!r}", "", "name each mode once, inner ones too")
+        self.by_name[mode.name] = mode
+        inner = _listed(mode.inner, Mode, f"inner modes of {mode.name}", MAX_MODES)
+        if not inner:
+            if mode.history:
+                raise DiagramError(
+                    f"{mode.name!r} has a history", "", "only a mode with inner ones has something to know"
+                )
+            self.leaves.append(Leaf(len(self.leaves), mode, outer))
+            return
+        if outer is not None:
+            what = f"{mode.name!r} is inside {outer.name!r} and has inner modes itself"
+            raise DiagramError(
+                what, "", "modes have two levels: put its inner modes beside it, or into another machine"
+            )
+        self.outers.append(mode)
+        for one in inner:
+            self._add(one, mode)
+
+    def inside(self, outer: Mode) -> list[Leaf]:
+        """The leaves inside a mode, the one where it starts first."""
+        return [leaf for leaf in self.leaves if leaf.outer is outer]
+
+    def leaf(self, mode: Mode) -> Leaf:
+        """The leaf that a mode is, or that it starts in."""
+        return next(leaf for leaf in self.leaves if mode in leaf.path)
+
+    def _routes(self, leaf: Leaf) -> Iterator[Route]:
+        for mode in leaf.path:
+            for number, t in enumerate(self.transitions):
+                if t.source == mode.name:
+                    yield self._route(number, t, leaf)
+
+    def _route(self, number: int, t: Transition, leaf: Leaf) -> Route:
+        target = self.by_name[t.target]
+        end = self.leaf(target)
+        # A mode around both ends stays. It is left if it is itself the source or the target.
+        stays = leaf.outer is not None and leaf.outer is end.outer and leaf.outer.name not in (t.source, t.target)
+        left = (leaf.mode,) if stays or leaf.outer is None else (leaf.mode, leaf.outer)
+        entered = None if stays else end.outer
+        if target.history:
+            return Route(number, t, leaf, left, entered, tuple(self.inside(target)), target)
+        return Route(number, t, leaf, left, entered, (end,), None)
+
+
+def _listed(given: Sequence[Any], kind: type, what: str, most: int) -> list[Any]:
+    if isinstance(given, str) or not isinstance(given, Sequence) or not all(isinstance(one, kind) for one in given):
+        raise DiagramError(f"{what} are {shown(given)}", "", f"write a list of {kind.__name__}(...)")
+    if len(given) > most:
+        raise DiagramError(f"{len(given)} {what}", "", f"at most {most}: make several machines")
+    return list(given)

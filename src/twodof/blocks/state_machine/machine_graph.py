@@ -1,0 +1,178 @@
+"""MachineGraph: what the guards and actions of a state machine record, each by itself, checked for names and types."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from twodof.blocks.declarations import Declared, Port, State
+from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
+from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.matrix_views import matrices, with_matrices
+from twodof.blocks.mistakes import mistake
+from twodof.blocks.namespaces import Inputs, Parameters, States
+from twodof.blocks.state_machine.chart import Chart
+from twodof.blocks.state_machine.mode import MachineFunction, ModeClock
+from twodof.blocks.trace import clock_leaves, leaves_of, returned
+from twodof.errors import DiagramError, listed, shown
+
+MODE, ELAPSED, OUTER_ELAPSED = "mode", "elapsed", "elapsed_outer"
+STARTING = -1  # the mode before the first tick
+
+Recorded = dict[str, Expr]
+
+
+class Charted(Declared, Protocol):
+    """A state machine as far as recording it needs one."""
+
+    variables: Sequence[State]
+    label: str
+
+    @property
+    def chart(self) -> Chart: ...
+
+
+class MachineGraph:
+    """The expressions of the guards and actions of `machine`, over its inputs, variables, parameters and the clock.
+
+    The leaf `elapsed` of kind state is the time in the mode whose the guard or action is; after an entry it is 0.
+    `states` are what the machine remembers beside its variables. Raises DiagramError, which names the mode and the
+    user's line, for a mistake in a function, and for names and types that do not fit.
+    """
+
+    def __init__(self, machine: Charted) -> None:
+        self._machine = machine
+        self._label = machine.label or type(machine).__name__
+        chart = machine.chart
+        self._check_variables()
+        self._shapes = matrices(machine.inputs), matrices(machine.variables), matrices(machine.params, machine.derived)
+        both = _unique([*machine.variables, *machine.outputs])
+        own = (MODE, ELAPSED)
+        self.guards = [self._guard(function) for function in chart.guards]
+        self.does = [{} if f is None else self._values(f, machine.variables) for f in chart.does]
+        self.actions = {
+            (mode, action): self._values(
+                function, [d for d in both if d.name not in own] if action == "during" else machine.variables
+            )
+            for (mode, action), function in chart.actions.items()
+        }
+        self._check_outputs(chart)
+        self.states = list(self._own_states(chart))
+
+    def action(self, mode: str, action: str) -> Recorded:
+        """What an action of a mode gives, by name."""
+        return self.actions.get((mode, action), {})
+
+    def fault(self, function: MachineFunction, what: str, remedy: str) -> DiagramError:
+        """A mistake in a guard or an action."""
+        return DiagramError(what, f"block {self._label}, {function.place}{function.line}", remedy)
+
+    def _check_variables(self) -> None:
+        given = self._machine.variables
+        if isinstance(given, str) or not isinstance(given, Sequence) or not all(isinstance(v, State) for v in given):
+            raise DiagramError(
+                f"variables is {shown(given)}", f"block {self._label}", 'write variables = [State("name"), ...]'
+            )
+        for variable in given:
+            if variable.continuous:
+                raise DiagramError(
+                    "a variable of a state machine is continuous",
+                    f"block {self._label}.{variable.name}",
+                    "integrate in another block, which the machine's outputs enable or reset",
+                )
+
+    def _call(self, function: MachineFunction) -> Any:
+        m = self._machine
+        clock, elapsed = clock_leaves(), leaf("state", ELAPSED, "uint32")
+        parameters = leaves_of("param", m.params) | leaves_of("param", m.derived)
+        try:
+            t = ModeClock(clock["tick"], clock["dt"], clock["base_dt"], elapsed, to_real(elapsed) * clock["dt"])
+            return function(
+                with_matrices(Inputs(leaves_of("input", m.inputs)), self._shapes[0]),
+                with_matrices(States(leaves_of("state", m.variables)), self._shapes[1]),
+                with_matrices(Parameters(parameters), self._shapes[2]),
+                t,
+            )
+        except Exception as error:
+            found = mistake(error, m, "output")
+            line = found.where.partition(", ")[2]
+            where = f", {line}" if not isinstance(error, DiagramError) and line else function.line
+            raise DiagramError(found.what, f"block {self._label}, {function.place}{where}", found.remedy) from error
+
+    def _guard(self, function: MachineFunction) -> Expr:
+        with tracing(f"{self._label}, {function.place}"):
+            given = self._call(function)
+            try:
+                found = as_expr(given, "bool")
+            except DiagramError as error:
+                raise self.fault(function, f"the guard gives {_described(given)}", _BOOL) from error
+        if found.width is not None:
+            raise self.fault(function, f"the guard gives {_described(given)}", _BOOL)
+        return found
+
+    def _values(self, function: MachineFunction, declared: Sequence[Any]) -> Recorded:
+        with tracing(f"{self._label}, {function.place}"):
+            given = self._call(function)
+            try:
+                return returned(function.place, given, declared, partial=True)
+            except DiagramError as error:
+                raise self.fault(function, error.what, error.remedy) from error
+
+    def _check_outputs(self, chart: Chart) -> None:
+        """Each output is given in each mode, or is a variable."""
+        kept = {MODE, ELAPSED, *(v.name for v in self._machine.variables)}
+        for port in self._machine.outputs:
+            without = [
+                one.mode.name
+                for one in chart.leaves
+                if not any(port.name in self.action(mode.name, "during") for mode in one.path)
+            ]
+            if port.name not in kept and without:
+                raise DiagramError(
+                    f"the output {port.name!r} is not given in {listed(without)}",
+                    f"block {self._label}",
+                    "give it in `during` there, or declare a variable of this name, which keeps it",
+                )
+
+    def _own_states(self, chart: Chart) -> Sequence[State]:
+        """The mode; the times that anybody reads; the histories."""
+        read: set[bool] = {False} if any(port.name == ELAPSED for port in self._machine.outputs) else set()
+        for owner, roots in self._by_owner(chart):
+            if ELAPSED in leaves(roots, "state"):
+                read.add(chart.by_name[owner] in chart.outers)
+        return [
+            State(MODE, STARTING, "int32"),
+            *([State(ELAPSED, 0, "uint32")] if False in read else []),
+            *([State(OUTER_ELAPSED, 0, "uint32")] if True in read else []),
+            *(State(last(m.name), chart.leaf(m).number, "int32") for m in chart.outers if m.history),
+        ]
+
+    def _by_owner(self, chart: Chart) -> list[tuple[str, list[Expr]]]:
+        """The expressions, each with the mode whose time it reads."""
+        found = [(mode, [*exprs.values()]) for (mode, _), exprs in self.actions.items()]
+        for t, guard, does in zip(chart.transitions, self.guards, self.does, strict=True):
+            found.append((t.source, [guard, *does.values()]))
+        return found
+
+
+_BOOL = "return a bool: a comparison, or several with & | ~"
+
+
+def last(outer: str) -> str:
+    """The state that knows in which of its inner modes a mode with history was left."""
+    return f"last_{outer}"
+
+
+def _unique(declared: Sequence[State | Port]) -> list[State | Port]:
+    return list({d.name: d for d in declared}.values())
+
+
+def _described(value: Any) -> str:
+    if isinstance(value, Expr):
+        return f"a {value.kind}" if value.width is None else f"an array of {value.width}"
+    return "nothing" if value is None else shown(value)
+
+
+def owner_clock(outer: bool) -> str:
+    """The state that a function of an outer mode, or of a leaf, reads as its time."""
+    return OUTER_ELAPSED if outer else ELAPSED
