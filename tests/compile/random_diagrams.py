@@ -8,9 +8,10 @@ from typing import Any
 
 from tests.compile.random_blocks import RandomBlock
 from tests.compile.random_machines import machine_block, random_table
-from twodof.blocks import Block, Diagram, Port
+from twodof.blocks import Block, Diagram, Enumeration, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
+from twodof.blocks.declarations import mismatch
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold
 from twodof.blocks.library.discrete import METHODS, RESETS
 
@@ -70,6 +71,16 @@ LATER: tuple[Any, ...] = (
     lambda r: lib.VariableDelay(6, r.uniform(-2, 2), r.random() < 0.5),
 )
 """What came later is drawn by itself."""
+LIGHT = Enumeration("Light", green=0, amber=2, red=5)
+ENUMERATED: tuple[Any, ...] = (
+    lambda r: lib.Convert("int32", LIGHT),
+    lambda r: lib.Convert("real", LIGHT, "nearest"),
+    lambda r: lib.Switch(LIGHT),
+    lambda r: lib.MultiportSwitch(3, LIGHT),
+    lambda r: lib.UnitDelay(r.choice(("red", "green")), LIGHT),
+    lambda r: lib.CompareToConstant(r.choice(("==", "!=")), "amber", LIGHT),
+    lambda r: lib.Convert("int32", "real"),
+)
 CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.Integrator(),
     lambda r: lib.FirstOrder(1.5, 0.3),
@@ -100,6 +111,7 @@ class Maker:
         self.rng = random.Random(seed)
         self.more = random.Random(~seed)  # for what came later, so that the seeds' diagrams stay what they were
         self.machines = random.Random(seed + 1)  # the same for state machines
+        self.enumerated = random.Random(f"enumerated {seed}")
         self.small = small
         self.size = 3 if small else 8
         self.paths: list[str] = []
@@ -151,7 +163,8 @@ class Maker:
             d.add(name, block, rate=own, params=self.binding(d, block))
             if block.outputs and self.more.random() < 0.2 and not isinstance(block, lib.StoreWrite):
                 held = self.more.choice(block.outputs)
-                value = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
+                number = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
+                value = number if held.enum is None else "red"
                 d.parts[name].initial = {held.name: value}
             if not isinstance(block, lib.StoreRead):
                 waiting += [(f"{name}.{p.name}", p, own, before) for p in block.inputs]
@@ -210,6 +223,8 @@ class Maker:
             made = r.choice(CONTINUOUS)(r)
         else:
             made = FractionalDelay(r.uniform(0.0, 0.05))
+        if what < 0.75 and self.enumerated.random() < 0.1:
+            made = self.enumerated.choice(ENUMERATED)(self.enumerated)
         if rate == (1, 0) and self.more.random() < 0.05:
             made = lib.ResetIntegrator()
         if self.machines.random() < 0.08:
@@ -249,16 +264,17 @@ class Maker:
     def driver(self, d: Diagram, port: Port, own: tuple[int, int], sources: list[Source], crossing: bool) -> str:
         """A source for an input: one of the same type, held at the reader's rate if need be, or a constant."""
         r = self.rng
-        fits = [s for s in sources if (s.port.kind, s.port.width) == (port.kind, port.width)]
+        fits = [s for s in sources if mismatch(port, s.port, "") is None]
         extra = f"h{len(d.parts)}"
         if not fits:
             value = {"real": r.uniform(-2, 2), "bool": True}.get(port.kind, r.randint(0, 5))
-            d.add(extra, Constant(value, port.kind, port.width), rate=own)
+            value = value if port.enum is None else "amber"
+            d.add(extra, Constant(value, port.enum or port.kind, port.width), rate=own)
             return extra
         source = r.choice(fits)
         if source.rate == own or crossing:
             return source.text
-        d.add(extra, ZeroOrderHold(port.kind, port.width), rate=own)
+        d.add(extra, ZeroOrderHold(source.port.enum or port.kind, port.width), rate=own)
         d.connect(source.text, f"{extra}.{d.parts[extra].item.inputs[0].name}")
         return extra
 

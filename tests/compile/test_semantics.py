@@ -8,7 +8,8 @@ from __future__ import annotations
 import pytest
 
 from tests.compile.differential import DT, reference_run
-from tests.compile.semantics import TOLD, resetting
+from tests.compile.semantics import resetting
+from tests.compile.typed_signals import TOLD
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile.program.check import check

@@ -33,7 +33,8 @@ from tests.compile.differential import (
 from tests.compile.every_operator import every_operator
 from tests.compile.lanes.lanes_differential import lane_programs
 from tests.compile.machine_cases import machine_case
-from tests.compile.semantics import TOLD, resetting
+from tests.compile.semantics import resetting
+from tests.compile.typed_signals import TOLD
 from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
 from twodof.blocks.elementary.functions import ARGUMENTS

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from twodof.blocks.declarations import Port, shape
+from twodof.blocks.declarations import Port, alike, shape
 from twodof.blocks.diagram import Diagram, carried
 from twodof.blocks.library.routing import CaseChoice, FirstTrue, Merge
 from twodof.errors import DiagramError, listed, nearest, shown
@@ -62,7 +62,7 @@ def action_group(
             raise DiagramError(f"there is no output {shown(output)} to start", name, there)
     for output in parts[first].outputs:
         port = _alike(name, output, parts)
-        merge = Merge(len(parts), (initial or {}).get(output, 0), port.kind, port.width, port.unit)
+        merge = Merge(len(parts), (initial or {}).get(output, 0), port.enum or port.kind, port.width, port.unit)
         fed = {letter: f"{action}.{output}" for letter, action in zip(merge.names, parts, strict=True)}
         told = {f"{letter}_acts": acts[action] for letter, action in zip(merge.names, parts, strict=True)}
         d.output(output, d.add(f"merge_{output}", merge, inputs={**fed, **told}))
@@ -77,8 +77,8 @@ def _lettered(actions: Mapping[str, Diagram]) -> list[tuple[str, str]]:
 def _input(d: Diagram, port: Port) -> None:
     there = d.inputs.get(port.name)
     if there is None:
-        d.input(port.name, port.kind, port.width, port.unit, port.shape)
-    elif shape(there) != shape(port) or (there.unit and port.unit and there.unit != port.unit):
+        d.declare(port)
+    elif not alike(there, port) or (there.unit and port.unit and there.unit != port.unit):
         both = f"{shape(there)} [{there.unit}] and {shape(port)} [{port.unit}]"
         raise DiagramError(f"two actions have an input {port.name!r}, of {both}", d.name, "rename one")
     elif port.unit:
@@ -92,7 +92,7 @@ def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
         port = carried(item, output)
         if port is None:
             raise DiagramError("the output is not connected", f"{name}.{action}.{output}", "connect it or remove it")
-        found[shape(port)] = port
+        found[shape(port) if port.enum is None else str(port.enum)] = port
     if len(found) > 1:
         raise DiagramError(f"the actions' outputs {output!r} are {listed(found)}", name, "convert them to one type")
     return next(iter(found.values()))

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from twodof.blocks.datatypes.enumeration import enumeration_of
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import KINDS
 from twodof.blocks.expressions.matrix import Matrix, shape_text
@@ -45,6 +46,25 @@ def check_tick(dt: object, where: str) -> float:
     if type(tick) not in (int, float) or not 0 < tick < math.inf:
         raise DiagramError(f"dt = {shown(dt)}", where, "give the base tick in seconds, > 0")
     return float(tick)
+
+
+def _keep_enumeration(declared: "Port | State | Param") -> None:
+    """Turn a kind that is an enumeration into int32 and that enumeration, and what is declared of it into numbers."""
+    where = f"{declared.name!s:.80}"
+    given = declared.kind if declared.enum is None else declared.enum
+    enumeration = enumeration_of(given, where)
+    if enumeration is None:
+        if declared.enum is not None:
+            raise DiagramError(f"enum is {shown(declared.enum)}", where, "give an enumeration, or leave it out")
+        return
+    if declared.enum is not None and declared.kind not in ("real", "int32"):
+        raise DiagramError(f"an enumeration of type {shown(declared.kind)}", where, "leave the type out: it is int32")
+    object.__setattr__(declared, "kind", "int32")
+    object.__setattr__(declared, "enum", enumeration)
+    if isinstance(declared, Param):
+        object.__setattr__(declared, "value", enumeration.plain(declared.value, where))
+    elif isinstance(declared, State) and not isinstance(declared.initial, str):
+        object.__setattr__(declared, "initial", enumeration.plain(declared.initial, where))
 
 
 def _keep_plain(declared: Any, *names: str) -> None:
@@ -94,17 +114,20 @@ def located(where: str) -> Iterator[None]:
 class Port:
     """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared.
 
-    With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements.
+    With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements. A `kind` that is an
+    enumeration becomes int32, and `enum` is the enumeration.
     """
 
     name: str
-    kind: str = "real"
+    kind: Any = "real"
     width: int | None = None
     unit: str = ""
     shape: tuple[int, int] | None = None
+    enum: Any = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "width")
+        _keep_enumeration(self)
         _check_shape(self)
 
 
@@ -117,14 +140,16 @@ class State:
 
     name: str
     initial: Any = 0
-    kind: str = "real"
+    kind: Any = "real"
     width: int | None = None
     unit: str = ""
     continuous: bool = False
     shape: tuple[int, int] | None = None
+    enum: Any = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "initial", "width", "continuous")
+        _keep_enumeration(self)
         _check_shape(self)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
@@ -144,7 +169,7 @@ class Param:
 
     name: str
     value: Any = 0.0
-    kind: str = "real"
+    kind: Any = "real"
     width: int | None = None
     unit: str = ""
     low: float = -math.inf
@@ -152,9 +177,11 @@ class Param:
     text: str = ""
     tunable: bool = True
     shape: tuple[int, int] | None = None
+    enum: Any = None
 
     def __post_init__(self) -> None:
         _keep_plain(self, "value", "width", "low", "high", "tunable")
+        _keep_enumeration(self)
         _check_shape(self)
         given = _declared(self.value, self)
         _check_limits(self)
@@ -206,10 +233,38 @@ def check_lists(block: Declared, where: str) -> None:
 
 
 def shape(declared: Typed) -> str:
-    """The type of what is declared or recorded, with its size if it is an array: "real", "int32[3]", "real[3x2]"."""
+    """The type of what is declared or recorded, with its size if it is an array: "real", "int32[3]", "real[3x2]".
+
+    Of an enumeration it is that one's name.
+    """
+    enumeration = getattr(declared, "enum", None)
+    kind: str = declared.kind if enumeration is None else enumeration.name
     if declared.width is None:
-        return declared.kind
-    return f"{declared.kind}[{'x'.join(map(str, declared.shape or (declared.width,)))}]"
+        return kind
+    return f"{kind}[{'x'.join(map(str, declared.shape or (declared.width,)))}]"
+
+
+def alike(one: Typed, other: Typed) -> bool:
+    """Whether both are declared of one type and size."""
+    return shape(one) == shape(other) and getattr(one, "enum", None) == getattr(other, "enum", None)
+
+
+def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | None:
+    """What is wrong if the signal `given`, that of `source`, feeds `port`, and the remedy; None if it fits.
+
+    A signal of an enumeration may feed an int32.
+    """
+    wanted, found = getattr(port, "enum", None), getattr(given, "enum", None)
+    if alike(port, given) or (
+        wanted is None and found is not None and shape(port) == shape(given).replace(found.name, "int32")
+    ):
+        return None
+    if wanted is not None and found is not None and wanted != found:
+        return f"it takes {wanted} and {source} is {found}", "declare both of one enumeration, or convert the signal"
+    if wanted is not None and given.kind == "int32" and given.width == port.width:
+        remedy = f'put Convert("int32", {wanted.name}) between them'
+        return f"it takes {shape(port)} and {source} is {shape(given)}", remedy
+    return f"it takes {shape(port)} and {source} is {shape(given)}", "convert the signal, or mux and demux it"
 
 
 def element_names(name: str, declared: Typed) -> list[str]:
@@ -253,11 +308,14 @@ def fits(value: int, kind: str) -> bool:
 
 
 def check_initial(value: Any, output: Typed, where: str) -> Any:
-    """`value` if an output of this type may hold it at first; else DiagramError. It is as strict as a default is."""
+    """`value` if an output of this type may hold it at first; else DiagramError. It is as strict as a default is.
+
+    A member of an enumeration that was named is its number then.
+    """
     matrix = output.shape if output.shape and len(output.shape) == 2 else None
     with located(where):
-        Param("initial", value, output.kind, output.width, shape=matrix)
-    return value
+        declared = Param("initial", value, output.kind, output.width, shape=matrix, enum=getattr(output, "enum", None))
+    return value if declared.enum is None else declared.value
 
 
 def _check_limits(declared: Param) -> None:
@@ -348,6 +406,8 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
     """
     try:
         value = plain_data(value, path)
+        if declared.enum is not None:
+            value = declared.enum.plain(value, path)
         with numbers.precision("float64"):
             number = numbers.plain(numeric(value, declared.kind, declared.width, path, declared.shape))
     except DiagramError as error:

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EDGES
+from twodof.blocks.datatypes.enumeration import Enumeration, Kind
 from twodof.blocks.declarations import Param, Port, check_lists, check_name, located, unknown_name
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, nearest, shown
@@ -92,15 +93,19 @@ class Diagram:
     def input(
         self,
         name: str,
-        kind: str = "real",
+        kind: Kind = "real",
         width: int | None = None,
         unit: str = "",
         shape: tuple[int, int] | None = None,
     ) -> str:
         """Declare an input; returns its name, which is a source."""
-        self._new(name)
-        self.inputs[name] = Port(name, kind, width, unit, shape)
-        return name
+        return self.declare(Port(name, kind, width, unit, shape))
+
+    def declare(self, port: Port) -> str:
+        """Declare the input `port`; returns its name, which is a source."""
+        self._new(port.name)
+        self.inputs[port.name] = port
+        return port.name
 
     def output(self, name: str, source: str | None = None) -> None:
         """Declare an output, fed by `source` (or connected later). Its type, width and unit are its source's."""
@@ -114,7 +119,7 @@ class Diagram:
         name: str,
         value: object = 0.0,
         *,
-        kind: str = "real",
+        kind: Kind = "real",
         width: int | None = None,
         unit: str = "",
         low: float = -float("inf"),
@@ -122,11 +127,12 @@ class Diagram:
         text: str = "",
         tunable: bool = True,
         shape: tuple[int, int] | None = None,
+        enum: Enumeration | None = None,
     ) -> str:
         """Declare a parameter of the diagram, to which parameters of its parts may be bound (see `add`)."""
         self._new(name)
         with located(f"{self.name}.{name}"):
-            self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable, shape)
+            self.params[name] = Param(name, value, kind, width, unit, low, high, text, tunable, shape, enum)
         return name
 
     def add(

@@ -156,7 +156,8 @@ def _expressions(block: Block) -> str:
 def _parameter(param: Param) -> str:
     bounds = (f"{float(param.low):.9g}", f"{float(param.high):.9g}")
     ranged = "" if bounds == ("-inf", "inf") else f", {bounds[0]} to {bounds[1]}"
-    return f"{_number(param.value)} {param.unit}".rstrip() + ranged + ("" if param.tunable else ", fixed")
+    value = _number(param.value) if param.enum is None or param.width else param.enum.name_of(param.value)
+    return f"{value} {param.unit}".rstrip() + ranged + ("" if param.tunable else ", fixed")
 
 
 def _number(value: Any) -> str:

@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
+from twodof.blocks.datatypes.enumeration import Kind, enumeration_of
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
@@ -29,7 +30,7 @@ class Pointwise(Block):
 
     of: Callable[..., Any]
 
-    def ports(self, names: Iterable[str], kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def ports(self, names: Iterable[str], kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         """Declare the inputs and the output y, all of one type and unit."""
         self.inputs = [Port(name, kind, width, unit) for name in names]
         self.outputs = [Port("y", kind, width, unit)]
@@ -60,6 +61,14 @@ def search(breakpoints: Any, length: int, value: Any) -> Any:
         return [where(right, middle, low), where(right, high, middle)]
 
     return fold((length - 1).bit_length(), [int32(0), int32(length - 1)], halve)[0]
+
+
+def comparable(kind: Any, operation: str, block: str) -> Any:
+    """`kind` if its values can be compared so: numbers anyhow, members of an enumeration for == and !=; else raise."""
+    if enumeration_of(kind, block) is None:
+        return one_of(kind, NUMERIC, block, "kind")
+    one_of(operation, ("==", "!="), block, "operation on an enumeration")
+    return kind
 
 
 def one_of(value: Any, choices: Sequence[str], block: str, argument: str) -> str:
@@ -93,7 +102,7 @@ def counts(values: Any, low: int, high: int, block: str, argument: str) -> list[
     return [count(value, low, high, block, argument) for value in values]
 
 
-def sized(name: str, shape: Any, block: str, kind: str = "real", unit: str = "") -> Port:
+def sized(name: str, shape: Any, block: str, kind: Kind = "real", unit: str = "") -> Port:
     """The port of an array: `shape` is (n,) of a vector, (rows, columns) of a matrix; else DiagramError."""
     if not isinstance(shape, (list, tuple)) or len(shape) not in (1, 2):
         raise DiagramError(f"the shape {shape!r:.80} of {name}", block, "write [n], or [rows, columns]")

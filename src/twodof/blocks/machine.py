@@ -28,10 +28,10 @@ _ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
 class Machine(ABC):
     """One running program: parameters, states and inputs of its own, by name or path.
 
-    A value is a number, a list of `width` numbers for a vector, or a list of rows for a matrix. An input that is not
-    given keeps its last value (0 at first). A parameter is refused outside its bounds or its type's range; inputs and
-    states that are integers wrap around. Where the target can fault (docs/reference/compilation.md), a method that
-    computes raises ControllerFault.
+    A value is a number, a list of `width` numbers for a vector, or a list of rows for a matrix. Of an enumeration it
+    may be a name, and only members are taken. An input that is not given keeps its last value (0 at first).
+    A parameter is refused outside its bounds or its type's range; inputs and states that are integers wrap around.
+    Where the target can fault (docs/reference/compilation.md), a method that computes raises ControllerFault.
     One thread at a time may use a machine: queue the changes of others and apply them between two steps.
     """
 
@@ -170,6 +170,8 @@ class Machine(ABC):
     def _plain(self, value: Any, declared: Port | State, where: str) -> Any:
         """`value` as plain numbers of the declared type, in this machine's precision."""
         plain = plain_data(value, where)
+        if declared.enum is not None:
+            plain = declared.enum.plain(plain, where)
         with numbers.precision(self.precision):
             return numbers.plain(numeric(plain, declared.kind, declared.width, where, declared.shape))
 
@@ -206,6 +208,10 @@ def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) 
             port.name,
             remedy,
         )
+    if port.enum is not None:
+        strange = data[~np.isin(data, list(port.enum.members.values()))]
+        if strange.size:
+            port.enum.plain(strange[0].item(), port.name)
     if port.shape:
         data = data.swapaxes(-1, -2).reshape(*data.shape[:-2], -1)
     return data if port.kind in ("real", "bool") else data.astype(port.kind)

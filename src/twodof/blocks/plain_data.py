@@ -1,9 +1,12 @@
 """Plain data: the numbers, texts and lists of Python that a declaration keeps and that JSON can write."""
 
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
+from twodof.blocks.datatypes.enumeration import Enumeration, enumeration_of
+from twodof.blocks.expressions.numbers import Integer
 from twodof.errors import DiagramError
 
 _KINDS = "biufU"  # of numpy's types: bool, integer, unsigned, real, text
@@ -14,8 +17,9 @@ _SCALARS = frozenset((float, int, bool, str, type(None)))
 def plain_data(value: Any, where: str, depth: int = 0) -> Any:
     """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
 
-    The numbers are the same ones: a float32 is a float64 too. Raises DiagramError, at `where`, for complex numbers, for
-    arrays of what is not a number, and for lists within lists without end (`depth` counts them).
+    The numbers are the same ones: a float32 is a float64 too. Members of an enumeration become numbers, and an
+    enumeration its plain form. Raises DiagramError, at `where`, for complex numbers, for arrays of what is not a
+    number, and for lists within lists without end (`depth` counts them).
     """
     if type(value) in _SCALARS:
         return value
@@ -31,6 +35,12 @@ def plain_data(value: Any, where: str, depth: int = 0) -> Any:
         if depth == MAX_DEPTH:
             raise DiagramError(f"lists within more than {MAX_DEPTH} lists", where, "give a number, a list or rows")
         return [plain_data(one, where, depth + 1) for one in value]
+    if isinstance(value, IntEnum):
+        return int(value)
+    if isinstance(value, Integer):
+        return value.value
+    if isinstance(value, (type, Enumeration)) and (enumeration := enumeration_of(value, where)) is not None:
+        return enumeration.form()
     if isinstance(value, complex):
         raise DiagramError(f"the complex number {value} is given", where, "give real numbers")
     return value

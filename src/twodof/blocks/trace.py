@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from twodof.blocks.declarations import Declared, check_lists, located, shape
+from twodof.blocks.datatypes.enumeration import Enumeration, stays_within
+from twodof.blocks.declarations import Declared, alike, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
@@ -64,6 +65,7 @@ def trace_of(block: Declared) -> Trace:
     discrete = [s for s in block.states if not s.continuous]
     continuous = [s for s in block.states if s.continuous]
 
+    enumerated = _enumerations(block)
     shapes = matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived)
 
     def result(method: str) -> Any:
@@ -78,7 +80,9 @@ def trace_of(block: Declared) -> Trace:
         with tracing(f"{type(block).__name__}.{method}"):
             found = result(method)
             try:
-                return returned(method, found, declared, partial)
+                given = returned(method, found, declared, partial)
+                _check_members(declared, given, enumerated)
+                return given
             except DiagramError as error:
                 remedy = definition(method) if is_missing(block, method) else error.remedy
                 raise DiagramError(error.what, place(block, method), remedy) from error
@@ -190,7 +194,7 @@ def check_declarations(block: Declared, name: str) -> None:
                 f"two {what}s are named {max(names, key=names.count)!r}", name, "names are unique within a block"
             )
     for s in block.states:
-        if isinstance(s.initial, str) and not (s.initial in by_name and shape(by_name[s.initial]) == shape(s)):
+        if isinstance(s.initial, str) and not (s.initial in by_name and alike(by_name[s.initial], s)):
             raise DiagramError(
                 f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
                 name,
@@ -218,6 +222,26 @@ def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool
         if n not in result:
             raise DiagramError(f"{method} does not give {n!r}", "", "give each declared name a value")
     return dict(result)
+
+
+_Enumerations = dict[tuple[str, str], Enumeration | None]
+
+
+def _enumerations(block: Declared) -> _Enumerations:
+    """The enumerations of which inputs, states and parameters are declared, by leaf and name."""
+    leaves = (("input", block.inputs), ("state", block.states), ("param", block.params), ("param", block.derived))
+    return {(op, d.name): d.enum for op, declared in leaves for d in declared}
+
+
+def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: _Enumerations) -> None:
+    """Raise DiagramError if what is declared of an enumeration is given what may be none of its members."""
+    for d in declared:
+        if d.enum is not None and d.name in given and not stays_within(d.enum, given[d.name], leaves):
+            raise DiagramError(
+                f"{d.name!r} is a {d.enum.name}, and is given an int32 that may be none of its members",
+                "",
+                f"give {d.enum.name}.{next(iter(d.enum.members))}, ..., or to_enumeration({d.enum.name}, value)",
+            )
 
 
 def _described(value: Any) -> str:

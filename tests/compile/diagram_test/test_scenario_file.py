@@ -144,7 +144,7 @@ def test_a_hostile_table_is_refused(tmp_path: Path) -> None:
     file = write(tmp_path, TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncsv = "data/in.csv"\n')
     place = tmp_path / "data" / "in.csv"
     for content, what in (
-        (b"time,y\n0,x\n", "'x' is not a number"),
+        (b"time,y\n0,x y\n", "'x y' is not a number"),
         (b"time,y\n0,1_0\n", "'1_0' is not a number"),
         (b"time,y\n1,0\n0,0\n", "does not increase"),
         (b"time,y\nnan,0\n", "does not increase"),

@@ -11,6 +11,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from enum import IntEnum
 from typing import Any, ClassVar
 
 import numpy as np
@@ -103,7 +104,7 @@ class Integer:
         """The other operand; None for an array or one of the expression graph, which have methods of their own."""
         if isinstance(other, type(self)):
             return other.value
-        if type(other) is int:
+        if type(other) is int or (isinstance(other, IntEnum) and self.kind == "int32"):
             return type(self)(other).value
         if hasattr(other, "op") or isinstance(other, ArrayOperators):
             return None
@@ -224,7 +225,7 @@ def cast(value: Any, kind: str) -> Any:
         integer = Int32 if kind == "int32" else UInt32
         if isinstance(value, integer):
             return value
-        if type(value) is int:
+        if type(value) is int or (isinstance(value, IntEnum) and kind == "int32"):
             return integer(value)
     raise DiagramError(
         f"a {kind} is expected and {shown(value)} of type {type(value).__name__} is given",
@@ -252,7 +253,7 @@ def plain(value: Any) -> Any:
 
 
 def kind_of(value: Any) -> str:
-    """The language's type of a number; a Python float or int literal is taken for a real.
+    """The language's type of a number; a Python float or int literal is taken for a real, an IntEnum for an int32.
 
     Raises DiagramError for anything that is not a number of the language.
     """
@@ -260,6 +261,8 @@ def kind_of(value: Any) -> str:
         return value.kind
     if isinstance(value, (bool, np.bool_)):
         return "bool"
+    if isinstance(value, IntEnum):
+        return "int32"
     if isinstance(value, (int, float, np.floating)):
         return "real"
     remedy = "write int(...) around it" if isinstance(value, np.integer) else "use real, int32, uint32 or bool"
@@ -271,5 +274,5 @@ def common_kind(values: Iterable[Any]) -> str:
 
     It is "real" if all are such literals.
     """
-    typed = (v for v in values if isinstance(v, (Integer, np.floating, np.bool_, bool)))
+    typed = (v for v in values if isinstance(v, (Integer, np.floating, np.bool_, bool, IntEnum)))
     return next(map(kind_of, typed), "real")

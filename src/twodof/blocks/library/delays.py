@@ -4,6 +4,7 @@ import math
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port, State, check_name
 from twodof.blocks.elementwise import count, elementwise
 from twodof.blocks.expressions.arrays import array_of, store
@@ -28,7 +29,7 @@ MAX_SAMPLES = 100_000
 class UnitDelay(Block):
     """Delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial. Breaks algebraic loops."""
 
-    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
         self.params = [Param("initial", initial, kind, width, unit)]
@@ -44,7 +45,7 @@ class UnitDelay(Block):
 class _RingBuffer(Block):
     """The last `bound` inputs, read before one is written; what was before them is `initial`."""
 
-    def _declare(self, bound: int, initial: Any, kind: str, width: int | None, unit: str) -> None:
+    def _declare(self, bound: int, initial: Any, kind: Kind, width: int | None, unit: str) -> None:
         self.bound, self.width = bound, width
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
@@ -94,7 +95,7 @@ class Delay(_RingBuffer):
         samples: int = 1,
         bound: int | None = None,
         initial: Any = 0,
-        kind: str = "real",
+        kind: Kind = "real",
         width: int | None = None,
         unit: str = "",
     ) -> None:
@@ -121,7 +122,7 @@ class VariableDelay(_RingBuffer):
         bound: int = 10,
         initial: Any = 0,
         direct: bool = True,
-        kind: str = "real",
+        kind: Kind = "real",
         width: int | None = None,
         unit: str = "",
     ) -> None:
@@ -214,7 +215,7 @@ class ZeroOrderHold(Block):
 
     crossing = True
 
-    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
 
@@ -246,7 +247,7 @@ class DataStore(Block):
 
     crossing = True
 
-    def __init__(self, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
         self.states = [State("x", initial, kind, width, unit)]
@@ -262,7 +263,7 @@ class DataStore(Block):
 class StoreWrite(Block):
     """Writes u into the DataStore named `store`, of which it is the only writer; y = u."""
 
-    def __init__(self, store: str = "store", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreWrite")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
@@ -277,7 +278,7 @@ class StoreRead(Block):
 
     crossing = True
 
-    def __init__(self, store: str = "store", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreRead")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]

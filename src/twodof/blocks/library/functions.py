@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from twodof.blocks.block import library_block
+from twodof.blocks.datatypes.enumeration import Kind, enumeration_of, to_enumeration
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import FUNCTIONS, atan2, ceil, exp, floor, hypot, log, pow, trunc
 from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of
@@ -126,24 +127,31 @@ class Remainder(Pointwise):
 class Convert(Pointwise):
     """y = u as another type. Real to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
 
-    int32 to uint32 and back keep the bits; bool gives 0 or 1.
+    int32 to uint32 and back keep the bits; bool gives 0 or 1. An enumeration as `target` takes the int32; what is none
+    of its members becomes 0.
     """
 
     def __init__(
         self,
         source: str = "real",
-        target: str = "int32",
+        target: Kind = "int32",
         rounding: str = "trunc",
         width: int | None = None,
         unit: str = "",
     ) -> None:
         self.source = one_of(source, KINDS, "Convert", "source")
-        self.target = one_of(target, KINDS, "Convert", "target")
+        self.enumeration = enumeration_of(target, "Convert")
+        self.target = "int32" if self.enumeration else one_of(target, KINDS, "Convert", "target")
         self.rounding = one_of(rounding, list(ROUNDING), "Convert", "rounding")
         self.inputs = [Port("u", source, width, unit)]
         self.outputs = [Port("y", target, width, unit)]
 
     def of(self, p: Any, u: Any) -> Any:
+        if self.enumeration is not None:
+            return to_enumeration(self.enumeration, self._converted(u))
+        return self._converted(u)
+
+    def _converted(self, u: Any) -> Any:
         if self.source == self.target:
             return u
         if self.target == "bool":

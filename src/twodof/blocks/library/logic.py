@@ -7,8 +7,9 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.conditions import EDGES, edge_of
+from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of, port_series
+from twodof.blocks.elementwise import NUMERIC, Pointwise, comparable, one_of, port_series
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 
 __all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
@@ -35,9 +36,9 @@ INVERTED = {"nand": "and", "nor": "or", "not": "and"}
 class Compare(Pointwise):
     """y = (a operation b), a bool; `operation` is <, <=, >, >=, == or !=. A comparison with NaN is false, != true."""
 
-    def __init__(self, operation: str = "<", kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, operation: str = "<", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.operation = one_of(operation, list(COMPARISONS), "Compare", "operation")
-        one_of(kind, NUMERIC, "Compare", "kind")
+        comparable(kind, operation, "Compare")
         self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
 
@@ -52,16 +53,17 @@ class CompareToConstant(Pointwise):
     def __init__(
         self,
         operation: str = ">",
-        constant: float = 0.0,
-        kind: str = "real",
+        constant: Any = 0.0,
+        kind: Kind = "real",
         width: int | None = None,
         unit: str = "",
     ) -> None:
         self.operation = one_of(operation, list(COMPARISONS), "CompareToConstant", "operation")
-        one_of(kind, NUMERIC, "CompareToConstant", "kind")
+        comparable(kind, operation, "CompareToConstant")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
-        self.params = [Param("constant", constant if kind == "real" else int(constant), kind, unit=unit)]
+        whole = kind in NUMERIC and kind != "real"
+        self.params = [Param("constant", int(constant) if whole else constant, kind, unit=unit)]
 
     def of(self, p: Any, u: Any) -> Any:
         return COMPARISONS[self.operation](u, p.constant)

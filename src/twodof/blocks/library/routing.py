@@ -6,6 +6,7 @@ from operator import and_, or_
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
 from twodof.blocks.expressions.arrays import vector
@@ -32,7 +33,7 @@ __all__ = [
 class Switch(Block):
     """y = a where the bool `condition` is true, else b."""
 
-    def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.inputs = [Port("condition", "bool"), Port("a", kind, width, unit), Port("b", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
 
@@ -48,7 +49,7 @@ class Reshape(Block):
     """
 
     def __init__(
-        self, shape: Sequence[int] = (4,), to: Sequence[int] = (2, 2), kind: str = "real", unit: str = ""
+        self, shape: Sequence[int] = (4,), to: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = ""
     ) -> None:
         self.inputs = [sized("u", shape, "Reshape", kind, unit)]
         self.outputs = [sized("y", to, "Reshape", kind, unit)]
@@ -63,7 +64,7 @@ class Reshape(Block):
 class MultiportSwitch(Block):
     """y is the input that the int32 `index` selects, from 0 on. An index beyond the ends takes the first or last."""
 
-    def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, inputs: int = 2, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.names = port_series(inputs, "MultiportSwitch")
         self.inputs = [Port("index", "int32"), *(Port(name, kind, width, unit) for name in self.names)]
         self.outputs = [Port("y", kind, width, unit)]
@@ -84,7 +85,7 @@ class MultiportSwitch(Block):
 class Mux(Block):
     """y = [a, b, c, ...]: an array of the scalar inputs."""
 
-    def __init__(self, inputs: int = 2, kind: str = "real", unit: str = "") -> None:
+    def __init__(self, inputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
         self.names = port_series(inputs, "Mux")
         self.inputs = [Port(name, kind, unit=unit) for name in self.names]
         self.outputs = [Port("y", kind, len(self.names), unit)]
@@ -97,7 +98,7 @@ class Mux(Block):
 class Demux(Block):
     """a = u[0], b = u[1], ...: the elements of an array as scalar outputs."""
 
-    def __init__(self, outputs: int = 2, kind: str = "real", unit: str = "") -> None:
+    def __init__(self, outputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
         self.names = port_series(outputs, "Demux")
         self.inputs = [Port("u", kind, len(self.names), unit)]
         self.outputs = [Port(name, kind, unit=unit) for name in self.names]
@@ -110,7 +111,7 @@ class Demux(Block):
 class Selector(Block):
     """y[i] = u[indices[i]], u of `width` elements, indices from 0; one index gives a scalar."""
 
-    def __init__(self, width: int = 2, indices: Sequence[int] = (0,), kind: str = "real", unit: str = "") -> None:
+    def __init__(self, width: int = 2, indices: Sequence[int] = (0,), kind: Kind = "real", unit: str = "") -> None:
         self.indices = counts(indices, 0, count(width, 1, MAX_WIDTH, "Selector", "width") - 1, "Selector", "indices")
         count(len(self.indices), 1, MAX_WIDTH, "Selector", "number of indices")
         self.inputs = [Port("u", kind, width, unit)]
@@ -126,7 +127,7 @@ class Selector(Block):
 class Index(Block):
     """y = u[index], `index` an int32 input counted from 0 and clamped to the array."""
 
-    def __init__(self, width: int = 2, kind: str = "real", unit: str = "") -> None:
+    def __init__(self, width: int = 2, kind: Kind = "real", unit: str = "") -> None:
         self.inputs = [Port("u", kind, width, unit), Port("index", "int32")]
         self.outputs = [Port("y", kind, unit=unit)]
 
@@ -138,7 +139,7 @@ class Index(Block):
 class Concatenate(Block):
     """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
 
-    def __init__(self, widths: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
+    def __init__(self, widths: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = "") -> None:
         self.widths = counts(widths, 1, MAX_WIDTH, "Concatenate", "widths")
         self.names = port_series(len(self.widths), "Concatenate")
         self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
@@ -202,7 +203,7 @@ class Merge(Block):
     """
 
     def __init__(
-        self, inputs: int = 2, initial: Any = 0, kind: str = "real", width: int | None = None, unit: str = ""
+        self, inputs: int = 2, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = ""
     ) -> None:
         self.names = port_series(inputs, "Merge")
         self.inputs = [Port(name, kind, width, unit) for name in self.names]

@@ -7,6 +7,7 @@ and equal times give equal numbers of ticks. An edge acts in its own tick: the n
 from typing import Any, ClassVar
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.library.waveform_laws import PATTERNS
@@ -28,7 +29,7 @@ def start_param(start: float) -> Param:
 class Constant(Block):
     """y = value; has no rate."""
 
-    def __init__(self, value: Any = 0.0, kind: str = "real", width: int | None = None, unit: str = "") -> None:
+    def __init__(self, value: Any = 0.0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.outputs = [Port("y", kind, width, unit)]
         self.params = [Param("value", value, kind, width, unit)]
 

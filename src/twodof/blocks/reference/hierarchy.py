@@ -9,7 +9,7 @@ from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, State, check_initial, narrowed, shape, unknown_name
+from twodof.blocks.declarations import Param, Port, State, alike, check_initial, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
@@ -176,7 +176,7 @@ class Hierarchy:
             self.parameters[path] = declared
             return path
         outer = self.parameters[bound]
-        if shape(outer) != shape(declared) or _units_clash(outer.unit, declared.unit):
+        if not alike(outer, declared) or _units_clash(outer.unit, declared.unit):
             raise DiagramError(
                 f"it is bound to {bound!r}, which has another type, width or unit", path, "declare both alike"
             )
@@ -223,7 +223,7 @@ class Hierarchy:
             port = part.resolve(source)
         if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
             raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
-        check_initial(value, port.declared, where)
+        value = check_initial(value, port.declared, where)
         held = port.cell.initial.setdefault(port.port, value)
         if held != value:
             what = f"{port} starts at {shown(held)} and at {shown(value)}"
@@ -259,12 +259,9 @@ class Hierarchy:
         source = level.diagram.connections.get((part, port.name))
         driver = self._stored(level, part, f"{path}.{port.name}") if source is None else level.resolve(source)
         given = self._port(driver)
-        if shape(given) != shape(port):
-            raise DiagramError(
-                f"it takes {shape(port)} and {driver} gives {shape(given)}",
-                f"{path}.{port.name}",
-                "convert the signal, or mux and demux it",
-            )
+        clash = mismatch(port, given, driver)
+        if clash is not None:
+            raise DiagramError(clash[0], f"{path}.{port.name}", clash[1])
         if _units_clash(given.unit, port.unit):
             raise DiagramError(
                 f"it takes [{port.unit}] and {driver} gives [{given.unit}]",

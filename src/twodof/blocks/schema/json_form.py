@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from twodof.blocks.block import REGISTRY, Block
+from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, Loader, member, only
@@ -186,6 +187,8 @@ def _encode(value: Any, where: str) -> Any:
         return [_encode(v, where) for v in value]
     if isinstance(value, dict):
         return {str(k): _encode(v, where) for k, v in value.items()}
+    if isinstance(value, Enumeration):
+        return value.form()
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     raise DiagramError(f"a {type(value).__name__} has no JSON form", where, "use numbers, strings and lists")

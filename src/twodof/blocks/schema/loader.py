@@ -96,7 +96,7 @@ class Loader:
         d = Diagram(name, text(member(data, "text", str, path, ""), MAX_TEXT, path or "diagram", lines=True))
         path = path or d.name
         for port in self._declarations(Port, data, "inputs", path):
-            d.input(port.name, port.kind, None if port.shape else port.width, port.unit, port.shape)
+            d.declare(port)
         for param in self._declarations(Param, data, "params", path):
             d.param(**vars(param))
         parts = member(data, "parts", list, path, [])
@@ -293,7 +293,7 @@ class Loader:
         return text(value, MAX_STRING, where) if isinstance(value, str) else value
 
 
-_NUMBERS = ("initial", "value", "low", "high")
+_NUMBERS = ("initial", "value", "low", "high", "enum")
 _PLAIN_FIELDS: dict[str, type] = {"name": str, "unit": str, "text": str, "tunable": bool, "continuous": bool}
 
 

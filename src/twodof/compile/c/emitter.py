@@ -138,6 +138,7 @@ class _Emitter:
             functions.append(self._run())
         remark = f" {_comment(self.program.text)}" if self.program.text else ""
         parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
+        parts.append(self._enumerations())
         parts.append(self._struct("P", "parameters; `prepare` computes the derived ones", self.layout.p.members))
         if stage:
             parts.append(self._struct("X", "continuous states", self.layout.x.members))
@@ -164,6 +165,17 @@ class _Emitter:
         self.helpers |= writer.helpers
         self.functions |= writer.functions
         return _unused("\n".join(writer.lines) + "\n")
+
+    def _enumerations(self) -> str:
+        """The members of enumerations as constants, for programs around this one."""
+        names = CNames()
+        lines = []
+        for e in self.program.enumerations:
+            # The least int32 has no literal of its own in C.
+            values = {m: f"{v}" if v > -(2**31) else f"({v + 1} - 1)" for m, v in e.members.items()}
+            members = ", ".join(f"{names.new(f'{self.prefix}_{e.name}_{m}')} = {v}" for m, v in values.items())
+            lines.append(f"enum {{ {members} }};\n")
+        return "".join([*lines, "\n"] if lines else [])
 
     def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
         lines = [m.declaration(self.scope.style.types) + _remark(m) for m in members]

@@ -121,7 +121,9 @@ class Scope:
 def describe(node: Node) -> str:
     """A block's path and type, for a comment."""
     kind = node.block.type_name or type(node.block).__name__
-    return f"/* {node.path}: {kind} */" if kind.isascii() and kind.isidentifier() else f"/* {node.path} */"
+    legend = "".join(f"; {e}" for e in node.enumerations)
+    named = kind.isascii() and kind.isidentifier()
+    return f"/* {node.path}: {kind}{legend} */" if named else f"/* {node.path}{legend} */"
 
 
 class TickEmitter:

@@ -153,6 +153,7 @@ FORMS = tuple(_MAKERS)
 """How what is claimed of a signal can read."""
 
 _SIGNAL = rf"(?P<signal>{PATTERN})"
+_MEMBER = r"[A-Za-z]\w{0,62}"
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|true|false"
 _TIMES = ("t", "t1", "t2", "since", "until")
 _WHEN = " between T1 and T2| from SINCE| until UNTIL"
@@ -164,7 +165,8 @@ def _pattern(form: str) -> re.Pattern[str]:
 
     def number(found: re.Match[str]) -> str:
         name = found[0].lower()
-        return rf"(?P<{name}>{_NUMBER})" + (r"(?:\ ?s\b)?" if name in _TIMES else "")
+        either = f"{_NUMBER}|{_MEMBER}" if name == "v" else _NUMBER
+        return rf"(?P<{name}>{either})" + (r"(?:\ ?s\b)?" if name in _TIMES else "")
 
     text = re.sub(r"\b[A-Z]+\d?\b", number, text)
     return re.compile(_SIGNAL + r"\ " + text, re.ASCII)
@@ -178,17 +180,24 @@ _READ = tuple((_pattern(form), make) for form, make in _MAKERS.items())
 MAX_TEXT = 500
 
 
-def assertion(text: str) -> Assertion:
-    """The assertion that `text` is. Raises DiagramError for a text of another form, an empty band or an empty time."""
+def assertion(text: str, member: Callable[[str, str], float] | None = None) -> Assertion:
+    """The assertion that `text` is. Raises DiagramError for a text of another form, an empty band or an empty time.
+
+    `member` gives the number of a value that is named, as members of an enumeration are: of the signal and the name.
+    """
     remedy = f"write SIGNAL and one of: {'; '.join(FORMS)}; the first four may end with between T1 and T2"
     if not isinstance(text, str) or len(text) > MAX_TEXT:
         raise DiagramError("this is not an assertion", shown(text), remedy)
     plain = _evenly_spaced(text)
     for form, make in _READ:
         found = form.fullmatch(plain)
-        if found:
+        named = found["v"] if found and "v" in found.groupdict() else ""
+        if found and (member is not None or not _is_name(named)):
             given = {name: word for name, word in found.groupdict().items() if name != "signal" and word}
-            numbers = {name: _number(word) for name, word in given.items()}
+            numbers = {
+                name: member(found["signal"], word) if member and _is_name(word) else _number(word)
+                for name, word in given.items()
+            }
             made = make(" ".join(text.split()), found["signal"], numbers)
             _check(made, numbers)
             return made
@@ -199,6 +208,10 @@ def _evenly_spaced(text: str) -> str:
     """`text` with one blank between words, and none beside brackets but before the band of `within`."""
     tight = re.sub(r"\s*([,\[\]])\s*", r"\1", " ".join(text.split()))
     return re.sub(r"\](?=[a-z])", "] ", tight.replace(",", ", ").replace("within[", "within ["))
+
+
+def _is_name(word: str) -> bool:
+    return bool(re.fullmatch(_MEMBER, word, re.ASCII)) and word not in ("true", "false")
 
 
 def _number(word: str) -> float:

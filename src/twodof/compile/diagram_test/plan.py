@@ -1,14 +1,16 @@
 """Plan: a scenario made to fit a diagram, its inputs as arrays."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.block import Block
+from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import Diagram
+from twodof.blocks.diagram import Diagram, carried, port_names
 from twodof.blocks.machine import axes
 from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
@@ -29,6 +31,7 @@ class Plan:
 
     `inputs` are arrays of `steps` rows in the ports' types. `checks` are its assertions, `expected` the columns of its
     table that are expected, with the signal's name (or path, perhaps with an index). `paths` are the signals to log.
+    `enumerations` are those of signals that are of one, by name.
     """
 
     scenario: Scenario
@@ -37,6 +40,7 @@ class Plan:
     checks: tuple[Assertion, ...]
     expected: tuple[tuple[str, str], ...]
     paths: frozenset[str]
+    enumerations: Mapping[str, Enumeration]
 
 
 def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
@@ -45,14 +49,18 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     Raises DiagramError for an input or output that is not there, and for a scenario that claims nothing. It does so too
     for an input that is fed twice, or with values that are not of its type.
     """
+    scenario = _named(diagram, scenario)
     steps = _steps(scenario, dt)
     elements: Elements = {}
     for name, value in scenario.inputs.items():
         where = f"{scenario.name}, {name}"
         port = _input(diagram, name, where)
-        given = _signals(value, axes(port), where)
+        given = _signals(value, axes(port), where, port.enum)
         elements[name] = {i: s.values(steps, dt, port.kind != "real") for i, s in given.items()}
-    checks = tuple(assertion(claim) if isinstance(claim, str) else claim for claim in scenario.checks)
+    checks = tuple(
+        assertion(c, lambda s, name: _member(diagram, s, name, scenario.name)) if isinstance(c, str) else c
+        for c in scenario.checks
+    )
     expected = tuple(_read_table(diagram, scenario, steps, dt, elements)) if scenario.table else ()
     if not (checks or expected):
         raise DiagramError("it claims nothing", scenario.name, "add checks, or a table with a column of an output")
@@ -70,7 +78,52 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
         name: _column(diagram.inputs[name], by_element, steps, f"{scenario.name}, {name}")
         for name, by_element in elements.items()
     }
-    return Plan(scenario, steps, inputs, checks, expected, frozenset(names) - set(diagram.outputs))
+    found = {name: _enumeration(diagram, name) for name in names}
+    enumerations = {name: e for name, e in found.items() if e is not None}
+    return Plan(scenario, steps, inputs, checks, expected, frozenset(names) - set(diagram.outputs), enumerations)
+
+
+def _enumeration(diagram: Diagram, path: str) -> Enumeration | None:
+    """The enumeration of which the signal at `path` is: an input, an output, or part.port."""
+    found: Enumeration | None
+    if path in diagram.inputs:
+        found = diagram.inputs[path].enum
+        return found
+    *parts, output = path.split(".")
+    item: Block | Diagram = diagram
+    for name in parts:
+        if isinstance(item, Block) or name not in item.parts:
+            return None
+        item = item.parts[name].item
+    if output not in port_names(item, "output"):
+        return None
+    try:
+        port = carried(item, output)
+    except DiagramError:  # which the build says
+        return None
+    found = None if port is None else port.enum
+    return found
+
+
+def _member(diagram: Diagram, signal: str, name: str, scenario: str) -> float:
+    """The number of a signal's value that is named."""
+    enumeration = _enumeration(diagram, parse_element(signal, scenario)[0])
+    if enumeration is None:
+        remedy = f"{signal} is not of an enumeration: write a number"
+        raise DiagramError(f"{shown(name)} is not a number", f"{scenario}, {signal}", remedy)
+    return float(enumeration.plain(name, f"{scenario}, {signal}"))
+
+
+def _named(diagram: Diagram, scenario: Scenario) -> Scenario:
+    """`scenario` with the numbers of the members that its table names."""
+    if scenario.table is None or not scenario.table.table.words:
+        return scenario
+    found = {}
+    for column in scenario.table.table.words:
+        signal = column.removeprefix(INPUT).removeprefix(OUTPUT).strip()
+        found[column] = _enumeration(diagram, parse_element(signal, f"{scenario.name}, {column}")[0])
+    table = replace(scenario.table, table=scenario.table.table.with_members(found))
+    return replace(scenario, table=table)
 
 
 def _steps(scenario: Scenario, dt: float) -> int:
@@ -92,7 +145,9 @@ def _input(diagram: Diagram, name: str, where: str) -> Port:
     return diagram.inputs[name]
 
 
-def _signals(value: Any, sizes: tuple[int, ...], where: str) -> dict[Index, InputSignal]:
+def _signals(
+    value: Any, sizes: tuple[int, ...], where: str, enumeration: Enumeration | None = None
+) -> dict[Index, InputSignal]:
     """A signal for each element of a port with these axes; one alone is that of all elements."""
     if isinstance(value, (list, tuple)):
         if not sizes or len(value) != sizes[0]:
@@ -101,8 +156,10 @@ def _signals(value: Any, sizes: tuple[int, ...], where: str) -> dict[Index, Inpu
         return {
             (i, *below): signal
             for i, one in enumerate(value)
-            for below, signal in _signals(one, sizes[1:], where).items()
+            for below, signal in _signals(one, sizes[1:], where, enumeration).items()
         }
+    if isinstance(value, str) and enumeration is not None:
+        value = enumeration.plain(value, where)
     if isinstance(value, (bool, int, float, np.number, np.bool_)):
         value = ConstantInput(float(value))
     if not isinstance(value, InputSignal):
@@ -159,4 +216,7 @@ def _column(port: Port, elements: dict[Index, NDArray[np.float64]], steps: int, 
             value = data[odd][0]
             raise DiagramError(f"{value:g} does not fit {port.kind}", where, f"give whole numbers from {low} to {high}")
         found = data.astype(port.kind)
+    if port.enum is not None:
+        for value in np.unique(found).tolist():
+            port.enum.plain(value, where)
     return found

@@ -1,20 +1,23 @@
 """Run scenarios on the reference or a compiled target, and judge them."""
 
+import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.machine import Machine
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.builder import build
 from twodof.compile.diagram_test.assertions import Assertion
-from twodof.compile.diagram_test.judgement import ScenarioResult
+from twodof.compile.diagram_test.judgement import Judgement, ScenarioResult
 from twodof.compile.diagram_test.plan import Plan, plan
 from twodof.compile.diagram_test.scenario import ExpectedColumn, Scenario, expected_column
-from twodof.compile.diagram_test.signal_element import element_of
+from twodof.compile.diagram_test.signal_element import element_of, parse_element
 from twodof.errors import DiagramError, ParameterError
 
 REFERENCE = "reference"
@@ -71,6 +74,16 @@ def run_plan(planned: Plan, machine: Machine) -> dict[str, NDArray[Any]]:
     return machine.run(planned.steps, planned.inputs)
 
 
+def _named(judgement: Judgement, enumeration: Enumeration | None) -> Judgement:
+    """`judgement` with the members' names in its text, if it says what value is wrong."""
+    value, limit, time = judgement.value, judgement.limit, judgement.time
+    if enumeration is None or value is None or limit is None or time is None:
+        return judgement
+    names = [enumeration.name_of(round(v) if math.isfinite(v) else v) for v in (value, limit)]
+    _, more, count = judgement.text.partition("; ")
+    return replace(judgement, text=f"{names[0]} at {time:.6g} s is not {names[1]}{more}{count.partition(',')[0]}")
+
+
 def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> ScenarioResult:
     """What is found of a scenario in the signals of its run. Raises DiagramError for a claim about no tick of it."""
     table, name = planned.scenario.table, planned.scenario.name
@@ -83,7 +96,8 @@ def judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scenar
         whole = values.dtype.kind != "f"
         claims.append((expected_column(table, column, signal, whole, planned.steps, dt), values))
     try:
-        judgements = tuple(claim.judge(values.astype(np.float64), dt) for claim, values in claims)
+        found = (claim.judge(values.astype(np.float64), dt) for claim, values in claims)
+        judgements = tuple(_named(j, planned.enumerations.get(parse_element(j.signal, name)[0])) for j in found)
     except DiagramError as error:
         raise DiagramError(error.what, f"{name}, {error.where}", error.remedy) from error
     tables = {c.text: (dt * c.ticks.astype(np.float64), c.expected) for c, _ in claims if isinstance(c, ExpectedColumn)}

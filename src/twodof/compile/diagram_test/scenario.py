@@ -16,8 +16,8 @@ from twodof.errors import DiagramError, listed, shown
 INPUT, OUTPUT = "input ", "output "
 """A column's name may begin with one of these, where the diagram has an input and an output of one name."""
 
-InputValue = InputSignal | float | Sequence[Any]
-"""What an input can be fed with: a signal or a number (a bool); of an array one for each element, of a matrix rows."""
+InputValue = InputSignal | float | str | Sequence[Any]
+"""What an input can be fed with: a signal, a number (a bool), or a member's name; of an array one for each element."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from twodof.blocks.declarations import NAME
 from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import (
     ConstantInput,
@@ -120,14 +121,22 @@ def _parameters(value: Any, where: str, prefix: str = "") -> Iterable[tuple[str,
 
 def _parameter(value: Any, where: str) -> Any:
     values = value if isinstance(value, list) else [value]
-    if not all(isinstance(v, (bool, int, float)) for v in values):
+    if not all(isinstance(v, (bool, int, float)) or (isinstance(v, str) and NAME.fullmatch(v)) for v in values):
         raise DiagramError(f"{shown(value)} is not a number", where, "give a number or a list of numbers")
     return value
 
 
-def _check(text: Any, where: str) -> Assertion:
+def _check(text: Any, where: str) -> Assertion | str:
+    """An assertion; as its text if it names members of an enumeration, which are known with the diagram."""
+    named: list[str] = []
+
+    def noted(_: str, name: str) -> float:
+        named.append(name)
+        return 0.0
+
     try:
-        return assertion(text)
+        found = assertion(text, noted)
+        return str(text) if named else found
     except DiagramError as error:
         raise DiagramError(error.what, f"{where}, {error.where}", error.remedy) from error
 
@@ -148,9 +157,11 @@ _SIGNALS: Mapping[str, tuple[str, ...]] = {
 """The first key of a signal says its kind, and these may come with it."""
 
 
-def _signal(value: Any, where: str, folder: Path) -> InputSignal:
+def _signal(value: Any, where: str, folder: Path) -> InputSignal | str:
     if isinstance(value, (bool, int, float)):
         return ConstantInput(float(value))
+    if isinstance(value, str) and NAME.fullmatch(value):  # of a member of an enumeration
+        return value
     row = _table(value, where)
     kind = next((k for k in _SIGNALS if k in row), None)
     if kind is None:

@@ -3,13 +3,15 @@
 import csv
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.datatypes.enumeration import Enumeration
+from twodof.blocks.declarations import NAME
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_BYTES = 64 * 2**20
@@ -27,7 +29,8 @@ _WORDS = {"true": 1.0, "false": 0.0}
 class SignalTable:
     """Rows at the times `at` [s], or at ticks if `ticks`. `columns` by name; NaN where `given` says False: left empty.
 
-    All arrays have the shape (rows,). `name` is the file's, for messages.
+    All arrays have the shape (rows,). `name` is the file's, for messages. `words` are cells that are names, by column
+    and row: they may name members of an enumeration. Until `with_members` has read them, their numbers are NaN.
     """
 
     name: str
@@ -35,6 +38,20 @@ class SignalTable:
     ticks: bool
     columns: Mapping[str, NDArray[np.float64]]
     given: Mapping[str, NDArray[np.bool_]]
+    words: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
+
+    def with_members(self, enumerations: Mapping[str, Enumeration | None]) -> "SignalTable":
+        """This table with the numbers of the named members; `enumerations` by column. DiagramError for other words."""
+        columns = dict(self.columns)
+        for column, cells in self.words.items():
+            columns[column] = columns[column].copy()
+            enumeration = enumerations.get(column)
+            for row, word in cells.items():
+                where = f"{self.name}, row {row + 1}, {column}"
+                if enumeration is None:
+                    raise DiagramError(f"{shown(word)} is not a number", where, "write a number")
+                columns[column][row] = enumeration.plain(word, where)
+        return replace(self, columns=columns, words={})
 
     def ticks_of(self, dt: float) -> NDArray[np.float64]:
         """Where the rows lie in ticks of `dt` [s]; not always whole numbers."""
@@ -77,6 +94,7 @@ def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str
         raise DiagramError(f"{len(rows)} rows", name, f"at most {MAX_ROWS} rows and {MAX_CELLS} cells are read")
     data = np.empty((len(rows), len(names)))
     given = np.ones(data.shape, dtype=bool)
+    words: dict[str, dict[int, str]] = {}
     for i, row in enumerate(rows):
         if len(row) != len(names):
             raise DiagramError(
@@ -86,11 +104,14 @@ def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str
             )
         for j, cell in enumerate(row):
             number = _number(cell)
-            if number is None and not (cell is None or (isinstance(cell, str) and not cell.strip())):
+            if number is None and j and isinstance(cell, str) and NAME.fullmatch(cell.strip()):
+                words.setdefault(names[j], {})[i] = cell.strip()
+            elif number is None and not (cell is None or (isinstance(cell, str) and not cell.strip())):
                 raise DiagramError(
                     f"{shown(cell)} is not a number", f"{name}, row {i + 1}, {names[j]}", "write a number"
                 )
-            data[i, j], given[i, j] = (np.nan, False) if number is None else (number, True)
+            data[i, j] = np.nan if number is None else number
+            given[i, j] = number is not None or i in words.get(names[j], ())
     at = data[:, 0]
     ticks = names[0] == "tick"
     if not (at <= MAX_AT).all() or at[0] < 0 or (np.diff(at) <= 0).any() or (ticks and (at != np.rint(at)).any()):
@@ -102,7 +123,7 @@ def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str
     columns = {n: np.ascontiguousarray(data[:, j]) for j, n in enumerate(names)}
     mask = {n: np.ascontiguousarray(given[:, j]) for j, n in enumerate(names)}
     del columns[names[0]], mask[names[0]]
-    return SignalTable(name, at, ticks, columns, mask)
+    return SignalTable(name, at, ticks, columns, mask, words)
 
 
 def _number(cell: Any) -> float | None:
@@ -150,5 +171,6 @@ def column_of(table: SignalTable, name: str) -> tuple[NDArray[np.float64], NDArr
     if name not in table.columns:
         there = f"there are: {nearest(name, table.columns)}"
         raise DiagramError(f"there is no column {shown(name)}", table.name, there)
+    table = table.with_members({})
     mask = table.given[name]
     return table.at[mask], table.columns[name][mask]

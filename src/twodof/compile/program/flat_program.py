@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.block import Block
+from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions import numbers
@@ -32,6 +33,7 @@ class FlatSignal:
     node: Node | None = None
     initial: Any = None
     shape: tuple[int, int] | None = None
+    enum: Enumeration | None = None
 
     @property
     def before(self) -> Any:
@@ -102,6 +104,13 @@ class Node:
         enables = tuple(s for c in self.conditions for s in (c.enable, c.trigger) if s is not None)
         clears = tuple(c.enable for c in self.conditions if c.enable is not None and c.clears)
         return Guard(self.rate, enables, clears)
+
+    @property
+    def enumerations(self) -> tuple[Enumeration, ...]:
+        """Those of what the block declares, each once."""
+        block = self.block
+        declared: tuple[Any, ...] = (*block.inputs, *block.outputs, *block.states, *block.params, *block.derived)
+        return tuple(dict.fromkeys(d.enum for d in declared if d.enum is not None))
 
     @property
     def added(self) -> bool:
@@ -207,7 +216,13 @@ class FlatProgram:
     @property
     def ports(self) -> list[Port]:
         """The inputs as ports."""
-        return [Port(name, s.kind, s.width, s.unit, s.shape) for name, s in self.inputs.items()]
+        return [Port(name, s.kind, s.width, s.unit, s.shape, s.enum) for name, s in self.inputs.items()]
+
+    @property
+    def enumerations(self) -> tuple[Enumeration, ...]:
+        """Those of which an input, or what a block declares, is; each once."""
+        of_inputs = (s.enum for s in self.inputs.values() if s.enum is not None)
+        return tuple(dict.fromkeys((*of_inputs, *(e for node in self.nodes for e in node.enumerations))))
 
     @property
     def integrated(self) -> list[Node]:

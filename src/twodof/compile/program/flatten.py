@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, check_initial, narrowed, shape, unknown_name
+from twodof.blocks.declarations import Param, Port, alike, check_initial, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
@@ -103,7 +103,8 @@ class FlatDiagram:
         self.levels: list[_Level] = []
         self.root = _Level(diagram, diagram.name, "")
         self.root.root_inputs = {
-            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit, shape=p.shape) for p in diagram.inputs.values()
+            p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit, shape=p.shape, enum=p.enum)
+            for p in diagram.inputs.values()
         }
         stack: list[tuple[_Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
             (self.root, BASE, (), {}, 0)
@@ -154,7 +155,7 @@ class FlatDiagram:
             return self.parameters[path]
         outer = bound.declared
         try:
-            if shape(outer) != shape(declared) or _clash(outer.unit, declared.unit):
+            if not alike(outer, declared) or _clash(outer.unit, declared.unit):
                 raise DiagramError(
                     f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
                 )
@@ -180,7 +181,9 @@ class FlatDiagram:
 
     def _with_outputs(self, node: Node) -> Node:
         node.outputs = {
-            o.name: FlatSignal(f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node, shape=o.shape)
+            o.name: FlatSignal(
+                f"{node.path}.{o.name}", o.name, o.kind, o.width, o.unit, node, shape=o.shape, enum=o.enum
+            )
             for o in node.block.outputs
         }
         self.nodes.append(node)
@@ -277,18 +280,15 @@ class FlatDiagram:
         with self._reported():
             source = level.diagram.connections.get((part, port.name))
             signal = level.resolve(source) if source is not None else self._stored(level, part, where)
-            if shape(signal) != shape(port):
-                raise DiagramError(
-                    f"it takes {shape(port)} and {signal.path} is {shape(signal)}",
-                    where,
-                    "convert the signal, or mux and demux it",
-                )
+            clash = mismatch(port, signal, signal.path)
+            if clash is not None:
+                raise DiagramError(clash[0], where, clash[1])
             if _clash(signal.unit, port.unit):
                 raise DiagramError(
                     f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
                 )
             return signal
-        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape)
+        stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape, enum=port.enum)
         self.unknown.add(stand_in)
         return stand_in
 

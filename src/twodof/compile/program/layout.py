@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from twodof.blocks.declarations import Param, Port, State
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
@@ -83,15 +84,17 @@ class MemoryLayout:
         self.tick = self.s.add(Member("tick", "uint32", None, remark="base ticks since the start", shared=True))
         for path, q in program.parameters.items():
             d = q.declared
-            self.parameters[q] = self.p.add(Member(path, d.kind, d.width, path, d.unit, d.text))
+            self.parameters[q] = self.p.add(Member(path, d.kind, d.width, path, d.unit, _about(d, d.text)))
         for node in program.nodes:
             for o in node.block.derived:
                 path = f"{node.path}.{o.name}"
-                self.derived[node, o.name] = self.p.add(Member(path, o.kind, o.width, path, o.unit, "derived"))
+                self.derived[node, o.name] = self.p.add(
+                    Member(path, o.kind, o.width, path, o.unit, _about(o, "derived"))
+                )
             for state in node.block.states:
                 path = f"{node.path}.{state.name}"
                 struct = self.x if state.continuous else self.s
-                self.states[node, state.name] = struct.add(Member(path, state.kind, state.width, path, state.unit))
+                self.states[node, state.name] = struct.add(_member(path, state, _about(state)))
         for group in program.tick:
             for action in group.actions:
                 for signal in action.signals:
@@ -100,9 +103,9 @@ class MemoryLayout:
                         remark = "work" if group.guard.always else "held"
                         self.stored[signal] = self.s.add(_member(signal.path, signal, remark))
         for name, signal in program.inputs.items():
-            self.inputs[signal] = self.u.add(_member(name, signal))
+            self.inputs[signal] = self.u.add(_member(name, signal, _about(signal)))
         for path, signal in program.outputs.items():
-            self.outputs[path] = self.y.add(_member(path, signal))
+            self.outputs[path] = self.y.add(_member(path, signal, _about(signal)))
 
     def dtypes(self, precision: str, shape: LaneShape | None = None) -> dict[str, np.dtype[Any]]:
         """The numpy types of P, S, U and Y: their memory is that of the C structs, of one instance or of `shape`'s."""
@@ -117,7 +120,12 @@ class MemoryLayout:
         return made
 
 
-def _member(path: str, signal: FlatSignal, remark: str = "") -> Member:
+def _about(declared: Port | State | Param | FlatSignal, remark: str = "") -> str:
+    """What a member's comment says: a remark, and what the values of an enumeration mean."""
+    return " ".join(filter(None, (remark, "" if declared.enum is None else str(declared.enum))))
+
+
+def _member(path: str, signal: FlatSignal | State, remark: str = "") -> Member:
     return Member(path, signal.kind, signal.width, path, signal.unit, remark)
 
 

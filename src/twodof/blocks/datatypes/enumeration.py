@@ -1,0 +1,182 @@
+"""Enumeration: named int32 values, such as the modes of a controller."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import Any
+
+from twodof.blocks.expressions.expr import Expr, int32, where
+from twodof.blocks.expressions.numbers import Int32
+from twodof.errors import DiagramError, nearest, shown
+
+MAX_MEMBERS = 1000
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+_MIN, _MAX = -(2**31), 2**31 - 1
+
+
+class Enumeration:
+    """Named int32 values: `Mode = Enumeration("Mode", idle=0, armed=1)`; then `Mode.armed` is the int32 1.
+
+    `members` are the values by name, in the order given. One of them is 0: signals that nothing has computed yet, and
+    values that are none of the members, are 0. A Python `enum.IntEnum` is taken wherever an Enumeration is. Two are
+    equal if name and members are. A member that has the name of an attribute is read as `Mode["name"]`.
+
+    Raises DiagramError for a name that is not legal, a value that is not an int32 or stands twice, and without a 0.
+    """
+
+    __slots__ = ("members", "name")
+
+    name: str
+    members: dict[str, int]
+
+    def __init__(self, name: str, members: Mapping[str, int] | None = None, /, **more: int) -> None:
+        where = f"enumeration {name!s:.80}"
+        if not isinstance(name, str) or not _NAME.fullmatch(name):
+            remedy = "use a letter, then up to 62 letters, digits or _ (ASCII)"
+            raise DiagramError(f"{shown(name)} is not a name", "enumeration", remedy)
+        if members is not None and not isinstance(members, Mapping):
+            raise DiagramError(f"the members {shown(members)}", where, 'write {"idle": 0, "armed": 1}')
+        given = {**(members or {}), **more}
+        if not 1 <= len(given) <= MAX_MEMBERS:
+            raise DiagramError(f"{len(given)} members", where, f"give 1 to {MAX_MEMBERS}")
+        by_value: dict[int, str] = {}
+        for member, value in given.items():
+            if not isinstance(member, str) or not _NAME.fullmatch(member):
+                raise DiagramError(f"{shown(member)} is not a name", where, "use a letter, then letters, digits or _")
+            plain = value.value if isinstance(value, Int32) else value
+            if isinstance(plain, bool) or not isinstance(plain, int) or not _MIN <= plain <= _MAX:
+                raise DiagramError(f"{member} = {shown(value)}", where, f"write a whole number from {_MIN} to {_MAX}")
+            if plain in by_value:
+                raise DiagramError(f"{by_value[plain]} and {member} are both {plain}", where, "give each its own value")
+            by_value[int(plain)] = member
+        if 0 not in by_value:
+            remedy = "name what a signal is that nothing has computed yet, such as none=0"
+            raise DiagramError("no member is 0", where, remedy)
+        object.__setattr__(self, "name", name)
+        object.__setattr__(self, "members", {member: value for value, member in by_value.items()})
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise DiagramError(f"{name!r} is assigned", f"enumeration {self.name}", "make another enumeration")
+
+    def __reduce__(self) -> Any:
+        return Enumeration, (self.name, self.members)
+
+    def __getitem__(self, member: str) -> Int32:
+        if member not in self.members:
+            raise self._unknown(member)
+        return int32(self.members[member])
+
+    def __getattr__(self, member: str) -> Int32:
+        if member.startswith("__"):  # what Python asks for by itself, when it copies for example
+            raise AttributeError(member)
+        return self[member]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Enumeration) and (self.name, self.members) == (other.name, other.members)
+
+    def __hash__(self) -> int:
+        return hash((self.name, *self.members.items()))
+
+    def __repr__(self) -> str:
+        return f"Enumeration({self.name!r}, {self.members!r})"
+
+    def __str__(self) -> str:
+        return f"{self.name} ({', '.join(f'{value} {member}' for member, value in self.members.items())})"
+
+    def name_of(self, value: Any) -> str:
+        """The name of the member that has this value; a value that is none of them as a number."""
+        return next((member for member, number in self.members.items() if number == value), str(value))
+
+    def plain(self, value: Any, where: str) -> Any:
+        """`value`, a member's name or number or a list of them, as numbers. DiagramError, at `where`, for others."""
+        if isinstance(value, (list, tuple)):
+            return [self.plain(one, where) for one in value]
+        if isinstance(value, str):
+            if value not in self.members:
+                raise self._unknown(value, where)
+            return self.members[value]
+        number = value.value if isinstance(value, Int32) else value
+        if isinstance(number, bool) or not isinstance(number, int) or number not in self.members.values():
+            remedy = f"there are: {', '.join(f'{value} {member}' for member, value in self.members.items()):.400}"
+            raise DiagramError(f"{shown(value)} is not a member of {self.name}", where, remedy)
+        return int(number)
+
+    def form(self) -> dict[str, Any]:
+        """It as plain data, of which `enumeration_of` makes it again."""
+        return {"name": self.name, "members": dict(self.members)}
+
+    def _unknown(self, member: object, where: str = "") -> DiagramError:
+        what = f"{self.name} has no member {shown(member)}"
+        return DiagramError(what, where, f"there are: {nearest(member, self.members)}")
+
+
+Kind = str | type[IntEnum] | Enumeration
+"""The type of a port, state or parameter: "real", "int32", ..., or an enumeration."""
+
+
+def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:
+    """The enumeration that `kind` is: one of Python's or ours, or its plain form. None for what is another kind."""
+    if isinstance(kind, Enumeration):
+        return kind
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return Enumeration(kind.__name__, {member.name: int(member) for member in kind})
+    if isinstance(kind, Mapping):
+        if set(kind) != {"name", "members"}:
+            raise DiagramError(f"{shown(kind)} is not an enumeration", where, 'write {"name": ..., "members": {...}}')
+        return Enumeration(kind["name"], kind["members"])
+    return None
+
+
+def to_enumeration(kind: Kind, value: Any) -> Any:
+    """The int32 `value` as a member of the enumeration `kind`; what is none of its members becomes 0.
+
+    Arrays element by element. Raises DiagramError if `kind` is not an enumeration.
+    """
+    enumeration = enumeration_of(kind)
+    if enumeration is None:
+        raise DiagramError(
+            f"{shown(kind)} is not an enumeration", "to_enumeration", "give an enumeration, then a value"
+        )
+    found: Any = int32(0)
+    for number in enumeration.members.values():
+        if number:
+            found = where(value == int32(number), int32(number), found)
+    return found
+
+
+def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str, str], Enumeration | None]) -> bool:
+    """Whether each value that `item` can have is a member, as far as its graph shows.
+
+    It shows that of members, of what is declared of the enumeration (`leaves` by op and name), of choices between such
+    values, and of arrays of them.
+    """
+    values = frozenset(enumeration.members.values())
+    seen: set[Expr] = set()
+    stack = [item]
+    while stack:
+        at = stack.pop()
+        if at in seen:
+            continue
+        seen.add(at)
+        if at.op == "const":
+            if at.kind != "int32" or at.data not in values:
+                return False
+        elif at.op in ("input", "state", "param"):
+            if leaves.get((at.op, at.data)) != enumeration:
+                return False
+        elif at.op in _PASSED:
+            stack += _PASSED[at.op](at.args)
+        else:
+            return False
+    return True
+
+
+_PASSED: Mapping[str, Any] = {
+    "where": lambda args: args[1:],
+    "select": lambda args: args[:1],
+    "store": lambda args: (args[0], args[2]),
+    "vector": lambda args: args,
+    "build": lambda args: args,
+}
