@@ -223,6 +223,8 @@ class Maker:
             made = r.choice(CONTINUOUS)(r)
         else:
             made = FractionalDelay(r.uniform(0.0, 0.05))
+        if isinstance(made, lib.StoreWrite):
+            return made  # it is counted on
         if what < 0.75 and self.enumerated.random() < 0.1:
             made = self.enumerated.choice(ENUMERATED)(self.enumerated)
         if rate == (1, 0) and self.more.random() < 0.05:
