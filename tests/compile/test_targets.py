@@ -32,7 +32,7 @@ from tests.compile.differential import (
 )
 from tests.compile.every_operator import every_operator
 from tests.compile.lanes.lanes_differential import lane_programs
-from tests.compile.machine_cases import machine_case
+from tests.compile.machine_cases import array_case, machine_case
 from tests.compile.semantics import resetting
 from tests.compile.typed_signals import TOLD
 from tests.compile.whole_library import library_cases, room, strange_inputs
@@ -81,7 +81,7 @@ def operators() -> list[Case]:
 def semantics() -> list[Case]:
     """Parts that act at times, and state machines; test_semantics.py and test_state_machine.py say what they do."""
     machines = [machine_case(random.Random(seed), f"machine{seed}", 80)[0] for seed in MACHINES]
-    return [*(make().case for make in TOLD.values()), resetting("float64").case, *machines]
+    return [*(make().case for make in TOLD.values()), resetting("float64").case, *machines, array_case(80)]
 
 
 def mixed(first: int, small: int, steps: int, large: int) -> list[Case]:

@@ -159,6 +159,9 @@ def _function(
             owner, condition = opened.pop()
             if condition:
                 owners[-1] = inner
+            if code.endswith("{"):  # else
+                opened.append((owner, condition))
+                owners.append(owner)
             yield at, *owner
             continue
         if code.startswith("(void)"):

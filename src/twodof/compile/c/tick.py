@@ -1,13 +1,15 @@
 """The C of one tick: outputs, returned signals, discrete states."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 
 from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.state_machine import StateMachine
 from twodof.compile.c.expressions import Renderer, Text, constant
+from twodof.compile.c.machine_switch import MachineSwitch
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES, LOOSE
 from twodof.compile.c.style import SCALAR, CStyle
@@ -263,6 +265,9 @@ class TickEmitter:
                     self.scope.initial(write, node, state, self.scope.state(node, state))
             self.computed.add(action.start)
             return
+        if self._switches(node, action.signals):
+            self._switch(node, action.signals)
+            return
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
         together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
@@ -284,6 +289,39 @@ class TickEmitter:
                     else:
                         write.assign(name, renderer.text(root), "real")
         self.computed.update(action.signals)
+
+    def _switches(self, node: Node, signals: Sequence[FlatSignal]) -> bool:
+        """Whether this is the whole tick of a state machine: all outputs that are read, and what it needs is there."""
+        if not (isinstance(node.block, StateMachine) and self.scope.style.branches) or node in self.updated:
+            return False
+        given = {s for s in node.outputs.values() if s in self._tick_signals}
+        needed = inputs_of(node, [*node.trace.outputs.values(), *node.trace.update.values()]) & self._tick_signals
+        return given == set(signals) and self.computed.issuperset([*needed, *node.starts])
+
+    def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
+        """A state machine as C that reads like its drawing."""
+        write, machine = self.writer, node.block
+        assert isinstance(machine, StateMachine)
+        targets = {}
+        for signal in signals:
+            if signal not in self.layout.stored:
+                self.texts[signal] = self.names.new(signal.path)
+                size = "" if signal.width is None else f"[{signal.width}]"
+                write.elements += signal.width or 0
+                write.line(f"{self.scope.type(signal.kind)} {self.texts[signal]}{size};")
+            targets[signal.port] = self.signal(signal)
+
+        def renderer(state: Callable[[str], str]) -> Renderer:
+            leaf = self.scope.leaf(node, self.signal, state, "s->tick")
+            return self.scope.renderer(write, self.names, leaf, node.path)
+
+        def replace(renderer: Renderer, values: Mapping[str, Expr], lvalues: Mapping[str, str]) -> None:
+            commit(write, renderer, self.names, node, values, lvalues)
+
+        states = {s.name: self.scope.state(node, s) for s in machine.states}
+        MachineSwitch(write, machine, states, targets, renderer, replace).write()
+        self.computed.update(signals)
+        self.updated.add(node)
 
     def _store(self, renderer: Renderer, node: Node, outputs: Mapping[FlatSignal, Expr]) -> None:
         renderer.assign([(self.signal(s), root) for s, root in outputs.items()])
@@ -350,6 +388,9 @@ class TickEmitter:
 
     def _update(self, node: Node) -> None:
         self.writer.line(describe(node))
+        if self._switches(node, ()):
+            self._switch(node, ())
+            return
         texts = {s.name: self.scope.state(node, s) for s in node.discrete}
         commit(self.writer, self.renderer(node), self.names, node, node.trace.update, texts)
 

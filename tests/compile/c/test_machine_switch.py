@@ -1,0 +1,67 @@
+"""The C of a state machine: a switch that reads like the drawing, and whose lines are the machine's."""
+
+from __future__ import annotations
+
+import re
+
+from twodof.blocks import Diagram, Port
+from twodof.blocks.state_machine import Mode, StateMachine, Transition
+from twodof.compile.builder import emit_program
+from twodof.compile.c.source_map import source_map
+
+
+class Door(StateMachine):
+    """A door that locks itself."""
+
+    inputs = (Port("push", "bool"), Port("lock", "bool"))
+    outputs = (Port("open", "bool"),)
+    modes = (
+        Mode("closed", inner=[Mode("free"), Mode("locked")], during={"open": False}),
+        Mode("ajar", during=lambda t: {"open": t.elapsed > 0}),
+    )
+    transitions = (
+        Transition("free", "locked", lambda u: u.lock),
+        Transition("free", "ajar", lambda u: u.push),
+        Transition("locked", "free", lambda u: ~u.lock),
+        Transition("ajar", "closed", lambda t: t.elapsed >= 5),
+    )
+
+
+def door() -> Diagram:
+    d = Diagram("house")
+    d.input("push", "bool")
+    d.input("lock", "bool")
+    d.add("door", Door(), push="push", lock="lock")
+    d.output("open", "door.open")
+    return d
+
+
+def test_each_mode_is_a_case_and_each_transition_an_if_in_its_order() -> None:
+    source = emit_program(door(), 0.01, "float64").source
+    step = source[source.index("void house_step") :]
+    first, second = step.split("switch (s->door_mode) {")[1:]
+    assert re.findall(r"case (\d): \{ /\* ([\w.]+) \*/", first) == [
+        ("0", "closed.free"),
+        ("1", "closed.locked"),
+        ("2", "ajar"),
+    ]
+    free = first.split("case 1")[0]
+    assert re.findall(r"\bif \(([^)]*)\)|/\* (\w+ -> \w+) \*/", free) == [
+        ("u->lock", ""),
+        ("", "free -> locked"),
+        ("u->push", ""),
+        ("", "free -> ajar"),
+    ]
+    assert "} else if (u->push) {" in free
+    assert len(re.findall(r"case \d|default", second)) == 3
+
+
+def test_the_lines_of_a_machine_are_its_own() -> None:
+    emitted = emit_program(door(), 0.01, "float64")
+    found = source_map(emitted.flat, emitted.source, emitted.layout)
+    ((first, last),) = found.of("door")["step"]
+    lines = [line.text for line in found.lines[first - 1 : last]]
+    assert lines[0].strip() == "/* door: Door */"
+    assert lines[-1] == "    }"
+    owners = {line.block for line in found.lines if line.part == "step" and "s->door_" in line.text}
+    assert owners == {"door"}
