@@ -122,6 +122,21 @@ def test_code_shows_both_sides(loop: str, tmp_path: Path, capfd: pytest.CaptureF
     assert run(["diagram", "code", loop, "--block", "nothing"]) == 2
 
 
+def test_export_writes_a_header_and_its_c(loop: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "firmware" / "control"
+    assert run(["diagram", "export", loop, str(folder), "--json", "--precision", "float32", "--log", "memory.y"]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert said["files"] == [str(folder / "loop.h"), str(folder / "loop.c")]
+    assert said["sizes"] == {"real": 4, "P": 12, "S": 8, "U": 4, "Y": 8}
+    assert "float memory_y; /* memory.y */" in (folder / "loop.h").read_text()
+    assert run(["diagram", "export", loop, str(folder)]) == 1
+    assert "--force" in capfd.readouterr().err
+    assert run(["diagram", "export", loop, str(folder), "--name", "again", "--tables"]) == 0
+    assert "extern const again_Entry again_parameters[];" in (folder / "again.h").read_text()
+    assert run(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"]) == 1
+    assert "choose another folder" in capfd.readouterr().err
+
+
 def test_the_page_is_self_contained_and_says_every_line(loop: str, tmp_path: Path) -> None:
     page, source = tmp_path / "loop.html", tmp_path / "loop.c"
     assert run(["diagram", "code", loop, "--html", str(page), "--out", str(source)]) == 0

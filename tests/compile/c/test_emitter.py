@@ -5,22 +5,33 @@ from __future__ import annotations
 import re
 import shutil
 import subprocess
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
+from tests.blocks.library.samples import LIBRARY
 from tests.compile import differential, examples
+from tests.compile.whole_library import library_cases
 from twodof.blocks import Block, Diagram, Param, Port, State, sin, store, to_int32, to_real, to_uint32
+from twodof.blocks.expressions import numbers
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile.builder import emit_program
+from twodof.compile.c.emitter import emit
 from twodof.compile.c.expressions import constant
 from twodof.compile.native import target
+from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
+from twodof.flight.core import core
+from twodof.flight.starters import STARTERS, starter
+from twodof.rig.rig import rig
 
-STRICT = ["-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-Wshadow", "-pedantic", "-ffp-contract=off"]
+STRICT = ["-std=c99", "-ffp-contract=off", "-pedantic", "-Werror", "-Wall", "-Wextra", "-Wshadow", "-Wundef"]
+STRICT += ["-Wconversion", "-Wsign-conversion", "-Wmissing-prototypes", "-Wstrict-prototypes", "-Wcast-qual"]
+LEAN = ["-Wfloat-equal", "-Wdouble-promotion"]  # what flight controllers' builds warn of in addition
 ALL = [examples.loop, examples.switched, examples.edge, examples.delay]
 
 
@@ -76,18 +87,55 @@ def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
     assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
 
 
-@pytest.mark.parametrize("compiler", [c for c in ("gcc", "zig") if c == "zig" or shutil.which(c)])
-@pytest.mark.parametrize("precision", ["float64", "float32"])
+SLOTS = [
+    pytest.param("gcc", "float32", marks=pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is missing")),
+    ("zig", "float64"),
+]
+
+
+@pytest.mark.parametrize(("compiler", "precision"), SLOTS)
 def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_path: Path) -> None:
-    emitted = [emit_program(make(), 0.01, precision).source for make in ALL]
-    emitted.append(differential.emitted(differential.random_cases(range(300, 303), 1), precision, "rk4")[0].source)
-    for source in emitted:
-        done = strictly(compiler, source, tmp_path)
+    cases = differential.random_cases(range(300, 303), 1)
+    with numbers.precision(precision):
+        sources = [emit([lower(make(), 0.01) for make in ALL], precision)[0].source]
+    sources.append(differential.emitted(cases, precision, "rk4")[0].source)
+    for source in sources:
+        done = strictly(compiler, source, tmp_path, "-O2")
+        assert done.returncode == 0, done.stderr
+
+
+SPARE = (320, 343, 393)
+"""Random diagrams that compare a signal with itself, name what they do not read, and loop for a result unread."""
+
+
+def lean_source(diagrams: Sequence[Diagram], precision: str) -> str:
+    with numbers.precision(precision):
+        return emit([lower(d, 0.01) for d in diagrams], precision, lean=True)[0].source
+
+
+@pytest.mark.parametrize(("compiler", "precision"), SLOTS)
+def test_lean_c_passes_what_firmware_is_built_with(compiler: str, precision: str, tmp_path: Path) -> None:
+    spare = [case.diagram for case in differential.random_cases(SPARE, 1)]
+    diagrams = [*(starter(name) for name in ("stock-position", "lqr-attitude")), *spare]
+    done = strictly(compiler, lean_source(diagrams, precision), tmp_path, *LEAN, "-O0")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("compiler", ["gcc", "zig"])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_all_lean_c_passes(compiler: str, precision: str, tmp_path: Path) -> None:
+    """The flight core, the rig, all starters, the whole library, and random diagrams."""
+    rooms = sorted({block.__module__.rpartition(".")[2] for block in LIBRARY.values()})
+    library = [case.diagram for extra in (False, True) for case in library_cases(rooms, 1, extra)]
+    drawn = [case.diagram for case in differential.random_cases(range(300, 420), 1)]
+    for diagrams in ([core(), rig(), *(starter(name) for name in STARTERS)], library, drawn):
+        done = strictly(compiler, lean_source(diagrams, precision), tmp_path, *LEAN, "-O2")
         assert done.returncode == 0, done.stderr
 
 
 def test_fast_math_is_refused(tmp_path: Path) -> None:
-    done = strictly("zig", emit_program(examples.loop(), 0.01).source, tmp_path, "-ffast-math")
+    done = strictly("zig", emit_program(examples.loop(), 0.01).source, tmp_path, "-O2", "-ffast-math")
     assert done.returncode != 0
     assert "fast-math" in done.stderr
 

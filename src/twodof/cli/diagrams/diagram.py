@@ -1,4 +1,4 @@
-"""`twodof diagram`: start one, check it, test it, draw it, see the C that it becomes, linearize it."""
+"""`twodof diagram`: start one, check it, test it, draw it, see and export the C that it becomes, linearize it."""
 
 import json as json_text
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from rich.table import Table
 
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagrams.diagram_tests import run_tests
+from twodof.cli.diagrams.export_c import export
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
@@ -33,7 +34,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Start, check, test, draw, read and linearize diagrams.",
+    help="Start, check, test, draw, read, export and linearize diagrams.",
 )
 app.command("test")(run_tests)
 
@@ -189,6 +190,9 @@ def code(
     else:
         written = ", ".join(str(file) for file in (out, html) if file is not None)
         table_console().print(f"written: {written}")
+
+
+app.command()(export)
 
 
 def _print_code(found: SourceMap, block: str | None) -> None:

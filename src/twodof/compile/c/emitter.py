@@ -5,7 +5,6 @@ docs/explanation/language.md.
 """
 
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 
@@ -14,10 +13,12 @@ from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
+from twodof.compile.c.interface import CInterface, comment, indented
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
+from twodof.compile.c.unused import with_idle_parameters, without_unused
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
@@ -49,25 +50,31 @@ MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual
 
 
 def emit(
-    programs: Sequence[FlatProgram], precision: str = "float64", lean: bool = False, style: CStyle = SCALAR
+    programs: Sequence[FlatProgram],
+    precision: str = "float64",
+    lean: bool = False,
+    style: CStyle = SCALAR,
+    header: str = "",
 ) -> list[EmittedProgram]:
     """`programs`, whose names must differ, each with the one C file that has the functions of all.
 
     `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
-    compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'.
+    compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'. A `header` is the
+    name of a file that has the `CInterface` of each program; by default the C file itself has it.
     """
     helpers: set[str] = set()
     functions: set[str] = set()
     layouts = [MemoryLayout(program) for program in programs]
     bodies = []
     for program, layout in zip(programs, layouts, strict=True):
-        emitter = _Emitter(program, layout, precision, lean, style)
+        emitter = _Emitter(program, layout, precision, lean, style, not header)
         bodies.append(emitter.text())
         helpers |= emitter.helpers
         functions |= emitter.functions
     elementary, more = _elementary(functions, precision, lean, style)
     helpers |= more | style.needs
     parts = [
+        f'#include "{header}"\n\n' if header else "",
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
@@ -115,12 +122,15 @@ def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str
 class _Emitter:
     """One program's C."""
 
-    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool, style: CStyle) -> None:
+    def __init__(
+        self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool, style: CStyle, whole: bool
+    ) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
         self.lean = lean
         self.prefix = program.name
+        self.whole = whole
         self.scope = Scope(program, layout, precision, style)
         self.helpers: set[str] = set()
         self.functions: set[str] = set()
@@ -136,21 +146,15 @@ class _Emitter:
         functions.append(self._written(lambda writer: self._step(writer, stage)))
         if not self.lean:
             functions.append(self._run())
-        remark = f" {_comment(self.program.text)}" if self.program.text else ""
+        remark = f" {comment(self.program.text)}" if self.program.text else ""
         parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
-        parts.append(self._enumerations())
-        parts.append(self._struct("P", "parameters; `prepare` computes the derived ones", self.layout.p.members))
+        if self.whole:
+            parts.append(self._interface().text())
         if stage:
-            parts.append(self._struct("X", "continuous states", self.layout.x.members))
             parts.append(
                 f"typedef struct {{ /* what does not change inside a step */\n"
-                f"{_indented(stage.declarations())}}} {p}_Held;\n\n"
+                f"{indented(stage.declarations())}}} {p}_Held;\n\n"
             )
-        parts.append(
-            self._struct("S", "discrete and continuous states, held signals", self.layout.s.members, bool(stage))
-        )
-        parts.append(self._struct("U", "inputs", self.layout.u.members))
-        parts.append(self._struct("Y", "outputs and logged signals", self.layout.y.members))
         return "".join(parts + functions) + ("" if self.lean else self._tables() + self._sizes())
 
     def _written(self, write: Callable[[CWriter], None]) -> str:
@@ -162,27 +166,14 @@ class _Emitter:
                 self.prefix,
                 "make them shorter, or states, which do not stand on the stack",
             )
-        self.helpers |= writer.helpers
-        self.functions |= writer.functions
-        return _unused("\n".join(writer.lines) + "\n")
+        text, gone = without_unused("\n".join(writer.lines) + "\n")
+        self.helpers |= writer.helpers - gone
+        self.functions |= {name for name in writer.functions if f"td_{name}" not in gone}
+        return with_idle_parameters(text)
 
-    def _enumerations(self) -> str:
-        """The members of enumerations as constants, for programs around this one."""
-        names = CNames()
-        lines = []
-        for e in self.program.enumerations:
-            # The least int32 has no literal of its own in C.
-            values = {m: f"{v}" if v > -(2**31) else f"({v + 1} - 1)" for m, v in e.members.items()}
-            members = ", ".join(f"{names.new(f'{self.prefix}_{e.name}_{m}')} = {v}" for m, v in values.items())
-            lines.append(f"enum {{ {members} }};\n")
-        return "".join([*lines, "\n"] if lines else [])
-
-    def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
-        lines = [m.declaration(self.scope.style.types) + _remark(m) for m in members]
-        if nested:
-            lines.append(f"{self.prefix}_X x;")
-        lines = lines or ["unsigned char none;"]
-        return f"typedef struct {{ /* {remark} */\n{_indented(lines)}}} {self.prefix}_{name};\n\n"
+    def _interface(self) -> CInterface:
+        style = self.scope.style
+        return CInterface(self.program, self.layout, not self.lean, style.tables and not self.lean, style.types)
 
     def _defaults(self, writer: CWriter) -> None:
         with writer.function(f"void {self.prefix}_defaults({self.prefix}_P *p)"):
@@ -238,8 +229,8 @@ class _Emitter:
 
     def _run(self) -> str:
         p = self.prefix
-        return f"""/* n steps; a stride of 0 reads the same inputs, or writes the same outputs, at each. */
-void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n)
+        arguments = f"const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n"
+        return f"""void {p}_run({arguments})
 {{
     for (size_t k = 0; k < n; k++)
         {p}_step(p, s, u + k * u_stride, y + k * y_stride);
@@ -267,68 +258,24 @@ void {p}_run(const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y
         states += [("S", m, f"x.{m.name}") for m in layout.x.members]
         signals = [("U", m, m.name) for m in layout.u.members] + [("Y", m, m.name) for m in layout.y.members] + states
         parameters = [("P", m, m.name) for m in layout.p.members]
-        text = f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
-   b bool), number of elements, offset, bounds. The last entry has no path. */
-typedef struct {{
-    const char *path, *unit;
-    char where, type;
-    uint32_t count, offset;
-    double low, high;
-}} {p}_Entry;
-
-"""
         none = "{0, 0, 0, 0, 0u, 0u, 0.0, 0.0},"
+        text = ""
         for name, rows in (("parameters", parameters), ("signals", signals)):
             lines = [entry(*row) for row in rows]
-            declared = f"const {p}_Entry {p}_{name}[]"
-            text += f"extern {declared};\n{declared} = {{\n{_indented([*lines, none])}}};\n\n"
+            text += f"const {p}_Entry {p}_{name}[] = {{\n{indented([*lines, none])}}};\n\n"
         return text
 
     def _sizes(self) -> str:
         p = self.prefix
-        return f"""/* Sizes of real, P, S, U, Y: whoever loads this must agree. */
-extern const size_t {p}_sizes[5];
-const size_t {p}_sizes[5] = {{sizeof(real), sizeof({p}_P), sizeof({p}_S), sizeof({p}_U), sizeof({p}_Y)}};
-
-"""
-
-
-def _indented(lines: Iterable[str]) -> str:
-    return "".join(f"    {line}\n" for line in lines)
+        sizes = f"sizeof(real), sizeof({p}_P), sizeof({p}_S), sizeof({p}_U), sizeof({p}_Y)"
+        return f"const size_t {p}_sizes[5] = {{{sizes}}};\n\n"
 
 
 def _listed(value: object) -> object:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
-_POINTERS = re.compile(r"\*(?:restrict )?(\w+)")
-
-
-def _unused(function: str) -> str:
-    """`function` with a line for each parameter that it does not use, against the compiler's warnings."""
-    made = []
-    for text in re.split(r"(?m)(?<=^}\n)", function):
-        head, brace, body = text.partition("\n{\n")
-        named = _POINTERS.findall(head.rpartition("(")[2])
-        idle = [n for n in named if not re.search(rf"\b{n}\b", body)]
-        made.append(head + brace + "".join(f"    (void){n};\n" for n in idle) + body)
-    return "".join(made)
-
-
-def _comment(text: str) -> str:
-    """User's text made harmless within a C comment."""
-    plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
-    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
-
-
 def _quoted(text: str) -> str:
     """User's text made harmless within a C string."""
     safe = {c: c for c in map(chr, range(32, 127)) if c not in '"\\?'}
     return "".join(safe.get(c) or "".join(f"\\{b:03o}" for b in c.encode("utf-8", "replace")) for c in text)
-
-
-def _remark(m: Member) -> str:
-    words = [m.path] if m.path and m.path != m.name else []
-    words += [f"[{m.unit}]"] if m.unit else []
-    words += [m.remark] if m.remark else []
-    return f" /* {_comment(' '.join(words))} */" if words else ""

@@ -311,7 +311,7 @@ class Renderer:
         """What is written in a simpler way than the operator's row, or in one without warnings."""
         op, lean = item.op, self.writer.lean
         if op in COMPARISONS:
-            same = self._resolve(item.args[0]) is self._resolve(item.args[1])
+            same = args[0][0] == args[1][0]  # one value, or one signal at two inputs
             if same and operand != "real":  # compilers warn about these; a real may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
             if lean and op in ("eq", "ne") and operand == "real":
@@ -319,6 +319,8 @@ class Renderer:
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
         elif op == "convert" and lean and operand != "real" and _CALL.fullmatch(args[0][0]):
             return f"{self._use(f'{operand}_to_{item.kind}')}({args[0][0]})", ATOM
+        elif op == "xor" and operand == "bool" and args[0][0] == args[1][0]:
+            return "false", ATOM
         elif op in PLAIN and index_range(item, self.limits) is not None:
             return self._operation(PLAIN[op], args)
         elif item.kind == "uint32" and op == "abs":

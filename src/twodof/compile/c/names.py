@@ -11,9 +11,17 @@ RESERVED = """
     long register restrict return short signed sizeof static struct switch typedef union unsigned void
     volatile while asm typeof real bool true false offsetof linux unix memcpy memmove memset NULL
 """
-KEYWORDS = frozenset(RESERVED.split())
-# What the included headers and the emitted file itself define beside those: macros, types, helpers.
-DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline")
+# A header is for C++ too, and for whoever includes others before it, which define these as macros.
+FOREIGN = """
+    alignas alignof and and_eq bitand bitor catch char16_t char32_t char8_t class co_await co_return co_yield compl
+    concept const_cast consteval constexpr constinit decltype delete dynamic_cast explicit export friend mutable
+    namespace new noexcept not not_eq nullptr operator or or_eq private protected public reinterpret_cast requires
+    static_assert static_cast template this thread_local throw try typeid typename using virtual wchar_t xor xor_eq
+    complex imaginary noreturn assert errno stdin stdout stderr EOF INFINITY NAN HUGE_VAL BUFSIZ
+"""
+KEYWORDS = frozenset((RESERVED + FOREIGN).split())
+# What the included headers and the emitted file itself define beside those: macros, types, helpers, a header's guard.
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|\w+_INCLUDED")
 FUNCTIONS = HELPERS | {f"td_{name}" for name in ARGUMENTS}
 
 

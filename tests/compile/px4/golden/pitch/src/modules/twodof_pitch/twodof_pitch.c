@@ -74,6 +74,15 @@ typedef struct { /* outputs and logged signals */
     int32_t damper_count; /* damper.count */
 } twodof_pitch_Y;
 
+/* Defaults of the given parameters. */
+void twodof_pitch_defaults(twodof_pitch_P *p);
+/* Derived parameters from the given ones: after `defaults`, and after each change. */
+void twodof_pitch_prepare(twodof_pitch_P *p);
+/* Initial states of these parameters, and tick 0. */
+void twodof_pitch_init(const twodof_pitch_P *p, twodof_pitch_S *s);
+/* One step of 0.004 s: reads u, writes y, moves s. The four must not overlap. */
+void twodof_pitch_step(const twodof_pitch_P *p, twodof_pitch_S *s, const twodof_pitch_U *u, twodof_pitch_Y *y);
+
 void twodof_pitch_defaults(twodof_pitch_P *p)
 {
      {

@@ -64,6 +64,15 @@ typedef struct { /* outputs and logged signals */
     real theta_0;
 } twodof_rail_Y;
 
+/* Defaults of the given parameters. */
+void twodof_rail_defaults(twodof_rail_P *p);
+/* Derived parameters from the given ones: after `defaults`, and after each change. */
+void twodof_rail_prepare(twodof_rail_P *p);
+/* Initial states of these parameters, and tick 0. */
+void twodof_rail_init(const twodof_rail_P *p, twodof_rail_S *s);
+/* One step of 0.004 s: reads u, writes y, moves s. The four must not overlap. */
+void twodof_rail_step(const twodof_rail_P *p, twodof_rail_S *s, const twodof_rail_U *u, twodof_rail_Y *y);
+
 void twodof_rail_defaults(twodof_rail_P *p)
 {
     p->kp = 0x1.8p+0f /* 1.5 */;

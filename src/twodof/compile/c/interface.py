@@ -1,0 +1,137 @@
+"""What a program's C shows to its callers: the structs P, S, U and Y, prototypes, and what is in the tables."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import C_TYPES
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.layout import Member, MemoryLayout
+
+WIDEST = 120
+NO_NOTES: Mapping[tuple[str, str], str] = {}
+
+
+class CInterface:
+    """The declarations of one program. `notes` has more to say about a member, by struct and name.
+
+    `types` are the C types of the language's, as `Member.declaration` takes them. `run`: whether the function `run`
+    and the sizes are there; `tables`: whether those of parameters and signals are.
+    """
+
+    def __init__(
+        self,
+        program: FlatProgram,
+        layout: MemoryLayout,
+        run: bool,
+        tables: bool,
+        types: Mapping[str, str] = C_TYPES,
+        notes: Mapping[tuple[str, str], str] = NO_NOTES,
+    ) -> None:
+        self.program = program
+        self.layout = layout
+        self.run = run
+        self.tables = tables
+        self.types = types
+        self.notes = notes
+
+    def text(self) -> str:
+        """Constants of enumerations, structs, prototypes, and the declarations of the tables."""
+        layout, moving = self.layout, bool(self.program.integrated)
+        structs = [self._struct("P", "parameters; `prepare` computes the derived ones", layout.p.members)]
+        if moving:
+            structs.append(self._struct("X", "continuous states", layout.x.members))
+        structs += [
+            self._struct("S", "discrete and continuous states, held signals", layout.s.members, moving),
+            self._struct("U", "inputs", layout.u.members),
+            self._struct("Y", "outputs and logged signals", layout.y.members),
+        ]
+        more = (self._tables() if self.tables else "") + (self._sizes() if self.run else "")
+        return self._enumerations() + "".join(structs) + self._prototypes() + more
+
+    def _enumerations(self) -> str:
+        """The members of enumerations as constants, for programs around this one."""
+        names = CNames()
+        lines = []
+        for e in self.program.enumerations:
+            # The least int32 has no literal of its own in C.
+            values = {m: f"{v}" if v > -(2**31) else f"({v + 1} - 1)" for m, v in e.members.items()}
+            prefix = f"{self.program.name}_{e.name}"
+            members = ", ".join(f"{names.new(f'{prefix}_{m}')} = {v}" for m, v in values.items())
+            lines.append(f"enum {{ {members} }};\n")
+        return "".join([*lines, "\n"] if lines else [])
+
+    def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
+        lines = [m.declaration(self.types) + self._remark(name, m) for m in members]
+        if nested:
+            lines.append(f"{self.program.name}_X x;")
+        lines = lines or ["unsigned char none;"]
+        return f"typedef struct {{ /* {remark} */\n{indented(lines)}}} {self.program.name}_{name};\n\n"
+
+    def _remark(self, struct: str, m: Member) -> str:
+        words = [m.path] if m.path and m.path != m.name else []
+        words += [f"[{m.unit}]"] if m.unit else []
+        more = self.notes.get((struct, m.name), "")
+        words += ["; ".join(filter(None, (m.remark, more)))] if m.remark or more else []
+        return f" /* {comment(' '.join(words))} */" if words else ""
+
+    def _prototypes(self) -> str:
+        p = self.program.name
+        own = f"const {p}_P *p, {p}_S *s"
+        rows = [
+            ("Defaults of the given parameters.", "defaults", f"{p}_P *p"),
+            (
+                "Derived parameters from the given ones: after `defaults`, and after each change.",
+                "prepare",
+                f"{p}_P *p",
+            ),
+            ("Initial states of these parameters, and tick 0.", "init", own),
+            (
+                f"One step of {self.program.dt:.9g} s: reads u, writes y, moves s. The four must not overlap.",
+                "step",
+                f"{own}, const {p}_U *u, {p}_Y *y",
+            ),
+        ]
+        if self.run:
+            remark = "n steps; a stride of 0 reads the same inputs, or writes the same outputs, at each."
+            rows.append((remark, "run", f"{own}, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n"))
+        lines = (f"/* {remark} */\n{_prototype(f'void {p}_{name}', taken)}" for remark, name, taken in rows)
+        return "".join(lines) + "\n"
+
+    def _tables(self) -> str:
+        p = self.program.name
+        return f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
+   b bool), number of elements, offset, bounds. The last entry has no path. */
+typedef struct {{
+    const char *path, *unit;
+    char where, type;
+    uint32_t count, offset;
+    double low, high;
+}} {p}_Entry;
+
+extern const {p}_Entry {p}_parameters[];
+extern const {p}_Entry {p}_signals[];
+
+"""
+
+    def _sizes(self) -> str:
+        sizes = f"extern const size_t {self.program.name}_sizes[5];\n\n"
+        return f"/* Sizes of real, P, S, U, Y: whoever loads this must agree. */\n{sizes}"
+
+
+def _prototype(head: str, taken: str) -> str:
+    line = f"{head}({taken});\n"
+    if len(line) <= WIDEST:
+        return line
+    *before, last = (f"    {argument},\n" for argument in taken.split(", "))
+    return f"{head}(\n{''.join(before)}{last[:-2]}\n);\n"
+
+
+def indented(lines: Iterable[str]) -> str:
+    """The lines one level deeper."""
+    return "".join(f"    {line}\n" for line in lines)
+
+
+def comment(text: str) -> str:
+    """User's text made harmless within a C comment."""
+    plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
