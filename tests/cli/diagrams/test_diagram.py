@@ -129,11 +129,11 @@ def test_export_writes_a_header_and_its_c(loop: str, tmp_path: Path, capfd: pyte
     assert said["files"] == [str(folder / "loop.h"), str(folder / "loop.c")]
     assert said["sizes"] == {"real": 4, "P": 12, "S": 8, "U": 4, "Y": 8}
     assert "float memory_y; /* memory.y */" in (folder / "loop.h").read_text()
-    assert run(["diagram", "export", loop, str(folder)]) == 1
+    assert run(["diagram", "export", loop, str(folder)]) == 2
     assert "--force" in capfd.readouterr().err
     assert run(["diagram", "export", loop, str(folder), "--name", "again", "--tables"]) == 0
     assert "extern const again_Entry again_parameters[];" in (folder / "again.h").read_text()
-    assert run(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"]) == 1
+    assert run(["diagram", "export", loop, f"{tmp_path / 'loop.json'}/firmware"]) == 2
     assert "choose another folder" in capfd.readouterr().err
 
 

@@ -28,7 +28,7 @@ _OF_FUNCTION = {
 }
 _HEAD = re.compile(r"[\w ]*\bvoid (\w+)\(")
 _COMMENT = re.compile(r"/\*.*?\*/")
-_PATH = re.compile(r"/\* ([A-Za-z][\w.]*)(?:: \w+)? \*/")
+_PATH = re.compile(r"/\* ([A-Za-z][\w.]*)(?:: \w+)?(?:; .*)? \*/")
 _DEFAULT = re.compile(r"\bp->(\w+)")
 _MEMBER = re.compile(r"(\w+)(?:\[\d+\])?;")
 
