@@ -4,6 +4,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -67,6 +68,19 @@ def _stores(array: Expr) -> int:
         array = array.args[0]
         found += 1
     return found
+
+
+@dataclass
+class Batch:
+    """Expressions that are written together: how often each node is read, what loops need `before` them, what is read
+    `always`, later too, which roots stand as a `whole` in what asked for them; and the `texts` so far.
+    """
+
+    uses: dict[int, int]
+    before: set[int]
+    always: list[Expr]
+    whole: set[int] = field(default_factory=set)
+    texts: dict[int, Text] = field(default_factory=dict)
 
 
 class Renderer:
@@ -137,6 +151,10 @@ class Renderer:
             for a in item.outside:
                 self._later.setdefault(id(a), []).append(id(item))
 
+    def prepare(self, roots: Iterable[Expr]) -> None:
+        """Write what numbers that will be asked for one by one share, so that it is found once for all."""
+        self._texts([self._resolve(r) for r in roots if r.width is None])
+
     def scalars(self, roots: Sequence[Expr]) -> list[Text]:
         """The C texts of `roots`, after the lines that they need. An array's text is a name."""
         resolved = [self._resolve(r) for r in roots]
@@ -172,36 +190,46 @@ class Renderer:
         for item in order:
             for a in self._args(item):
                 uses[id(a)] = uses.get(id(a), 0) + 1
-        before = {id(e) for item in order if item.op in LOOPS for e in self._unchanging(item)}
+        batch = Batch(uses, {id(e) for item in order if item.op in LOOPS for e in self._unchanging(item)}, list(roots))
         for r in roots:
             uses[id(r)] = uses.get(id(r), 0) + 1
         asked = {id(r) for r in roots}
         for item in order:
             more = [reader for reader in self._later.get(id(item), ()) if reader not in uses]
-            uses[id(item)] += sum(1 for reader in more if reader != NOBODY or id(item) not in asked)
+            later = sum(1 for reader in more if reader != NOBODY or id(item) not in asked)
+            if later:
+                uses[id(item)] += later
+                batch.always.append(item)
         for item in order:
             if item.op == "fold":
                 self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])
-        whole = {id(r) for r in roots if uses[id(r)] == 1}
-        texts: dict[int, Text] = {}
+        batch.whole.update(id(r) for r in roots if uses[id(r)] == 1)
+        self._write(batch, order)
+        return [batch.texts[id(r)] for r in roots]
+
+    def _write(self, batch: Batch, order: Sequence[Expr]) -> None:
+        """Find the texts of nodes, arguments before their users."""
         for item in order:
-            if id(item) in self.named:
-                texts[id(item)] = self.named[id(item)]
-                continue
-            args = [texts[id(a)] for a in self._args(item)][: len(item.outside)]
-            made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
-            if made is None:
-                made = self._expression(item, args)
-                trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0]) or self._counts(item)
-                shared = uses[id(item)] > 1 or id(item) in before
-                if not trivial and (shared or (len(made[0]) > WIDEST_LINE and id(item) not in whole)):
-                    name = self.names.numbered(f"{self.stem}_t")
-                    self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
-                    made = self._name(item, self._local(name))
-            else:
-                self._name(item, made)
-            texts[id(item)] = made
-        return [texts[id(r)] for r in roots]
+            self._step(batch, item)
+
+    def _step(self, batch: Batch, item: Expr) -> None:
+        """Find a node's text, after the lines that it needs."""
+        if id(item) in self.named:
+            batch.texts[id(item)] = self.named[id(item)]
+            return
+        args = [batch.texts[id(a)] for a in self._args(item)][: len(item.outside)]
+        made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
+        if made is None:
+            made = self._expression(item, args)
+            trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0]) or self._counts(item)
+            shared = batch.uses[id(item)] > 1 or id(item) in batch.before
+            if not trivial and (shared or (len(made[0]) > WIDEST_LINE and id(item) not in batch.whole)):
+                name = self.names.numbered(f"{self.stem}_t")
+                self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
+                made = self._name(item, self._local(name))
+        else:
+            self._name(item, made)
+        batch.texts[id(item)] = made
 
     def _counts(self, item: Expr) -> bool:
         """Whether it is an index of loop counters: it stands where it is used, as by hand."""
@@ -431,19 +459,28 @@ class Renderer:
     def _loop(self, length: int, depth: int) -> Iterator[str]:
         """A C loop; inside, only those names are known that do not depend on a loop of this depth."""
         counter = self.names.new("ijk"[depth] if depth < 3 else "i")
-        outer = self.bound, self.limits, self._resolved, self._before, self._undo
+        outer = self.bound, self.limits, self._resolved, self._before
         self.bound = {**self.bound, (depth, 0): (counter, ATOM)}
         self.limits = {**self.limits, (depth, 0): length}
         self._resolved, self._before = {}, {}
         hidden = [key for key, loops in self._turning.items() if loops >> depth & 1]
-        self._undo = [(key, self.named.pop(key)) for key in hidden if key in self.named]
-        with self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
+        with self._within(hidden), self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
             yield counter
         self.names.taken.discard(counter)
-        for key, text in reversed(self._undo):  # what the loop named stands within its brackets
+        self.bound, self.limits, self._resolved, self._before = outer
+
+    @contextmanager
+    def _within(self, hidden: Sequence[int] = ()) -> Iterator[None]:
+        """What is named inside is forgotten at the end, for it stands within brackets; the names `hidden` are not known
+        inside.
+        """
+        outer = self._undo
+        self._undo = [(key, self.named.pop(key)) for key in hidden if key in self.named]
+        yield
+        for key, text in reversed(self._undo):
             if text is None:
                 del self.named[key]
                 self._turning.pop(key, None)
             else:
                 self.named[key] = text
-        self.bound, self.limits, self._resolved, self._before, self._undo = outer
+        self._undo = outer

@@ -154,6 +154,9 @@ def _function(
             owners[-1] = _named(line, nodes) or owners[-1]
             yield at, *owners[-1]
             continue
+        if code.startswith("} else"):
+            yield at, *opened[-1][0]
+            continue
         if code.startswith("}"):
             owners.pop()
             owner, condition = opened.pop()

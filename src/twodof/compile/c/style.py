@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
+from twodof.compile.c.branching import BranchingRenderer
 from twodof.compile.c.expressions import Renderer, Text
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
@@ -18,7 +19,7 @@ class CStyle:
     types: Mapping[str, str] = C_TYPES
     shape: LaneShape | None = None
     writer: type[CWriter] = CWriter
-    renderer: type[Renderer] = Renderer
+    renderer: type[Renderer] = BranchingRenderer
     function = "static"  # how an elementary function is declared
     prelude = ""  # C that comes before the programs'
     needs: frozenset[str] = frozenset()  # helpers that the prelude calls

@@ -270,6 +270,8 @@ class TickEmitter:
             return
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
+        at_once = self._may_update(node, action.signals)
+        renderer.prepare([*roots, *(_numbers(node.trace.update) if at_once else ())])
         together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
         for signal, root in zip(action.signals, roots, strict=True):
             if signal not in self.layout.stored or together.keys() & inputs_of(node, [root]):
@@ -289,6 +291,9 @@ class TickEmitter:
                     else:
                         write.assign(name, renderer.text(root), "real")
         self.computed.update(action.signals)
+        if at_once or self._may_update(node):
+            self.updated.add(node)
+            self._commit(node)
 
     def _switches(self, node: Node, signals: Sequence[FlatSignal]) -> bool:
         """Whether this is the whole tick of a state machine: all outputs that are read, and what it needs is there."""
@@ -370,29 +375,53 @@ class TickEmitter:
 
     def _changing(self) -> list[Node]:
         """The nodes with discrete states that may change."""
-        return [n for n in self.program.nodes if any(not _keeps(k, e) for k, e in n.trace.update.items())]
+        return [n for n in self.program.nodes if _changes(n)]
 
     def _early_updates(self, guard: Guard) -> None:
-        """The updates, of nodes of `guard`, that need nothing more: here they share the temporaries of the outputs.
+        """The updates of nodes of `guard` that need nothing more."""
+        for node in self._changing():
+            if node.guard == guard and self._may_update(node):
+                self.updated.add(node)
+                self._update(node)
+
+    def _may_update(self, node: Node, now: Sequence[FlatSignal] = ()) -> bool:
+        """Whether a node's states can be replaced at once, when its outputs `now` are computed too: they share what
+        both need, and nothing has to be kept until the end.
 
         Nobody but a block itself reads its states, and only one with continuous states reads them again in this tick.
         """
-        for node in self._changing():
-            if node.guard != guard or node.continuous or node in self.updated:
-                continue
-            read = [node.drivers[name] for name in leaves(node.trace.update.values(), "input")]
-            needed = {s for s in [*read, *node.outputs.values()] if s in self._tick_signals}
-            if self.computed.issuperset([*needed, *node.starts]):
-                self.updated.add(node)
-                self._update(node)
+        if node.continuous or node in self.updated or not _changes(node):
+            return False
+        read = [node.drivers[name] for name in leaves(node.trace.update.values(), "input")]
+        needed = {s for s in read if s in self._tick_signals}
+        own = {s for s in node.outputs.values() if s in self._tick_signals}
+        return self.computed.issuperset([*needed, *own.difference(now), *node.starts])
 
     def _update(self, node: Node) -> None:
         self.writer.line(describe(node))
         if self._switches(node, ()):
             self._switch(node, ())
             return
+        self._commit(node)
+
+    def _commit(self, node: Node) -> None:
         texts = {s.name: self.scope.state(node, s) for s in node.discrete}
         commit(self.writer, self.renderer(node), self.names, node, node.trace.update, texts)
+
+
+def _changes(node: Node) -> bool:
+    return any(not _keeps(k, e) for k, e in node.trace.update.items())
+
+
+def _numbers(update: Mapping[str, Expr]) -> Iterator[Expr]:
+    """The numbers of which the next states are made."""
+    for name, e in update.items():
+        if e.op == "vector":
+            yield from e.args
+        elif e.width is None:
+            yield e
+        for index, value in _stores(name, e):
+            yield from (index, value)
 
 
 def _keeps(name: str, e: Expr) -> bool:

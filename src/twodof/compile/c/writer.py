@@ -38,6 +38,27 @@ class CWriter:
         self.line("}")
 
     @contextmanager
+    def side(self, head: str) -> Iterator[None]:
+        """`if (...) {` ... `}`, or behind one `else {` ... `}`: `else if` where all inside is one `if`."""
+        if head != "else":
+            with self.block(head):
+                yield
+            return
+        indent = "    " * self.depth
+        self.lines[-1] = f"{indent}}} else {{"
+        start = len(self.lines)
+        self.depth += 1
+        yield
+        self.depth -= 1
+        inner = [line for line in self.lines[start:] if not line.startswith(f"{indent}        ")]
+        alone = inner[0].lstrip().startswith("if (") and inner[-1].strip() == "}"
+        if alone and all(line.lstrip().startswith("} else") for line in inner[1:-1]):
+            within = [line[4:] for line in self.lines[start:]]
+            self.lines[start - 1 :] = [f"{indent}}} else {within[0].lstrip()}", *within[1:]]
+        else:
+            self.line("}")
+
+    @contextmanager
     def choice(self, due: str, tests: Sequence[str] = ()) -> Iterator[None]:
         """An `if` around what is written inside: what is the same in all instances, and what is an instance's own."""
         with self.block(f"if ({' && '.join([*filter(None, (due,)), *tests])})"):

@@ -113,9 +113,16 @@ void twodof_pitch_step(const twodof_pitch_P *restrict p, twodof_pitch_S *restric
 {
     /* damper: Damper */
     const real damper_t1 = u->theta_0 - u->theta;
-    const real damper_M = p->damper_gains[0] * (u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0x0p+0f /* 0 */) - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0x0p+0f /* 0 */);
-    const real damper_error = u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0x0p+0f /* 0 */;
+    const real damper_t2 = u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0x0p+0f /* 0 */;
+    real damper_t3 = 0x0p+0f /* 0 */;
+    if (!u->FLAG_RESET_INT) {
+        damper_t3 = s->damper_sum + damper_t1 * 0x1.0624dep-8f /* 0.00400000019 */ / ((real)p->damper_share);
+    }
+    const real damper_M = p->damper_gains[0] * damper_t2 - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0x0p+0f /* 0 */);
+    const real damper_error = damper_t2;
     const int32_t damper_count = s->damper_count;
+    s->damper_sum = damper_t3;
+    s->damper_count = int32_add(s->damper_count, 1);
     /* feed: gain */
     const real feed_y = p->feed_k * u->q_0;
     /* sum: sum */
@@ -124,9 +131,6 @@ void twodof_pitch_step(const twodof_pitch_P *restrict p, twodof_pitch_S *restric
     y->M = sum_y;
     y->damper_error = damper_error;
     y->damper_count = damper_count;
-    /* damper: Damper */
-    s->damper_sum = u->FLAG_RESET_INT ? 0x0p+0f /* 0 */ : s->damper_sum + damper_t1 * 0x1.0624dep-8f /* 0.00400000019 */ / ((real)p->damper_share);
-    s->damper_count = int32_add(s->damper_count, 1);
     /* the next tick */
     s->tick += 1u;
 }

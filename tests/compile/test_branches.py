@@ -1,0 +1,232 @@
+"""Inside a block too, what is read under a condition is computed only there, and no bit changes."""
+
+from __future__ import annotations
+
+import random
+import re
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.compile.differential import KINDS, Case, differences, emitted, reference_run
+from tests.compile.lanes.lanes_differential import lane_differences
+from tests.toolchains import need
+from twodof.blocks import Block, Diagram, Port, State, atan, int32, maximum, minimum, sqrt, store, to_int32, where
+from twodof.compile.c.emitter import emit
+from twodof.compile.lanes.lanes_program import best_simd
+from twodof.compile.program.lower import lower
+
+DT = 0.01
+INPUTS = (("u", "real"), ("v", "real"), ("mode", "int32"), ("on", "bool"))
+SPECIAL = (0.0, -0.0, 1e-310, 1e30, float("inf"), float("nan"))
+
+
+class Nested(Block):
+    """Choices within choices, drawn by `seed`: they share values with one another, with the next states and with what
+    is read in any case, among them quotients by 0 and elements that are not there.
+    """
+
+    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
+    outputs = (Port("y"), Port("z", "bool"), Port("n", "int32"))
+    states = (State("kept"), State("past", width=4))
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def _values(self, u: Any, x: Any) -> tuple[Any, Any, Any, Any]:
+        """Three reals and a flag."""
+        rng = random.Random(self.seed)
+        reals, flags = [u.u, u.v, x.kept], [u.on, u.mode == 1, u.mode >= 2, u.u < u.v]
+
+        def flag(depth: int) -> Any:
+            kind = rng.random()
+            if depth == 0 or kind < 0.4:
+                return rng.choice(flags)
+            a, b = real(depth - 1), real(depth - 1)
+            flags.append(rng.choice(flags) & (a / b > 0.5) if kind < 0.6 else rng.choice(flags) | (a < b))
+            return ~flags[-1] if kind > 0.9 else flags[-1]
+
+        def real(depth: int) -> Any:
+            kind = rng.random()
+            if depth == 0 or kind < 0.1:
+                return rng.choice(reals)
+            if kind < 0.6:
+                made = where(flag(depth - 1), real(depth - 1), real(depth - 1))
+            elif kind < 0.7:
+                made = x.past[where(flag(depth - 1), u.mode // to_int32(real(depth - 1)), u.mode * 3)]
+            else:
+                a, b = real(depth - 1), real(depth - 1)
+                made = rng.choice((a / b, a * b + a, atan(a) - b, sqrt(a), minimum(1.5, maximum(-1.5, a))))
+            if rng.random() < 0.3:
+                reals.append(made)
+            return made
+
+        return real(4), real(5), real(4), flag(4)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        a, b, _, flag = self._values(u, x)
+        return {"y": where(flag, a, b), "z": flag, "n": to_int32(b)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        a, b, c, flag = self._values(u, x)
+        kept = where(flag, a, c)
+        return {"kept": where(abs(kept) < 1e3, kept, 0.5), "past": store(x.past, to_int32(b), where(u.on, kept, 0.25))}
+
+
+def alone(block: Block, name: str = "d") -> Diagram:
+    """A diagram of one block."""
+    d = Diagram(name)
+    for port in block.inputs:
+        d.input(port.name, port.kind)
+    d.add("part", block, inputs={port.name: port.name for port in block.inputs})
+    for port in block.outputs:
+        d.output(port.name, f"part.{port.name}")
+    return d
+
+
+def nested_cases(first: int, count: int, steps: int = 12) -> list[Case]:
+    """Random blocks with random inputs, and now and then a number that is none, or 0."""
+    cases = []
+    for seed in range(first, first + count):
+        rng = random.Random(seed)
+        rows = [
+            {
+                **{n: rng.choice(SPECIAL) if rng.random() < 0.1 else rng.gauss(0.0, 2.0) for n in ("u", "v")},
+                "mode": rng.randint(-1, 4),
+                "on": rng.random() < 0.5,
+            }
+            for _ in range(steps)
+        ]
+        cases.append(Case(alone(Nested(seed), f"d{seed}"), [], rows, {}))
+    return cases
+
+
+def lines_of(block: Block) -> list[str]:
+    """The lines of the C of its step."""
+    text = emit([lower(alone(block), DT)])[0].source
+    return text[text.rindex("void d_step(") :].partition("\n}\n")[0].splitlines()
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize(
+    ("kind", "first", "count"),
+    [
+        ("gcc-O0", 0, 5),
+        ("m7-gcc", 5, 2),
+        *(pytest.param(kind, 100, 60, marks=pytest.mark.soak) for kind in KINDS),
+        *(pytest.param("gcc-O3", 1000 + 100 * k, 100, marks=pytest.mark.soak) for k in range(10)),
+    ],
+)
+def test_branches_change_no_bit(kind: str, first: int, count: int, precision: str) -> None:
+    need(*KINDS[kind].needs)
+    cases = nested_cases(first, count)
+    programs = emitted(cases, precision, "rk4")
+    assert len(re.findall(r"\n +if \(", programs[0].source)) > count
+    expected = [reference_run(case, precision, "rk4") for case in cases]
+    assert not KINDS[kind].differences(cases, expected, programs)
+
+
+@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.soak)])
+def test_lanes_never_branch_and_have_the_same_bits(count: int) -> None:
+    assert not lane_differences(nested_cases(0, count), "float32", "rk4", best_simd(), 3)
+
+
+class Clamped(Block):
+    """One of two dear values; `form` says what hangs on the condition."""
+
+    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
+    outputs = (Port("y"),)
+
+    def __init__(self, form: str) -> None:
+        self.form = form
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        dear = atan(u.u)
+        dear = dear / (dear + u.v)
+        if self.form == "and":
+            return where(u.on & (dear < dear * u.v), 1.0, 0.0)
+        if self.form == "or":
+            return where(u.on | (dear < dear * u.v), 1.0, 0.0)
+        if self.form == "shared":
+            return where(u.on, dear, u.u) + dear
+        if self.form == "twice":  # what hangs on the condition again hangs on what did not
+            return where(u.on, dear + 1.0, u.u) + where(u.on, where(u.on, dear + 1.0, u.u) * u.v * dear, u.v)
+        if self.form == "between":
+            first = where(u.on, dear * dear, u.u)
+            return where(u.on, dear / atan(first * u.v), u.v) + first * u.v
+        return where(u.on, dear * dear, u.u)
+
+
+@pytest.mark.parametrize(
+    ("form", "within"), [("where", True), ("and", True), ("or", True), ("shared", False), ("twice", False)]
+)
+def test_what_is_read_on_one_side_alone_stands_there(form: str, within: bool) -> None:
+    lines = [line for line in lines_of(Clamped(form)) if "td_atan(" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(" " * 8) == within
+
+
+@pytest.mark.parametrize("form", ["between", "twice"])
+def test_what_two_branches_share_is_computed_once(form: str) -> None:
+    lines = [line for line in lines_of(Clamped(form)) if "td_atan(u->u" in line]
+    assert len(lines) == 1
+
+
+class Modes(Block):
+    """A value for each mode, dear ones."""
+
+    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
+    outputs = (Port("y"), Port("n", "int32"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        y, n = u.v, u.mode
+        for k in reversed(range(6)):
+            angle = atan(u.u + 0.5 * k)
+            y = where(u.mode == int32(k), angle * angle, y)
+            n = where(u.mode == int32(k), to_int32(angle * 5.0), n)
+        return {"y": y, "n": n}
+
+
+def test_cases_become_one_chain() -> None:
+    heads = [line for line in lines_of(Modes()) if re.search(r"\b(if|else)\b", line)]
+    assert [line.strip() for line in heads] == [
+        *(f"{'} else ' if k else ''}if (u->mode == {k}) {{" for k in range(6)),
+        "} else {",
+    ]
+    assert {len(line) - len(line.lstrip()) for line in heads} == {4}
+
+
+class Chain(Block):
+    """Many choices on one condition, each of which needs the one before and something that all read."""
+
+    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
+    outputs = (Port("y"),)
+
+    def __init__(self, length: int) -> None:
+        self.length = length
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        shared, y = atan(u.u), u.v
+        free = 0.0
+        for _ in range(self.length):
+            y = where(u.on, shared * y + u.u, u.v)
+            y = y * u.u + 1.0
+            free = free + y
+        return y + free
+
+
+def test_a_long_chain_on_one_condition_takes_its_time_only() -> None:
+    d = alone(Chain(600))
+    program = lower(d, DT)
+    start = time.process_time()
+    emit([program])
+    assert time.process_time() - start < 5.0
+
+
+def test_a_long_chain_has_the_same_bits() -> None:
+    rows = [{"u": 0.3 * np.cos(k), "v": 0.1, "on": k % 3 > 0} for k in range(6)]
+    cases = [Case(alone(Chain(40)), [], rows, {})]
+    expected = [reference_run(case, "float64", "rk4") for case in cases]
+    assert not differences(cases, expected, emitted(cases, "float64", "rk4"), KINDS["gcc-O0"].target)
