@@ -196,7 +196,7 @@ def decaying() -> tuple[list[Case], list[Judgement], list[EmittedProgram]]:
 
 def _flushing_here(source: str) -> str:
     """Flush-to-zero and denormals-are-zero while the steps of a run last."""
-    call = "        decay_step(p, s, u + k * u_stride, y + k * y_stride);"
+    call = "        decay_advance(p, s, u + k * u_stride, y + k * y_stride);"
     on, off = (f"__builtin_ia32_ldmxcsr(__builtin_ia32_stmxcsr() {bits});" for bits in ("| 0x8040u", "& ~0x8040u"))
     return source.replace(call, f"{{ {on}\n{call}\n{off} }}")
 
@@ -205,7 +205,7 @@ def _flushing_on_arm(source: str) -> str:
     """FPSCR.FZ, set at the beginning of each step."""
     read, write = '"vmrs %0, fpscr" : "=r"(td_bits)', '"vmsr fpscr, %0" : : "r"(td_bits | 1u << 24)'
     flush = f"unsigned td_bits; __asm__ volatile({read}); __asm__ volatile({write});"
-    return re.sub(r"(void decay_step\([^;{]*\n\{\n)", lambda head: f"{head[1]}    {flush}\n", source)
+    return re.sub(r"(void decay_advance\([^;{]*\n\{\n)", lambda head: f"{head[1]}    {flush}\n", source)
 
 
 FLUSH = {

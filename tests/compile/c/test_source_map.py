@@ -17,7 +17,7 @@ from twodof.rig.rig import rig
 from twodof.sim.closed_loop import closed_loop
 
 BODIES = ("step", "derivative")
-STATED = {*ROLES.values(), "condition", "head", "unused argument"}
+STATED = {*ROLES.values(), "condition", "head", "one step", "unused argument"}
 
 
 def mapped(diagram: Diagram, dt: float, precision: str = "float64") -> tuple[SourceMap, EmittedProgram]:

@@ -145,7 +145,7 @@ class _Emitter:
             functions += [self._written(stage.derivative), self._written(stage.integrate)]
         functions.append(self._written(lambda writer: self._step(writer, stage)))
         if not self.lean:
-            functions.append(self._run())
+            functions.append(self._step_and_run())
         remark = f" {comment(self.program.text)}" if self.program.text else ""
         parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
         if self.whole:
@@ -207,10 +207,9 @@ class _Emitter:
                     self.scope.fill(writer, f"s->{member.name}", signal.initial, declared)
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
-        p = self.prefix
         tick = TickEmitter(self.scope, writer, self.scope.names("p", "s", "u", "y"))
-        arguments = f"const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, {p}_Y *restrict y"
-        with writer.function(f"void {p}_step({arguments})"):
+        head = f"void {self.prefix}_step" if self.lean else f"td_inline void {self.prefix}_advance"
+        with writer.function(f"{head}({self._arguments()})"):
             tick.due()
             tick.outputs()
             if self.program.outputs:
@@ -227,14 +226,34 @@ class _Emitter:
             writer.line("s->tick += 1u;")
             tick.write_due()
 
-    def _run(self) -> str:
+    def _arguments(self) -> str:
         p = self.prefix
-        arguments = f"const {p}_P *p, {p}_S *s, const {p}_U *u, size_t u_stride, {p}_Y *y, size_t y_stride, size_t n"
-        return f"""void {p}_run({arguments})
+        return f"const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, {p}_Y *restrict y"
+
+    def _step_and_run(self) -> str:
+        """What calls `advance`, which is one step. Its machine code stands in one of the two, in place."""
+        p, one = self.prefix, self._arguments()
+        strided = one.replace(" u,", " u, size_t u_stride,") + ", size_t y_stride, size_t n"
+        run = f"""void {p}_run({strided})
 {{
     for (size_t k = 0; k < n; k++)
-        {p}_step(p, s, u + k * u_stride, y + k * y_stride);
+        {p}_advance(p, s, u + k * u_stride, y + k * y_stride);
 }}
+"""
+        return f"""#if __STDC_HOSTED__ && defined(__OPTIMIZE__)
+/* A computer runs many steps at a time: what parameters alone decide is computed once, before the loop. */
+{run}
+void {p}_step({one})
+{{
+    {p}_run(p, s, u, 0, y, 0, 1);
+}}
+#else
+void {p}_step({one})
+{{
+    {p}_advance(p, s, u, y);
+}}
+
+{run.replace("_advance(", "_step(")}#endif
 
 """
 

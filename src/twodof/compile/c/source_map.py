@@ -24,6 +24,7 @@ _OF_FUNCTION = {
     "init": "initial states",
     "along": "integration",
     "integrate": "integration",
+    "step": "one step",
     "run": "many steps",
 }
 _HEAD = re.compile(r"[\w ]*\bvoid (\w+)\(")
@@ -108,7 +109,8 @@ def _parts(text: list[str], name: str) -> Iterator[tuple[str, int, int]]:
         elif start >= 0 and line.startswith("}"):
             head = _HEAD.match(text[start - 1]) if line == "}" else re.match(r"} (\w+);", line)
             if head and head[1].startswith(prefix):
-                yield head[1].removeprefix(prefix), start - (line == "}"), i
+                part = head[1].removeprefix(prefix)
+                yield "step" if part == "advance" else part, start - (line == "}"), i
             start = -1
 
 

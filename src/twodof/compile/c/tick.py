@@ -26,7 +26,8 @@ RETURNED = "/* what is returned */"
 INTEGRATION = "/* the continuous states of the next tick */"
 FROZEN = "/* what is disabled keeps its continuous states */"
 NEXT_TICK = "/* the next tick */"
-OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "step")  # what a body may name
+# What a body may name.
+OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "advance", "step", "run")
 
 
 class Scope:
