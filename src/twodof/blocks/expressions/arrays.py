@@ -10,8 +10,8 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, as_expr, during, fault, node, position, recording, scalars, traced
 from twodof.blocks.expressions.numbers import Int32, Vector
 
-LOOP_DEPTH: ContextVar[int] = ContextVar("loop depth", default=0)
-"""How many loops enclose what is being recorded."""
+LOOPS: ContextVar[tuple[int, ...]] = ContextVar("loops", default=())
+"""The lengths of the loops that enclose what is being recorded, the outermost first."""
 
 
 def vector(elements: Sequence[Any]) -> Any:
@@ -53,8 +53,8 @@ def array_of(length: int, element: Callable[[Any], Any]) -> Any:
     if not recording():
         made = [element(Int32(i)) for i in range(length)]
         return vector([v for one in made for v in (one if isinstance(one, (list, tuple)) else (one,))])
-    depth = LOOP_DEPTH.get()
-    with during(LOOP_DEPTH, depth + 1):
+    depth = len(LOOPS.get())
+    with during(LOOPS, (*LOOPS.get(), length)):
         made = element(node("bound", "int32", (), (depth, 0)))
         body = vector(made) if isinstance(made, (list, tuple)) else as_expr(made)
     return node("build", body.kind, (body,), (length, depth), length * (body.width or 1))
@@ -73,10 +73,10 @@ def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]
         return values
     starts = tuple(as_expr(v) for v in initial)
     scalars("fold", *starts)
-    depth = LOOP_DEPTH.get()
+    depth = len(LOOPS.get())
     index = node("bound", "int32", (), (depth, 0))
     carried = [node("bound", s.kind, (), (depth, j + 1)) for j, s in enumerate(starts)]
-    with during(LOOP_DEPTH, depth + 1):
+    with during(LOOPS, (*LOOPS.get(), length)):
         results = tuple(step(index, *carried))
     if len(results) != len(starts):
         raise fault(

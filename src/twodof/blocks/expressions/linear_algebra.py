@@ -47,7 +47,8 @@ def outer(a: Any, b: Any) -> Any:
     """The matrix of a[i] * b[j]."""
     rows, columns = len(a), len(b)
     if isinstance(a, Expr) and isinstance(b, Expr) and rows * columns > WRITTEN:
-        return Matrix(array_of(columns, lambda j: array_of(rows, lambda i: a[i] * b[j])), (rows, columns))
+        flat = array_of(columns, lambda j: array_of(rows, lambda i: a[i] * b[j]))
+        return Matrix(flat, (rows, columns), lambda i, j: a[i] * b[j])
     return matrix([[left * right for right in b] for left in a])
 
 

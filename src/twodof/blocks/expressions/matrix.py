@@ -14,7 +14,7 @@ import numpy as np
 
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
-from twodof.blocks.expressions.arrays import array_of, fold, vector
+from twodof.blocks.expressions.arrays import LOOPS, array_of, fold, vector
 from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum, minimum, position, traced
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.expressions.refusals import Refusals
@@ -31,13 +31,27 @@ class Matrix(Refusals, ArrayOperators):
     """A matrix of `shape` (rows, columns) over the array `flat`, which holds column after column.
 
     `m[i, j]` is an element, `m[i]` a row, `m[:, j]` a column, `m[0:2, 1:3]` a part. It counts and iterates over rows.
+
+    What reads each element once need not wait for `flat`, and nobody may need that then: `element` gives one at a
+    literal or counted place i, j, for the price of a few operations. `moved`: it only reads, as of a transpose.
     """
 
-    __slots__ = ("flat", "shape")
+    __slots__ = ("element", "flat", "moved", "shape")
 
-    def __init__(self, flat: Any, shape: Shape) -> None:
+    def __init__(
+        self, flat: Any, shape: Shape, element: Callable[[Any, Any], Any] | None = None, moved: bool = False
+    ) -> None:
         self.flat = flat
         self.shape = shape
+        self.element = element
+        self.moved = moved
+
+    def at(self, i: Any, j: Any) -> Any:
+        """The element in row i and column j, both inside."""
+        if self.element is not None:
+            return self.element(i, j)
+        literal = isinstance(i, int) and isinstance(j, int)
+        return (_pick if literal else operator.getitem)(self.flat, place(i, j, self.shape[0]))
 
     @property
     def T(self) -> Any:
@@ -45,9 +59,9 @@ class Matrix(Refusals, ArrayOperators):
         rows, columns = self.shape
         if rows * columns <= WRITTEN or isinstance(self.flat, (Vector, list)):
             flat = _gather(self.flat, [i + j * rows for i in range(rows) for j in range(columns)])
-        else:
-            flat = array_of(rows, lambda i: array_of(columns, lambda j: self.flat[i + j * rows]))
-        return Matrix(flat, (columns, rows))
+            return Matrix(flat, (columns, rows))
+        flat = array_of(rows, lambda i: array_of(columns, lambda j: self.at(i, j)))
+        return Matrix(flat, (columns, rows), lambda i, j: self.at(j, i), self.moved or self.element is None)
 
     def __getitem__(self, index: Any) -> Any:
         return rules.part(self, index)
@@ -63,6 +77,13 @@ class Matrix(Refusals, ArrayOperators):
 
     def __repr__(self) -> str:
         return f"Matrix({self.flat!r}, {self.shape})"
+
+
+def place(i: Any, j: Any, rows: int) -> Any:
+    """Where the element in row i and column j stands, column after column."""
+    if isinstance(j, int):
+        return i + j * rows if j else i
+    return j * rows + i if not isinstance(i, int) or i else j * rows
 
 
 def shape_text(shape: Shape) -> str:
@@ -156,8 +177,16 @@ def spread(f: Callable[..., Any], *values: Any) -> Any:
     parts = [(flat_of(v), bool(shape_of(v))) for v in operands]
     # In a loop each operand must be one array: literals and numbers are written out.
     written = any(isinstance(flat, (list, Vector)) for flat, array in parts if array)
+    computed = [v for v in operands if isinstance(v, Matrix) and v.element is not None]
     if written or length <= WRITTEN:
         flat = vector([f(*(_pick(v, k) if array else v for v, array in parts)) for k in range(length)])
+    elif computed:
+        rows, columns = shape
+
+        def column(j: Any) -> Any:
+            return array_of(rows, lambda i: f(*(v.at(i, j) if isinstance(v, Matrix) else v for v in operands)))
+
+        flat = array_of(columns, column)
     else:
         flat = array_of(length, lambda i: f(*(v[i] if array else v for v, array in parts)))
     return shaped(flat, shape if len(shape) == 2 else None)
@@ -173,23 +202,17 @@ def product(a: Any, b: Any) -> Any:
             "the columns of the first are as many as the rows of the second; with a scalar, write *",
         )
     rows, inner, columns = (first[0] if len(first) == 2 else 1), second[0], (second[1] if len(second) == 2 else 1)
-    left, right = _array(flat_of(left), flat_of(right)), _array(flat_of(right), flat_of(left))
+    a_flat, b_flat = _array(flat_of(left), flat_of(right)), _array(flat_of(right), flat_of(left))
+    of_left, of_right = _factor(left, a_flat, (rows, inner)), _factor(right, b_flat, (inner, columns))
 
     def element(i: Any, j: Any) -> Any:
         """One element; `i` and `j` are literals, or counted by a loop."""
-        read = _pick if isinstance(i, int) and isinstance(j, int) else operator.getitem
-        base = j * inner
         if inner > LONGEST_SUM:
-            start = left[i] * right[base]
-            return fold(
-                inner - 1, [start], lambda k, total: [total + left[(k + 1) * rows + i] * right[base + (k + 1)]]
-            )[0]
-        return reduce(
-            operator.add,
-            (read(left, i + k * rows if k else i) * read(right, base + k if k else base) for k in range(inner)),
-        )
+            start = of_left.at(i, 0) * of_right.at(0, j)
+            return fold(inner - 1, [start], lambda k, total: [total + of_left.at(i, k + 1) * of_right.at(k + 1, j)])[0]
+        return reduce(operator.add, (of_left.at(i, k) * of_right.at(k, j) for k in range(inner)))
 
-    numeric = isinstance(left, Vector) and isinstance(right, Vector)
+    numeric = isinstance(a_flat, Vector) and isinstance(b_flat, Vector)
     if numeric or rows * inner * columns <= UNROLLED or rows * columns == 1:
         items = [element(i, j) for j in range(columns) for i in range(rows)]
         if len(first) == len(second) == 1:
@@ -202,6 +225,13 @@ def product(a: Any, b: Any) -> Any:
     else:
         flat = array_of(columns, lambda j: array_of(rows, lambda i: element(i, j)))
     return shaped(flat, (rows, columns) if len(first) == len(second) == 2 else None)
+
+
+def _factor(value: Any, flat: Any, shape: Shape) -> Matrix:
+    """A factor of a product. Its elements are read often, so they stand in an array, unless they do anyway."""
+    if isinstance(value, Matrix) and value.moved:
+        return value
+    return Matrix(flat, shape)
 
 
 def _array(flat: Any, other: Any) -> Any:
@@ -253,7 +283,10 @@ def _place(index: Any, length: int) -> Any:
     if isinstance(index, Integer):
         return numbers.clamp_index(index, length)
     at = position(index, length)
-    return at.data if at.op == "const" else maximum(minimum(at, int32(length - 1)), int32(0))
+    if at.op == "const":
+        return at.data
+    counted = at.op == "bound" and at.data[1] == 0 and LOOPS.get()[at.data[0]] <= length
+    return at if counted else maximum(minimum(at, int32(length - 1)), int32(0))
 
 
 rules.spread, rules.product, rules.part = spread, product, part

@@ -1,4 +1,4 @@
-"""Between which bounds an integer made of constants and loop counters lies: then it needs no clamp and cannot wrap."""
+"""Between which bounds an integer lies that is made of constants and loop counters, or clamped: it needs no clamp."""
 
 from collections.abc import Mapping
 
@@ -21,6 +21,8 @@ def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 
         return item.data, item.data
     if item.op == "bound":
         return (0, limits[item.data] - 1) if item.data in limits else None
+    if item.op == "where":
+        return _chosen(item, limits, depth + 4)
     if item.op not in ("add", "sub", "mul", "quot", "rem"):
         return None
     a, b = (index_range(each, limits, depth + 1) for each in item.args)
@@ -34,3 +36,13 @@ def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 
         b = (-b[1], -b[0])
     ends = [x * y if item.op == "mul" else x + y for x in a for y in b]
     return (min(ends), max(ends)) if min(ends) >= _LOW and max(ends) <= _HIGH else None
+
+
+def _chosen(item: Expr, limits: Mapping[tuple[int, int], int], depth: int) -> Span:
+    """Of `where`: that of the smaller or the larger of two, as a clamp has them, or of either."""
+    test, a, b = item.args
+    low, high = zip(*(index_range(e, limits, depth) or (_LOW, _HIGH) for e in (a, b)), strict=True)
+    compared = [id(e) for e in test.args] if test.op == "lt" else []
+    if compared == [id(a), id(b)]:
+        return min(low), min(high)
+    return (max(low) if compared == [id(b), id(a)] else min(low)), max(high)
