@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,12 @@ import pytest
 from tests.blocks.schema.door import SECONDS, judge_many
 from tests.blocks.schema.mutations import constructions, mutants
 from tests.blocks.schema.test_schema import everything
+from tests.compile.machine_cases import machine_case
 from tests.compile.random_diagrams import Maker
 from twodof.blocks.schema.json_form import to_json
 
 BASES = [to_json(everything()), *(to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23))]
+BASES.append(to_json(machine_case(random.Random(4), "machine", 1)[0].diagram))
 ALLOWED = {"", "DiagramError"}
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from tests.blocks.schema.door import MEMORY, SECONDS, judge, judge_many
 from tests.blocks.schema.hostile import MALFORMED, NAMES, endless, large, named, too_large
+from tests.blocks.schema.hostile_machines import hostile_machines, large_machines
 
 each_day = pytest.mark.parametrize("share", [10, pytest.param(1, marks=pytest.mark.soak)])
 """A tenth of the size where a file's time is in proportion to it; the soak takes all of it."""
@@ -17,7 +18,7 @@ each_day = pytest.mark.parametrize("share", [10, pytest.param(1, marks=pytest.ma
 @each_day
 def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(share: int, tmp_path: Path) -> None:
     """The largest takes half of it. A busy machine adds to processor time too: what is over is measured again."""
-    refused = {**too_large(share), **endless(share), **MALFORMED}
+    refused = {**too_large(share), **endless(share), **hostile_machines(), **MALFORMED}
     found = judge({name: data for name, (data, _) in refused.items()}, tmp_path)
     wrong = []
     for name, row in found.items():
@@ -41,7 +42,7 @@ def least_seconds(data: bytes, first: float, folder: Path) -> float:
 
 @pytest.mark.parametrize("share", [20, pytest.param(1, marks=pytest.mark.soak)])
 def test_what_is_large_and_allowed_stays_bounded(share: int, tmp_path: Path) -> None:
-    found = judge(large(share), tmp_path)
+    found = judge({**large(share), **large_machines()}, tmp_path)
     assert not [(name, row) for name, row in found.items() if row["stage"] != "compiled" or row["bytes"] > MEMORY]
 
 

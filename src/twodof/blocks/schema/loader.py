@@ -209,13 +209,13 @@ class Loader:
         crossing = member(form, "crossing", bool, where, False)
         machine = TracedMachine(member(form, "name", str, where), declared, crossing)
         machine_from_json(machine, form, where)
-        own = machine.states[len(machine.variables) :]
-        self._count(len(own), len(own), where)
         try:
             with at_most(2 * MAX_SIZE):
                 _ = machine.trace
         except TwodofError as error:
-            raise DiagramError(error.what, where, error.remedy) from error
+            raise DiagramError(error.what, f"{where}, {error.where}", error.remedy) from error
+        own = machine.states[len(machine.variables) :]
+        self._count(len(own), len(own), where)
         return machine
 
     def _measure(self, block: Block) -> None:

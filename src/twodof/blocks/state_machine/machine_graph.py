@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Declared, Port, State
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
@@ -122,6 +123,8 @@ class MachineGraph:
         """Each output is given in each mode, or is a variable."""
         kept = {MODE, ELAPSED, *(v.name for v in self._machine.variables)}
         for port in self._machine.outputs:
+            if port.name == MODE and port.enum is not None:
+                self._check_enumeration(port.enum, chart)
             without = [
                 one.mode.name
                 for one in chart.leaves
@@ -132,6 +135,16 @@ class MachineGraph:
                     f"the output {port.name!r} is not given in {listed(without)}",
                     f"block {self._label}",
                     "give it in `during` there, or declare a variable of this name, which keeps it",
+                )
+
+    def _check_enumeration(self, enumeration: Enumeration, chart: Chart) -> None:
+        """The members that the output `mode` may be are named as the modes are."""
+        for one in chart.leaves:
+            if enumeration.members.get(one.mode.name) != one.number:
+                raise DiagramError(
+                    f"the mode {one.mode.name!r} is number {one.number}, and {enumeration} says otherwise",
+                    f"block {self._label}",
+                    "name the members as the modes without inner ones, from 0 on in their order",
                 )
 
     def _own_states(self, chart: Chart) -> Sequence[State]:

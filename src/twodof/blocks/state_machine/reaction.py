@@ -171,7 +171,7 @@ def _recorded(now: Reaction) -> Reaction:
 
 def _ways(now: Reaction, leaf: Leaf) -> Values:
     """The values after a tick that begins in `leaf`."""
-    found = now.values
+    found = now.values | {MODE: int32(leaf.number)}  # which is what it is there; so each value is one of a mode
     for route in reversed(now.chart.routes[leaf.number]):
         left = now.after(now.values)
         left.leave(route)

@@ -17,6 +17,7 @@ from twodof.compile.program.flatten import node_of
 WORTH = 20  # operations from which on a branch costs less than computing what nobody may read
 LONGEST = 12  # nodes of a condition
 MOST = 8  # conditions on a signal
+MOST_PARTS = 100  # nodes of a condition that are looked at
 MOST_ROUNDS = 100
 
 _Needs = dict[int, Need]
@@ -126,12 +127,25 @@ def _arguments(item: Expr) -> Iterator[tuple[Expr, Expr | None, bool]]:
 
 
 def _conditions(n: Node, condition: Expr, holds: bool, meanings: dict[int, Need]) -> _Needs:
-    """A condition as those that must all hold for it."""
-    if condition.op == "not":
-        return _conditions(n, condition.args[0], not holds, meanings)
-    if condition.op == ("and" if holds else "or"):
-        first, second = condition.args
-        return _conditions(n, first, holds, meanings) | _conditions(n, second, holds, meanings)
+    """A condition as those that must all hold for it; of very many only some, which is enough for a branch."""
+    found: _Needs = {}
+    seen: set[tuple[int, bool]] = set()
+    stack = [(condition, holds)]
+    while stack and len(seen) < MOST_PARTS:
+        item, wanted = stack.pop()
+        if (id(item), wanted) in seen:  # one that stands in many places is small, and endless to follow as a tree
+            continue
+        seen.add((id(item), wanted))
+        if item.op == "not":
+            stack.append((item.args[0], not wanted))
+        elif item.op == ("and" if wanted else "or"):
+            stack += [(a, wanted) for a in reversed(item.args)]
+        else:
+            found |= _meaning(n, item, wanted, meanings)
+    return found
+
+
+def _meaning(n: Node, condition: Expr, holds: bool, meanings: dict[int, Need]) -> _Needs:
     nodes = walk([condition])
     if len(nodes) > LONGEST or any(e.op in ("state", "tick", "dt", "bound", "call") or e.width for e in nodes):
         return {}
