@@ -48,6 +48,7 @@ class Reaction:
         self.seen = u, p, t
         self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **vars(x)}
         self.outputs: Values = {}
+        self.taken: Route | None = None  # on numbers
         self.variables: dict[str, State] = {v.name: v for v in machine.variables}
         declared: dict[str, State | Port] = {**self.variables, **{port.name: port for port in machine.outputs}}
         self.declared = list(declared.values())
@@ -131,6 +132,12 @@ def react(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Val
     return states, {name: value for name, value in (end.outputs | shown).items() if name in wanted}
 
 
+def followed(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[int | None, int]:
+    """What a tick on numbers does: the numbers of the transition that is taken, and of the mode in which it ends."""
+    end = _on_numbers(Reaction(machine, u, x, p, t))
+    return None if end.taken is None else end.taken.number, end.values[MODE].value
+
+
 def _on_numbers(now: Reaction) -> Reaction:
     chart = now.chart
     at = now.values[MODE].value
@@ -138,6 +145,7 @@ def _on_numbers(now: Reaction) -> Reaction:
         now.grow_older()
         for route in chart.routes[at]:
             if now.holds(route):
+                now.taken = route
                 now.leave(route)
                 leaf = route.leaves[0]
                 if route.resumes is not None:

@@ -28,6 +28,7 @@ from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, te
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.report.drawing.diagram_svg import find, to_svg
+from twodof.report.drawing.state_machine_svg import machine_at, machine_svg
 from twodof.report.pages.code_page import code_page
 
 app = typer.Typer(
@@ -221,15 +222,17 @@ def render(
     diagram: Which,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="The SVG file; default: standard output.")] = None,
     depth: Annotated[int, typer.Option(min=0, max=64, help="Open sub-diagrams down to this level.")] = 0,
-    path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram.")] = "",
+    path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram, or state machine.")] = "",
     force: Force = False,
 ) -> None:
-    """Draw a diagram as SVG."""
+    """Draw a diagram, or one of its state machines, as SVG."""
     if out is not None:
         if out.suffix.lower() != ".svg":
             raise LogError(f"the drawing is an SVG; {out.name} does not say so", "--out", f"name it {out.stem}.svg")
         check_folder(out, force)
-    picture = to_svg(find(load_diagram(diagram), path), depth)
+    shown = load_diagram(diagram)
+    machine = machine_at(shown, path)
+    picture = to_svg(find(shown, path), depth) if machine is None else machine_svg(machine, path)
     if out is None:
         typer.echo(picture, nl=False)
         return

@@ -251,7 +251,7 @@ def _written(drawing: Drawing) -> list[str]:
     for i, (made, (x, y)) in enumerate(zip(drawing.symbols, drawing.placed.corners, strict=True)):
         lines.append(f'<g transform="translate({x:g} {y:g})"><title>{escape(made.title)}</title>')
         lines += made.shapes
-        lines += [_text(t) for t in made.texts]
+        lines += [text_element(t) for t in made.texts]
         if i in drawing.inner:
             lines.append(f'<g transform="translate(0 {HEADER:g})">')
             lines += _written(drawing.inner[i])
@@ -260,7 +260,8 @@ def _written(drawing: Drawing) -> list[str]:
     return lines
 
 
-def _text(t: SymbolText) -> str:
+def text_element(t: SymbolText) -> str:
+    """A text as SVG, as wide as it was measured whatever font there is."""
     style = f' class="{t.style}"' if t.style else ""
     left, _, right, _ = t.extent
     fit = f' textLength="{right - left:.1f}" lengthAdjust="spacingAndGlyphs"' if len(t.text) > 1 else ""

@@ -12,17 +12,18 @@ from pathlib import Path
 from twodof.blocks.block import Block
 from twodof.blocks.expressions.expr import Expr, noting_lines
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.state_machine import StateMachine
 from twodof.blocks.trace import by_method, trace_of
-from twodof.compile.diagram_test.coverage.expression_text import limit_of, text_of
+from twodof.compile.diagram_test.coverage.expression_text import limit_of, machine_text, text_of
 
 
 @dataclass(frozen=True)
 class Decision:
     """One decision of the block or sub-diagram at `path`.
 
-    `kind` is "condition", "enable", "reset" or "trigger". State machines will have "state" and "transition", with the
-    one side that they are taken at all. `place` is the user's line, or the method and name that it is first used for;
-    `sides` are what its ways are called; `number` tells decisions of one path apart.
+    `kind` is "condition", "enable", "reset" or "trigger", or of a state machine "mode" or "transition", with the one
+    side that it is entered, or taken, at all. `place` is the user's line, or the method and name that it is first used
+    for; `sides` are what its ways are called; `number` tells decisions of one path apart.
     """
 
     kind: str
@@ -34,7 +35,12 @@ class Decision:
 
 
 def conditions(block: Block, path: str) -> dict[int, Decision]:
-    """The decisions of a block, by the id of the condition's node; `bare` leads there from a node below a `not`."""
+    """The decisions of a block, by the id of the condition's node; `bare` leads there from a node below a `not`.
+
+    A state machine has none of these: its modes and transitions are its decisions.
+    """
+    if isinstance(block, StateMachine):
+        return {}
     first: dict[int, tuple[Expr, str]] = {}  # by id: the condition, and where it is first used
     users: dict[int, list[Expr]] = {}  # what asks it
     for method, exprs in by_method(block.trace).items():
@@ -51,6 +57,18 @@ def conditions(block: Block, path: str) -> dict[int, Decision]:
         place = next((lines[id(e)] for e in (condition, *asking) if id(e) in lines), used)
         found[id(condition)] = Decision("condition", path, place, text, sides, number)
     return found
+
+
+def machine_decisions(machine: StateMachine, path: str) -> tuple[list[Decision], list[Decision]]:
+    """The modes of a state machine, by number, and its transitions, by number."""
+    chart = machine.chart
+    modes = [Decision("mode", path, "", leaf.mode.name, ("entered",), leaf.number) for leaf in chart.leaves]
+    ways = []
+    for number, (t, guard) in enumerate(zip(chart.transitions, machine.graph.guards, strict=True)):
+        text = t.text if guard.op == "const" else f"{t.text}: {machine_text(guard)}"
+        place = Path(chart.guards[number].line.removeprefix(", ")).name
+        ways.append(Decision("transition", path, place, text, ("taken",), number))
+    return modes, ways
 
 
 def bare(condition: Expr) -> Expr:

@@ -1,5 +1,6 @@
 """A recorded expression as a person would write it, for reports; long ones are cut."""
 
+import re
 from collections.abc import Mapping
 
 from twodof.blocks.expressions.expr import Expr
@@ -13,6 +14,7 @@ _INFIX: Mapping[str, str] = {
 _COMPARES: Mapping[str, str] = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 _TURNED: Mapping[str, str] = {"lt": ">", "le": ">="}
 _PREFIX: Mapping[str, str] = {"neg": "-", "not": "~"}
+_SECONDS = "to_real(x.elapsed) * t.dt"
 _LEAVES: Mapping[str, str] = {"input": "u.", "state": "x.", "param": "p.", "tick": "t.", "dt": "t."}
 
 
@@ -20,6 +22,12 @@ def text_of(item: Expr) -> str:
     """`item` in the language's own words, such as `u.u < p.low`."""
     text = _text(item, _DEPTH)
     return text if len(text) <= MAX_TEXT else text[: MAX_TEXT - 3] + "..."
+
+
+def machine_text(item: Expr) -> str:
+    """A guard or an action's value of a state machine, in the words in which its function says it."""
+    text = text_of(item).replace(f"({_SECONDS})", "t.elapsed_time").replace(_SECONDS, "t.elapsed_time")
+    return re.sub(r"\bx\.elapsed\b", "t.elapsed", text)
 
 
 def limit_of(item: Expr) -> tuple[str, Expr, Expr] | None:

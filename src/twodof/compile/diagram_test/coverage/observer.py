@@ -8,9 +8,12 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.matrix import flat_of
+from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.reference.hierarchy import Cell
+from twodof.blocks.state_machine import StateMachine
+from twodof.blocks.state_machine.reaction import followed
 from twodof.blocks.trace import by_method, computed
-from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions
+from twodof.compile.diagram_test.coverage.decisions import Decision, bare, conditions, machine_decisions
 from twodof.errors import DiagramError
 
 
@@ -24,10 +27,14 @@ class DecisionObserver:
     def __init__(self, cells: Iterable[Cell]) -> None:
         self.taken: dict[Decision, set[int]] = {}
         self._conditions: dict[str, dict[int, Decision]] = {}
+        self._machines: dict[str, tuple[list[Decision], list[Decision]]] = {}
         self._roots: dict[tuple[str, str], dict[str, tuple[Expr, ...]]] = {}
         for cell in cells:
             if cell.path.rpartition(".")[2].startswith("_"):
                 continue  # what the language adds to decide over a sub-diagram: that is a decision of its own
+            if isinstance(cell.block, StateMachine):
+                modes, ways = self._machines[cell.path] = machine_decisions(cell.block, cell.path)
+                self.taken |= {decision: set() for decision in (*modes, *ways)}
             found = conditions(cell.block, cell.path)
             self.taken |= {decision: set() for decision in found.values()}
             self._conditions[cell.path] = found
@@ -37,6 +44,8 @@ class DecisionObserver:
 
     def __call__(self, cell: Cell, method: str, values: Mapping[str, Any], seen: tuple[Any, Any, Any, Any]) -> None:
         """What a method of a running block gave. Raises DiagramError if its recorded expressions give another value."""
+        if method == "update" and isinstance(cell.block, StateMachine):
+            self._machine(cell.block, cell.path, seen)
         exprs = self._roots.get((cell.path, method))
         if exprs is None:
             return
@@ -52,6 +61,15 @@ class DecisionObserver:
             )
         for decision, side in sight.taken(roots):
             self.taken[decision].add(side)
+
+    def _machine(self, machine: StateMachine, path: str, seen: tuple[Any, Any, Any, Any]) -> None:
+        modes, ways = self._machines[path]
+        shapes = matrices(machine.inputs), matrices(machine.states), matrices(machine.params, machine.derived)
+        u, x, p = (with_matrices(view, some) for view, some in zip(seen[:3], shapes, strict=True))
+        way, mode = followed(machine, u, x, p, seen[3])
+        self.taken[modes[mode]].add(0)
+        if way is not None:
+            self.taken[ways[way]].add(0)
 
 
 def _bits(value: Any) -> str:
