@@ -26,10 +26,11 @@ Made by `tools/library_docs.py` from the docstrings; do not edit.
 All blocks are imported from `twodof.blocks.library`. The arguments in parentheses are those of the constructor, and
 what a diagram's JSON keeps beside the type's name; the tables show a block made with the defaults. Ports and parameters
 are real scalars unless it is said otherwise; `width` n makes a block work on arrays of n, element by element; `kind` is
-one of real, int32, uint32 and bool; `unit` "" is compared with nothing. All parameters may be changed while the diagram
-runs; a state starts from the parameter `initial` where there is one. T is the block's own period [s], [k] its k-th
-sample. A series of ports has the names a, b, ..., z and then u27, u28, ... by number; a block has at most 1,000 inputs.
-Numpy's arrays and numbers are taken wherever lists and numbers are; tables and matrices are finite.
+one of real, int32, uint32 and bool, an enumeration, or, where values are only passed on, a bus; `unit` "" is compared
+with nothing. All parameters may be changed while the diagram runs; a state starts from the parameter `initial` where
+there is one. T is the block's own period [s], [k] its k-th sample. A series of ports has the names a, b, ..., z and
+then u27, u28, ... by number; a block has at most 1,000 inputs. Numpy's arrays and numbers are taken wherever lists and
+numbers are; tables and matrices are finite.
 """
 
 

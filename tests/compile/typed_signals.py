@@ -1,4 +1,4 @@
-"""Diagrams over enumerations, and beside each a loop that says in Python what it does."""
+"""Diagrams over enumerations and buses, and beside each a loop that says in Python what it does."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ from typing import Any
 from tests.compile.differential import Case
 from tests.compile.semantics import STEPS, Told, told
 from tests.compile.semantics import TOLD as TOLD
-from twodof.blocks import Block, Diagram, Enumeration, Param, Port, State, to_enumeration, where
+from twodof.blocks import Block, Bus, Diagram, Enumeration, Param, Port, State, to_enumeration, where
 from twodof.blocks.action_group import action_group
 from twodof.blocks.library import (
+    BusAssign,
+    BusCreate,
+    BusSelect,
     CompareToConstant,
     Constant,
     Convert,
     DataStore,
     Delay,
+    Gain,
     MultiportSwitch,
     Mux,
     StoreRead,
@@ -117,4 +121,101 @@ def enumerated() -> Told:
         late.popleft()
         late.append(mode)
         last, stored = mode, chosen
+    return Told(Case(d, [], inputs, {}), expected)
+
+
+RATES = Bus("Rates", [Port("p", unit="rad/s"), Port("count", "int32")])
+STATE = Bus(
+    "State",
+    [Port("roll", unit="rad"), Port("rates", RATES), Port("ok", "bool"), Port("mode", Mode), Port("v", width=2)],
+)
+
+
+class Turned(Block):
+    """A state in which all is turned round, and its rates alone."""
+
+    inputs = (Port("s", STATE), Port("gain"))
+    outputs = (Port("s", STATE), Port("rates", RATES))
+    states = (State("past", {"roll": 7.0, "rates": {"count": 2}}, STATE),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        rates = RATES(p=u.s.rates.p * u.gain, count=u.s.rates.count + x.past.rates.count)
+        turned = STATE(roll=-u.s.roll + x.past.roll, rates=rates, ok=~u.s.ok, mode=x.past.mode, v=[u.s.v[1], u.s.v[0]])
+        return {"s": turned, "rates": u.s.rates}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"past": u.s}
+
+
+def _inner() -> Diagram:
+    """A sub-diagram into which a bus goes as one wire, and out of which one comes."""
+    d = Diagram("inner")
+    d.input("s", STATE)
+    d.input("gain")
+    d.add("turned", Turned(), s="s", gain="gain")
+    d.add("late", UnitDelay(kind=STATE, initial={"roll": 0.5, "mode": "armed"}), u="turned.s")
+    d.output("s", "late")
+    d.output("rates", "turned.rates")
+    d.output("count", "s.rates.count")
+    return d
+
+
+def _turn(s: dict[str, Any], gain: float, past: dict[str, Any]) -> dict[str, Any]:
+    rates = {"p": s["rates"]["p"] * gain, "count": s["rates"]["count"] + past["rates"]["count"]}
+    roll = past["roll"] - s["roll"]
+    return {"roll": roll, "rates": rates, "ok": not s["ok"], "mode": past["mode"], "v": s["v"][::-1]}
+
+
+def _flat(name: str, value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict):
+        return {name: value}
+    return {path: one for field, inner in value.items() for path, one in _flat(f"{name}.{field}", inner).items()}
+
+
+@told
+def bused() -> Told:
+    """A bus into a sub-diagram that is enabled at times, through delays and switches, taken apart and put together."""
+    d = Diagram("bused")
+    d.input("s", STATE)
+    d.input("gain")
+    d.input("go", "bool")
+    d.add("inner", _inner(), s="s", gain="gain", enable="go", initial={"s.roll": 3.0})
+    d.add("choice", Switch(STATE), condition="s.ok", a="inner.s", b="s")
+    d.add("doubled", Gain(2.0, unit="rad"), u="choice.roll")
+    d.add("changed", BusAssign(STATE, ["roll", "rates.p"]), u="choice", roll="doubled", rates_p="inner.rates.p")
+    d.add("store", DataStore({"mode": Mode.flying}, STATE))
+    d.add("write", StoreWrite("store", STATE), u="changed")
+    d.add("read", StoreRead("store", STATE))
+    d.add("parts", BusSelect(STATE, ["rates", "rates.p", "v"]), bus="read")
+    d.add("made", BusCreate(Bus("Made", [Port("n", "int32"), Port("both", RATES)])), n="inner.count")
+    d.connect("parts.rates", "made.both")
+    d.add("again", Turned(), gain="gain")
+    for field in ("roll", "rates", "ok", "mode"):  # field by field
+        d.connect(f"changed.y.{field}", f"again.s.{field}")
+    d.connect("parts.v", "again.s.v")
+    for name, source in {"s": "again.s", "rates": "inner.rates", "made": "made", "p": "parts.rates_p"}.items():
+        d.output(name, source)
+    r = random.Random(11)
+    inputs: list[dict[str, Any]] = []
+    expected: list[dict[str, Any]] = []
+    zero: dict[str, Any] = {"roll": 0, "rates": {"p": 0, "count": 0}, "ok": False, "mode": 0, "v": [0, 0]}
+    first = {**zero, "roll": 7, "rates": {"p": 0, "count": 2}}
+    past, again_past, store = first, first, {**zero, "mode": 5}
+    late, shown, rates = {**zero, "roll": 0.5, "mode": 1}, {**zero, "roll": 3}, {"p": 0, "count": 0}
+    for _ in range(STEPS):
+        vector = [float(r.randint(-9, 9)) for _ in range(2)]
+        s = {"roll": float(r.randint(-9, 9)), "rates": {"p": float(r.randint(-9, 9)), "count": r.randint(-9, 9)}}
+        s |= {"ok": r.random() < 0.5, "mode": int(r.choice(list(Mode))), "v": vector}
+        gain, go = float(r.randint(-3, 3)), r.random() < 0.6
+        inputs.append({**_flat("s", s), "gain": gain, "go": go})
+        if go:
+            shown, rates = late, s["rates"]
+            late, past = _turn(s, gain, past), s
+        choice = shown if s["ok"] else s
+        changed = {**choice, "roll": 2.0 * choice["roll"], "rates": {**choice["rates"], "p": rates["p"]}}
+        mixed = {**changed, "v": store["v"]}
+        made = {"n": s["rates"]["count"], "both": store["rates"]}
+        out = _flat("s", _turn(mixed, gain, again_past)) | _flat("rates", rates) | _flat("made", made)
+        expected.append({**out, "p": store["rates"]["p"]})
+        again_past, store = mixed, changed
     return Told(Case(d, [], inputs, {}), expected)

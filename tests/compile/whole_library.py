@@ -7,7 +7,7 @@ import random
 from collections.abc import Sequence
 from typing import Any
 
-from tests.blocks.library.samples import LIBRARY, SAMPLES, add_store, flat_output, shaped_input
+from tests.blocks.library.samples import LIBRARY, SAMPLES, add_store, flat_output, shaped_input, under
 from tests.compile.differential import Case
 from twodof.blocks import Diagram
 from twodof.blocks.library import Integrator
@@ -42,9 +42,9 @@ def room(name: str, extra: bool) -> Diagram:
                     d.input(source, port.kind, port.width)
                 d.connect(shaped_input(d, source, port), f"{part}.{port.name}")
             for port in block.outputs:
-                d.output(f"{part}_{port.name}", flat_output(d, part, port))
+                d.output(f"{part}_{under(port)}", flat_output(d, part, port))
                 if port.name in block.trace.edges:
-                    d.add(f"{part}_{port.name}_sum", Integrator(), u=f"{part}.{port.name}")
+                    d.add(f"{part}_{under(port)}_sum", Integrator(), u=f"{part}.{port.name}")
             add_store(d, block)
     return d
 

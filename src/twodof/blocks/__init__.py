@@ -1,6 +1,7 @@
 """The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
 from twodof.blocks.block import Block as Block
+from twodof.blocks.datatypes.bus import Bus as Bus
 from twodof.blocks.datatypes.enumeration import Enumeration as Enumeration
 from twodof.blocks.datatypes.enumeration import to_enumeration as to_enumeration
 from twodof.blocks.declarations import Param as Param

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from twodof.blocks.datatypes.bus import grouped
 from twodof.blocks.declarations import Port, alike, shape
-from twodof.blocks.diagram import Diagram, carried
+from twodof.blocks.diagram import Diagram, carried_fields
 from twodof.blocks.library.routing import CaseChoice, FirstTrue, Merge
 from twodof.errors import DiagramError, listed, nearest, shown
 
@@ -55,7 +56,8 @@ def action_group(
             )
         for port in item.inputs.values():
             _input(d, port)
-        d.add(action, item, enable=acts[action], enabling=enabling, inputs={n: n for n in item.inputs})
+        inputs = {port.name: port.name for port in grouped(item.inputs.values())}
+        d.add(action, item, enable=acts[action], enabling=enabling, inputs=inputs)
     for output in initial or {}:
         if output not in parts[first].outputs:
             there = f"there are: {nearest(output, parts[first].outputs)}"
@@ -74,6 +76,10 @@ def _lettered(actions: Mapping[str, Diagram]) -> list[tuple[str, str]]:
     return list(zip(FirstTrue(len(actions)).names, actions, strict=True))
 
 
+def _type(port: Port) -> str:
+    return shape(port) if port.enum is None else str(port.enum)
+
+
 def _input(d: Diagram, port: Port) -> None:
     there = d.inputs.get(port.name)
     if there is None:
@@ -89,10 +95,13 @@ def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
     """What the actions' output carries."""
     found: dict[str, Port] = {}
     for action, item in parts.items():
-        port = carried(item, output)
-        if port is None:
+        fields = carried_fields(item, output)
+        if not fields:
             raise DiagramError("the output is not connected", f"{name}.{action}.{output}", "connect it or remove it")
-        found[shape(port) if port.enum is None else str(port.enum)] = port
+        named = [replace(port, name=f"{output}.{field}" if field else output) for field, port in fields.items()]
+        port = grouped(named)[0]
+        text = ", ".join(f"{field} {_type(port)}".strip() for field, port in sorted(fields.items()))
+        found[text] = port
     if len(found) > 1:
         raise DiagramError(f"the actions' outputs {output!r} are {listed(found)}", name, "convert them to one type")
     return next(iter(found.values()))

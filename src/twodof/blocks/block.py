@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, ClassVar
 
+from twodof.blocks.datatypes.bus import expanded
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import fault
 from twodof.blocks.mistakes import HIDDEN
@@ -38,6 +39,8 @@ class Block:
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
+        for name in cls.__dict__.keys() & _DECLARED:
+            type.__setattr__(cls, name, expanded(cls.__dict__[name]))
         if "__init__" in cls.__dict__:
             type.__setattr__(cls, "__init__", _recording_config(cls, cls.__init__))
 
@@ -68,7 +71,7 @@ class Block:
     def __setattr__(self, name: str, value: Any) -> None:
         if "_traced" in self.__dict__:
             raise fault(f"the attribute {name!r} of a traced block is assigned", HIDDEN)
-        super().__setattr__(name, value)
+        super().__setattr__(name, expanded(value) if name in _DECLARED else value)
 
     @functools.cached_property
     def trace(self) -> Trace:
@@ -85,6 +88,8 @@ class Block:
         function: Callable[..., Any] = getattr(type(self), method)
         return function
 
+
+_DECLARED = frozenset(("inputs", "outputs", "states", "params"))
 
 REGISTRY: dict[str, type[Block]] = {}
 

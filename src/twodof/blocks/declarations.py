@@ -2,13 +2,14 @@
 
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
+from twodof.blocks.datatypes.bus import MAX_FIELDS, MAX_LEVELS, Bus
 from twodof.blocks.datatypes.enumeration import enumeration_of
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import KINDS
@@ -20,6 +21,7 @@ from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
 MAX_STEPS = 100_000_000
+MAX_PATH = 64 * (MAX_LEVELS + 1)
 _RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
 
 
@@ -30,6 +32,16 @@ def check_name(name: object, where: str) -> str:
             f"{shown(name)} is not a name", where, "use a letter, then up to 62 letters, digits or _ (ASCII)"
         )
     return name
+
+
+def check_path(name: object, where: str) -> str:
+    """`name` if it is a legal name, or the path "att.rates.p" of a field of a bus; else DiagramError."""
+    parts = name.split(".") if isinstance(name, str) and len(name) < MAX_PATH else [name]
+    for part in parts:
+        check_name(part, where)
+    if len(parts) > MAX_LEVELS + 1:
+        raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
+    return ".".join(map(str, parts))
 
 
 def check_steps(steps: object, where: str) -> int:
@@ -46,6 +58,35 @@ def check_tick(dt: object, where: str) -> float:
     if type(tick) not in (int, float) or not 0 < tick < math.inf:
         raise DiagramError(f"dt = {shown(dt)}", where, "give the base tick in seconds, > 0")
     return float(tick)
+
+
+def _is_bus(declared: "Port | State | Param") -> bool:
+    """Whether it is declared of a bus. Then it stands for its fields, which have what else is declared."""
+    kind = declared.kind
+    if isinstance(kind, Mapping) and "fields" in kind:
+        with located(f"{declared.name!s:.80}"):
+            kind = _bus_of(kind)
+        object.__setattr__(declared, "kind", kind)
+    if not isinstance(kind, Bus):
+        return False
+    check_name(declared.name, "block")
+    if (declared.width, declared.shape, declared.unit, declared.enum) != (None, None, "", None):
+        remedy = "give it to the fields of the bus; an array of buses is not there"
+        raise DiagramError("a bus with a width, shape or unit", declared.name, remedy)
+    return True
+
+
+def _bus_of(form: Mapping[str, Any]) -> Bus:
+    """The bus of which `form` is the plain form."""
+    fields = form["fields"]
+    good = isinstance(fields, list) and all(isinstance(f, dict) and set(f) <= _FIELD and "name" in f for f in fields)
+    if set(form) != {"name", "fields"} or not good or len(fields) > MAX_FIELDS:
+        remedy = f'write {{"name": ..., "fields": [...]}}, with at most {MAX_FIELDS} fields'
+        raise DiagramError(f"{shown(form)} is not a bus", "", remedy)
+    return Bus(form["name"], [Port(**field) for field in fields])
+
+
+_FIELD = {"name", "kind", "width", "unit", "shape", "enum"}
 
 
 def _keep_enumeration(declared: "Port | State | Param") -> None:
@@ -83,7 +124,7 @@ def check_shape(given: object, where: str) -> tuple[int, int]:
 
 def _check_shape(declared: "Port | State | Param") -> None:
     kind, name, unit = declared.kind, declared.name, declared.unit
-    check_name(name, "block")
+    check_path(name, "block")
     if declared.shape is not None:
         rows, columns = check_shape(declared.shape, name)
         if declared.width not in (None, rows * columns):
@@ -115,7 +156,7 @@ class Port:
     """An input, output or derived parameter: scalar if `width` is None, else an array. `unit` "" is not compared.
 
     With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements. A `kind` that is an
-    enumeration becomes int32, and `enum` is the enumeration.
+    enumeration becomes int32, and `enum` is the enumeration. One that is a Bus stands for ports named "att.rates.p".
     """
 
     name: str
@@ -127,6 +168,8 @@ class Port:
 
     def __post_init__(self) -> None:
         _keep_plain(self, "width")
+        if _is_bus(self):
+            return
         _keep_enumeration(self)
         _check_shape(self)
 
@@ -149,6 +192,8 @@ class State:
 
     def __post_init__(self) -> None:
         _keep_plain(self, "initial", "width", "continuous")
+        if _is_bus(self):
+            return
         _keep_enumeration(self)
         _check_shape(self)
         if self.continuous and self.kind != "real":
@@ -181,6 +226,8 @@ class Param:
 
     def __post_init__(self) -> None:
         _keep_plain(self, "value", "width", "low", "high", "tunable")
+        if _is_bus(self):
+            return
         _keep_enumeration(self)
         _check_shape(self)
         given = _declared(self.value, self)
@@ -230,6 +277,9 @@ def check_lists(block: Declared, where: str) -> None:
         for one in given:
             if not isinstance(getattr(one, "name", None), str):
                 raise DiagramError(f"{what} holds {shown(one)}", where, remedy)
+            if isinstance(getattr(one, "kind", None), Bus):
+                how = "derived parameters are none" if what == "derived" else f"set {what} to a new list with it"
+                raise DiagramError(f"{what} got the bus {one.name!r} later", where, how)
 
 
 def shape(declared: Typed) -> str:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EDGES
+from twodof.blocks.datatypes.bus import leaves_of
 from twodof.blocks.datatypes.enumeration import Enumeration, Kind
-from twodof.blocks.declarations import Param, Port, check_lists, check_name, located, unknown_name
+from twodof.blocks.declarations import Param, Port, check_lists, check_name, check_path, located, unknown_name
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, nearest, shown
 
@@ -78,7 +79,8 @@ class Diagram:
     """Blocks and sub-diagrams by name, and connections between ports.
 
     A source is written "part.port" (or "part" if it has one output), or it is the name of a diagram input. A
-    destination is "part.port" (or "part" if it has one input), or the name of a diagram output.
+    destination is "part.port" (or "part" if it has one input), or the name of a diagram output. Either may be a bus,
+    which is one connection, or a field of one, "part.port.field". What takes a bus takes the fields that it names.
     """
 
     def __init__(self, name: str, text: str = "") -> None:
@@ -88,7 +90,8 @@ class Diagram:
         self.outputs: dict[str, str | None] = {}  # name -> source
         self.params: dict[str, Param] = {}
         self.parts: dict[str, Part] = {}
-        self.connections: dict[tuple[str, str], str] = {}  # (part, port) -> source
+        self.connections: dict[tuple[str, str], str] = {}  # (part, port, perhaps a bus or a field) -> source
+        self._buses: set[str] = set()  # the paths of inputs that are buses
 
     def input(
         self,
@@ -102,9 +105,12 @@ class Diagram:
         return self.declare(Port(name, kind, width, unit, shape))
 
     def declare(self, port: Port) -> str:
-        """Declare the input `port`; returns its name, which is a source."""
-        self._new(port.name)
-        self.inputs[port.name] = port
+        """Declare the input `port`; returns its name, which is a source. A bus is kept as its fields, "att.rates.p"."""
+        for leaf in leaves_of(port):
+            above = bus_paths(leaf.name)
+            self._new(leaf.name, above)
+            self._buses.update(above)
+            self.inputs[leaf.name] = leaf
         return port.name
 
     def output(self, name: str, source: str | None = None) -> None:
@@ -172,7 +178,8 @@ class Diagram:
                     f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
                 )
         for output in initial or {}:
-            if output not in port_names(item, "output"):
+            top = output.partition(".")[0] if isinstance(item, Diagram) else output
+            if top not in port_names(item, "output"):
                 there = nearest(output, port_names(item, "output"))
                 raise DiagramError(f"there is no output {shown(output)} to start", path, f"there are: {there}")
         held = {n: plain_data(v, f"{path}.{n}") for n, v in (initial or {}).items()}
@@ -205,15 +212,60 @@ class Diagram:
                 self.outputs[destination] = source
                 continue
             part, port = self._end(destination, "input")
-            if (part, port) in self.connections:
+            if self._fed(part, port):
                 raise DiagramError(f"input {shown(destination)} is fed twice", self.name, "an input has one source")
             self.connections[part, port] = source
 
+    def _fed(self, part: str, port: str) -> bool:
+        """Whether an input, the bus that it is in, or a field of it has a source."""
+        if any((part, path) in self.connections for path in (port, *bus_paths(port))):
+            return True
+        fields = (name for name in port_names(self.parts[part].item, "input") if name.startswith(f"{port}."))
+        return any((part, path) in self.connections for name in fields for path in (name, *bus_paths(name)))
+
     def source(self, text: str) -> tuple[str | None, str]:
-        """(part, port) that a source names, or (None, name) of an input. Raises DiagramError if there is none."""
-        if text in self.inputs:
+        """(part, port) that a source names, or (None, name) of an input; the port may be a bus, or a field of one.
+
+        Raises DiagramError if there is none.
+        """
+        if text in self.inputs or text in self._buses:
             return None, text
+        top, _, field = text.partition(".")
+        if top in self._buses:
+            raise _unknown_field(top, field, [name for name in self.inputs if name.startswith(f"{top}.")], self.name)
+        if top in self.inputs:
+            raise _no_bus(top, field, self.name)
         return self._end(text, "output")
+
+    def feed(self, part: str, port: str) -> str | None:
+        """The source of an input: its own, or that field of what feeds the bus around it; None without one."""
+        for path in (port, *bus_paths(port)):
+            source = self.connections.get((part, path))
+            if source is not None:
+                return self.field(source, port[len(path) :])
+        return None
+
+    def outlet(self, output: str) -> str | None:
+        """The source of an output, or of the field "att.rates.p" of one; None without one."""
+        name, dot, field = output.partition(".")
+        source = self.outputs[name]
+        return None if source is None else self.field(source, dot + field)
+
+    def gives(self, path: str) -> bool:
+        """Whether `path` is an output, or a field of one."""
+        if path in self.outputs or path.partition(".")[0] not in self.outputs:
+            return path in self.outputs
+        try:
+            return bool(carried_fields(self, path))
+        except DiagramError:  # that of a part of this name
+            return False
+
+    def field(self, source: str, field: str) -> str:
+        """The source that is a field, ".rates.p", of a source; that itself for the field ""."""
+        if not field:
+            return source
+        part, port = self.source(source)
+        return f"{port}{field}" if part is None else f"{part}.{port}{field}"
 
     def _end(self, text: str, direction: str) -> tuple[str, str]:
         part, _, port = text.partition(".")
@@ -222,21 +274,47 @@ class Diagram:
             raise unknown_name(f"{kind} or part", part, [*self.parts, *outer], self.name)
         item = self.parts[part].item
         ports = port_names(item, direction)
-        if not port and len(ports) == 1:
-            return part, ports[0]
-        if port not in ports:
-            what = f"no {direction} {shown(port)}" if port else f"{len(ports)} {direction}s, so one must be named"
+        tops = list(dict.fromkeys(name.partition(".")[0] for name in ports))
+        if not port and len(tops) == 1:
+            return part, tops[0]
+        passed = isinstance(item, Diagram) and direction == "output" and port.partition(".")[0] in item.outputs
+        if port not in ports and not passed and not any(name.startswith(f"{port}.") for name in ports if port):
+            if len(tops) == 1 and direction == "output" and carried_fields(item, f"{tops[0]}.{port}"):
+                return part, f"{tops[0]}.{port}"  # the field of the only output
+            top, _, field = port.partition(".")
+            for path in bus_paths(port):
+                if path in ports:
+                    raise _no_bus(f"{part}.{path}", port.removeprefix(f"{path}."), self.name)
+            if top in tops:
+                inside = [name for name in ports if name.startswith(f"{top}.")]
+                raise _unknown_field(f"{part}.{top}", field, [f"{part}.{name}" for name in inside], self.name)
+            what = f"no {direction} {shown(port)}" if port else f"{len(tops)} {direction}s, so one must be named"
             raise DiagramError(f"{part!r} has {what}", self.name, f"{direction}s: {nearest(port, ports)}")
         return part, port
 
-    def _new(self, name: str) -> None:
-        check_name(name, self.name)
-        if name in self.parts or name in self.inputs or name in self.params:
+    def _new(self, name: str, above: Sequence[str] = ()) -> None:
+        """Check that a name is free; that of a field is in the buses `above`."""
+        check_path(name, self.name) if above else check_name(name, self.name)
+        taken = name in self._buses or (above and (above[-1] in self.parts or above[-1] in self.params))
+        taken = taken or any(path in self.inputs for path in above)
+        if taken or name in self.parts or name in self.inputs or name in self.params:
             raise DiagramError(
                 f"the name {name!r} is used twice",
                 self.name,
                 "parts, inputs and parameters share one space of names",
             )
+
+
+def _unknown_field(bus: str, field: str, paths: Iterable[str], where: str) -> DiagramError:
+    there = nearest(field, [path.removeprefix(f"{bus}.") for path in paths])
+    return DiagramError(f"the bus {bus!r} has no field {field!r:.120}", where, f"there are: {there}")
+
+
+def _no_bus(signal: str, field: str, where: str) -> DiagramError:
+    what = f"{signal!r} is not a bus, and so does not have the field {field!r:.120}"
+    return DiagramError(
+        what, where, "make a bus of its fields with BusCreate, or connect the input's fields one by one"
+    )
 
 
 def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
@@ -289,16 +367,31 @@ def port_names(item: Block | Diagram, direction: str) -> list[str]:
     return list(item.inputs if direction == "input" else item.outputs)
 
 
+def bus_paths(path: str) -> list[str]:
+    """The buses around a field, the innermost first: of "att.rates.p" they are "att.rates" and "att"."""
+    return [path[:i] for i in range(len(path) - 1, 0, -1) if path[i] == "."]
+
+
 def carried(item: Block | Diagram, output: str) -> Port | None:
-    """What comes out of an output; None if that leads nowhere in a sub-diagram."""
+    """What comes out of an output, or of a field of one; None if it is a bus, or leads nowhere in a sub-diagram."""
+    return carried_fields(item, output).get("")
+
+
+def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
+    """What comes out of an output by field: "rates.p", or "" of an output that is no bus. Empty if it leads nowhere."""
     for _ in range(64):
         if isinstance(item, Block):
-            return next(p for p in item.outputs if p.name == output)
-        source = item.outputs.get(output)
+            return _fields(item.outputs, output)
+        name = output.partition(".")[0]
+        source = item.outlet(output) if item.outputs.get(name) is not None else None
         if source is None:
-            return None
+            return {}
         part, port = item.source(source)
         if part is None:
-            return item.inputs[port]
+            return _fields(item.inputs.values(), port)
         item, output = item.parts[part].item, port
-    return None
+    return {}
+
+
+def _fields(ports: Iterable[Port], name: str) -> dict[str, Port]:
+    return {p.name[len(name) + 1 :]: p for p in ports if p.name == name or p.name.startswith(f"{name}.")}

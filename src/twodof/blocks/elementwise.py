@@ -10,7 +10,9 @@ from twodof.blocks.datatypes.enumeration import Kind, enumeration_of
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
+from twodof.blocks.expressions.matrix import Matrix, flat_of, shaped
 from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.namespaces import BusView
 from twodof.blocks.trace import MAX_PORTS
 from twodof.errors import DiagramError
 
@@ -19,8 +21,12 @@ LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
 def elementwise(f: Callable[..., Any], *values: Any) -> Any:
-    """`f` of the values, or, of arrays, the array of `f` of the i-th elements."""
+    """`f` of the values; of arrays, the array of `f` of the i-th elements, and of buses `f` of each field."""
     first = values[0]
+    if isinstance(first, BusView):
+        return {name: elementwise(f, *(v[name] for v in values)) for name in vars(first)}
+    if isinstance(first, Matrix):
+        return shaped(elementwise(f, *map(flat_of, values)), first.shape)
     width = first.width if isinstance(first, Expr) else len(first) if isinstance(first, Vector) else None
     return f(*values) if width is None else array_of(width, lambda i: f(*(v[i] for v in values)))
 

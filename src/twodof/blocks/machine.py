@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.datatypes.bus import fields_given
 from twodof.blocks.declarations import (
     Param,
     Port,
@@ -32,6 +33,7 @@ class Machine(ABC):
     may be a name, and only members are taken. An input that is not given keeps its last value (0 at first).
     A parameter is refused outside its bounds or its type's range; inputs and states that are integers wrap around.
     Where the target can fault (docs/reference/compilation.md), a method that computes raises ControllerFault.
+    A bus is given as a mapping from its fields, or field by field as "att.rates.p"; so are outputs and states named.
     One thread at a time may use a machine: queue the changes of others and apply them between two steps.
     """
 
@@ -85,7 +87,7 @@ class Machine(ABC):
 
     def step(self, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
         """One step. Returns values by signal name. Raises DiagramError for an input that does not fit."""
-        for name, value in (inputs or {}).items():
+        for name, value in self._by_field(inputs or {}).items():
             self._write(name, value)
         return self._shaped(self._step())
 
@@ -97,7 +99,7 @@ class Machine(ABC):
         """
         steps = check_steps(steps, self.name)
         columns: dict[str, NDArray[Any]] = {}
-        for name, value in (inputs or {}).items():
+        for name, value in self._by_field(inputs or {}).items():
             port = self._input(name)
             try:
                 data = np.asarray(value)
@@ -108,6 +110,12 @@ class Machine(ABC):
             else:
                 columns[name] = self._column(port, data, steps)
         return self._shaped(self._run(steps, columns))
+
+    def _by_field(self, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
+        """`inputs` with the fields of buses that are given as mappings."""
+        if not any(type(value) is dict or isinstance(value, Mapping) for value in inputs.values()):
+            return inputs
+        return fields_given(inputs, list(self.inputs), self.name)
 
     def _shaped(self, values: dict[str, Any]) -> dict[str, Any]:
         """`values` with matrices as such; targets keep them flat."""

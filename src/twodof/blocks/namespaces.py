@@ -23,7 +23,11 @@ class Namespace:
         raise fault(f"there is no {type(self).what} {name!r}", f"there are: {', '.join(self.__dict__) or 'none'}")
 
     def __getitem__(self, name: str) -> Any:
-        return getattr(self, name)
+        values = self.__dict__
+        if name in values or "." not in name:
+            return getattr(self, name)
+        bus, _, field = name.partition(".")
+        return getattr(self, bus)[field]
 
     def __setattr__(self, name: str, value: Any) -> Never:
         raise fault(f"the {type(self).what} {name!r} is assigned", type(self).instead)
@@ -32,6 +36,13 @@ class Namespace:
 
     def __delattr__(self, name: str) -> Never:
         raise fault(f"the {type(self).what} {name!r} is deleted", type(self).instead)
+
+
+class BusView(Namespace):
+    """The fields of a bus."""
+
+    what = "field"
+    instead = "give the whole bus with this field changed"
 
 
 class Inputs(Namespace):

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from twodof.blocks.datatypes.bus import Bus
 from twodof.blocks.datatypes.enumeration import Enumeration, enumeration_of
-from twodof.blocks.expressions.numbers import Integer
 from twodof.errors import DiagramError
 
 _KINDS = "biufU"  # of numpy's types: bool, integer, unsigned, real, text
@@ -18,8 +18,8 @@ def plain_data(value: Any, where: str, depth: int = 0) -> Any:
     """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
 
     The numbers are the same ones: a float32 is a float64 too. Members of an enumeration become numbers, and an
-    enumeration its plain form. Raises DiagramError, at `where`, for complex numbers, for arrays of what is not a
-    number, and for lists within lists without end (`depth` counts them).
+    enumeration or a bus its plain form. Raises DiagramError, at `where`, for complex numbers, for arrays of what is not
+    a number, and for lists within lists without end (`depth` counts them).
     """
     if type(value) in _SCALARS:
         return value
@@ -37,8 +37,8 @@ def plain_data(value: Any, where: str, depth: int = 0) -> Any:
         return [plain_data(one, where, depth + 1) for one in value]
     if isinstance(value, IntEnum):
         return int(value)
-    if isinstance(value, Integer):
-        return value.value
+    if isinstance(value, Bus):
+        return value.form()
     if isinstance(value, (type, Enumeration)) and (enumeration := enumeration_of(value, where)) is not None:
         return enumeration.form()
     if isinstance(value, complex):

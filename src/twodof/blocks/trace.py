@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from twodof.blocks.datatypes.bus import check_paths, fields_given
 from twodof.blocks.datatypes.enumeration import Enumeration, stays_within
 from twodof.blocks.declarations import Declared, alike, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
@@ -16,8 +17,8 @@ from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, 
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import definition, is_missing, mistake, place
-from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
-from twodof.errors import DiagramError, listed, shown
+from twodof.blocks.namespaces import BusView, Clock, Inputs, Parameters, States
+from twodof.errors import DiagramError, nearest, shown
 
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
 
@@ -193,12 +194,16 @@ def check_declarations(block: Declared, name: str) -> None:
             raise DiagramError(
                 f"two {what}s are named {max(names, key=names.count)!r}", name, "names are unique within a block"
             )
+        if any("." in n for n in names):
+            check_paths(names, name)
     for s in block.states:
         if isinstance(s.initial, str) and not (s.initial in by_name and alike(by_name[s.initial], s)):
             raise DiagramError(
                 f"state {s.name!r} starts from {shown(s.initial)}, which is not a parameter of this type",
                 name,
-                "name a parameter of the same type and width",
+                f"write {s.enum.name}.{s.initial}"
+                if s.enum is not None and s.initial in s.enum.members
+                else "name a parameter of the same type and width",
             )
 
 
@@ -206,6 +211,7 @@ def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool
     """What a block's method returned as a mapping, with its names checked against those declared."""
     if result is None:
         raise DiagramError(f"{method} returns nothing", "", "end it with return, and what it gives")
+    result = by_path(result, [d.name for d in declared])
     if not isinstance(result, Mapping):
         if len(declared) != 1:
             raise DiagramError(
@@ -216,7 +222,7 @@ def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool
     for n in result:
         if n not in known:
             raise DiagramError(
-                f"{method} gives {shown(n)}, which is not declared", "", f"it may give: {listed(sorted(known))}"
+                f"{method} gives {shown(n)}, which is not declared", "", f"it may give: {nearest(n, sorted(known))}"
             )
     for n in () if partial else known:
         if n not in result:
@@ -242,6 +248,17 @@ def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: _
                 "",
                 f"give {d.enum.name}.{next(iter(d.enum.members))}, ..., or to_enumeration({d.enum.name}, value)",
             )
+
+
+def by_path(result: Any, names: Sequence[str]) -> Any:
+    """What a method returned, with the fields of buses by path: "att.rates.p" is one of the declared `names`."""
+    if not any("." in name for name in names):
+        return result
+    tops = {name.partition(".")[0] for name in names}
+    bare = isinstance(result, BusView) or (isinstance(result, Mapping) and tops.isdisjoint(result))
+    if len(tops) == 1 and bare and not (isinstance(result, Mapping) and set(names) & set(result)):
+        result = {next(iter(tops)): result}
+    return fields_given(result, names, "") if isinstance(result, Mapping) else result
 
 
 def _described(value: Any) -> str:

@@ -217,7 +217,7 @@ def template_fit(diagram: Diagram, kind: str) -> TemplateFit:
     refusal: DiagramError | None = None
     try:
         program = lower(diagram, PERIOD)
-        outputs = {name: program.outputs[name] for name in outputs}
+        outputs = {name: program.outputs[name] for name in program.own}
         refusal = _not_as_a_controller(diagram, program)
     except DiagramError as error:
         refusal = error
@@ -245,11 +245,12 @@ def _check_among_others(diagram: Diagram) -> None:
     """Raises DiagramError where a diagram runs by itself but not as a part that is stepped every fourth tick."""
     d = Diagram(diagram.name)
     for port in diagram.inputs.values():
-        d.input(port.name, port.kind, port.width, port.unit)
-        d.add(f"{port.name}_held", ZeroOrderHold(kind=port.kind, unit=port.unit), rate=(4, 0), u=port.name)
+        d.declare(port)
+        held = ZeroOrderHold(port.enum or port.kind, port.width, port.unit)
+        d.add(f"{port.name.replace('.', '_')}_held", held, rate=(4, 0), u=port.name)
     d.add("controller", diagram, rate=(4, 0))
     for name in diagram.inputs:
-        d.connect(f"{name}_held", f"controller.{name}")
+        d.connect(f"{name.replace('.', '_')}_held", f"controller.{name}")
     for name in diagram.outputs:
         d.output(name, f"controller.{name}")
     lower(d, PERIOD / 4.0)

@@ -1,12 +1,14 @@
 """One block in a diagram of its own, run by the reference."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from hypothesis import settings
 
 from twodof.blocks.block import Block
+from twodof.blocks.datatypes.bus import grouped
 from twodof.blocks.declarations import numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
@@ -21,10 +23,11 @@ few = settings(max_examples=20)
 def alone(block: Block) -> Diagram:
     """A diagram that is `block` under the name "block", its ports being those of the diagram."""
     d = Diagram("alone")
-    for port in block.inputs:
-        d.input(f"{port.name}_in", port.kind, port.width, port.unit, port.shape)
-    d.add("block", block, **{port.name: f"{port.name}_in" for port in block.inputs})
-    for port in block.outputs:
+    inputs = grouped(block.inputs)
+    for port in inputs:
+        d.declare(replace(port, name=f"{port.name}_in", width=None if port.shape else port.width))
+    d.add("block", block, **{port.name: f"{port.name}_in" for port in inputs})
+    for port in grouped(block.outputs):
         d.output(f"{port.name}_out", f"block.{port.name}")
     return d
 

@@ -18,6 +18,10 @@ _RULES = ("forward", "backward", "trapezoidal")
 _COMPARISONS = ("<", "<=", ">", ">=", "==", "!=")
 _MATRIX = [[0.5, -0.25, 0.1], [0.2, 0.3, -0.4], [0.0, 0.6, -0.7]]
 
+_RATES = [{"name": "rates.p", "unit": "rad/s"}, {"name": "rates.q", "kind": "bool", "width": 2}]
+_BUS = {"name": "Sample", "fields": [{"name": "n", "kind": "int32"}, *_RATES]}
+_LIGHT = {"name": "Light", "members": {"green": 0, "red": 3}}
+
 # What is run besides the defaults.
 EXTRA: dict[str, list[Config]] = {
     "abs": [{"width": 3}, {"kind": "int32"}, {"kind": "uint32"}],
@@ -28,6 +32,9 @@ EXTRA: dict[str, list[Config]] = {
         *({"operation": o} for o in ("or", "xor", "left", "right")),
         {"operation": "right", "kind": "int32", "width": 2},
     ],
+    "bus_assign": [{"bus": _BUS, "fields": ["rates", "n"]}],
+    "bus_create": [{"bus": _BUS}],
+    "bus_select": [{"bus": _BUS, "fields": ["rates.q", "n"]}, {"bus": _BUS, "fields": ["rates"]}],
     "case_choice": [{"cases": [[3, -1], [0, 4], [3, 2**31 - 1]]}, {"cases": [[1], [1]]}],
     "compare": [*({"operation": o} for o in _COMPARISONS), {"kind": "int32"}, {"kind": "uint32", "width": 2}],
     "compare_to_constant": [
@@ -39,6 +46,7 @@ EXTRA: dict[str, list[Config]] = {
     "convert": [
         *({"source": s, "target": t} for s in ("real", "int32", "uint32", "bool") for t in ("real", "uint32", "bool")),
         *({"rounding": r} for r in ("nearest", "floor", "ceil")),
+        *({"source": s, "target": _LIGHT, "width": 3} for s in ("int32", "uint32", "real")),
         {"width": 3},
     ],
     "counter": [{"modulus": 5}],
@@ -107,10 +115,10 @@ EXTRA: dict[str, list[Config]] = {
     "transpose": [{"shape": [3, 2], "kind": "int32"}, {"shape": [9, 8]}],
     "matrix_gain": [{"K": _MATRIX}, {"K": _MATRIX[:1]}, {"K": [[1.0], [2.0]]}],
     "maximum": [{"inputs": 3, "width": 2}, {"kind": "int32"}],
-    "merge": [{"inputs": 3, "initial": [1.0, 2.0], "width": 2}, {"initial": True, "kind": "bool"}],
+    "merge": [{"kind": _BUS}, {"inputs": 3, "initial": [1.0, 2.0], "width": 2}, {"initial": True, "kind": "bool"}],
     "minimum": [{"inputs": 3, "width": 2}, {"kind": "uint32"}],
     "moving_average": [{"samples": 7, "initial": 0.2}],
-    "multiport_switch": [{"inputs": 3, "kind": "int32"}, {"inputs": 4, "width": 2}],
+    "multiport_switch": [{"kind": _BUS}, {"inputs": 3, "kind": "int32"}, {"inputs": 4, "width": 2}],
     "multisine": [
         {"harmonics": [1, 3, 7], "amplitudes": [1.0, 0.5, 0.2], "phases": [0.0, 1.0, 2.0], "period": 0.4, "start": 0.02}
     ],
@@ -166,7 +174,7 @@ EXTRA: dict[str, list[Config]] = {
         *({"start_hz": 0.5, "end_hz": 20.0, "length": 0.6, "law": law} for law in ("linear", "logarithmic")),
         {"start_hz": 2.0, "end_hz": 2.0, "law": "logarithmic", "start": 0.1, "phase": 1.0, "bias": 0.3},
     ],
-    "switch": [{"kind": "bool"}, {"kind": "int32", "width": 2}],
+    "switch": [{"kind": _BUS}, {"kind": "bool"}, {"kind": "int32", "width": 2}],
     "table": [
         {"times": [0.05, 0.1, 0.3, 0.35], "values": [1.0, -1.0, 2.0, 0.5], "method": m} for m in ("hold", "linear")
     ],
@@ -178,8 +186,8 @@ EXTRA: dict[str, list[Config]] = {
     ],
     "trigonometry": [*({"function": f} for f in ("cos", "tan", "asin", "acos", "atan", "tanh")), {"width": 2}],
     "uniform_noise": [{"low": -1.0, "seed": 5, "stream": 7, "width": w} for w in (None, 3)],
-    "unit_delay": [{"initial": True, "kind": "bool"}, {"initial": [1, 2], "kind": "int32", "width": 2}],
-    "zero_order_hold": [{"kind": "bool"}, {"width": 3}],
+    "unit_delay": [{"kind": _BUS}, {"initial": True, "kind": "bool"}, {"initial": [1, 2], "kind": "int32", "width": 2}],
+    "zero_order_hold": [{"kind": _BUS}, {"kind": "bool"}, {"width": 3}],
 }
 SAMPLES: dict[str, list[Config]] = {name: [{}, *EXTRA.get(name, [])] for name in LIBRARY}
 
@@ -207,10 +215,10 @@ def room(name: str, rate: tuple[int, int] = BASE) -> Diagram:
             for position, port in enumerate(block.inputs):
                 d.connect(_input(d, port, position, rate), f"{part}.{port.name}")
             for port in block.outputs:
-                d.output(f"{part}_{port.name}", flat_output(d, part, port, rate))
+                d.output(f"{part}_{under(port)}", flat_output(d, part, port, rate))
                 if rate == BASE and port.kind == "real" and port.width is None:
-                    d.add(f"{part}_{port.name}_lag", library.FirstOrder(1.0, 0.01), u=f"{part}.{port.name}")
-                    d.output(f"{part}_{port.name}_lagged", f"{part}_{port.name}_lag")
+                    d.add(f"{part}_{under(port)}_lag", library.FirstOrder(1.0, 0.01), u=f"{part}.{port.name}")
+                    d.output(f"{part}_{under(port)}_lagged", f"{part}_{under(port)}_lag")
             add_store(d, block, rate)
     return d
 
@@ -222,12 +230,17 @@ def add_store(d: Diagram, block: Block, rate: tuple[int, int] = BASE) -> None:
         d.add(block.store, library.DataStore(0, port.kind, port.width), rate=rate)
 
 
+def under(port: Port) -> str:
+    """A port's name without the dots that the fields of buses have."""
+    return port.name.replace(".", "_")
+
+
 def flat_output(d: Diagram, part: str, port: Port, rate: tuple[int, int] = BASE) -> str:
     """The source of an output's elements: of a matrix as a vector."""
     if port.shape is None or port.width is None:
         return f"{part}.{port.name}"
     flat = library.Reshape(port.shape, (port.width,), port.kind)
-    return d.add(f"{part}_{port.name}_flat", flat, rate=rate, u=f"{part}.{port.name}")
+    return d.add(f"{part}_{under(port)}_flat", flat, rate=rate, u=f"{part}.{port.name}")
 
 
 def shaped_input(d: Diagram, source: str, port: Port, rate: tuple[int, int] = BASE) -> str:

@@ -233,7 +233,7 @@ def test_a_float32_run_rounds_after_every_operation() -> None:
         ),
         (lambda d: d.add("a", Gain()), r"loose\.?.*a\.u: the input is not connected|a\.u: the input is not connected"),
         (lambda d: d.output("y"), r"loose\.y: the output is not connected"),
-        (lambda d: (d.input("n", "int32"), d.add("a", Gain(), u="n")), r"a\.u: it takes real and n gives int32"),
+        (lambda d: (d.input("n", "int32"), d.add("a", Gain(), u="n")), r"a\.u: it takes real and n is int32"),
         (lambda d: d.add("a", Lag(), u=d.input("r"), rate=(2, 0)), r"a: continuous states at the rate"),
     ],
 )

@@ -1,1 +1,1 @@
-"""Types that a user names: enumerations."""
+"""Types that a user names: enumerations and buses."""

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from enum import IntEnum
 from typing import Any
 
+from twodof.blocks.datatypes.bus import Bus
 from twodof.blocks.expressions.expr import Expr, int32, where
 from twodof.blocks.expressions.numbers import Int32
 from twodof.errors import DiagramError, nearest, shown
@@ -112,8 +113,8 @@ class Enumeration:
         return DiagramError(what, where, f"there are: {nearest(member, self.members)}")
 
 
-Kind = str | type[IntEnum] | Enumeration
-"""The type of a port, state or parameter: "real", "int32", ..., or an enumeration."""
+Kind = str | type[IntEnum] | Enumeration | Bus
+"""The type of a port, state or parameter: "real", "int32", ..., an enumeration, or a bus."""
 
 
 def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:

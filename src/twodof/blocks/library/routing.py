@@ -1,20 +1,25 @@
 """Signal routing: switches, mux, demux, selector, the choice of one action among several and the merge of theirs."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import reduce
 from operator import and_, or_
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.datatypes.bus import Bus, expanded
 from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.expressions.matrix import flat_of, shaped
-from twodof.errors import DiagramError
+from twodof.errors import DiagramError, nearest
 
 __all__ = [
+    "BusAssign",
+    "BusCreate",
+    "BusSelect",
     "CaseChoice",
     "Concatenate",
     "Demux",
@@ -147,6 +152,71 @@ class Concatenate(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return vector([u[n][i] for n, w in zip(self.names, self.widths, strict=True) for i in range(w)])
+
+
+@library_block("bus_create")
+class BusCreate(Block):
+    """bus = the inputs as fields of a bus. An input has its field's name; one that is a bus itself is one input."""
+
+    def __init__(self, bus: Any = ("a", "b")) -> None:
+        made = _bus(bus, "BusCreate")
+        self.inputs = made.leaves
+        self.outputs = [Port("bus", made)]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {f"bus.{port.name}": u[port.name] for port in self.inputs}
+
+
+@library_block("bus_select")
+class BusSelect(Block):
+    """Fields of a bus as outputs of their own names, "rates.p" as `rates_p`; a field that is a bus stays one.
+
+    Where a signal is named, the path of a field ("imu.att.rates.p") does the same without a block.
+    """
+
+    def __init__(self, bus: Any = ("a", "b"), fields: Sequence[str] = ("a",)) -> None:
+        made = _bus(bus, "BusSelect")
+        self.inputs = [Port("bus", made)]
+        self.outputs = []
+        self.sources: dict[str, str] = {}
+        for field in fields:
+            found = [leaf for leaf in made.leaves if leaf.name == field or leaf.name.startswith(f"{field}.")]
+            if not found:
+                there = nearest(field, [leaf.name for leaf in made.leaves])
+                raise DiagramError(f"there is no field {field!r:.120}", "BusSelect.fields", f"there are: {there}")
+            for leaf in found:
+                name = f"{field.replace('.', '_')}{leaf.name[len(field) :]}"
+                self.outputs = [*self.outputs, replace(leaf, name=name)]
+                self.sources[name] = f"bus.{leaf.name}"
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {name: u[source] for name, source in self.sources.items()}
+
+
+@library_block("bus_assign")
+class BusAssign(Block):
+    """y = the bus u with some fields replaced by the inputs of their names; "rates.p" is replaced by `rates_p`."""
+
+    def __init__(self, bus: Any = ("a", "b"), fields: Sequence[str] = ("a",)) -> None:
+        made = _bus(bus, "BusAssign")
+        select = BusSelect(made, fields)
+        self.sources = {source.removeprefix("bus."): name for name, source in select.sources.items()}
+        self.inputs = [*expanded([Port("u", made)]), *select.outputs]
+        self.outputs = [Port("y", made)]
+        self.leaves = [leaf.name for leaf in made.leaves]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {f"y.{name}": u[self.sources.get(name, f"u.{name}")] for name in self.leaves}
+
+
+def _bus(given: Any, block: str) -> Bus:
+    """The bus that an argument is: a Bus, its plain form, or a list of the names of real fields."""
+    if isinstance(given, (list, tuple)) and all(isinstance(name, str) for name in given):
+        given = Bus("bus", [Port(name) for name in given])
+    kind = Port("bus", given).kind if isinstance(given, (Bus, Mapping)) else None
+    if not isinstance(kind, Bus):
+        raise DiagramError(f"bus={given!r:.80}", block, 'give Bus("Name", [Port(...), ...]), or names of real fields')
+    return kind
 
 
 @library_block("first_true")

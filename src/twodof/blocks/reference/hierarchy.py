@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, State, alike, check_initial, mismatch, narrowed, unknown_name
+from twodof.blocks.declarations import (
+    Param,
+    Port,
+    State,
+    alike,
+    check_initial,
+    located,
+    mismatch,
+    narrowed,
+    unknown_name,
+)
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
@@ -17,6 +28,7 @@ from twodof.blocks.steady import steady_trace
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
+MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagrams would give
 
 
 @dataclass(eq=False)
@@ -90,14 +102,34 @@ class DiagramLevel:
         return [] if self.parent is None else [*self.parent.around, self.parent]
 
     def resolve(self, source: str) -> PortOf | str:
-        """The block's port, or the name of the root's input, that `source` stands for here."""
+        """The block's port, or the name of the root's input, that `source` stands for here. It is not a bus."""
+        end = self._end(source)
+        fields = _fields_of(end, self._root)
+        if fields:
+            names = [str(field).removeprefix(f"{end}.") for field in fields]
+            what = f"a bus with the fields {nearest('', names)}"
+            raise DiagramError(what, f"{self.path}.{source}", "name one of its fields")
+        return end
+
+    def spread(self, name: str, source: str) -> dict[str, PortOf | str]:
+        """What `source` stands for here under `name`; of a bus each field under "name.field"."""
+        end = self._end(source)
+        fields = _fields_of(end, self._root)
+        return {f"{name}{str(field).removeprefix(str(end))}": field for field in fields} or {name: end}
+
+    @property
+    def _root(self) -> DiagramLevel:
+        return self if self.parent is None else self.parent._root
+
+    def _end(self, source: str) -> PortOf | str:
+        """What `source` leads to, which may be a bus."""
         level, text = self, source
         for _ in range(10_000):
             part, port = level.diagram.source(text)
             if part is None:
                 if level.parent is None:
                     return port
-                above = level.parent.diagram.connections.get((level.part, port))
+                above = level.parent.diagram.feed(level.part, port)
                 if above is None:
                     raise DiagramError("the input is not connected", f"{level.path}.{port}", "connect it or remove it")
                 level, text = level.parent, above
@@ -105,7 +137,7 @@ class DiagramLevel:
             child = level.children[part]
             if isinstance(child, Cell):
                 return PortOf(child, port)
-            inner = child.diagram.outputs[port]
+            inner = child.diagram.outlet(port)
             if inner is None:
                 raise DiagramError("the output is not connected", f"{child.path}.{port}", "connect it or remove it")
             level, text = child, inner
@@ -217,7 +249,7 @@ class Hierarchy:
         if isinstance(part, Cell):
             port: PortOf | str = PortOf(part, output)
         else:
-            source = part.diagram.outputs[output]
+            source = part.diagram.outlet(output)
             if source is None:
                 raise DiagramError("the output is not connected", where, "connect it or remove it")
             port = part.resolve(source)
@@ -256,8 +288,10 @@ class Hierarchy:
         return PortOf(cell, "y")
 
     def _checked_driver(self, level: DiagramLevel, part: str, port: Port, path: str) -> PortOf | str:
-        source = level.diagram.connections.get((part, port.name))
-        driver = self._stored(level, part, f"{path}.{port.name}") if source is None else level.resolve(source)
+        where = f"{path}.{port.name}"
+        with located(where) if "." in port.name else nullcontext():
+            source = level.diagram.feed(part, port.name)
+            driver = self._stored(level, part, where, port.name) if source is None else level.resolve(source)
         given = self._port(driver)
         clash = mismatch(port, given, driver)
         if clash is not None:
@@ -270,14 +304,15 @@ class Hierarchy:
             )
         return driver
 
-    def _stored(self, level: DiagramLevel, part: str, where: str) -> PortOf:
+    def _stored(self, level: DiagramLevel, part: str, where: str, port: str) -> PortOf:
         """The data store that feeds a StoreRead, or the StoreWrite that feeds a data store."""
+        field = port.removeprefix("u")  # ".roll" of a bus
         item = level.diagram.parts[part].item
         if isinstance(item, StoreRead):
-            return PortOf(_store(level, item.store, where)[1], "y")
+            return _matching(_store(level, item.store, where)[1], f"y{field}", where)
         writer = self.writers.get(level.children[part])
         if writer is not None:
-            return PortOf(writer, "y")
+            return _matching(writer, f"y{field}", where)
         remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
         raise DiagramError("the input is not connected", where, remedy)
 
@@ -298,7 +333,8 @@ class Hierarchy:
                         "a store has one writer: choose between them in front of it",
                     )
                 self.writers[store] = child
-                child.initial["y"] = store.block.states[0].initial
+                for state in store.block.states:
+                    child.initial[f"y{state.name.removeprefix('x')}"] = state.initial
 
     def _check_states(self) -> None:
         for cell in self.cells:
@@ -411,14 +447,41 @@ class Hierarchy:
             below = [child for child in level.children.values() if isinstance(child, DiagramLevel)]
             levels += below
             for child in below:
-                found |= {f"{child.path}.{n}": child.resolve(s) for n, s in child.diagram.outputs.items() if s}
+                for name, source in child.diagram.outputs.items():
+                    found |= child.spread(f"{child.path}.{name}", source) if source else {}
+                if len(found) > MAX_SIGNALS:
+                    raise DiagramError(f"more than {MAX_SIGNALS} signals", self.root.path, "use arrays")
         return found
 
-    def signal(self, path: str) -> PortOf | str:
-        """What drives the signal with the path "part.sub.port". Raises DiagramError if there is none."""
-        if path not in self.signals:
+    def signal(self, path: str) -> dict[str, PortOf | str]:
+        """What drives the signal with the path "part.sub.port", or the fields of a bus. DiagramError without one."""
+        if path in self.signals:
+            return {path: self.signals[path]}
+        *parts, port = path.split(".")
+        at: DiagramLevel | Cell | None = self.root
+        fields = [p for p in self.signals if p.startswith(f"{path}.")]
+        for name in (*parts, port):
+            if isinstance(at, DiagramLevel):
+                at = at.children.get(name)
+        if not fields or (at is not None and at.path == path):
             raise unknown_name("signal", path, sorted(self.signals), self.root.path)
-        return self.signals[path]
+        return {p: self.signals[p] for p in fields}
+
+
+def _fields_of(end: PortOf | str, root: DiagramLevel) -> list[PortOf | str]:
+    """The ports that are the fields of a bus; none of what is not one."""
+    if isinstance(end, str):
+        return [] if end in root.diagram.inputs else [n for n in root.diagram.inputs if n.startswith(f"{end}.")]
+    names = [port.name for port in end.cell.block.outputs]
+    return [] if end.port in names else [PortOf(end.cell, n) for n in names if n.startswith(f"{end.port}.")]
+
+
+def _matching(cell: Cell, port: str, where: str) -> PortOf:
+    names = [p.name for p in cell.block.outputs]
+    if port not in names:
+        what = f"{cell.path} has another type: its outputs are {nearest(port, names)}"
+        raise DiagramError(what, where, "declare both alike")
+    return PortOf(cell, port)
 
 
 def _store(level: DiagramLevel, name: str, where: str) -> tuple[DiagramLevel, Cell]:

@@ -50,9 +50,14 @@ class Reference:
         self.precision = precision
         self.integrator = integrator
         self.log = tuple(log)
-        resolve = self.hierarchy.root.resolve
-        self.signals: dict[str, PortOf | str] = {n: resolve(s) for n, s in diagram.outputs.items() if s}
-        self.signals |= {path: self.hierarchy.signal(path) for path in self.log}
+        self.signals: dict[str, PortOf | str] = {}
+        for name, source in diagram.outputs.items():
+            self.signals |= self.hierarchy.root.spread(name, source) if source else {}
+        for path in self.log:
+            for name, port in self.hierarchy.signal(path).items():
+                if self.signals.setdefault(name, port) != port:
+                    what = f"{name!r} is both a field of an output of the diagram and the output of a part"
+                    raise DiagramError(what, diagram.name, "rename the part or the output")
 
     def machine(self, watch: Watch | None = None) -> ReferenceMachine:
         """A fresh instance in its initial state, which shows `watch` everything that its blocks compute."""
@@ -200,11 +205,11 @@ class ReferenceMachine(Machine):
         return numbers.plain(self._values[path])
 
     def _state(self, path: str, declared: State) -> Any:
-        return numbers.plain(self._runs[path.rpartition(".")[0]].x[declared.name])
+        return numbers.plain(self._runs[path.removesuffix(f".{declared.name}")].x[declared.name])
 
     def _store_state(self, path: str, declared: State, value: Any) -> None:
         with numbers.precision(self.precision):
-            self._runs[path.rpartition(".")[0]].x[declared.name] = _flat(value, declared)
+            self._runs[path.removesuffix(f".{declared.name}")].x[declared.name] = _flat(value, declared)
 
     def _store_input(self, port: Port, value: Any) -> None:
         with numbers.precision(self.precision):

@@ -15,7 +15,7 @@ from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
 from twodof.blocks.namespaces import Namespace, twin
-from twodof.blocks.trace import by_method, computed
+from twodof.blocks.trace import by_method, by_path, computed
 from twodof.errors import DiagramError, shown
 
 _OWN_PRECISION = "write float(...) around numbers of numpy, which have a precision of their own"
@@ -29,7 +29,7 @@ class BlockMethod:
         self._method = getattr(block, name)
         self._declared = [(d.name, d.kind, d.width, None if d.width is not None else d.kind) for d in declared]
         self._matrices = matrices(declared)
-        shapes = [matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived), {}]
+        shapes = [matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived), matrices()]
         self._shown = shapes[2:] if name == "prepare" else shapes
         self._sees_matrices = any(self._shown)
 
@@ -38,6 +38,8 @@ class BlockMethod:
 
     def given(self, result: Any) -> dict[str, Any]:
         """What was returned, by name, as numbers of the declared types."""
+        if self._matrices.buses:
+            result = by_path(result, [name for name, *_ in self._declared])
         if type(result) is not dict and not isinstance(result, Mapping):
             result = {self._declared[0][0]: result} if self._declared else {}
         types = numbers.scalar_types()

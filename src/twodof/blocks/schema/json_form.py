@@ -14,6 +14,7 @@ from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
+from twodof.blocks.expressions.numbers import Integer
 from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 from twodof.blocks.schema.traced_machine import machine_to_json
@@ -189,6 +190,8 @@ def _encode(value: Any, where: str) -> Any:
         return {str(k): _encode(v, where) for k, v in value.items()}
     if isinstance(value, Enumeration):
         return value.form()
+    if isinstance(value, Integer):  # a member of an enumeration, in an argument
+        return value.value
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     raise DiagramError(f"a {type(value).__name__} has no JSON form", where, "use numbers, strings and lists")

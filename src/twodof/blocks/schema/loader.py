@@ -21,6 +21,7 @@ MAX_DECLARED = 100_000  # inputs, outputs, states and parameters of all parts
 MAX_ELEMENTS = 1_000_000  # of their arrays, all together
 MAX_NUMBERS = 100_000  # written out: tables, initial values, arguments of blocks
 MAX_LIST_DEPTH = 4
+MAX_PLAIN_DEPTH = 16  # of lists and objects, as the values of buses in buses have
 MAX_TEXT = 10_000  # characters
 MAX_UNIT = 40
 MAX_STRING = 1000  # an argument of a block
@@ -277,19 +278,19 @@ class Loader:
         if self.elements > MAX_ELEMENTS:
             raise DiagramError(f"more than {MAX_ELEMENTS} values", where, "make arrays and delays shorter")
 
-    def _plain(self, value: Any, where: str, depth: int = 0) -> Any:
+    def _plain(self, value: Any, where: str, depth: int = 0, lists: int = 0) -> Any:
         """A value of a block's arguments with infinities and NaN decoded; counts numbers."""
         if isinstance(value, dict) and set(value) == {"float"} and value["float"] in ("inf", "-inf", "nan"):
             return float(value["float"])
         if isinstance(value, (dict, list)):
-            if depth > MAX_LIST_DEPTH:
+            if lists > MAX_LIST_DEPTH or depth > MAX_PLAIN_DEPTH:
                 raise DiagramError(f"lists within more than {MAX_LIST_DEPTH} lists", where, "write a number or a table")
             if isinstance(value, dict):
-                return {k: self._plain(v, where, depth + 1) for k, v in value.items()}
+                return {k: self._plain(v, where, depth + 1, lists) for k, v in value.items()}
             self.numbers += len(value)
             if self.numbers > MAX_NUMBERS:
                 raise DiagramError(f"more than {MAX_NUMBERS} numbers written out", where, "make tables shorter")
-            return [self._plain(v, where, depth + 1) for v in value]
+            return [self._plain(v, where, depth + 1, lists + 1) for v in value]
         return text(value, MAX_STRING, where) if isinstance(value, str) else value
 
 

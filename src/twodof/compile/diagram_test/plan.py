@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from twodof.blocks.block import Block
 from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import Diagram, carried, port_names
+from twodof.blocks.diagram import Diagram, carried
 from twodof.blocks.machine import axes
 from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
@@ -67,7 +67,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     names = {parse_element(signal, scenario.name)[0]: what for what, signal in expected}
     names |= {parse_element(check.signal, scenario.name)[0]: check.text for check in checks}
     for name, what in names.items():
-        if name not in diagram.outputs and "." not in name:
+        if name.partition(".")[0] not in diagram.outputs and "." not in name:
             outputs = nearest(name, diagram.outputs)
             raise DiagramError(
                 f"there is no output {shown(name)}",
@@ -80,7 +80,9 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     }
     found = {name: _enumeration(diagram, name) for name in names}
     enumerations = {name: e for name, e in found.items() if e is not None}
-    return Plan(scenario, steps, inputs, checks, expected, frozenset(names) - set(diagram.outputs), enumerations)
+    return Plan(
+        scenario, steps, inputs, checks, expected, frozenset(n for n in names if not diagram.gives(n)), enumerations
+    )
 
 
 def _enumeration(diagram: Diagram, path: str) -> Enumeration | None:
@@ -89,16 +91,12 @@ def _enumeration(diagram: Diagram, path: str) -> Enumeration | None:
     if path in diagram.inputs:
         found = diagram.inputs[path].enum
         return found
-    *parts, output = path.split(".")
     item: Block | Diagram = diagram
-    for name in parts:
-        if isinstance(item, Block) or name not in item.parts:
-            return None
+    while isinstance(item, Diagram) and "." in path and path.partition(".")[0] in item.parts:
+        name, _, path = path.partition(".")
         item = item.parts[name].item
-    if output not in port_names(item, "output"):
-        return None
     try:
-        port = carried(item, output)
+        port = carried(item, path)
     except DiagramError:  # which the build says
         return None
     found = None if port is None else port.enum

@@ -53,7 +53,8 @@ def run_scenarios(
     ParameterError for a parameter, and what `build` raises.
     """
     plans = [plan(diagram, scenario, dt) for scenario in scenarios]
-    paths = sorted(frozenset(log).union(*(p.paths for p in plans)) - set(diagram.outputs))
+    wanted = frozenset(log).union(*(p.paths for p in plans))
+    paths = sorted(path for path in wanted if not diagram.gives(path))
     program: Program
     if target == REFERENCE:
         program = Reference(diagram, dt, precision, paths, integrator)

@@ -67,12 +67,12 @@ def linearize(
         raise DiagramError(f"time={time!r}", diagram.name, f"use one of {', '.join(TIME)}")
     chosen_outputs = list(outputs) if outputs is not None else None
     wanted = [*(chosen_outputs or []), *(inputs or [])]
-    paths = [p for p in dict.fromkeys(wanted) if p not in diagram.outputs and p not in diagram.inputs]
+    paths = [p for p in dict.fromkeys(wanted) if not diagram.gives(p) and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
     _refuse_triggers(program)
     point = OperatingPoint(program, at or {})
     with numbers.precision("float64"):
-        work = _Linearization(program, point, diagram.outputs, inputs, chosen_outputs, keep_all)
+        work = _Linearization(program, point, program.own, inputs, chosen_outputs, keep_all)
         work.settle()
         if trim:
             continuous = work.is_continuous("auto") and work.manifold() is not None

@@ -93,10 +93,7 @@ def check(diagram: Diagram, dt: float) -> Findings:
         (),
         tuple(_remarks(diagram, flat, program, read, left_out)),
         _sizes(flat, program),
-        {
-            name: tuple(sorted(through[s])) if s.node else (s.path,)
-            for name, s in ((name, flat.root.driver(name)) for name in diagram.outputs)
-        },
+        {name: tuple(sorted(through[s])) if s.node else (s.path,) for name, s in flat.outputs.items()},
         {s.path: tuple(sorted(s.node.trace.feedthrough[s.port])) for s in ordered if s.node},
         tuple(s.path for n in flat.nodes for s in n.outputs.values() if s not in read),
         left_out,
@@ -130,7 +127,7 @@ def _feedthrough(ordered: Iterable[FlatSignal]) -> dict[FlatSignal, frozenset[st
 
 
 def _read(flat: FlatDiagram) -> set[FlatSignal]:
-    read = {flat.root.driver(name) for name in flat.diagram.outputs}
+    read = set(flat.outputs.values())
     for node in flat.nodes:
         read.update(node.drivers.values())
         for condition in node.conditions:

@@ -212,6 +212,7 @@ class FlatProgram:
     stage: list[Group]
     moving: frozenset[FlatSignal]
     edged: list[FlatSignal]
+    own: tuple[str, ...]  # of `outputs`, those that are not logged signals
 
     @property
     def ports(self) -> list[Port]:

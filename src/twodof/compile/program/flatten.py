@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, nullcontext
 
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
-from twodof.blocks.declarations import Param, Port, alike, check_initial, mismatch, narrowed, unknown_name
+from twodof.blocks.declarations import Param, Port, alike, check_initial, located, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.blocks.steady import steady_trace
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
+from twodof.compile.program.level import Level, scalar
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DEPTH = 64
+MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagrams would give
 MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
 
 Report = Callable[[DiagramError], None]
@@ -27,62 +28,6 @@ Report = Callable[[DiagramError], None]
 def refuse(error: DiagramError) -> None:
     """Raise it."""
     raise error
-
-
-@dataclass(eq=False)
-class _Level:
-    """A diagram in its place; `parts` are its blocks' nodes and its sub-diagrams' levels."""
-
-    diagram: Diagram
-    path: str  # of this diagram, for messages
-    prefix: str  # of its parts
-    parent: _Level | None = None
-    name: str = ""  # in the parent
-    parts: dict[str, Node | _Level] = field(default_factory=dict)
-    condition: Condition | None = None
-    root_inputs: dict[str, FlatSignal] = field(default_factory=dict)
-
-    @property
-    def conditions(self) -> list[Condition]:
-        """Its own and those of the diagrams around it, the innermost first."""
-        found = [] if self.condition is None else [self.condition]
-        return found if self.parent is None else [*found, *self.parent.conditions]
-
-    def driver(self, output: str) -> FlatSignal:
-        """The signal that drives one of this diagram's outputs."""
-        source = self.diagram.outputs[output]
-        if source is None:
-            raise DiagramError("the output is not connected", f"{self.path}.{output}", "connect it or remove it")
-        return self.resolve(source)
-
-    def resolve(self, source: str) -> FlatSignal:
-        """The signal that `source` means in this diagram, followed through the borders of sub-diagrams."""
-        at, text = self, source
-        seen: set[tuple[int, str]] = set()
-        while (id(at), text) not in seen:
-            seen.add((id(at), text))
-            try:
-                part, port = at.diagram.source(text)
-            except DiagramError as error:
-                raise DiagramError(error.what, at.path, error.remedy) from error
-            if part is None:
-                if at.parent is None:
-                    return at.root_inputs[port]
-                above = at.parent.diagram.connections.get((at.name, port))
-                if above is None:
-                    raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
-                at, text = at.parent, above
-                continue
-            inner = at.parts.get(part)
-            if inner is None:
-                raise DiagramError("its source lies too deep", f"{self.path}.{source}", "flatten the diagram")
-            if isinstance(inner, Node):
-                return inner.outputs[port]
-            below = inner.diagram.outputs[port]
-            if below is None:
-                raise DiagramError("the output is not connected", f"{inner.path}.{port}", "connect it or remove it")
-            at, text = inner, below
-        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
 
 
 class FlatDiagram:
@@ -100,13 +45,14 @@ class FlatDiagram:
         self.writers: dict[Node, Node] = {}  # of data stores
         self.parameters: dict[str, FlatParameter] = {}
         self.signals: dict[str, FlatSignal] = {}  # the outputs of blocks and sub-diagrams, by path
-        self.levels: list[_Level] = []
-        self.root = _Level(diagram, diagram.name, "")
+        self.outputs: dict[str, FlatSignal] = {}  # of the whole, buses by field
+        self.levels: list[Level] = []
+        self.root = Level(diagram, diagram.name, "")
         self.root.root_inputs = {
             p.name: FlatSignal(p.name, p.name, p.kind, p.width, p.unit, shape=p.shape, enum=p.enum)
             for p in diagram.inputs.values()
         }
-        stack: list[tuple[_Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
+        stack: list[tuple[Level, Rate, tuple[Condition, ...], dict[str, FlatParameter], int]] = [
             (self.root, BASE, (), {}, 0)
         ]
         while stack:
@@ -123,7 +69,7 @@ class FlatDiagram:
                     level.parts[part.name] = self._node(level, part, part.item, rate, conditions, inner)
                     continue
                 path = level.prefix + part.name
-                below = _Level(part.item, path, f"{path}.", level, part.name)
+                below = Level(part.item, path, f"{path}.", level, part.name)
                 level.parts[part.name] = below
                 around = conditions
                 own_rate = part.rate.within(rate).check(path, MAX_NESTED)
@@ -137,7 +83,7 @@ class FlatDiagram:
         self.nodes.sort(key=lambda n: n.path)
         self._check_base_rate()
 
-    def _bindings(self, level: _Level, part: Part, own: Mapping[str, FlatParameter]) -> dict[str, FlatParameter]:
+    def _bindings(self, level: Level, part: Part, own: Mapping[str, FlatParameter]) -> dict[str, FlatParameter]:
         for outer in part.params.values():
             if outer not in own:
                 self.report(
@@ -167,7 +113,7 @@ class FlatDiagram:
 
     def _node(
         self,
-        level: _Level,
+        level: Level,
         part: Part,
         block: Block,
         rate: Rate,
@@ -216,9 +162,13 @@ class FlatDiagram:
         for level in self.levels:
             for name in level.diagram.outputs:
                 with self._reported():
-                    driver = level.driver(name)
-                    if level.parent is not None:
-                        self.signals[f"{level.path}.{name}"] = driver
+                    driven = level.drivers(name)
+                    if level.parent is None:
+                        self.outputs |= driven
+                        continue
+                    self.signals |= {f"{level.path}.{path}": s for path, s in driven.items()}
+                    if len(self.signals) > MAX_SIGNALS:
+                        raise DiagramError(f"more than {MAX_SIGNALS} signals", self.diagram.name, "use arrays")
             for part in level.diagram.parts.values():
                 inner = level.parts.get(part.name)
                 if inner is not None:
@@ -235,7 +185,7 @@ class FlatDiagram:
                 if inner.condition is not None:
                     self._decide(level, part, inner, inner.condition)
 
-    def _start(self, part: Part, inner: Node | _Level) -> None:
+    def _start(self, part: Part, inner: Node | Level) -> None:
         """Give the signals of a part's outputs the initial values that it declares."""
         for name, value in part.initial.items():
             where = f"{inner.path}.{name}"
@@ -249,7 +199,7 @@ class FlatDiagram:
                     raise DiagramError(what, where, "give one initial value")
                 signal.initial = found
 
-    def _decide(self, level: _Level, part: Part, inner: _Level, condition: Condition) -> None:
+    def _decide(self, level: Level, part: Part, inner: Level, condition: Condition) -> None:
         """Give a sub-diagram's condition its signals, with the nodes that the language adds for them."""
         condition.enable = self._bool(level, part.enable, inner.path, "enable")
         condition.reset = self._bool(level, part.reset, inner.path, "reset")
@@ -275,11 +225,15 @@ class FlatDiagram:
         node.drivers = {port.name: signal for port, signal in zip(block.inputs, drivers, strict=True)}
         return self._with_outputs(node).outputs["y"]
 
-    def _driver(self, level: _Level, part: str, port: Port, path: str) -> FlatSignal:
+    def _driver(self, level: Level, part: str, port: Port, path: str) -> FlatSignal:
         where = f"{path}.{port.name}"
         with self._reported():
-            source = level.diagram.connections.get((part, port.name))
-            signal = level.resolve(source) if source is not None else self._stored(level, part, where)
+            with located(where) if "." in port.name else nullcontext():
+                source = level.diagram.feed(part, port.name)
+                if source is None:
+                    signal = self._stored(level, part, where, port.name)
+                else:
+                    signal = scalar(level.signals(source), where)
             clash = mismatch(port, signal, signal.path)
             if clash is not None:
                 raise DiagramError(clash[0], where, clash[1])
@@ -292,19 +246,26 @@ class FlatDiagram:
         self.unknown.add(stand_in)
         return stand_in
 
-    def _stored(self, level: _Level, part: str, where: str) -> FlatSignal:
+    def _stored(self, level: Level, part: str, where: str, port: str) -> FlatSignal:
         """What feeds an input without a connection: a data store, or its writer."""
+        y = f"y{port.removeprefix('u')}"  # perhaps a field
         item, node = level.diagram.parts[part].item, level.parts.get(part)
         if isinstance(item, StoreRead):
-            return self._store(level, item.store, where)[1].outputs["y"]
+            return self._matching(self._store(level, item.store, where)[1], y, where)
         if isinstance(item, DataStore) and node in self.writers:
-            return self.writers[node].outputs["y"]
+            return self._matching(self.writers[node], y, where)
         remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
         raise DiagramError("the input is not connected", where, remedy)
 
-    def _store(self, level: _Level, name: str, where: str) -> tuple[_Level, Node]:
+    def _matching(self, node: Node, output: str, where: str) -> FlatSignal:
+        if output not in node.outputs:
+            what = f"{node.path} has another type: its outputs are {nearest(output, node.outputs)}"
+            raise DiagramError(what, where, "declare both alike")
+        return node.outputs[output]
+
+    def _store(self, level: Level, name: str, where: str) -> tuple[Level, Node]:
         """The data store `name` that is nearest to a level, and where it stands."""
-        at: _Level | None = level
+        at: Level | None = level
         while at is not None:
             found = at.parts.get(name)
             if isinstance(found, Node) and isinstance(found.block, DataStore):
@@ -328,9 +289,10 @@ class FlatDiagram:
                             what, node.path, "a store has one writer: choose between them in front of it"
                         )
                     self.writers[store] = node
-                    node.outputs["y"].initial = store.block.states[0].initial
+                    for signal, state in zip(node.outputs.values(), store.block.states, strict=False):
+                        signal.initial = state.initial
 
-    def _bool(self, level: _Level, source: str | None, path: str, what: str) -> FlatSignal | None:
+    def _bool(self, level: Level, source: str | None, path: str, what: str) -> FlatSignal | None:
         if not source:
             return None
         with self._reported():
@@ -356,11 +318,19 @@ class FlatDiagram:
         _check_rates(self.nodes, order, self.unknown, self.report)
         return order
 
-    def logged(self, path: str) -> FlatSignal:
-        """What drives the signal with the path "part.sub.port". Raises DiagramError if there is none."""
-        if path not in self.signals:
+    def logged(self, path: str) -> dict[str, FlatSignal]:
+        """What drives the signal with the path "part.sub.port", or each field of a bus. DiagramError without one."""
+        if path in self.signals:
+            return {path: self.signals[path]}
+        fields = {p: s for p, s in self.signals.items() if p.startswith(f"{path}.")}
+        if not fields or not self._is_bus(path):
             raise unknown_name("signal", path, sorted(self.signals), self.diagram.name)
-        return self.signals[path]
+        return fields
+
+    def _is_bus(self, path: str) -> bool:
+        """Whether the signals that begin with `path` are fields of one bus, and not the signals of a part."""
+        parts = {node.path for node in self.nodes} | {level.path for level in self.levels}
+        return path not in parts
 
 
 def _clash(a: str, b: str) -> bool:

@@ -14,6 +14,7 @@ from twodof.compile.program.flatten import FlatDiagram, conditions_of, drivers_o
 from twodof.compile.program.need import needs
 from twodof.errors import DiagramError
 
+TWO_SIGNALS = "{!r} is both a field of an output of the diagram and the output of a part"
 INTEGRATORS = ("rk4", "euler")
 
 
@@ -28,9 +29,11 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
     flat = FlatDiagram(diagram)
     ordered = flat.ordered()
     inputs = {name: flat.root.root_inputs[name] for name in diagram.inputs}
-    outputs = {name: flat.root.driver(name) for name in diagram.outputs}
+    outputs = dict(flat.outputs)
     for path in log:
-        outputs[path] = flat.logged(path)
+        for name, signal in flat.logged(path).items():
+            if outputs.setdefault(name, signal) is not signal:
+                raise DiagramError(TWO_SIGNALS.format(name), diagram.name, "rename the part or the output")
     moving = _moving(ordered)
     integrated = [n for n in flat.nodes if n.continuous]
     edged = [s for s in ordered if integrated and node_of(s).trace.edges.get(s.port) is not None]
@@ -53,6 +56,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         _grouped(stage, (), lambda s: [d for d in drivers_of(s) if d in moving]),
         frozenset(moving),
         edged,
+        tuple(flat.outputs),
     )
 
 

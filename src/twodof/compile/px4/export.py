@@ -54,7 +54,7 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
     made = controller(diagram, names, tuple(log))
     part = role(made.program)
     rows, kept = exported(made.program, names, part.commands == "torque")
-    found = fields(made.program, len(diagram.outputs))
+    found = fields(made.program, len(made.program.own))
     where, frame = f"src/modules/{names.module}", airframe_file(names)
     files = {
         "README.md": readme(names, part, found, rows, kept, diagram.text),

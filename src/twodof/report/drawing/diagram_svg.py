@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape as escape_html
 
 from twodof.blocks.block import Block
+from twodof.blocks.datatypes.bus import Bus, grouped
 from twodof.blocks.declarations import Port, shape, unknown_name
-from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried
+from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried_fields
 from twodof.errors import DiagramError
 from twodof.report.drawing.layered_layout import Box, GraphLayout, Net, layout
 from twodof.report.drawing.symbols import (
@@ -111,7 +112,7 @@ def _legend(drawing: Drawing) -> list[str]:
                 found.update(wire_class(port).split()[1:] or [""])
     lines: list[str] = []
     x = 0.0
-    for style, meaning in (("", "real"), ("whole", "integer"), ("truth", "bool"), ("array", "array")):
+    for style, meaning in (("", "real"), ("whole", "integer"), ("truth", "bool"), ("array", "array"), ("bus", "bus")):
         if style in found and len(found) > 1:
             lines.append(f'<path class="wire {style}" d="M{x:g} 0H{x + 28:g}"/>')
             lines.append(f'<text class="soft" x="{x + 34:g}" y="3.5" font-size="10">{meaning}</text>')
@@ -120,7 +121,8 @@ def _legend(drawing: Drawing) -> list[str]:
 
 
 def _described(diagram: Diagram) -> str:
-    inputs, parts, outputs = (", ".join(names) or "none" for names in (diagram.inputs, diagram.parts, diagram.outputs))
+    tops = [port.name for port in grouped(diagram.inputs.values())]
+    inputs, parts, outputs = (", ".join(names) or "none" for names in (tops, diagram.parts, diagram.outputs))
     text = f"Block diagram {diagram.name} with the inputs {inputs}, the parts {parts} and the outputs {outputs}."
     return text[:2000]
 
@@ -129,8 +131,9 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
     count[0] += len(diagram.parts)
     if count[0] > MAX_PARTS:
         raise DiagramError(f"more than {MAX_PARTS} parts", diagram.name, "open fewer levels, or one sub-diagram")
-    symbols = [terminal(n, "in", _remark(p)) for n, p in diagram.inputs.items()]
-    place: dict[tuple[str | None, str], int] = {(None, n): i for i, n in enumerate(diagram.inputs)}
+    given = grouped(diagram.inputs.values())
+    symbols = [terminal(p.name, "in", _remark(p)) for p in given]
+    place: dict[tuple[str | None, str], int] = {(None, p.name): i for i, p in enumerate(given)}
     inner: dict[int, Drawing] = {}
     parts = list(diagram.parts.values())
     for part in parts:
@@ -155,6 +158,8 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
 
 
 def _remark(port: Port) -> str:
+    if isinstance(port.kind, Bus):
+        return "bus"
     kind = "" if port.kind == "real" and port.width is None else shape(port)
     return " ".join(([f"[{port.unit}]"] if port.unit else []) + ([kind] if kind else []))
 
@@ -163,29 +168,39 @@ def _nets(
     diagram: Diagram, place: dict[tuple[str | None, str], int]
 ) -> tuple[list[Net], list[tuple[str, Port | None]]]:
     """What drives what: one net for each pin that drives anything."""
+    given = {port.name: port for port in grouped(diagram.inputs.values())}
     sinks: dict[tuple[int, int], list[tuple[int, int]]] = {}
     about: dict[tuple[int, int], tuple[str, Port | None]] = {}
 
     def drive(source: str, to: tuple[int, int]) -> None:
         part, port = diagram.source(source)
+        name = port.partition(".")[0]  # of a bus all fields leave from one pin
         if part is None:
-            pin = place[None, port], 0
-            about[pin] = port, diagram.inputs[port]
+            pin = place[None, name], 0
+            about[pin] = name, given[name]
         else:
             item = diagram.parts[part].item
-            names = [p.name for p in item.outputs] if isinstance(item, Block) else list(item.outputs)
-            pin = place[part, ""], names.index(port)
-            about[pin] = f"{part}.{port}", carried(item, port)
-        sinks.setdefault(pin, []).append(to)
+            names = [p.name for p in grouped(item.outputs)] if isinstance(item, Block) else list(item.outputs)
+            pin = place[part, ""], names.index(name)
+            fields = carried_fields(item, name)
+            bus = [replace(p, name=f"{name}.{field}") for field, p in fields.items() if field]
+            about[pin] = f"{part}.{name}", grouped(bus)[0] if bus else fields.get("")
+        to_pin = sinks.setdefault(pin, [])
+        if to not in to_pin:  # two fields of one bus
+            to_pin.append(to)
 
+    connected: dict[str, list[tuple[tuple[str, str], str]]] = {}
+    for key, source in diagram.connections.items():
+        connected.setdefault(key[0], []).append((key, source))
     for part in diagram.parts.values():
         for i, name in enumerate(input_names(part)):
-            source = diagram.connections.get((part.name, name)) or (getattr(part, name) if name in CONDITIONS else None)
-            if source:
-                drive(source, (place[part.name, ""], i))
-    for name, source in diagram.outputs.items():
-        if source is not None:
-            drive(source, (place["", name], 0))
+            fed = [s for (_, at), s in connected.get(part.name, ()) if at == name or at.startswith(f"{name}.")]
+            deciding = getattr(part, name) if name in CONDITIONS and not fed else None
+            for one in [*fed, *([deciding] if deciding else [])]:
+                drive(one, (place[part.name, ""], i))
+    for name, feeder in diagram.outputs.items():
+        if feeder is not None:
+            drive(feeder, (place["", name], 0))
     ordered = sorted(sinks)
     return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
 
@@ -196,7 +211,7 @@ def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
     header = HEADER
     width = float(round(max(shown.placed.width, text_width(name, 13.0, True) + 20.0)))
     height = float(round(shown.placed.height + header))
-    first = len(diagram.inputs)
+    first = len(grouped(diagram.inputs.values()))
     last = len(shown.symbols) - len(diagram.outputs)
     corners = shown.placed.corners
     left = [header + corners[i][1] + 0.5 * TERMINAL for i in range(first)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.blocks.block import Block
+from twodof.blocks.datatypes.bus import Bus, grouped
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part
 from twodof.blocks.library.delays import StoreRead, StoreWrite
@@ -87,8 +88,8 @@ def symbol(part: Part, flip: bool = False) -> BlockSymbol:
 def input_names(part: Part) -> list[str]:
     """The pins on a part's left side: its inputs, then what decides over it."""
     item = part.item
-    own = [p.name for p in item.inputs] if isinstance(item, Block) else list(item.inputs)
-    return own + [what for what in CONDITIONS if getattr(part, what)]
+    own = item.inputs if isinstance(item, Block) else item.inputs.values()
+    return [port.name for port in grouped(own)] + [what for what in CONDITIONS if getattr(part, what)]
 
 
 def value_text(part: Part, block: Block, name: str) -> str:
@@ -120,8 +121,7 @@ def _block(part: Part, block: Block) -> BlockSymbol:
         lines.append(f"{len(block.params)} parameters")
     lines += [f"of {block.store}"] if isinstance(block, (StoreRead, StoreWrite)) else []
     lines += _starts(part)
-    units = {p.name: p.unit for p in (*block.inputs, *block.outputs)}
-    outputs = [(p.name, units[p.name]) for p in block.outputs]
+    outputs = [(p.name, p.unit) for p in grouped(block.outputs)]
     signs = block.signs if isinstance(block, Sum) else ""  # of a sum with more inputs than a circle has places for
     return _rectangle(part, kind, lines, outputs, "block", [s.replace("-", "−") for s in signs])
 
@@ -195,15 +195,16 @@ def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
     label = shortened(label, SMALL, MOST)
     wide = float(round(max(width, text_width(label, SMALL) + 2.0)))
     middle = 0.5 * HIGH
-    box = Box(wide, HIGH + 15.0, [middle] * len(block.inputs), [middle] * len(block.outputs))
+    inputs, outputs = grouped(block.inputs), grouped(block.outputs)
+    box = Box(wide, HIGH + 15.0, [middle] * len(inputs), [middle] * len(outputs))
     made = BlockSymbol(box, [], [SymbolText(0.5 * wide, HIGH + 11.0, label, SMALL, "middle", "soft")], part.name)
     left = 0.5 * (wide - width)
     if left >= 1.0:  # the name is wider than the shape: wires go on to it
-        for ports, x1, x2 in ((block.inputs, 0.0, left), (block.outputs, wide - left, wide)):
+        for ports, x1, x2 in ((inputs, 0.0, left), (outputs, wide - left, wide)):
             for port in ports:
                 made.shapes.append(f'<path class="{wire_class(port)}" d="M{x1:g} {middle:g}H{x2:g}"/>')
         made.own_heads = True
-        made.shapes += [arrow(left, middle, 1, 0)] * len(block.inputs)
+        made.shapes += [arrow(left, middle, 1, 0)] * len(inputs)
     return made
 
 
@@ -211,12 +212,15 @@ def wire_class(port: Port | None) -> str:
     """The style of a wire that carries what `port` does."""
     if port is None:
         return "wire"
+    if isinstance(port.kind, Bus):
+        return "wire bus"
     kind = {"bool": " truth", "int32": " whole", "uint32": " whole"}.get(port.kind, "")
     return "wire" + (" array" if port.width is not None else "") + kind
 
 
 def _unit(block: Block) -> str:
-    return block.outputs[0].unit if block.outputs else ""
+    port = grouped(block.outputs)[0] if block.outputs else None
+    return "" if port is None else str(port.unit)
 
 
 def _sum(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
@@ -263,7 +267,7 @@ def _special(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
         return _sum(part, block, flip)
     if kind == "gain":
         return _gain(part, block)
-    if len(block.inputs) > 1 or len(block.outputs) > 1:
+    if len(grouped(block.inputs)) > 1 or len(grouped(block.outputs)) > 1:
         return None
     if kind in _GRAPHS:
         return _graph(part, block, _GRAPHS[kind])

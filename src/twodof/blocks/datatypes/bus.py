@@ -1,0 +1,180 @@
+"""Bus: named fields that connect as one wire."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+from twodof.blocks.expressions.expr import fault
+from twodof.blocks.namespaces import BusView
+from twodof.errors import DiagramError, nearest, shown
+
+MAX_FIELDS = 1000
+"""Of one bus, those of the buses in it counted, and not these themselves."""
+MAX_LEVELS = 8
+"""Of buses within one another."""
+
+
+class Bus:
+    """Named fields that connect as one wire: `Bus("Attitude", [Port("roll", unit="rad"), Port("rates", Rates)])`.
+
+    A field is a Port: a scalar, vector or matrix of any kind with its unit, or another bus. A bus stands where a kind
+    does. Calling it makes a value of it, `Attitude(roll=..., rates=Rates(...))`, that a method returns. `leaves` are
+    the fields that are not buses themselves, by path ("rates.p"), in the order given.
+
+    Raises DiagramError for fields that are not Ports, whose names stand twice, or that are too many or too deep.
+    """
+
+    __slots__ = ("fields", "leaves", "name")
+
+    name: str
+    fields: tuple[Any, ...]
+    leaves: tuple[Any, ...]
+
+    def __init__(self, name: str, fields: Sequence[Any]) -> None:
+        where = f"bus {name!s:.80}"
+        if not isinstance(name, str) or not name.isidentifier() or len(name) > 63:
+            raise DiagramError(f"{shown(name)} is not a name", "bus", "use a letter, then letters, digits or _")
+        if isinstance(fields, (str, Mapping)) or not isinstance(fields, Sequence) or not fields:
+            raise DiagramError(f"the fields {shown(fields)}", where, 'write [Port("roll", unit="rad"), ...]')
+        leaves: list[Any] = []
+        for one in fields:
+            if not isinstance(getattr(one, "name", None), str) or not hasattr(one, "kind"):
+                raise DiagramError(f"the field {shown(one)}", where, 'write Port("name")')
+            leaves += leaves_of(one)
+            if len(leaves) > MAX_FIELDS:
+                raise DiagramError(f"more than {MAX_FIELDS} fields", where, "use arrays")
+            if any(leaf.name.count(".") >= MAX_LEVELS for leaf in leaves):
+                raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
+        check_paths([leaf.name for leaf in leaves], where)
+        for key, value in (("name", name), ("fields", tuple(fields)), ("leaves", tuple(leaves))):
+            object.__setattr__(self, key, value)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise DiagramError(f"{name!r} is assigned", f"bus {self.name}", "make another bus")
+
+    def __reduce__(self) -> Any:
+        return Bus, (self.name, self.fields)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Bus) and (self.name, self.leaves) == (other.name, other.leaves)
+
+    def __hash__(self) -> int:
+        return hash((self.name, *(leaf.name for leaf in self.leaves)))
+
+    def __repr__(self) -> str:
+        return f"Bus({self.name!r}, {list(self.fields)!r})"
+
+    def __call__(self, **values: Any) -> dict[str, Any]:
+        """A value of the bus: all its fields by name. Raises DiagramError for one that is missing or unknown."""
+        known = list(dict.fromkeys(leaf.name.partition(".")[0] for leaf in self.leaves))
+        for name in values:
+            if name not in known:
+                raise fault(f"{self.name} has no field {name!r}", f"there are: {nearest(name, known)}")
+        for name in known:
+            if name not in values:
+                raise fault(f"{self.name} is made without its field {name!r}", "give all its fields")
+        return {name: values[name] for name in known}
+
+    def form(self) -> dict[str, Any]:
+        """It as plain data, which is taken in its place."""
+        return {"name": self.name, "fields": [_form(leaf) for leaf in self.leaves]}
+
+
+def _form(leaf: Any) -> dict[str, Any]:
+    form = {"name": leaf.name, "kind": leaf.kind}
+    for key in ("width", "unit", "shape"):
+        if getattr(leaf, key) and not (key == "width" and leaf.shape):
+            form[key] = list(leaf.shape) if key == "shape" else getattr(leaf, key)
+    return form if leaf.enum is None else {**form, "enum": leaf.enum.form()}
+
+
+def leaves_of(declared: Any) -> list[Any]:
+    """The declarations of the fields of a port, state or parameter that is a bus, "att.rates.p"; itself if it is not.
+
+    The value of a state or parameter is one for all fields, or a mapping by field in which 0 may be left out. A state
+    that starts from a parameter starts from its fields.
+    """
+    if not isinstance(declared.kind, Bus):
+        return [declared]
+    key = next((key for key in ("initial", "value") if hasattr(declared, key)), "")
+    given = getattr(declared, key, 0)
+    bus = declared.kind
+    if isinstance(given, Mapping):
+        names = [leaf.name for leaf in bus.leaves]
+        given = fields_given(given, names, declared.name)
+        for name in given:
+            if name not in names:
+                there = f"there are: {nearest(name, names)}"
+                raise DiagramError(f"{bus.name} has no field {name!r:.120}", declared.name, there)
+    made = []
+    for leaf in bus.leaves:
+        changes = {"name": f"{declared.name}.{leaf.name}", "kind": leaf.kind, "enum": leaf.enum, "unit": leaf.unit}
+        changes |= {"width": None if leaf.shape else leaf.width, "shape": leaf.shape}
+        if key and isinstance(given, str):
+            changes[key] = f"{given}.{leaf.name}"
+        elif key:
+            value = given.get(leaf.name, 0) if isinstance(given, Mapping) else given
+            changes[key] = 0 if type(value) is float and value == 0.0 else value
+        made.append(replace(declared, **changes))
+    return made
+
+
+def expanded(declared: Any) -> Any:
+    """What a block declares, with the fields of buses in their place; as it is if there are none."""
+    if not isinstance(declared, Sequence) or not any(isinstance(getattr(d, "kind", None), Bus) for d in declared):
+        return declared
+    return [leaf for d in declared for leaf in (leaves_of(d) if hasattr(d, "kind") else [d])]
+
+
+def grouped(ports: Iterable[Any]) -> list[Any]:
+    """The inverse of `expanded`: the ports of a block or diagram with each bus as one of them, in its first place."""
+    found: dict[str, Any] = {}
+    inside: dict[str, list[Any]] = {}
+    for port in ports:
+        name, dot, field = port.name.partition(".")
+        found.setdefault(name, port)
+        if dot:
+            inside.setdefault(name, []).append(replace(port, name=field))
+    plain = {"width": None, "unit": "", "shape": None, "enum": None}
+    buses = {n: replace(found[n], name=n, kind=Bus(n, fields), **plain) for n, fields in inside.items()}
+    return [buses.get(name, port) for name, port in found.items()]
+
+
+def check_paths(names: Iterable[str], where: str) -> None:
+    """Raise DiagramError if a name stands twice, or is that of a bus and of a field at once."""
+    leaves: set[str] = set()
+    buses: set[str] = set()
+    for name in names:
+        parts = name.split(".")
+        above = {".".join(parts[:k]) for k in range(1, len(parts))}
+        if name in leaves or name in buses or not above.isdisjoint(leaves):
+            raise DiagramError(f"two fields are named {name!r:.120}", where, "names are unique")
+        leaves.add(name)
+        buses |= above
+
+
+def fields_given(values: Mapping[Any, Any], known: Sequence[str], where: str) -> dict[str, Any]:
+    """The values of a mapping, perhaps of mappings, by their paths. What belongs to no known path stays as it is.
+
+    Raises DiagramError for a bus that is given something else than its fields.
+    """
+    buses = {name[:i] for name in known for i, c in enumerate(name) if c == "."}
+    found: dict[str, Any] = {}
+    stack = [("", values)]
+    while stack:
+        prefix, at = stack.pop()
+        for key, value in at.items():
+            name = f"{prefix}{key}"
+            if name not in buses:
+                found[name] = value
+                continue
+            inner = vars(value) if isinstance(value, BusView) else value
+            if not isinstance(inner, Mapping):
+                fields = nearest("", [n.removeprefix(f"{name}.") for n in known if n.startswith(f"{name}.")])
+                raise DiagramError(
+                    f"the bus {name!r} is given {shown(value)}", where, f"give a value for each field: {fields}"
+                )
+            stack.append((f"{name}.", inner))
+    return found

@@ -1,0 +1,93 @@
+"""Level: a diagram in its place, and what its connections lead to."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from twodof.blocks.diagram import Diagram
+from twodof.compile.program.flat_program import Condition, FlatSignal, Node
+from twodof.errors import DiagramError, nearest
+
+
+@dataclass(eq=False)
+class Level:
+    """A diagram in its place; `parts` are its blocks' nodes and its sub-diagrams' levels."""
+
+    diagram: Diagram
+    path: str  # of this diagram, for messages
+    prefix: str  # of its parts
+    parent: Level | None = None
+    name: str = ""  # in the parent
+    parts: dict[str, Node | Level] = field(default_factory=dict)
+    condition: Condition | None = None
+    root_inputs: dict[str, FlatSignal] = field(default_factory=dict)
+
+    @property
+    def conditions(self) -> list[Condition]:
+        """Its own and those of the diagrams around it, the innermost first."""
+        found = [] if self.condition is None else [self.condition]
+        return found if self.parent is None else [*found, *self.parent.conditions]
+
+    def driver(self, output: str) -> FlatSignal:
+        """The signal that drives one of this diagram's outputs, or a field of one."""
+        return scalar(self._driven(output), f"{self.path}.{output}")
+
+    def drivers(self, output: str) -> dict[str, FlatSignal]:
+        """The signal that drives one of this diagram's outputs by its name; of a bus those of its fields, by path."""
+        return {f"{output}.{field}" if field else output: s for field, s in self._driven(output).items()}
+
+    def _driven(self, output: str) -> dict[str, FlatSignal]:
+        source = self.diagram.outlet(output)
+        if source is None:
+            raise DiagramError("the output is not connected", f"{self.path}.{output}", "connect it or remove it")
+        return self.signals(source)
+
+    def resolve(self, source: str) -> FlatSignal:
+        """The signal that `source` means in this diagram; not a bus."""
+        return scalar(self.signals(source), f"{self.path}.{source}")
+
+    def signals(self, source: str) -> dict[str, FlatSignal]:
+        """What `source` means in this diagram, followed through the borders of sub-diagrams: "" and the signal.
+
+        Of a bus they are the signals of its fields, by path.
+        """
+        at, text = self, source
+        seen: set[tuple[int, str]] = set()
+        while (id(at), text) not in seen:
+            seen.add((id(at), text))
+            try:
+                part, port = at.diagram.source(text)
+            except DiagramError as error:
+                raise DiagramError(error.what, at.path, error.remedy) from error
+            if part is None:
+                if at.parent is None:
+                    return _fields(at.root_inputs, port)
+                above = at.parent.diagram.feed(at.name, port)
+                if above is None:
+                    raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
+                at, text = at.parent, above
+                continue
+            inner = at.parts.get(part)
+            if inner is None:
+                raise DiagramError("its source lies too deep", f"{self.path}.{source}", "flatten the diagram")
+            if isinstance(inner, Node):
+                return _fields(inner.outputs, port)
+            below = inner.diagram.outlet(port)
+            if below is None:
+                raise DiagramError("the output is not connected", f"{inner.path}.{port}", "connect it or remove it")
+            at, text = inner, below
+        raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
+
+
+def _fields(signals: Mapping[str, FlatSignal], name: str) -> dict[str, FlatSignal]:
+    if name in signals:
+        return {"": signals[name]}
+    return {path[len(name) + 1 :]: s for path, s in signals.items() if path.startswith(f"{name}.")}
+
+
+def scalar(found: Mapping[str, FlatSignal], where: str) -> FlatSignal:
+    """The signal of what is not a bus; else DiagramError."""
+    if "" not in found:
+        raise DiagramError(f"a bus with the fields {nearest('', found)}", where, "name one of its fields")
+    return found[""]
