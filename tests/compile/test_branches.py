@@ -106,7 +106,7 @@ def nested_cases(first: int, count: int, steps: int = 12) -> list[Case]:
 def lines_of(block: Block) -> list[str]:
     """The lines of the C of its step."""
     text = emit([lower(alone(block), DT)])[0].source
-    return text[text.rindex("void d_step(") :].partition("\n}\n")[0].splitlines()
+    return text[text.rindex("void d_advance(") :].partition("\n}\n")[0].splitlines()
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])

@@ -38,7 +38,7 @@ def door() -> Diagram:
 
 def test_each_mode_is_a_case_and_each_transition_an_if_in_its_order() -> None:
     source = emit_program(door(), 0.01, "float64").source
-    step = source[source.index("void house_step") :]
+    step = source[source.index("void house_advance") :]
     first, second = step.split("switch (s->door_mode) {")[1:]
     assert re.findall(r"case (\d): \{ /\* ([\w.]+) \*/", first) == [
         ("0", "closed.free"),
