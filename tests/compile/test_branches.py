@@ -168,6 +168,28 @@ def test_what_is_read_on_one_side_alone_stands_there(form: str, within: bool) ->
     assert lines[0].startswith(" " * 8) == within
 
 
+class Resting(Block):
+    """Six operations that are read where `test` holds."""
+
+    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
+    outputs = (Port("y", "bool"),)
+
+    def __init__(self, test: str) -> None:
+        self.test = test
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        test = {"==": u.u == 0.0, "<": u.u < 0.0, "== and": u.on & (u.u == 0.0), "!=": ~(u.u != 0.0)}[self.test]
+        return test & (u.v * u.v + u.v * 3.0 <= u.v - 2.0)
+
+
+@pytest.mark.parametrize(("test", "within"), [("==", True), ("<", False), ("== and", True), ("!=", True)])
+def test_little_work_stands_in_a_branch_only_where_its_condition_seldom_holds(test: str, within: bool) -> None:
+    """The processor guesses such a branch right; of an inequality it may be wrong half of the time."""
+    lines = [line for line in lines_of(Resting(test)) if "u->v * u->v" in line]
+    assert len(lines) == 1
+    assert lines[0].startswith(" " * 8) == within
+
+
 @pytest.mark.parametrize("form", ["between", "twice"])
 def test_what_two_branches_share_is_computed_once(form: str) -> None:
     lines = [line for line in lines_of(Clamped(form)) if "td_atan(u->u" in line]

@@ -70,7 +70,7 @@ WHOLE: dict[str, tuple[Callable[[Any], Any], dict[str, Any], Callable[..., Any]]
 def test_what_is_read_once_needs_no_array_and_no_second_clamp(name: str) -> None:
     formula, output, _ = WHOLE[name]
     source = emit_program(diagram(formula, **output), 0.1).source
-    step = source[source.index("void formula_step(const formula_P *restrict") :]
+    step = source[source.index("void formula_advance(const formula_P *restrict") :]
     arrays = re.findall(r"^ +real (\w+)\[", step, re.MULTILINE)
     assert [a for a in arrays if a != "block_y"] == (["block_array"] if "of transposes" in name else [])
     assert "clamp_index" not in source

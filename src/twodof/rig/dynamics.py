@@ -34,7 +34,8 @@ def stays_at_rest(speed: Any, load: Any, friction: Any, place: Any, low: Any, hi
     # A stop bears any load that presses against it, friction at most its own either way.
     up = where(place >= high, math.inf, friction)
     down = where(place <= low, math.inf, friction)
-    return (speed == 0.0) & (load <= up) & (-down <= load)
+    # Together, so that a body in motion (most of the time) asks nothing of its load.
+    return (speed == 0.0) & ((load <= up) & (-down <= load))
 
 
 def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:

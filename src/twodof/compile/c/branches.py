@@ -17,7 +17,7 @@ from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
 
 WORTH = 20  # operations from which on a branch costs less than computing what may not be read
-WORTH_OF_FLAG = 4  # where the condition is a mode or a flag, which seldom changes: it costs as good as nothing
+WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
 SLOW = {"div": 4, "sqrt": 4, "call": CALL}  # operations that take as long as some
 DEEPEST = 24  # branches within one another
 MOST_ROUNDS = 4  # before what two branches on one condition share is no longer looked for
@@ -188,8 +188,12 @@ class _Plan:
         return {key for key, cost in costs.items() if cost >= (WORTH_OF_FLAG if calm[key] else WORTH)}
 
     def _calm(self, condition: Expr) -> bool:
-        """Whether a condition is a mode or a flag."""
-        return self.flags.get(id(condition), True)
+        """Whether a condition is a mode or a flag, or needs two reals to be the same, which they seldom are."""
+        if condition.op == "not":
+            return self._calm(condition.args[0])
+        if condition.op == "and" and any(self._calm(a) for a in condition.args):
+            return True
+        return condition.op in ("eq", "ne") or self.flags.get(id(condition), True)
 
     def all_steps(self) -> list[Step]:
         """The steps in the places that were found."""
