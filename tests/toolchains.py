@@ -12,6 +12,7 @@ import pytest
 
 PACKAGES = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "cppcheck": "cppcheck",
     "g++": "g++",
     "gcc": "gcc libc6-dev",
     "node": "nodejs",

@@ -12,6 +12,7 @@ tools=(
     "arm-none-eabi-gcc gcc-arm-none-eabi libnewlib-arm-none-eabi"
     "node nodejs"
     "npm npm"
+    "cppcheck cppcheck"
 )
 
 missing() {

@@ -102,6 +102,10 @@ EXTRA: dict[str, list[Config]] = {
         {"breakpoints": [-1.0, -0.3, 0.1, 0.9, 2.0], "values": [3.0, 1.0, -2.0, 0.5, 0.7], "outside": o}
         for o in ("clip", "extrapolate")
     ],
+    "lookup_2d": [
+        {"rows": [-1.0, 0.2, 3.0], "columns": [0.0, 0.5], "values": [[3.0, 1.0], [-2.0, 0.5], [0.7, 9.0]], "outside": o}
+        for o in ("clip", "extrapolate")
+    ],
     "low_pass": [{"cutoff": 3.0, "method": m, "initial": 0.5} for m in ("forward", "backward", "trapezoidal", "zoh")],
     "low_pass_2": [{"cutoff": 400.0, "initial": 1.0}],
     "matrix_multiply": [

@@ -1,17 +1,17 @@
-"""Sources that play recorded values, and the one-dimensional look-up."""
+"""Sources that play recorded values, and look-ups in one and two dimensions."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
-from twodof.blocks.elementwise import clamp, one_of, reals, search
+from twodof.blocks.elementwise import clamp, matrix, one_of, reals, search
 from twodof.blocks.expressions.arrays import array_of
 from twodof.blocks.expressions.expr import to_real, uint32, where
 from twodof.blocks.library.sources import start_param, ticks
 from twodof.errors import DiagramError
 
-__all__ = ["Lookup", "Playback", "Table"]
+__all__ = ["Lookup", "Lookup2D", "Playback", "Table"]
 
 MAX_POINTS = 1_000_000
 METHODS = ("hold", "linear")
@@ -20,17 +20,21 @@ OUTSIDE = ("clip", "extrapolate")
 
 def _points(block: str, first: str, xs: Any, second: str, ys: Any) -> tuple[list[float], list[float]]:
     """Two lists of equal length, at least two points, the first increasing; else DiagramError."""
-    x, y = reals(xs, block, first, 2), reals(ys, block, second, 2)
+    x, y = _increasing(block, first, xs), reals(ys, block, second, 2)
     if len(x) != len(y) or len(x) > MAX_POINTS:
         raise DiagramError(
             f"{len(x)} {first} and {len(y)} {second}", block, f"give as many of each, {MAX_POINTS} at most"
         )
+    return x, y
+
+
+def _increasing(block: str, name: str, values: Any) -> list[float]:
+    """At least two numbers, each above the one before it; else DiagramError."""
+    x = reals(values, block, name, 2)
     for i in range(1, len(x)):
         if not x[i - 1] < x[i]:
-            raise DiagramError(
-                f"{first}[{i}] = {x[i]:g} is not above the one before it", block, f"let {first} increase"
-            )
-    return x, y
+            raise DiagramError(f"{name}[{i}] = {x[i]:g} is not above the one before it", block, f"let {name} increase")
+    return x
 
 
 @library_block("playback")
@@ -140,3 +144,55 @@ class Lookup(Block):
         if self.outside == "clip":
             return where(b[last] <= at, v[last], y)
         return y
+
+
+@library_block("lookup_2d")
+class Lookup2D(Block):
+    """Bilinear look-up: y at (u, w) from `values`[i][j], which belongs to `rows`[i] of u and `columns`[j] of w.
+
+    Between two rows it interpolates along u as `Lookup` does, in both columns beside w; then along w between these.
+    Rows and columns increase. Beyond the ends `outside` "clip" holds each of u and w at its end, "extrapolate" goes on
+    along the segments.
+    """
+
+    def __init__(
+        self,
+        rows: Sequence[float] = (0.0, 1.0),
+        columns: Sequence[float] = (0.0, 1.0),
+        values: Sequence[Sequence[float]] = ((0.0, 0.0), (0.0, 1.0)),
+        outside: str = "clip",
+        row_unit: str = "",
+        column_unit: str = "",
+        unit: str = "",
+    ) -> None:
+        self.outside = one_of(outside, OUTSIDE, "Lookup2D", "outside")
+        a, b = _increasing("Lookup2D", "rows", rows), _increasing("Lookup2D", "columns", columns)
+        if len(a) * len(b) > MAX_POINTS:
+            raise DiagramError(f"{len(a)} x {len(b)} values", "Lookup2D", f"at most {MAX_POINTS} are looked up")
+        table = matrix(values, len(a), len(b), "Lookup2D", "values")
+        self.shape = len(a), len(b)
+        self.inputs = [Port("u", unit=row_unit), Port("w", unit=column_unit)]
+        self.outputs = [Port("y", unit=unit)]
+        self.params = [
+            Param("rows", a, width=len(a), unit=row_unit),
+            Param("columns", b, width=len(b), unit=column_unit),
+            Param("values", table, shape=self.shape, unit=unit),
+        ]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        i, along_rows = self._segment(p.rows, self.shape[0], u.u)
+        j, along_columns = self._segment(p.columns, self.shape[1], u.w)
+        v = p.values
+        return along_columns(along_rows(v[i, j], v[i + 1, j]), along_rows(v[i, j + 1], v[i + 1, j + 1]))
+
+    def _segment(self, b: Any, length: int, value: Any) -> tuple[Any, Callable[[Any, Any], Any]]:
+        """The segment of the grid `b` in which `value` lies, and what interpolates between two values at its ends."""
+        clips = self.outside == "clip"
+        at = clamp(b[0], b[length - 1], value) if clips else value
+        i = search(b, length, at)
+
+        def between(left: Any, right: Any) -> Any:
+            y = left + (at - b[i]) * ((right - left) / (b[i + 1] - b[i]))
+            return where(b[length - 1] <= at, right, y) if clips else y
+
+        return i, between

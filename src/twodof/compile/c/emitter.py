@@ -194,7 +194,7 @@ class _Emitter:
 
     def _init(self, writer: CWriter) -> None:
         with writer.function(f"void {self.prefix}_init(const {self.prefix}_P *p, {self.prefix}_S *s)"):
-            writer.line("memset(s, 0, sizeof *s);")
+            writer.line("(void)memset(s, 0, sizeof *s);")
             for node in self.program.nodes:
                 if node.block.states:
                     writer.line(describe(node))
@@ -236,8 +236,9 @@ class _Emitter:
         strided = one.replace(" u,", " u, size_t u_stride,") + ", size_t y_stride, size_t n"
         run = f"""void {p}_run({strided})
 {{
-    for (size_t k = 0; k < n; k++)
+    for (size_t k = 0; k < n; k++) {{
         {p}_advance(p, s, u + k * u_stride, y + k * y_stride);
+    }}
 }}
 """
         return f"""#if __STDC_HOSTED__ && defined(__OPTIMIZE__)

@@ -41,7 +41,7 @@ def _returning(head: str, value: str, *before: str) -> str:
 def _copying(head: str, declared: str, origin: str, value: str, *before: str) -> str:
     """A function that gives bits another type: it copies them from `origin` into what is declared."""
     name = declared.split()[1]
-    return _returning(head, value, *before, f"{declared};", f"memcpy(&{name}, &{origin}, sizeof {name});")
+    return _returning(head, value, *before, f"{declared};", f"(void)memcpy(&{name}, &{origin}, sizeof {name});")
 
 
 _FIRST, _SECOND = "uint32_t real_word_0(real x)", "uint32_t real_word_1(real x)"

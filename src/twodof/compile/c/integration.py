@@ -95,9 +95,9 @@ class IntegrationEmitter:
         if not node.guard.always:
             for (target, _), state in zip(targets, node.continuous, strict=True):
                 if state.width is None:
-                    writer.line(f"{target} = {self.scope.style.same('0', 'real')};")
+                    writer.line(f"{target} = {self.scope.constant(0.0, 'real')};")
                 else:
-                    writer.line(f"memset({target}, 0, sizeof {target});")
+                    writer.line(f"(void)memset({target}, 0, sizeof {target});")
         with self._guarded(node.guard):
             self._renderer(node, [e for _, e in targets]).assign(targets)
 
@@ -189,7 +189,8 @@ class IntegrationEmitter:
                 writer.line(f"{p}_derivative(p, held, x, &k1);")
                 self._each(writer, "x->{m} = " + style.along.format("x->{m}", "k1.{m}") + ";")
             else:
-                writer.line(f"{p}_X k1, k2, k3, k4, at;")
+                for name in ("k1", "k2", "k3", "k4", "at"):
+                    writer.line(f"{p}_X {name};")
                 writer.line(f"const {h} half = {style.product('h', real(0.5, 'real'))};")
                 writer.line(f"const {h} sixth = {style.product('h', real(ONE_SIXTH, 'real'))};")
                 for k, before, step in ((1, 0, ""), (2, 1, "half"), (3, 2, "half"), (4, 3, "h")):
@@ -245,8 +246,9 @@ class IntegrationEmitter:
         writer, names = tick.writer, tick.names
         start, end = names.new("from"), names.new("to")
         style, real = self.scope.style, self.scope.type("real")
-        one, zero = style.same("1", "real"), style.same("0", "real")
-        writer.line(f"{real} {start} = {zero}, {end};")
+        one, zero = self.scope.constant(1.0, "real"), self.scope.constant(0.0, "real")
+        writer.line(f"{real} {start} = {zero};")
+        writer.line(f"{real} {end};")
         writer.line("do {")
         writer.depth += 1
         writer.line(f"{end} = {one};")

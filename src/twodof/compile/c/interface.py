@@ -102,10 +102,14 @@ class CInterface:
         return f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
    b bool), number of elements, offset, bounds. The last entry has no path. */
 typedef struct {{
-    const char *path, *unit;
-    char where, type;
-    uint32_t count, offset;
-    double low, high;
+    const char *path;
+    const char *unit;
+    char where;
+    char type;
+    uint32_t count;
+    uint32_t offset;
+    double low;
+    double high;
 }} {p}_Entry;
 
 extern const {p}_Entry {p}_parameters[];

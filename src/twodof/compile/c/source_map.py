@@ -31,6 +31,7 @@ _HEAD = re.compile(r"[\w ]*\bvoid (\w+)\(")
 _COMMENT = re.compile(r"/\*.*?\*/")
 _PATH = re.compile(r"/\* ([A-Za-z][\w.]*)(?:: \w+)?(?:; .*)? \*/")
 _DEFAULT = re.compile(r"\bp->(\w+)")
+_IDLE = re.compile(r"\(void\)\w+;")
 _MEMBER = re.compile(r"(\w+)(?:\[\d+\])?;")
 
 
@@ -169,7 +170,7 @@ def _function(
                 owners.append(owner)
             yield at, *owner
             continue
-        if code.startswith("(void)"):
+        if _IDLE.fullmatch(code):
             yield at, "", "unused argument"
             continue
         if code.count("{") > code.count("}"):

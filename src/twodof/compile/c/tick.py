@@ -207,8 +207,8 @@ class TickEmitter:
             node = signal.node
             if node is not None and not node.guard.always:
                 self.writer.line(describe(node))
-                real, zero = self.scope.type("real"), self.scope.style.same("0", "real")
-                self.writer.line(f"{real} {fraction} = {self.scope.style.same('1', 'real')}, {after} = {zero};")
+                for name, value in ((fraction, 1.0), (after, 0.0)):
+                    self.writer.line(f"{self.scope.type('real')} {name} = {self.scope.constant(value, 'real')};")
         for group in self.program.tick:
             if group.needs and (self.scope.style.branches or not group.guard.always):
                 self._where_needed(group)

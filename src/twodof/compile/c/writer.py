@@ -70,15 +70,15 @@ class CWriter:
 
     def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
         """A line that copies an array; `own`: into one that nothing outside the choice reads."""
-        self.line(f"memcpy({target}, {source}, sizeof {source}[0] * {width});")
+        self.line(f"(void)memcpy({target}, {source}, sizeof {source}[0] * {width}u);")
 
     def duplicate(self, target: str, source: str, width: int, kind: str) -> None:
         """A line that copies a member of a struct that is an array."""
-        self.line(f"memcpy({target}, {source}, sizeof {target});")
+        self.line(f"(void)memcpy({target}, {source}, sizeof {target});")
 
     def table(self, target: str, table: str, width: int, kind: str) -> None:
         """A line that copies a table of constants into an array."""
-        self.line(f"memcpy({target}, {table}, sizeof {table});")
+        self.line(f"(void)memcpy({target}, {table}, sizeof {table});")
 
     def index(self, name: str, text: str) -> None:
         """A line that keeps an index."""

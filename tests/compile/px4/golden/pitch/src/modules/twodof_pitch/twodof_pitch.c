@@ -87,7 +87,7 @@ void twodof_pitch_defaults(twodof_pitch_P *p)
 {
      {
         static const real initial[2] = {0x1p-1f /* 0.5 */, 0x1.47ae14p-4f /* 0.0799999982 */};
-        memcpy(p->damper_gains, initial, sizeof initial);
+        (void)memcpy(p->damper_gains, initial, sizeof initial);
     }
     p->damper_ki = 0x1.333334p-2f /* 0.300000012 */;
     p->damper_share = 4;
@@ -103,7 +103,7 @@ void twodof_pitch_prepare(twodof_pitch_P *p)
 
 void twodof_pitch_init(const twodof_pitch_P *p, twodof_pitch_S *s)
 {
-    memset(s, 0, sizeof *s);
+    (void)memset(s, 0, sizeof *s);
     /* damper: Damper */
     s->damper_sum = p->damper_sum_0;
     s->damper_count = 0;

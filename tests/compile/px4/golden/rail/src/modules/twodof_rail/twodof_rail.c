@@ -88,7 +88,7 @@ void twodof_rail_prepare(twodof_rail_P *p)
 void twodof_rail_init(const twodof_rail_P *p, twodof_rail_S *s)
 {
     (void)p;
-    memset(s, 0, sizeof *s);
+    (void)memset(s, 0, sizeof *s);
 }
 
 void twodof_rail_step(const twodof_rail_P *restrict p, twodof_rail_S *restrict s, const twodof_rail_U *restrict u, twodof_rail_Y *restrict y)
