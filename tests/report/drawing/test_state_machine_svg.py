@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import itertools
 import random
+import re
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -90,3 +93,13 @@ def test_the_picture_is_xml_and_survives_a_file() -> None:
         e.text for e in ElementTree.fromstring(machine_svg(loaded, "inner.machine")).iter() if e.tag.endswith("}text")
     ]
     assert set(again) == set(words) - {Arrays.__doc__}
+
+
+def test_the_picture_in_the_documentation_is_that_of_the_code_beside_it() -> None:
+    docs = Path(__file__).resolve().parents[3] / "docs"
+    code = re.search(r"```python\n(.*?)```", (docs / "how-to" / "write-a-state-machine.md").read_text(), re.DOTALL)
+    assert code is not None
+    names = {"__name__": "page"}
+    exec(code[1], names)  # of our own page
+    made: Callable[[], StateMachine] = names["ModeLogic"]  # type: ignore[assignment]
+    assert machine_svg(made(), "modes") == (docs / "pictures" / "mode-logic.svg").read_text()

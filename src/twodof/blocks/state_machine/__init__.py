@@ -1,4 +1,4 @@
-"""State machines: modes, guarded transitions and their actions as one block. See docs/how-to/state-machine.md."""
+"""State machines: modes, transitions and actions as one block. See docs/how-to/write-a-state-machine.md."""
 
 from twodof.blocks.state_machine.mode import Mode as Mode
 from twodof.blocks.state_machine.mode import Transition as Transition
