@@ -117,17 +117,16 @@ def reference_run(case: Case, precision: str, integrator: str, stops: Iterable[i
                     for c in program.hierarchy.cells
                     for s in c.block.states
                 }
-    return Judgement({n: _column([row[n] for row in rows], precision) for n in program.signals}, states)
+    return Judgement({n: _column([row[n] for row in rows]) for n in program.signals}, states)
 
 
-def _column(values: Sequence[Any], precision: str) -> NDArray[Any]:
+def _column(values: Sequence[Any]) -> NDArray[Any]:
     def plain(v: Any) -> Any:
         if isinstance(v, tuple):
             return [plain(e) for e in v]
         return v.value if isinstance(v, Integer) else v
 
-    made = np.array([plain(v) for v in values])
-    return made.astype(precision) if made.dtype.kind == "f" else made
+    return np.array([plain(v) for v in values])
 
 
 def emitted(cases: Sequence[Case], precision: str, integrator: str) -> list[EmittedProgram]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,14 +14,18 @@ from twodof.blocks.elementary import functions
 from twodof.blocks.expressions import expr
 
 KINDS = ("real", "real", "real", "int32", "uint32", "bool")
+FLOATS = ("real", "float32", "float64")
+STORED = ("int8", "uint8", "int16", "uint16")
+MIXED = (*KINDS, *FLOATS[1:], *STORED, "real", "int32", "bool")
 WORDS = """where minimum maximum sqrt to_real to_int32 to_uint32 int32 uint32 real multiply_high vector store array_of
-    fold"""
+    fold to_float32 to_float64 to_int8 to_uint8 to_int16 to_uint16"""
 NAMESPACE = {
     **{name: getattr(blocks, name) for name in WORDS.split()},
     **{name: getattr(functions, name) for name in functions.ARGUMENTS if not name.endswith("octant")},
     "bits_of": expr.bits_of,
 }
 CHEAP = ("floor", "trunc", "ceil")
+NEAREST = ("round_half_even", "round_half_away")
 DEAR = ("sin", "cos", "atan2", "exp", "log", "pow", "tanh", "hypot", "atan")
 
 
@@ -45,9 +49,10 @@ class Pool:
 class Body:
     """Random straight-line code for one method."""
 
-    def __init__(self, rng: random.Random, pool: Pool) -> None:
+    def __init__(self, rng: random.Random, pool: Pool, kinds: Sequence[str] = KINDS) -> None:
         self.rng = rng
         self.pool = pool
+        self.kinds = kinds
         self.lines: list[str] = []
 
     def pick(self, kind: str) -> str:
@@ -61,8 +66,11 @@ class Body:
         r = self.rng
         if kind == "bool":
             return r.choice(("uint32(1) == 1", "uint32(1) == 2")).join("()")
-        if kind == "real":
-            return f"real({r.choice((0.0, -0.0, 1.0, 0.1, -2.5, 1e-310, 3e38, 1e30, r.uniform(-3, 3)))!r})"
+        if kind in FLOATS:
+            made = "real" if kind == "real" else f"to_{kind}"
+            return f"{made}({r.choice((0.0, -0.0, 1.0, 0.1, -2.5, 1e-310, 3e38, 1e30, r.uniform(-3, 3)))!r})"
+        if kind in STORED:
+            return f"to_{kind}({r.choice((0, 1, 7, 127))})"
         limit = r.choice((3, 40, 2**31 - 1))
         return f"{kind}({r.randint(0 if kind == 'uint32' else -limit, limit)})"
 
@@ -80,7 +88,7 @@ class Body:
                 lambda: f"{name}[{p(r.choice(('int32', 'uint32')))}]",
             ]
         if kind == "bool":
-            of = r.choice(KINDS[2:])
+            of = r.choice(self.kinds[2:])
             order = r.choice(("==", "!=")) if of == "bool" else r.choice(("<", "<=", ">", ">=", "==", "!="))
             choices += [
                 lambda: f"{p(of)} {order} {p(of)}",
@@ -88,6 +96,17 @@ class Body:
                 lambda: f"~{p('bool')}",
             ]
             return r.choice(choices)().join("()")
+        if kind in STORED:
+            rule = f'overflow="{r.choice(("wrap", "saturate"))}"'
+            whole = r.choice(("int32", "uint32", *STORED))
+            choices += [
+                lambda: f"minimum({p(kind)}, {p(kind)})",
+                lambda: f"to_{kind}({p(whole)}, {rule})",
+                lambda: f"to_{kind}({p(kind)} {r.choice(('+', '-', '*', '//', '>>', '^'))} {p('int32')}, {rule})",
+                lambda: f"to_{kind}({r.choice((*CHEAP, *NEAREST))}({p(r.choice(FLOATS))}), {rule})",
+                lambda: f"to_{kind}({p('bool')})",
+            ]
+            return r.choice(choices)()
         choices += [lambda: f"{p(kind)} {r.choice('+-*')} {p(kind)}"] * 3
         choices += [
             lambda: f"-{p(kind)}",
@@ -95,25 +114,25 @@ class Body:
             lambda: f"minimum({p(kind)}, {p(kind)})",
             lambda: f"maximum({p(kind)}, {p(kind)})",
         ]
-        if kind == "real":
+        if kind in FLOATS:
             choices += [
-                lambda: f"{p('real')} / {p('real')}",
-                lambda: f"sqrt({p('real')})",
-                lambda: f"to_real({p(r.choice(('int32', 'uint32', 'bool')))})",
-                lambda: f"{p('real')} {r.choice('+-*/')} {r.choice((2, 0.5, -3.25, 1e-3))}",
-                lambda: f"{r.choice((1, 0.25, -7.5))} {r.choice('+-*/')} {p('real')}",
-                lambda: f"{r.choice(CHEAP)}({p('real')})",
+                lambda: f"{p(kind)} / {p(kind)}",
+                lambda: f"sqrt({p(kind)})",
+                lambda: f"to_{kind}({p(r.choice(self.others(kind)))})",
+                lambda: f"{p(kind)} {r.choice('+-*/')} {r.choice((2, 0.5, -3.25, 1e-3))}",
+                lambda: f"{r.choice((1, 0.25, -7.5))} {r.choice('+-*/')} {p(kind)}",
+                lambda: f"{r.choice(CHEAP)}({p(kind)})",
             ]
             if dear and r.random() < 0.15:
                 name = r.choice(DEAR)
                 two = functions.ARGUMENTS[name] == 2
-                return f"{name}({p('real')}, {p('real')})" if two else f"{name}({p('real')})"
+                return f"{name}({p(kind)}, {p(kind)})" if two else f"{name}({p(kind)})"
         else:
             choices += [lambda: f"{p(kind)} {r.choice(('//', '%', '&', '|', '^', '<<', '>>'))} {p(kind)}"] * 3
             choices += [
                 lambda: f"~{p(kind)}",
-                lambda: f"to_{kind}({p('real')})",
-                lambda: f"to_{kind}({p(r.choice(('int32', 'uint32', 'bool')))})",
+                lambda: f"to_{kind}({p(r.choice(FLOATS) if self.kinds is MIXED else 'real')})",
+                lambda: f"to_{kind}({p(r.choice(self.others(kind)))})",
                 lambda: f"{p(kind)} {r.choice(('+', '*', '//', '%', '<<', '>>', '&'))} {r.randint(0, 33)}",
             ]
             if kind == "uint32":
@@ -125,17 +144,17 @@ class Body:
         r = self.rng
         shape = r.random()
         if shape < 0.05:
-            kind = r.choice(KINDS)
+            kind = r.choice(self.kinds)
             width = r.randint(1, 4)
             self.let(name, f"vector([{', '.join(self.pick(kind) for _ in range(width))}])", kind, width)
         elif shape < 0.10 and self.pool.arrays:
             array, kind, width = r.choice(self.pool.arrays)
             self.let(name, f"store({array}, {self.pick('int32')}, {self.pick(kind)})", kind, width)
         elif shape < 0.14:
-            kind, width = r.choice(KINDS), r.choice((2, 3, 3, 3, 18))
+            kind, width = r.choice(self.kinds), r.choice((2, 3, 3, 3, 18))
             self.let(name, f"array_of({width}, lambda i_{name}: {self.inner(f'i_{name}', kind)})", kind, width)
         elif shape < 0.18:
-            first, second = r.choice(KINDS), r.choice(KINDS)
+            first, second = self.carried(), self.carried()
             pool, self.pool = self.pool, self.pool.copy()
             for local, kind in ((f"i_{name}", "int32"), (f"a_{name}", first), (f"b_{name}", second)):
                 self.pool.add(local, kind)
@@ -147,11 +166,21 @@ class Body:
             self.pool.add(name, first)
             self.pool.add(f"{name}_2", second)
         elif shape < 0.22:
-            kind, width = r.choice(KINDS), r.choice((2, 3, 3, 18))
+            kind, width = r.choice(self.kinds), r.choice((2, 3, 3, 18))
             self.let(name, f"array_of({width}, lambda i_{name}: {self.nested(name, kind)})", kind, width)
         else:
-            kind = r.choice(KINDS)
+            kind = r.choice(self.kinds)
             self.let(name, self.operation(kind), kind)
+
+    def others(self, kind: str) -> Sequence[str]:
+        """What may become a float or an integer of 32 bits, besides the floats of these if `kind` is one."""
+        more = (*STORED, *(f for f in FLOATS if f != kind and kind in FLOATS)) if self.kinds is MIXED else ()
+        return ("int32", "uint32", "bool", *more)
+
+    def carried(self) -> str:
+        """A kind that a loop carries: what is stored would become int32."""
+        kind = self.rng.choice(self.kinds)
+        return "int32" if kind in STORED else kind
 
     def inner(self, counter: str, kind: str) -> str:
         """The element of a loop."""
@@ -164,7 +193,7 @@ class Body:
         with self.loop(f"i_{name}") if self.rng.random() < 0.7 else nullcontext():
             start = self.pick(kind)
             with self.loop(f"j_{name}"):
-                if self.rng.random() < 0.5:
+                if self.rng.random() < 0.5 or kind in STORED:
                     return f"array_of({length}, lambda j_{name}: {self.operation(kind)})[i_{name}]"
                 self.pool.add(f"s_{name}", kind)
                 body = self.operation(kind, dear=False)
@@ -195,7 +224,7 @@ class Body:
         return self.tamed(self.operation(kind), kind) if tame else self.operation(kind)
 
     def tamed(self, text: str, kind: str) -> str:
-        return f"tame({text})" if kind == "real" else text
+        return f"tame({text})" if kind in FLOATS else text
 
 
 def tame(v: Any) -> Any:
@@ -206,10 +235,11 @@ def tame(v: Any) -> Any:
 class RandomBlock(Block):
     """A block whose methods are compiled from random source, which `source` keeps."""
 
-    def __init__(self, seed: int, continuous: bool = False, size: int = 8) -> None:
+    def __init__(self, seed: int, continuous: bool = False, size: int = 8, kinds: Sequence[str] = KINDS) -> None:
         rng = random.Random(seed)
-        self.inputs = [Port(f"u{i}", *_shape(rng)) for i in range(rng.randint(1, 3))]
-        self.outputs = [Port(f"y{i}", *_shape(rng)) for i in range(rng.randint(1, 2))]
+        self.kinds = kinds
+        self.inputs = [Port(f"u{i}", *self._shape(rng)) for i in range(rng.randint(1, 3))]
+        self.outputs = [Port(f"y{i}", *self._shape(rng)) for i in range(rng.randint(1, 2))]
         self.params = [Param("p0", rng.uniform(-2, 2)), Param("p1", rng.randint(-5, 5), kind="int32")]
         self.derived = [Port("d0"), Port("d1", "real", 3)] if rng.random() < 0.4 else []
         self.states = [self._state(rng, i) for i in range(rng.randint(0, 3))]
@@ -222,11 +252,11 @@ class RandomBlock(Block):
         self._write(rng, continuous, size)
 
     def _state(self, rng: random.Random, i: int) -> State:
-        kind, width = _shape(rng)
+        kind, width = self._shape(rng)
         if kind == "real" and width is None and rng.random() < 0.4:
             return State(f"x{i}", "d0" if self.derived and rng.random() < 0.5 else "p0")
-        if kind == "real":
-            return State(f"x{i}", rng.uniform(-1, 1), width=width)
+        if kind in FLOATS:
+            return State(f"x{i}", rng.uniform(-1, 1), kind, width)
         return State(f"x{i}", rng.random() < 0.5 if kind == "bool" else rng.randint(0, 9), kind, width)
 
     def _write(self, rng: random.Random, continuous: bool, size: int) -> None:
@@ -267,7 +297,7 @@ class RandomBlock(Block):
                 for text in texts:
                     pool.add(text, kind)
             pool.arrays += part.arrays
-        body = Body(rng, pool)
+        body = Body(rng, pool, self.kinds)
         for i in range(rng.randint(1, size)):
             body.statement(f"v{i}")
         tame_all = name != "output" or rng.random() < 0.5
@@ -279,6 +309,5 @@ class RandomBlock(Block):
         exec(text, scope)
         setattr(self, name, scope[name])
 
-
-def _shape(rng: random.Random) -> tuple[str, int | None]:
-    return rng.choice(KINDS), rng.choice((None,) * 15 + (3, 3, 3, 18))
+    def _shape(self, rng: random.Random) -> tuple[str, int | None]:
+        return rng.choice(self.kinds), rng.choice((None,) * 15 + (3, 3, 3, 18))

@@ -6,12 +6,13 @@ import random
 from dataclasses import dataclass
 from typing import Any
 
-from tests.compile.random_blocks import RandomBlock
+from tests.compile.random_blocks import FLOATS, MIXED, STORED, RandomBlock
 from tests.compile.random_machines import machine_block, random_table
 from twodof.blocks import Block, Diagram, Enumeration, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
 from twodof.blocks.declarations import mismatch
+from twodof.blocks.expressions.conversions import OVERFLOW
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold
 from twodof.blocks.library.discrete import METHODS, RESETS
 
@@ -87,6 +88,15 @@ CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.SecondOrder(),
     lambda r: lib.TransferFunction((1.0,), (0.5, 1.0, 1.0)),
 )
+CONVERTED: tuple[Any, ...] = (
+    lambda r: lib.Convert(r.choice(FLOATS), r.choice(STORED), r.choice(ROUNDED), overflow=r.choice(OVERFLOW)),
+    lambda r: lib.Convert(r.choice(("int32", "uint32")), r.choice(STORED), overflow=r.choice(OVERFLOW)),
+    lambda r: lib.Convert(r.choice((*STORED, *FLOATS)), r.choice(FLOATS)),
+    lambda r: lib.Sum("+-", r.choice(FLOATS)),
+    lambda r: lib.UnitDelay(1, r.choice((*STORED, *FLOATS)), 3),
+    lambda r: lib.Minimum(2, r.choice(STORED)),
+)
+ROUNDED = ("trunc", "floor", "half_even", "half_away")
 DIVIDERS = (1, 1, 1, 1, 2, 3, 4)
 SLOW = (1, 1, 3, 5, 8)
 
@@ -111,6 +121,7 @@ class Maker:
         self.rng = random.Random(seed)
         self.more = random.Random(~seed)  # for what came later, so that the seeds' diagrams stay what they were
         self.machines = random.Random(seed + 1)  # the same for state machines
+        self.mixed = random.Random(f"mixed {seed}")
         self.enumerated = random.Random(f"enumerated {seed}")
         self.small = small
         self.size = 3 if small else 8
@@ -229,6 +240,11 @@ class Maker:
             made = self.enumerated.choice(ENUMERATED)(self.enumerated)
         if rate == (1, 0) and self.more.random() < 0.05:
             made = lib.ResetIntegrator()
+        if what < 0.93 and self.mixed.random() < 0.2:
+            continuous = isinstance(made, RandomBlock) and bool(made.trace.derivative)
+            made = RandomBlock(self.mixed.randrange(2**31), continuous, self.size, MIXED)
+            if self.mixed.random() < 0.3 and not continuous:
+                made = self.mixed.choice(CONVERTED)(self.mixed)
         if self.machines.random() < 0.08:
             made = machine_block(random_table(self.machines))
         return made

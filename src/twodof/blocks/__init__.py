@@ -20,6 +20,8 @@ from twodof.blocks.elementary.functions import floor as floor
 from twodof.blocks.elementary.functions import hypot as hypot
 from twodof.blocks.elementary.functions import log as log
 from twodof.blocks.elementary.functions import pow as pow
+from twodof.blocks.elementary.functions import round_half_away as round_half_away
+from twodof.blocks.elementary.functions import round_half_even as round_half_even
 from twodof.blocks.elementary.functions import sin as sin
 from twodof.blocks.elementary.functions import tan as tan
 from twodof.blocks.elementary.functions import tanh as tanh
@@ -28,6 +30,12 @@ from twodof.blocks.expressions.arrays import array_of as array_of
 from twodof.blocks.expressions.arrays import fold as fold
 from twodof.blocks.expressions.arrays import store as store
 from twodof.blocks.expressions.arrays import vector as vector
+from twodof.blocks.expressions.conversions import to_float32 as to_float32
+from twodof.blocks.expressions.conversions import to_float64 as to_float64
+from twodof.blocks.expressions.conversions import to_int8 as to_int8
+from twodof.blocks.expressions.conversions import to_int16 as to_int16
+from twodof.blocks.expressions.conversions import to_uint8 as to_uint8
+from twodof.blocks.expressions.conversions import to_uint16 as to_uint16
 from twodof.blocks.expressions.expr import int32 as int32
 from twodof.blocks.expressions.expr import maximum as maximum
 from twodof.blocks.expressions.expr import minimum as minimum

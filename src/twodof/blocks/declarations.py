@@ -12,7 +12,7 @@ import numpy as np
 from twodof.blocks.datatypes.bus import MAX_FIELDS, MAX_LEVELS, Bus
 from twodof.blocks.datatypes.enumeration import enumeration_of
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import KINDS
+from twodof.blocks.expressions.kinds import BY_NAME, INTEGERS, KINDS
 from twodof.blocks.expressions.matrix import Matrix, shape_text
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.plain_data import plain_data
@@ -22,7 +22,6 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
 MAX_STEPS = 100_000_000
 MAX_PATH = 64 * (MAX_LEVELS + 1)
-_RANGES = {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1)}
 
 
 def check_name(name: object, where: str) -> str:
@@ -335,11 +334,11 @@ def _declared(value: Any, declared: State | Param) -> list[Any]:
     except OverflowError:
         raise DiagramError(f"{shown(value)} is not a real number", name, "make it smaller") from None
     plain = _plain(value)
-    if kind in _RANGES:  # an integer that is computed wraps around, one that is written down is a slip of the pen
-        low, high = _RANGES[kind]
+    if kind in INTEGERS:  # an integer that is computed wraps around, one that is written down is a slip of the pen
         for one in plain:
-            if not fits(one, kind):
-                raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {low} to {high}")
+            if not numbers.fits(one, kind):
+                within = f"{BY_NAME[kind].low} to {BY_NAME[kind].high}"
+                raise DiagramError(f"{one} is no {kind}", name, f"write a whole number from {within}")
     return plain
 
 
@@ -349,12 +348,6 @@ def _plain(value: Any) -> list[Any]:
     if scalars and isinstance(scalars[0], (list, tuple)):
         scalars = [one for row in scalars for one in row]
     return [one.value if isinstance(one, Integer) else one for one in scalars]
-
-
-def fits(value: int, kind: str) -> bool:
-    """Whether a whole number, or a bool, is one of `kind` as it is, without wrapping around."""
-    low, high = _RANGES.get(kind, (0, 1))
-    return low <= value <= high
 
 
 def check_initial(value: Any, output: Typed, where: str) -> Any:
@@ -375,7 +368,7 @@ def _check_limits(declared: Param) -> None:
             raise DiagramError(
                 f"the bound {shown(bound)} is not a number", declared.name, "leave it out, or give a number"
             )
-        if declared.kind in _RANGES and math.isfinite(bound) and bound != int(bound):
+        if declared.kind in INTEGERS and math.isfinite(bound) and bound != int(bound):
             raise DiagramError(f"the bound {bound} of whole numbers is not whole", declared.name, "round it")
     if declared.low > declared.high:
         raise DiagramError(
@@ -449,6 +442,14 @@ def numeric(value: Any, kind: str, width: int | None, where: str, shape: tuple[i
         raise DiagramError(error.what, where, error.remedy) from error
 
 
+def limits(declared: Param) -> tuple[float, float]:
+    """What a parameter's numbers must be within: its bounds and, of an integer, the range of its kind."""
+    if declared.kind not in INTEGERS:
+        return declared.low, declared.high
+    kind = BY_NAME[declared.kind]
+    return max(declared.low, kind.low), min(declared.high, kind.high)
+
+
 def check_value(declared: Param, value: Any, path: str) -> Any:
     """`value` as plain numbers, if a parameter may have it; else ParameterError.
 
@@ -462,8 +463,7 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
             number = numbers.plain(numeric(value, declared.kind, declared.width, path, declared.shape))
     except DiagramError as error:
         raise ParameterError(error.what, path, error.remedy) from error
-    lowest, highest = _RANGES.get(declared.kind, (-math.inf, math.inf))
-    low, high = max(declared.low, lowest), min(declared.high, highest)
+    low, high = limits(declared)
     for one in _plain(value):
         if not low <= one <= high:
             raise ParameterError(outside(one, low, high, declared.unit), path, "choose a value within the bounds")

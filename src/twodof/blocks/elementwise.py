@@ -10,13 +10,15 @@ from twodof.blocks.datatypes.enumeration import Kind, enumeration_of
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
+from twodof.blocks.expressions.kinds import NUMERIC, STORED
 from twodof.blocks.expressions.matrix import Matrix, flat_of, shaped
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.namespaces import BusView
 from twodof.blocks.trace import MAX_PORTS
 from twodof.errors import DiagramError
 
-NUMERIC = ("real", "int32", "uint32")
+ORDERED = (*NUMERIC, *STORED)
+"""Kinds whose values are smaller and larger."""
 LETTERS = "abcdefghijklmnopqrstuvwxyz"
 
 
@@ -72,7 +74,7 @@ def search(breakpoints: Any, length: int, value: Any) -> Any:
 def comparable(kind: Any, operation: str, block: str) -> Any:
     """`kind` if its values can be compared so: numbers anyhow, members of an enumeration for == and !=; else raise."""
     if enumeration_of(kind, block) is None:
-        return one_of(kind, NUMERIC, block, "kind")
+        return one_of(kind, ORDERED, block, "kind")
     one_of(operation, ("==", "!="), block, "operation on an enumeration")
     return kind
 

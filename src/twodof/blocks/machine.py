@@ -20,10 +20,11 @@ from twodof.blocks.declarations import (
     unknown_parameter,
 )
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.kinds import FLOATS, INTEGERS
 from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError
 
-_ACCEPTED = {"real": "fiu", "int32": "iu", "uint32": "iu", "bool": "b"}
+_ACCEPTED = dict.fromkeys(FLOATS, "fiu") | dict.fromkeys(INTEGERS, "iu") | {"bool": "b"}
 
 
 class Machine(ABC):
@@ -222,4 +223,4 @@ def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) 
             port.enum.plain(strange[0].item(), port.name)
     if port.shape:
         data = data.swapaxes(-1, -2).reshape(*data.shape[:-2], -1)
-    return data if port.kind in ("real", "bool") else data.astype(port.kind)
+    return data.astype(port.kind) if port.kind in INTEGERS else data

@@ -13,6 +13,7 @@ from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
 from twodof.blocks.expressions.graph import Sight, evaluate, walk
+from twodof.blocks.expressions.kinds import STORED
 from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
 from twodof.blocks.matrix_views import matrices, with_matrices
@@ -290,9 +291,11 @@ def _fit(value: Any, declared: Any) -> Expr:
         )
     fitted = value if isinstance(value, Expr) else as_expr(value, declared.kind)
     if (fitted.kind, fitted.width) != (declared.kind, declared.width):
+        rule = ', overflow="saturate") or "wrap"' if declared.kind in STORED else ")"
+        how = "convert it" if fitted.kind == declared.kind else f"convert it by name, to_{declared.kind}(x{rule}"
         raise DiagramError(
             f"{declared.name!r} is given a {shape(fitted)}, and is a {shape(declared)}",
             "",
-            "convert it, or declare the name with that type",
+            f"{how}, or declare the name with that type",
         )
     return fitted

@@ -11,16 +11,27 @@ from twodof.blocks.declarations import unknown_name
 from twodof.compile.machine import CompiledMachine
 from twodof.errors import DiagramError
 
-_LETTERS = {"float64": "d", "float32": "f", "int32": "i", "uint32": "I", "bool": "?"}
+_LETTERS = {
+    "float64": "d",
+    "float32": "f",
+    "bool": "?",
+    "int32": "i",
+    "uint32": "I",
+    "int16": "h",
+    "uint16": "H",
+    "int8": "b",
+    "uint8": "B",
+}
+"""The letters of `struct` by numpy's names of types."""
 
 
 class Stepper:
     """Steps `machine`, whose memory it shares: `inputs` names all its inputs, `outputs` those that are wanted.
 
     Both are names of scalars, and values come and go as tuples in their order. A machine's `step`, by name, costs
-    some twenty times as much. Values are not checked: a real is a float, an int32 or uint32 an int within its range, a
-    bool anything that is true or false. Raises DiagramError for a name that is not there or is an array, and for an
-    input that is left out. Methods that compute raise ControllerFault where the target can fault.
+    some twenty times as much. Values are not checked: a real, float32 or float64 is a float, an integer an int within
+    its range, a bool anything that is true or false. Raises DiagramError for a name that is not there or is an array,
+    and for an input that is left out. Methods that compute raise ControllerFault where the target can fault.
     """
 
     def __init__(self, machine: CompiledMachine, inputs: Sequence[str], outputs: Sequence[str]) -> None:

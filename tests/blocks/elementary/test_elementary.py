@@ -49,6 +49,8 @@ SEEN: dict[str, tuple[float, float]] = {
     "floor": (0.0, 0.0),
     "ceil": (0.0, 0.0),
     "trunc": (0.0, 0.0),
+    "round_half_even": (0.0, 0.0),
+    "round_half_away": (0.0, 0.0),
     "tanh": (1.30, 1.33),
     "hypot": (1.20, 1.18),
 }
@@ -68,6 +70,8 @@ EXACT: dict[str, Callable[..., Any]] = {
     "floor": mp.floor,
     "ceil": mp.ceil,
     "trunc": lambda x: mp.sign(x) * mp.floor(abs(x)),
+    "round_half_even": mp.nint,
+    "round_half_away": lambda x: mp.sign(x) * mp.floor(abs(x) + mpf(0.5)),
     "tanh": mp.tanh,
     "hypot": mp.hypot,
 }
@@ -83,8 +87,11 @@ WIDE: dict[str, Callable[..., Any]] = {
     "floor": np.floor,
     "ceil": np.ceil,
     "trunc": np.trunc,
+    "round_half_even": np.rint,
+    "round_half_away": lambda x: np.trunc(x) + np.sign(x) * (np.abs(x - np.trunc(x)) >= 0.5),
     "tanh": np.tanh,
 }
+ROUNDING = ("floor", "ceil", "trunc", "round_half_even", "round_half_away")
 both = pytest.mark.parametrize("precision", ["float64", "float32"])
 
 
@@ -137,7 +144,7 @@ def arguments(name: str, precision: str, scale: float = 1) -> tuple[NDArray[Any]
         groups = [np.abs(patterns(2 * n, precision)), rng.uniform(0.5, 2, 2 * n), 1 + rng.normal(size=n) * 1e-4]
         groups += [around([1.0, 0.5**0.5, 2**0.5, info.tiny], precision), [info.max, info.smallest_subnormal]]
         groups = [np.asarray(g)[np.asarray(g) > 0] for g in groups]
-    elif name in ("floor", "ceil", "trunc"):
+    elif name in ROUNDING:
         whole = 2.0 ** (BITS[precision] - 1)
         groups = [patterns(n, precision), rng.uniform(-1e4, 1e4, n), around(np.arange(-5, 6) / 2, precision)]
         groups += [around([whole, -whole, whole / 2, 2 * whole], precision), rng.uniform(-whole, whole, 100)]
@@ -261,7 +268,7 @@ def check_float32(name: str, x: NDArray[np.float32]) -> None:
     assert error[worst] <= accepted(name, "float32") or not known[worst], (
         f"{error[worst]} ulp at {x[worst]!r}: {got[worst]!r}"
     )
-    if name in ("floor", "ceil", "trunc"):
+    if name in ROUNDING:
         assert np.array_equal(got, exact.astype(np.float32), equal_nan=True)
         assert np.array_equal(np.signbit(got[known]), np.signbit(exact[known]))
 

@@ -9,13 +9,14 @@ from twodof.blocks.elementary.functions import ARGUMENTS, FUNCTIONS
 from twodof.blocks.expressions import numbers
 
 INF, NAN = float("inf"), float("nan")
+WHOLE = ("floor", "ceil", "trunc", "round_half_even", "round_half_away")
 
 # C99, Annex F.9: exact results, signs of zeros included.
 SPECIAL: list[tuple[str, tuple[float, ...], float]] = [
-    *((f, (z,), z) for f in ("sin", "tan", "atan", "asin", "tanh", "floor", "ceil", "trunc") for z in (0.0, -0.0)),
+    *((f, (z,), z) for f in ("sin", "tan", "atan", "asin", "tanh", *WHOLE) for z in (0.0, -0.0)),
     *((f, (NAN,), NAN) for f, count in ARGUMENTS.items() if count == 1),
     *((f, (x,), NAN) for f in ("sin", "cos", "tan") for x in (INF, -INF)),
-    *((f, (x,), x) for f in ("floor", "ceil", "trunc") for x in (INF, -INF)),
+    *((f, (x,), x) for f in WHOLE for x in (INF, -INF)),
     *((f, (x,), NAN) for f in ("asin", "acos") for x in (1.5, -1.5, INF, -INF)),
     *((f, (x,), 1.0) for f in ("cos", "exp") for x in (0.0, -0.0)),
     ("acos", (1.0,), 0.0),
@@ -36,6 +37,8 @@ SPECIAL: list[tuple[str, tuple[float, ...], float]] = [
     ("ceil", (0.3,), 1.0),
     ("trunc", (-0.7,), -0.0),
     ("trunc", (1.7,), 1.0),
+    *(("round_half_even", (x,), y) for x, y in ((0.5, 0.0), (-0.5, -0.0), (1.5, 2.0), (2.5, 2.0), (-2.5, -2.0))),
+    *(("round_half_away", (x,), y) for x, y in ((0.5, 1.0), (-0.5, -1.0), (1.5, 2.0), (2.5, 3.0), (-0.3, -0.0))),
     ("atan2", (0.0, 0.0), 0.0),
     ("atan2", (-0.0, 0.0), -0.0),
     ("atan2", (0.0, 3.0), 0.0),

@@ -9,6 +9,7 @@ from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions.kinds import STORED
 
 Config = dict[str, Any]
 
@@ -45,9 +46,11 @@ EXTRA: dict[str, list[Config]] = {
     "constant": [{"value": [1.0, 0.1], "width": 2}, {"value": -7, "kind": "int32"}, {"value": True, "kind": "bool"}],
     "convert": [
         *({"source": s, "target": t} for s in ("real", "int32", "uint32", "bool") for t in ("real", "uint32", "bool")),
-        *({"rounding": r} for r in ("nearest", "floor", "ceil")),
+        *({"rounding": r} for r in ("nearest", "floor", "ceil", "half_even", "half_away")),
         *({"source": s, "target": _LIGHT, "width": 3} for s in ("int32", "uint32", "real")),
         {"width": 3},
+        *({"target": t, "overflow": o} for t, o in zip(STORED, ("wrap", "saturate") * 2, strict=True)),
+        {"source": "float32", "target": "float64"},
     ],
     "counter": [{"modulus": 5}],
     "dead_zone": [{"low": -0.2, "high": 0.7, "width": 2}],

@@ -16,7 +16,9 @@ from tests.compile.px4.build import C_FLAGS, PX4_FLAGS, run
 from tests.compile.px4.host import build_controller, controller_files, replay
 from twodof.blocks import Block, Diagram, Port, sqrt
 from twodof.compile import build
+from twodof.compile.program.lower import lower
 from twodof.compile.px4.controller import DT, EXACT
+from twodof.compile.px4.message import TYPES
 
 STEPS = 2_000
 FMA = Path("/proc/cpuinfo").exists() and " fma " in Path("/proc/cpuinfo").read_text()
@@ -27,7 +29,10 @@ def differing(
     case: Case, folder: Path, flags: Sequence[str] = EXACT, edit: Callable[[Path], None] | None = None
 ) -> list[str]:
     """The signals of `case` in which the module's C and the host's native program are not the same, bit for bit."""
-    log = list(dict.fromkeys(case.paths))[:LOGGED]
+    kinds = {name: signal.kind for name, signal in lower(case.diagram, DT, case.paths).outputs.items()}
+    for name in [n for n in case.diagram.outputs if kinds[n] not in TYPES]:
+        del case.diagram.outputs[name]
+    log = [path for path in dict.fromkeys(case.paths) if kinds[path] in TYPES][:LOGGED]
     columns = case.columns(STEPS)
     program, found = build_controller(case.diagram, log, folder, flags, edit)
     given = replay(program, found, columns)

@@ -12,6 +12,7 @@ import yaml
 
 from tests.compile.px4.modules import PITCH_LOG, pitch, rail
 from twodof.blocks import Block, Diagram, Param, Port
+from twodof.blocks.library import Convert
 from twodof.compile.px4.export import Px4Module, make_module
 from twodof.compile.px4.parameters import LARGEST_FLOAT, MOST, UNITS, decimals, number
 from twodof.errors import DiagramError
@@ -128,6 +129,29 @@ def test_what_px4_cannot_hold_stays_at_its_default_and_is_listed() -> None:
     readme = module.files["README.md"]
     for kept in module.kept:
         assert f"`{kept.path}`: {kept.reason}" in readme
+
+
+def test_the_kinds_beside_real() -> None:
+    """Doubles are more than PX4 holds; short integers keep their range, and are assigned by a cast."""
+    module = with_params(
+        Param("exact", 0.1, "float64"), Param("single", 0.1, "float32"), Param("short", -5, "int8", high=100)
+    )
+    assert {k.path: k.reason for k in module.kept} == {"b.exact": "a float64; PX4's parameters are float32 and int32"}
+    rows = definitions(module)
+    assert (rows["TMA_B_SHORT"]["type"], rows["TMA_B_SHORT"]["min"], rows["TMA_B_SHORT"]["max"]) == ("int32", -128, 100)
+    assert rows["TMA_B_SINGLE"]["type"] == "float"
+    source = module.files[f"src/modules/{module.names.module}/{module.names.module}.c"]
+    assert re.search(r"candidate\.b_short = \(int8_t\)values\[\d\]\.integer;", source)
+
+
+def test_signals_of_the_kinds_beside_real_are_refused() -> None:
+    d = Diagram("many")
+    d.input("q")
+    d.add("b", Many(()), u="q")
+    d.add("wide", Convert("real", "float64"), u="q")
+    d.output("M", "b")
+    with pytest.raises(DiagramError, match=r"its signal 'wide\.y' is float64 \(convert it to one of real, int32"):
+        make_module(d, ["wide.y"])
 
 
 def test_integer_bounds_are_the_diagrams() -> None:

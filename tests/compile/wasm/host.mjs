@@ -4,6 +4,7 @@ import { readFileSync } from "node:fs";
 
 const ARRAYS = {
   float64: Float64Array, float32: Float32Array, int32: Int32Array, uint32: Uint32Array, bool: Uint8Array,
+  int8: Int8Array, uint8: Uint8Array, int16: Int16Array, uint16: Uint16Array,
 };
 
 async function load(bytes, about) {

@@ -357,6 +357,20 @@ def trunc(f: Format, x: Any) -> Any:
     return where(f.negative(x), -n, n)
 
 
+def round_half_even(f: Format, x: Any) -> Any:
+    """What the addition of 2^fraction rounds to."""
+    fractional, n = _nearest(f, x)
+    return where(fractional, n, x)
+
+
+def round_half_away(f: Format, x: Any) -> Any:
+    """The floor of |x|, one more from a half on, with the sign of x."""
+    a = abs(x)
+    n = floor(f, a)
+    n = where(a - n < 0.5, n, n + 1.0)
+    return where(a < f.unit, where(f.negative(x), -n, n), x)
+
+
 def tanh(f: Format, x: Any) -> Any:
     """Polynomial up to 5/8, beyond it 1 - 2 / (e^2x + 1)."""
     a = abs(x)

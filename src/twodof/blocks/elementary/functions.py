@@ -1,7 +1,8 @@
 """Elementary functions, written in the block language, so that every target computes the same bits.
 
 On a number a function computes, on an Expr it records a call by name; a compiler makes one function of each definition
-in `DEFINITIONS`. No platform's libm is ever called.
+in `DEFINITIONS`. No platform's libm is ever called. A float32 or float64 gives the same kind, by that precision's
+definition, in every build.
 
 Errors against mpmath are at most 2.5 ulp in float64 and 4 ulp in float32 over the whole range of each function. For
 sin, cos and tan this holds while |x| <= 1e5 (float64) or 6400 (float32). `tests/blocks/elementary` measures them.
@@ -20,16 +21,19 @@ from twodof.blocks.expressions import expr, numbers
 from twodof.blocks.expressions.array_operators import rules
 from twodof.blocks.expressions.expr import Expr
 
-_NAME = {real: name for name, real in numbers.PRECISIONS.items()}
-
 
 def _apply(name: str, *values: Any) -> Any:
     if expr.arrays_among(*values):
         return rules.spread(partial(_apply, name), *values)
     if expr.recording() or any(isinstance(v, Expr) for v in values):
         return expr.call(name, *values)
-    reals = (numbers.cast(v, "real") for v in values)
-    return DEFINITIONS[name][_NAME[numbers.real_type()]](*reals)
+    kind = expr.float_kind(values)
+    given = [numbers.cast(v, kind) for v in values]
+    precision = numbers.scalar_types()[kind].__name__
+    if kind == "real":
+        return DEFINITIONS[name][precision](*given)
+    with numbers.precision(precision):  # the definitions are written in reals
+        return DEFINITIONS[name][precision](*given)
 
 
 def sin(x: Any) -> Any:
@@ -109,6 +113,16 @@ def ceil(x: Any) -> Any:
 def trunc(x: Any) -> Any:
     """The integer next to x towards 0, as a real."""
     return _apply("trunc", x)
+
+
+def round_half_even(x: Any) -> Any:
+    """The integer nearest to x, of two the even one, as a real."""
+    return _apply("round_half_even", x)
+
+
+def round_half_away(x: Any) -> Any:
+    """The integer nearest to x, of two the one away from 0, as a real."""
+    return _apply("round_half_away", x)
 
 
 def tanh(x: Any) -> Any:

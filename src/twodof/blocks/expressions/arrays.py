@@ -7,7 +7,19 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import Expr, as_expr, during, fault, node, position, recording, scalars, traced
+from twodof.blocks.expressions.expr import (
+    Expr,
+    as_expr,
+    computed_in,
+    during,
+    fault,
+    node,
+    of_one_kind,
+    position,
+    recording,
+    scalars,
+    traced,
+)
 from twodof.blocks.expressions.numbers import Int32, Vector
 
 LOOPS: ContextVar[tuple[int, ...]] = ContextVar("loops", default=())
@@ -20,6 +32,7 @@ def vector(elements: Sequence[Any]) -> Any:
         elements = elements.tolist()
     if not elements:
         raise fault("an array of no elements", "an array has at least one element")
+    elements = of_one_kind(elements)
     anchor = next((v for v in elements if isinstance(v, Expr)), None)
     kind = anchor.kind if anchor is not None else numbers.common_kind(elements)
     if not traced(*elements):
@@ -63,8 +76,10 @@ def array_of(length: int, element: Callable[[Any], Any]) -> Any:
 def fold(length: int, initial: Sequence[Any], step: Callable[..., Sequence[Any]]) -> tuple[Any, ...]:
     """Repeat `values = step(i, *values)` for the int32 i = 0 .. length - 1 from `initial`; stays a loop when compiled.
 
-    The values are scalars; `step` returns as many as it takes, of the same types. Returns the last values.
+    The values are scalars; `step` returns as many as it takes, of the same types. An integer of 8 or 16 bits is carried
+    as int32. Returns the last values.
     """
+    initial = [computed_in(v) for v in initial]
     if not recording():
         kinds = [numbers.kind_of(v) for v in initial]
         values = tuple(numbers.cast(v, k) for v, k in zip(initial, kinds, strict=True))

@@ -17,6 +17,7 @@ from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
 from twodof.blocks.expressions.graph import OPERATIONS, walk
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.blocks.expressions.numbers import Int32, Integer, Vector
 from twodof.errors import DiagramError
 
@@ -81,7 +82,8 @@ _PARTIAL: dict[str, Callable[..., tuple[float, ...]]] = {
 }
 """The derivatives of operations and elementary functions by their arguments, from these and the result."""
 
-_STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc}
+_HALF = dict.fromkeys(("round_half_even", "round_half_away"), lambda x: math.floor(x + 0.5))
+_STEPS: dict[str, Callable[[float], float]] = {"floor": math.floor, "ceil": math.ceil, "trunc": math.trunc, **_HALF}
 _NEVER = math.nan
 _WITHIN = 1e-12  # the sine of an angle by which a direction may leave a border and be within it
 
@@ -153,7 +155,9 @@ class Tangent:
         duals = [_scalar(a) for a in args]
         if all(d.slope is None for d in duals):
             return Dual(self._number(item, [d.value for d in duals]))
-        if item.kind != "real" or op in ("convert", "bits") or (op == "call" and item.data in _STEPS):
+        if op == "convert" and item.args[0].kind in FLOATS and item.kind in FLOATS:  # as if it did not round
+            return Dual(self._number(item, [duals[0].value]), duals[0].slope)
+        if item.kind not in FLOATS or op in ("convert", "bits") or (op == "call" and item.data in _STEPS):
             return Dual(self._stepwise(item, duals))
         return self._smooth(item, duals)
 
@@ -179,7 +183,7 @@ class Tangent:
             raise DiagramError(f"{name} has no derivative", self.block, "use the functions of twodof.blocks")
         try:
             # By operators numpy's numbers may become infinite; where a function has no slope, Python's raise.
-            partial = _PARTIAL[name](*(map(float, values) if op == "call" else values), value)
+            partial = _PARTIAL[name](*(map(float if op == "call" else np.float64, values)), np.float64(value))
         except (ValueError, ZeroDivisionError, OverflowError):
             partial = (_NEVER,) * len(d)
         return Dual(value, _sum(d[0].slope, partial[0], d[1].slope if len(d) > 1 else None, partial[-1]))
@@ -217,7 +221,8 @@ class Tangent:
         name = {"call": item.data, "convert": "trunc"}.get(item.op, "")
         if name in _STEPS:
             self.rounded.add(self.block)
-        if name not in _STEPS or slope is None or not math.isfinite(x) or x != math.floor(x):
+        edge = x + 0.5 if name in _HALF else x
+        if name not in _STEPS or slope is None or not math.isfinite(x) or edge != math.floor(edge):
             return found
         side = self._side("a number that is rounded is whole", slope)
         beside = _STEPS[name](x + 0.25 * side) if abs(x) < 2.0**50 else x

@@ -6,7 +6,7 @@ an Expr and record; a block's code cannot tell which.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, Never
 from weakref import WeakValueDictionary
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
+from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, INTEGERS, STORED, TAKES, WORDS
 from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
 from twodof.blocks.expressions.recording import LINES, ROOM, TRACING, users_line
 from twodof.blocks.expressions.recording import at_most as at_most
@@ -25,7 +26,6 @@ from twodof.blocks.expressions.recording import tracing as tracing
 from twodof.blocks.expressions.refusals import Refusals
 from twodof.errors import DiagramError
 
-KINDS = ("real", "int32", "uint32", "bool")
 LOOPS = ("build", "fold")
 LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 
@@ -166,14 +166,6 @@ class Expr(Refusals):
         return _unary("not", self)
 
 
-# Which scalar types an operation takes; comparisons give bool, everything else the type of its operands.
-_TAKES: dict[str, tuple[str, ...]] = {
-    **dict.fromkeys(("add", "sub", "mul", "neg", "abs", "lt", "le"), ("real", "int32", "uint32")),
-    **dict.fromkeys(("div", "sqrt"), ("real",)),
-    **dict.fromkeys(("quot", "rem", "shl", "shr"), ("int32", "uint32")),
-    **dict.fromkeys(("and", "or", "xor", "not"), ("int32", "uint32", "bool")),
-    **dict.fromkeys(("eq", "ne"), KINDS),
-}
 _REMEDY = {
     "div": "use // on integers (it truncates)",
     "quot": "use floor(x / y) on reals",
@@ -218,13 +210,19 @@ def _loops(item: Expr) -> int:
 
 
 def const(value: Any, kind: str) -> Expr:
-    """A constant. A real is kept as the double the user wrote and rounded once, to the final precision."""
-    if kind == "real":
-        return node("const", "real", (), float(value))
+    """A constant. A float is kept as the double the user wrote and rounded once, to the final precision."""
+    if kind in FLOATS:
+        return node("const", kind, (), float(value))
     if kind == "bool":
         return node("const", "bool", (), bool(value))
-    integer = Int32 if kind == "int32" else UInt32
-    return node("const", kind, (), integer(value.value if isinstance(value, Integer) else int(value)).value)
+    whole = value.value if isinstance(value, Integer) else int(value)
+    if kind in STORED and not numbers.fits(whole, kind):
+        raise fault(f"the literal {whole} is given for {kind}", f"write one from {_range(kind)}, or convert by name")
+    return node("const", kind, (), numbers.INTEGER_TYPES[kind](whole).value)
+
+
+def _range(kind: str) -> str:
+    return f"{BY_NAME[kind].low} to {BY_NAME[kind].high}"
 
 
 def leaf(op: str, name: str, kind: str, width: int | None = None) -> Expr:
@@ -236,19 +234,42 @@ def as_expr(value: Any, kind: str | None = None) -> Expr:
     """`value` as a scalar Expr of `kind` (of its own kind if None). Raises DiagramError if that needs a conversion."""
     if isinstance(value, Expr):
         if kind is not None and value.kind != kind:
-            raise fault(f"{value.kind} meets {kind} in one operation", "convert with to_real, to_int32 or to_uint32")
+            raise fault(f"{value.kind} meets {kind} in one operation", by_name(value.kind, kind))
         return value
     if isinstance(value, (np.ndarray, list, tuple)):
         raise fault(
             "a Python list or array is used as a scalar",
             "make an array with vector([...]), or take one element",
         )
-    found = numbers.kind_of(value)
+    # A number of numpy is a literal here: the precision that it has is not the build's.
+    found = "real" if isinstance(value, np.floating) else numbers.kind_of(value)
     if kind is None or found == kind:
         return const(value, found)
-    if type(value) is int and kind in ("int32", "uint32"):
+    if (type(value) is int and kind in INTEGERS) or (type(value) in (int, float) and kind in FLOATS):
         return const(value, kind)
     raise fault(f"the literal {value!r} meets {kind} in one operation", "write it in that type, or convert explicitly")
+
+
+def by_name(one: str, other: str) -> str:
+    """How to make one kind of two that meet."""
+    if {one, other} <= {"real", "int32", "uint32", "bool"}:
+        return "convert with to_real, to_int32 or to_uint32"
+    return f"convert one of them by name: to_{other}(x), or to_{one}(y)"
+
+
+def computed_in(value: Any) -> Any:
+    """A scalar in the kind that operations on it have: an integer of 8 or 16 bits as int32, all else as it is."""
+    if isinstance(value, Expr):
+        return node("convert", BY_NAME[value.kind].computes, (value,)) if value.kind in STORED else value
+    return numbers.computed_in(value)
+
+
+def of_one_kind(values: Sequence[Any]) -> Sequence[Any]:
+    """`values` as they are, unless integers of 8 or 16 bits meet another kind among them: these are then int32."""
+    kinds = {v.kind for v in values if isinstance(v, (Expr, Integer))}
+    if len(kinds) < 2 or kinds.isdisjoint(STORED):
+        return values
+    return [computed_in(v) for v in values]
 
 
 def position(index: Any, width: int) -> Expr:
@@ -258,10 +279,11 @@ def position(index: Any, width: int) -> Expr:
             return const(numbers.clamp_index(index, width), "int32")
         except DiagramError as error:
             raise fault(error.what, error.remedy) from None
-    if index.kind not in ("int32", "uint32") or index.width is not None:
+    at: Expr = computed_in(index) if index.width is None else index
+    if at.kind not in WORDS or at.width is not None:
         raise fault(f"an array is indexed with a {index.kind}", "convert the index with to_int32")
-    if index.kind == "int32":
-        return index
+    if at.kind == "int32":
+        return at
     # Clamped as a signed number would be: a uint32 above 2^31 is above every length.
     return as_expr(where(index < width, to_int32(index), int32(width - 1)))
 
@@ -288,19 +310,21 @@ def scalars(op: str, *args: Expr) -> None:
 def _operation(op: str, *args: Expr) -> Expr:
     scalars(op, *args)
     kind = args[0].kind
-    if kind not in _TAKES[op]:
-        raise fault(f"{op} is not defined on {kind}", _REMEDY.get(op, f"it takes {', '.join(_TAKES[op])}"))
+    if kind not in TAKES[op]:
+        raise fault(f"{op} is not defined on {kind}", _REMEDY.get(op, f"it takes {', '.join(TAKES[op])}"))
     return node(op, "bool" if op in ("lt", "le", "eq", "ne") else kind, args)
 
 
 def _binary(op: str, a: Any, b: Any) -> Any:
     if arrays_among(a, b):
         return rules.spread(lambda left, right: _binary(op, left, right), a, b)
-    return _operation(op, *_pair(a, b))
+    return _operation(op, *_pair(computed_in(a), computed_in(b)))
 
 
 def _unary(op: str, a: Expr) -> Any:
-    return _operation(op, a) if a.width is None else rules.spread(lambda item: _operation(op, item), a)
+    if a.width is not None:
+        return rules.spread(lambda item: _unary(op, item), a)
+    return _operation(op, computed_in(a))
 
 
 def arrays_among(*values: Any) -> bool:
@@ -334,9 +358,10 @@ def where(condition: Any, a: Any, b: Any) -> Any:
         return rules.spread(where, condition, a, b)
     if traced(condition, a, b):
         c = as_expr(condition, "bool")
-        left, right = _pair(a, b)
+        left, right = _pair(*of_one_kind((a, b)))
         scalars("where", c, left, right)
         return node("where", left.kind, (c, left, right))
+    a, b = of_one_kind((a, b))
     return numbers.cast(a if condition else b, numbers.common_kind((a, b)))
 
 
@@ -355,12 +380,26 @@ def _less(a: Any, b: Any) -> Any:
 
 
 def sqrt(x: Any) -> Any:
-    """The IEEE square root of a real; NaN below zero."""
+    """The IEEE square root of a float, in its precision; NaN below zero."""
     if arrays_among(x):
         return rules.spread(sqrt, x)
     if traced(x):
-        return _operation("sqrt", as_expr(x, "real"))
-    return np.sqrt(numbers.cast(x, "real"))
+        return _operation("sqrt", as_float(x))
+    return np.sqrt(numbers.cast(x, float_kind((x,))))
+
+
+def float_kind(values: Iterable[Any]) -> str:
+    """The kind of the first of `values` that is a float and no literal; "real" if there is none."""
+    for v in values:
+        kind = v.kind if isinstance(v, Expr) else numbers.kind_of(v) if isinstance(v, np.floating) else ""
+        if kind in FLOATS:
+            return kind
+    return "real"
+
+
+def as_float(value: Any) -> Expr:
+    """`value` as an Expr of its own float kind, a literal as a real. Raises DiagramError for what is no float."""
+    return as_expr(value, value.kind if isinstance(value, Expr) and value.kind in FLOATS else "real")
 
 
 def real(value: float) -> Any:
@@ -379,12 +418,12 @@ def uint32(value: int) -> UInt32:
 
 
 def to_int32(x: Any) -> Any:
-    """To int32: a real truncates and saturates, NaN gives 0; uint32 keeps its bits; bool gives 0 or 1."""
+    """To int32: a float truncates and saturates, NaN gives 0; uint32 keeps its bits; bool gives 0 or 1."""
     return convert(x, "int32")
 
 
 def to_uint32(x: Any) -> Any:
-    """To uint32: a real truncates and saturates, NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
+    """To uint32: a float truncates and saturates, NaN gives 0; int32 keeps its bits; bool gives 0 or 1."""
     return convert(x, "uint32")
 
 
@@ -394,7 +433,10 @@ def to_real(x: Any) -> Any:
 
 
 def convert(x: Any, kind: str) -> Any:
-    """`x` as the type `kind`; see to_int32, to_uint32 and to_real."""
+    """`x` as the type `kind`; see to_int32, to_uint32 and to_real. A kind of 8 or 16 bits keeps an integer's low bits.
+
+    What is of such a kind, or becomes it, is an int32 on the way.
+    """
     if arrays_among(x):
         return rules.spread(lambda item: convert(item, kind), x)
     if traced(x):
@@ -403,13 +445,17 @@ def convert(x: Any, kind: str) -> Any:
             return x
         if x.kind == "bool":
             return where(x, const(1, kind), const(0, kind))
-        return node("convert", kind, (x,))
-    if numbers.kind_of(x) != "real":
+        if x.kind in STORED:
+            return convert(computed_in(x), kind)
+        return node("convert", kind, (convert(x, "int32") if kind in STORED else x,))
+    if numbers.kind_of(x) not in FLOATS:
         return numbers.scalar_types()[kind](x.value if isinstance(x, Integer) else bool(x))
-    if kind == "real":
-        return numbers.cast(x, "real")
-    integer = Int32 if kind == "int32" else UInt32
-    return integer(0 if x != x else int(min(max(float(x), float(integer.low)), float(integer.low + 2**32 - 1))))
+    if kind in FLOATS:
+        return numbers.scalar_types()[kind](x)
+    if kind in STORED:
+        return convert(convert(x, "int32"), kind)
+    low, high = float(BY_NAME[kind].low), float(BY_NAME[kind].high)
+    return numbers.INTEGER_TYPES[kind](0 if x != x else int(min(max(float(x), low), high)))
 
 
 def multiply_high(a: Any, b: Any) -> Any:
@@ -447,7 +493,8 @@ def from_bits(low: Any, high: Any = None) -> Any:
 
 
 def call(name: str, *args: Expr) -> Expr:
-    """A call of the elementary function `name` on reals; its definition is in `twodof.blocks.elementary.functions`."""
-    values = tuple(as_expr(a, "real") for a in args)
+    """A call of the elementary function `name` on floats; it is defined in `twodof.blocks.elementary.functions`."""
+    kind = float_kind(args)
+    values = tuple(as_expr(a, kind) for a in args)
     scalars(name, *values)
-    return node("call", "real", values, name)
+    return node("call", kind, values, name)

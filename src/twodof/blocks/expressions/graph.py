@@ -13,6 +13,7 @@ from twodof.blocks.expressions.expr import (
     convert,
     from_bits,
     multiply_high,
+    node,
     recording,
     sqrt,
     where,
@@ -111,6 +112,16 @@ def scope(roots: Iterable[Expr], known: Container[int]) -> list[Expr]:
 def leaves(roots: Iterable[Expr], op: str) -> set[str]:
     """The names of the leaves of kind `op` that `roots` depend on."""
     return {n.data for n in walk(roots) if n.op == op}
+
+
+def of_kinds(roots: Iterable[Expr], kinds: Mapping[str, str]) -> list[Expr]:
+    """The graphs of `roots` with other kinds of values: each kind named becomes that which `kinds` gives."""
+    made: dict[int, Expr] = {}
+    order = walk(roots := list(roots))
+    for item in order:
+        args = tuple(made[id(a)] for a in item.args)
+        made[id(item)] = node(item.op, kinds.get(item.kind, item.kind), args, item.data, item.width)
+    return [made[id(r)] for r in roots]
 
 
 Sight = Callable[[Sequence[Expr], Sequence[Expr], Mapping[int, Any]], None]

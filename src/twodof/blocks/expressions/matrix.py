@@ -16,6 +16,7 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.arrays import LOOPS, array_of, fold, vector
 from twodof.blocks.expressions.expr import Expr, as_expr, fault, int32, maximum, minimum, position, traced
+from twodof.blocks.expressions.kinds import BY_NAME
 from twodof.blocks.expressions.numbers import Integer, Vector
 from twodof.blocks.expressions.refusals import Refusals
 
@@ -239,7 +240,7 @@ def _array(flat: Any, other: Any) -> Any:
     if not isinstance(flat, _Literals):
         return flat
     anchor = other if isinstance(other, Expr) else next((v for v in other if isinstance(v, Expr)), None)
-    kind = numbers.common_kind(other) if anchor is None else anchor.kind
+    kind = BY_NAME[numbers.common_kind(other) if anchor is None else anchor.kind].computes
     return vector([as_expr(v, kind) if traced(*flat) else numbers.cast(v, kind) for v in flat])
 
 

@@ -1,8 +1,8 @@
 """Values of the reference interpreter: plain numbers that obey the language's arithmetic.
 
-real is `numpy.float64` or `numpy.float32` (one IEEE rounding after each operation), bool is `numpy.bool_`;
-`Int32` and `UInt32` wrap around, divide towards zero, give 0 for x / 0 and x % 0, and mask shift counts.
-A `Vector` is a fixed-length array whose dynamic index is clamped.
+real, float32 and float64 are numpy's (one IEEE rounding after each operation), bool is `numpy.bool_`. `Int32` and
+`UInt32` wrap around, divide towards zero, give 0 for x / 0 and x % 0, and mask shift counts. `Int8`, `UInt8`, `Int16`
+and `UInt16` compute as `Int32`. A `Vector` is a fixed-length array whose dynamic index is clamped.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
+from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, KINDS
 from twodof.errors import DiagramError, shown
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
@@ -72,11 +73,11 @@ def _operator(compute: Callable[[int, int], int]) -> tuple[_Method, _Method]:
 
     def left(self: Integer, other: object) -> Any:
         value = self._other(other)
-        return NotImplemented if value is None else type(self)(compute(self.value, value))
+        return NotImplemented if value is None else self.computes(compute(self.value, value))
 
     def right(self: Integer, other: object) -> Any:
         value = self._other(other)
-        return NotImplemented if value is None else type(self)(compute(value, self.value))
+        return NotImplemented if value is None else self.computes(compute(value, self.value))
 
     return left, right
 
@@ -90,28 +91,31 @@ def _comparison(compare: Callable[[int, int], bool]) -> _Method:
 
 
 class Integer:
-    """A 32-bit integer; the base of Int32 and UInt32."""
+    """An integer of `size` values from `low` on, which wraps around; the base of all of them."""
 
     __slots__ = ("value",)
     __array_ufunc__ = None  # numpy scalars must not absorb these
     kind: ClassVar[str]
-    low: ClassVar[int]
+    size: ClassVar[int] = 2**32
+    low: ClassVar[int] = 0
+    computes: ClassVar[type[Any]]
+    """The type of what arithmetic gives."""
 
     def __init__(self, value: int) -> None:
-        self.value = (int(value) - self.low) % 2**32 + self.low
+        self.value = (int(value) - self.low) % self.size + self.low
 
     def _other(self, other: object) -> int | None:
         """The other operand; None for an array or one of the expression graph, which have methods of their own."""
-        if isinstance(other, type(self)):
+        if isinstance(other, Integer) and other.computes is self.computes:
             return other.value
-        if type(other) is int or (isinstance(other, IntEnum) and self.kind == "int32"):
-            return type(self)(other).value
+        if type(other) is int or (isinstance(other, IntEnum) and self.computes is Int32):
+            return int(self.computes(other).value)
         if hasattr(other, "op") or isinstance(other, ArrayOperators):
             return None
         raise DiagramError(
             f"{self.kind} meets {type(other).__name__} in one operation",
             "",
-            "convert with to_real, to_int32 or to_uint32",
+            "convert one of them by name, such as float64(x) or int32(x)",
         )
 
     __add__, __radd__ = _operator(operator.add)
@@ -132,13 +136,13 @@ class Integer:
     __ne__ = _comparison(operator.ne)
 
     def __invert__(self) -> Any:
-        return type(self)(~self.value)
+        return self.computes(~self.value)
 
     def __neg__(self) -> Any:
-        return type(self)(-self.value)
+        return self.computes(-self.value)
 
     def __abs__(self) -> Any:
-        return type(self)(abs(self.value))
+        return self.computes(abs(self.value))
 
     def __hash__(self) -> int:
         return hash((self.kind, self.value))
@@ -160,13 +164,50 @@ class UInt32(Integer):
 
     __slots__ = ()
     kind = "uint32"
-    low = 0
 
 
+Int32.computes, UInt32.computes = Int32, UInt32
+
+
+class Int8(Integer):
+    """A signed 8-bit integer."""
+
+    __slots__ = ()
+    kind, size, low, computes = "int8", 2**8, -(2**7), Int32
+
+
+class UInt8(Integer):
+    """An unsigned 8-bit integer."""
+
+    __slots__ = ()
+    kind, size, computes = "uint8", 2**8, Int32
+
+
+class Int16(Integer):
+    """A signed 16-bit integer."""
+
+    __slots__ = ()
+    kind, size, low, computes = "int16", 2**16, -(2**15), Int32
+
+
+class UInt16(Integer):
+    """An unsigned 16-bit integer."""
+
+    __slots__ = ()
+    kind, size, computes = "uint16", 2**16, Int32
+
+
+INTEGER_TYPES: dict[str, type[Integer]] = {t.kind: t for t in (Int8, UInt8, Int16, UInt16, Int32, UInt32)}
+"""The integers by kind."""
 _SCALARS: dict[type, dict[str | None, type]] = {
-    real: {"real": real, "bool": np.bool_, "int32": Int32, "uint32": UInt32} for real in PRECISIONS.values()
+    real: dict([("real", real), ("bool", np.bool_), *PRECISIONS.items(), *INTEGER_TYPES.items()])
+    for real in PRECISIONS.values()
 }
 _TYPES = {real: frozenset(kinds.values()) for real, kinds in _SCALARS.items()}
+_FLOAT_KINDS: dict[type, dict[type, str]] = {
+    real: {other: "real" if other is real else name for name, other in PRECISIONS.items()}
+    for real in PRECISIONS.values()
+}
 
 
 class Vector(ArrayOperators, tuple[Any, ...]):
@@ -212,8 +253,8 @@ def cast(value: Any, kind: str) -> Any:
     Raises DiagramError where a conversion must be explicit in the language, such as real to integer. That also catches
     a float64 that leaked into a float32 run.
     """
-    real = real_type()
-    if kind == "real":
+    if kind in FLOATS:
+        real = scalar_types()[kind]
         if isinstance(value, real):
             return value
         if type(value) in (int, float):
@@ -222,7 +263,7 @@ def cast(value: Any, kind: str) -> Any:
         if isinstance(value, (bool, np.bool_)):
             return np.bool_(value)
     else:
-        integer = Int32 if kind == "int32" else UInt32
+        integer = INTEGER_TYPES[kind]
         if isinstance(value, integer):
             return value
         if type(value) is int or (isinstance(value, IntEnum) and kind == "int32"):
@@ -255,7 +296,8 @@ def plain(value: Any) -> Any:
 def kind_of(value: Any) -> str:
     """The language's type of a number; a Python float or int literal is taken for a real, an IntEnum for an int32.
 
-    Raises DiagramError for anything that is not a number of the language.
+    So is a number of numpy that has the precision of a real. Raises DiagramError for anything that is not a number of
+    the language.
     """
     if isinstance(value, Integer):
         return value.kind
@@ -264,8 +306,8 @@ def kind_of(value: Any) -> str:
     if isinstance(value, IntEnum):
         return "int32"
     if isinstance(value, (int, float, np.floating)):
-        return "real"
-    remedy = "write int(...) around it" if isinstance(value, np.integer) else "use real, int32, uint32 or bool"
+        return _FLOAT_KINDS[_REAL.get()].get(type(value), "real")
+    remedy = "write int(...) around it" if isinstance(value, np.integer) else f"use {', '.join(KINDS)}"
     raise DiagramError(f"{type(value).__name__} is not a number of the language", "", remedy)
 
 
@@ -276,3 +318,13 @@ def common_kind(values: Iterable[Any]) -> str:
     """
     typed = (v for v in values if isinstance(v, (Integer, np.floating, np.bool_, bool, IntEnum)))
     return next(map(kind_of, typed), "real")
+
+
+def computed_in(value: Any) -> Any:
+    """A number in the kind that operations on it have: an integer of 8 or 16 bits as an Int32."""
+    return value.computes(value.value) if isinstance(value, Integer) else value
+
+
+def fits(value: int, kind: str) -> bool:
+    """Whether a whole number is one of an integer kind as it is, without wrapping around."""
+    return BY_NAME[kind].low <= value <= BY_NAME[kind].high

@@ -6,9 +6,24 @@ from typing import Any
 from twodof.blocks.block import library_block
 from twodof.blocks.datatypes.enumeration import Kind, enumeration_of, to_enumeration
 from twodof.blocks.declarations import Port
-from twodof.blocks.elementary.functions import FUNCTIONS, atan2, ceil, exp, floor, hypot, log, pow, trunc
-from twodof.blocks.elementwise import NUMERIC, Pointwise, one_of
-from twodof.blocks.expressions.expr import KINDS, convert, sqrt, where
+from twodof.blocks.elementary.functions import (
+    FUNCTIONS,
+    atan2,
+    ceil,
+    exp,
+    floor,
+    hypot,
+    log,
+    pow,
+    round_half_away,
+    round_half_even,
+    trunc,
+)
+from twodof.blocks.elementwise import Pointwise, one_of
+from twodof.blocks.expressions.conversions import OVERFLOW, may_overflow, to_stored
+from twodof.blocks.expressions.expr import convert, sqrt, where
+from twodof.blocks.expressions.kinds import FLOATS, KINDS, NUMERIC, STORED
+from twodof.errors import DiagramError
 
 __all__ = ["Atan2", "Convert", "Elementary", "Hypot", "Power", "Remainder", "Rounding", "Trigonometry"]
 
@@ -28,6 +43,8 @@ ROUNDING: Mapping[str, Function] = {
     "floor": floor,
     "ceil": ceil,
     "trunc": trunc,
+    "half_even": round_half_even,
+    "half_away": round_half_away,
     "nearest": lambda v: where(v < 0.0, -floor(0.5 - v), floor(v + 0.5)),
 }
 
@@ -120,15 +137,17 @@ class Remainder(Pointwise):
         self.ports("ab", kind, width, unit)
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
-        return a - b * floor(a / b) if self.kind == "real" else a % b
+        return a - b * floor(a / b) if self.kind in FLOATS else a % b
 
 
 @library_block("convert")
 class Convert(Pointwise):
-    """y = u as another type. Real to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
+    """y = u as another type. Float to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
 
-    int32 to uint32 and back keep the bits; bool gives 0 or 1. An enumeration as `target` takes the int32; what is none
-    of its members becomes 0.
+    int32 to uint32 and back keep the bits; bool gives 0 or 1. To an integer of 8 or 16 bits `overflow` says what
+    happens to what does not fit: "saturate", or "wrap" to keep the low bits of the int32. "half_even" and "half_away"
+    round to the nearest integer; "nearest" is floor(|u| + 0.5) with u's sign. An enumeration as `target` takes the
+    int32; what is none of its members becomes 0.
     """
 
     def __init__(
@@ -138,11 +157,19 @@ class Convert(Pointwise):
         rounding: str = "trunc",
         width: int | None = None,
         unit: str = "",
+        overflow: str | None = None,
     ) -> None:
         self.source = one_of(source, KINDS, "Convert", "source")
         self.enumeration = enumeration_of(target, "Convert")
         self.target = "int32" if self.enumeration else one_of(target, KINDS, "Convert", "target")
         self.rounding = one_of(rounding, list(ROUNDING), "Convert", "rounding")
+        if overflow is not None:
+            one_of(overflow, OVERFLOW, "Convert", "overflow")
+            one_of(self.target, STORED, "Convert", "target with an overflow")
+        elif may_overflow(self.source, self.target):
+            rule = f"overflow={' or '.join(map(repr, OVERFLOW))}"
+            raise DiagramError(f"a {source} may not fit {self.target}", "Convert", f"say what happens then: {rule}")
+        self.overflow = overflow
         self.inputs = [Port("u", source, width, unit)]
         self.outputs = [Port("y", target, width, unit)]
 
@@ -156,6 +183,6 @@ class Convert(Pointwise):
             return u
         if self.target == "bool":
             return u != 0
-        if self.source == "real" and self.rounding != "trunc":
+        if self.source in FLOATS and self.target not in FLOATS and self.rounding != "trunc":
             u = ROUNDING[self.rounding](u)
-        return convert(u, self.target)
+        return to_stored(u, self.target, self.overflow) if self.target in STORED else convert(u, self.target)

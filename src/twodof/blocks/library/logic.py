@@ -9,8 +9,9 @@ from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.conditions import EDGES, edge_of
 from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import NUMERIC, Pointwise, comparable, one_of, port_series
+from twodof.blocks.elementwise import Pointwise, comparable, one_of, port_series
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
+from twodof.blocks.expressions.kinds import INTEGERS, WORDS
 
 __all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
 
@@ -62,7 +63,7 @@ class CompareToConstant(Pointwise):
         comparable(kind, operation, "CompareToConstant")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
-        whole = kind in NUMERIC and kind != "real"
+        whole = kind in INTEGERS
         self.params = [Param("constant", int(constant) if whole else constant, kind, unit=unit)]
 
     def of(self, p: Any, u: Any) -> Any:
@@ -91,7 +92,7 @@ class Bitwise(Pointwise):
 
     def __init__(self, operation: str = "and", kind: str = "uint32", width: int | None = None) -> None:
         self.operation = one_of(operation, list(BITWISE), "Bitwise", "operation")
-        self.ports("ab", one_of(kind, ("int32", "uint32"), "Bitwise", "kind"), width)
+        self.ports("ab", one_of(kind, WORDS, "Bitwise", "kind"), width)
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
         return BITWISE[self.operation](a, b)

@@ -6,9 +6,10 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
-from twodof.blocks.elementwise import NUMERIC, Pointwise, count, dot, matrix, one_of, port_series, reals, sized
+from twodof.blocks.elementwise import ORDERED, Pointwise, count, dot, matrix, one_of, port_series, reals, sized
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
+from twodof.blocks.expressions.kinds import FLOATS, NUMERIC
 from twodof.blocks.expressions.linear_algebra import norm
 from twodof.errors import DiagramError
 
@@ -146,7 +147,7 @@ class Divide(Pointwise):
         self.outputs = [Port("y", kind, width, unit)]
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
-        return a / b if self.kind == "real" else a // b
+        return a / b if self.kind in FLOATS else a // b
 
 
 @library_block("dot_product")
@@ -249,7 +250,7 @@ class Minimum(Pointwise):
     """y is the smallest of its inputs: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(port_series(inputs, "Minimum"), one_of(kind, NUMERIC, "Minimum", "kind"), width, unit)
+        self.ports(port_series(inputs, "Minimum"), one_of(kind, ORDERED, "Minimum", "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(minimum, inputs)
@@ -260,7 +261,7 @@ class Maximum(Pointwise):
     """y is the largest of its inputs: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(port_series(inputs, "Maximum"), one_of(kind, NUMERIC, "Maximum", "kind"), width, unit)
+        self.ports(port_series(inputs, "Maximum"), one_of(kind, ORDERED, "Maximum", "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(maximum, inputs)

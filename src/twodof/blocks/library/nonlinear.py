@@ -5,7 +5,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import NUMERIC, Pointwise, clamp, elementwise, one_of
+from twodof.blocks.elementwise import ORDERED, Pointwise, clamp, elementwise, one_of
 from twodof.blocks.expressions.expr import maximum, minimum, where
 
 __all__ = ["Backlash", "DeadZone", "DynamicSaturation", "Quantiser", "RateLimit", "Relay", "Saturation"]
@@ -23,7 +23,7 @@ class Saturation(Pointwise):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.ports("u", one_of(kind, NUMERIC, "Saturation", "kind"), width, unit)
+        self.ports("u", one_of(kind, ORDERED, "Saturation", "kind"), width, unit)
         self.params = [Param("low", low, kind, unit=unit), Param("high", high, kind, unit=unit)]
 
     def of(self, p: Any, u: Any) -> Any:

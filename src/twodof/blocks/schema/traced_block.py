@@ -4,13 +4,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import State, check_name, fits, located, shape
+from twodof.blocks.declarations import State, check_name, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
-from twodof.blocks.expressions.expr import KINDS, Expr, const, convert, leaf, node, scalars, tracing
+from twodof.blocks.expressions.expr import Expr, const, convert, leaf, node, scalars, tracing
 from twodof.blocks.expressions.graph import OPERATIONS, free_bounds, walk
+from twodof.blocks.expressions.kinds import FLOATS, KINDS
 from twodof.blocks.expressions.matrix import shaped
+from twodof.blocks.expressions.numbers import fits
 from twodof.blocks.matrix_views import matrices
 from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of
 from twodof.errors import DiagramError, shown
@@ -92,7 +94,7 @@ def nodes_to_json(roots: Sequence[Expr]) -> tuple[list[list[Any]], dict[int, int
 def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
     args = [number[id(a)] for a in item.args]
     if item.op == "const":
-        value = item.data.hex() if item.kind == "real" else item.data
+        value = item.data.hex() if item.kind in FLOATS else item.data
         return ["const", [], item.kind, value]
     if item.op in ("input", "state", "param"):
         return [item.op, [], item.data]
@@ -186,8 +188,8 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         scalars(str(op), *args)
     found: Expr
     match [op, *data]:
-        case ["const", "real", value]:
-            found = const(float.fromhex(value), "real")
+        case ["const", "real" | "float32" | "float64" as kind, value]:
+            found = const(float.fromhex(value), kind)
         case ["const", kind, value] if kind in KINDS and type(value) is (bool if kind == "bool" else int):
             if not fits(value, kind):
                 raise ValueError(f"{value} does not fit {kind}")
@@ -202,7 +204,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
             _in_range(depth, MAX_LOOP_DEPTH)
             _in_range(which, MAX_CARRIED + 1)
             found = node("bound", kind, (), (depth, which))
-        case ["convert", "real" | "int32" | "uint32" as kind]:
+        case ["convert", kind] if kind in KINDS and kind != "bool":
             found = convert(args[0], kind)
         case ["call", name] if name in FUNCTIONS:
             found = FUNCTIONS[name](*args)

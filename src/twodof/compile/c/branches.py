@@ -15,6 +15,7 @@ from itertools import islice
 from twodof.blocks.expressions.cost import CALL
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.kinds import FLOATS
 
 WORTH = 20  # operations from which on a branch costs less than computing what may not be read
 WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
@@ -116,8 +117,8 @@ class _Plan:
             if found is not None:
                 self.decisions[id(item)] = found
             self.args[id(item)] = tuple(a for a in below if a.op not in LEAVES)
-            flags = (self.flags.get(id(a), a.kind != "real") for a in below)
-            self.flags[id(item)] = item.kind != "real" and item.width is None and all(flags)
+            flags = (self.flags.get(id(a), a.kind not in FLOATS) for a in below)
+            self.flags[id(item)] = item.kind not in FLOATS and item.width is None and all(flags)
         self.always = {id(item) for item in always}
         self.rank = {id(item): i for i, item in enumerate(order)}
         self.raised: set[int] = set()  # what two branches on one condition share: it is computed before both

@@ -11,6 +11,8 @@ from functools import cache
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
+from twodof.blocks.expressions.graph import of_kinds
+from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
 from twodof.compile.c.interface import CInterface, comment, indented
@@ -72,14 +74,15 @@ def emit(
         helpers |= emitter.helpers
         functions |= emitter.functions
     elementary, more = _elementary(functions, precision, lean, style)
-    helpers |= more | style.needs
+    prelude, needs = style.prelude("".join([*elementary, *bodies]))
+    helpers |= more | needs
     parts = [
         f'#include "{header}"\n\n' if header else "",
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
-        style.prelude,
+        prelude,
         *elementary,
         *bodies,
     ]
@@ -106,12 +109,16 @@ def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle)
 
 @cache
 def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str, frozenset[str], frozenset[str]]:
-    """An elementary function in C, the functions it calls, and its helpers."""
-    arguments = ["x"] if ARGUMENTS[name] == 1 else ["y", "x"]
+    """An elementary function in C, the functions it calls, and its helpers; "sin_float32" is the sine of that kind."""
+    own, _, last = name.rpartition("_")
+    base, kind = (own, last) if last in FLOATS else (name, "real")
+    precision = dtype_of(kind, precision).name
+    arguments = ["x"] if ARGUMENTS[base] == 1 else ["y", "x"]
     with tracing(name):
-        result = DEFINITIONS[name][precision](*(leaf("input", a, "real") for a in arguments))
+        recorded = DEFINITIONS[base][precision](*(leaf("input", a, "real") for a in arguments))
+        (result,) = of_kinds([recorded], {"real": kind})
     style = style.inner
-    writer, real = style.writer(lean=lean), style.types["real"]
+    writer, real = style.writer(lean=lean), style.types[kind]
     renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
     head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
@@ -270,7 +277,7 @@ void {p}_step({one})
         def entry(struct: str, m: Member, place: str) -> str:
             low, high = bounds.get(m.name, UNBOUNDED) if struct == "P" else UNBOUNDED
             return (
-                f"{{\"{m.path}\", \"{_quoted(m.unit)}\", '{struct}', '{m.kind[0]}', {m.width or 1}u, "
+                f"{{\"{m.path}\", \"{_quoted(m.unit)}\", '{struct}', '{BY_NAME[m.kind].letter}', {m.width or 1}u, "
                 f"(uint32_t)offsetof({p}_{struct}, {place}), {bound(low)}, {bound(high)}}},"
             )
 

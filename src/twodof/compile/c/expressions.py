@@ -11,6 +11,7 @@ import numpy as np
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
 from twodof.blocks.expressions.graph import ordered, unchanging, walk
+from twodof.blocks.expressions.kinds import FLOATS, INTEGERS, dtype_of
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
@@ -38,6 +39,9 @@ def constant(value: Any, kind: str, precision: str) -> Text:
         return str(value), ATOM if value >= 0 else SIGNED
     if kind == "uint32":
         return f"{value}u", ATOM
+    if kind in INTEGERS:
+        return f"{value}", ATOM if value >= 0 else SIGNED
+    precision = dtype_of(kind, precision).name
     with np.errstate(over="ignore"):
         rounded = float(np.float32(value)) if precision == "float32" else float(value)
     suffix = "f" if precision == "float32" else ""
@@ -92,6 +96,7 @@ class Renderer:
 
     types: Mapping[str, str] = C_TYPES
     operators: Mapping[str, Operator] = OPERATORS
+    kinds: Mapping[str, str] = {kind: kind for kind in C_TYPES}  # the kind whose functions and types each has
 
     def __init__(
         self,
@@ -308,8 +313,10 @@ class Renderer:
         if item.op == "select":
             return self._element(item, args[0][0], args[1])
         if item.op == "call":
-            self.writer.functions.add(item.data)
-            return f"td_{item.data}({', '.join(a for a, _ in args)})", ATOM
+            kind = self.kinds[item.kind]
+            name = item.data if kind == "real" else f"{item.data}_{kind}"
+            self.writer.functions.add(name)
+            return f"td_{name}({', '.join(a for a, _ in args)})", ATOM
         operand = self._resolve(item.args[0]).kind
         return self._special(item, args, operand) or self._operation(row(item, operand), args)
 
@@ -340,12 +347,12 @@ class Renderer:
         op, lean = item.op, self.writer.lean
         if op in COMPARISONS:
             same = args[0][0] == args[1][0]  # one value, or one signal at two inputs
-            if same and operand != "real":  # compilers warn about these; a real may be NaN
+            if same and operand not in FLOATS:  # compilers warn about these; a float may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
-            if lean and op in ("eq", "ne") and operand == "real":
-                equal = f"{self._use('real_equal')}({args[0][0]}, {args[1][0]})"
+            if lean and op in ("eq", "ne") and operand in FLOATS:
+                equal = f"{self._use(f'{operand}_equal')}({args[0][0]}, {args[1][0]})"
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
-        elif op == "convert" and lean and operand != "real" and _CALL.fullmatch(args[0][0]):
+        elif op == "convert" and lean and operand not in FLOATS and _CALL.fullmatch(args[0][0]):
             return f"{self._use(f'{operand}_to_{item.kind}')}({args[0][0]})", ATOM
         elif op == "xor" and operand == "bool" and args[0][0] == args[1][0]:
             return "false", ATOM

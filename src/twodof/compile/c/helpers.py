@@ -1,16 +1,18 @@
 """The small C functions that give integers and conversions the language's meaning everywhere."""
 
-_C_TYPES = {"bool": "bool", "int32": "int32_t", "uint32": "uint32_t", "real": "real"}
+import re
+
+from twodof.blocks.expressions.kinds import CONVERSIONS, FLOATS
+from twodof.compile.c.operators import C_TYPES
 
 # What a function returns is one expression of its arguments. `{f}` is the suffix of float32's constants. The first real
 # that is too large for an integer is a power of two, exact in both precisions.
 _EXPRESSIONS: tuple[tuple[str, str], ...] = (
     # Conversions of what a function returns, for a compiler that warns of a cast there (-Wbad-function-cast).
     *(
-        (f"{_C_TYPES[target]} {origin}_to_{target}({_C_TYPES[origin]} x)", f"({_C_TYPES[target]})x")
-        for origin in ("bool", "int32", "uint32")
-        for target in ("int32", "uint32", "real")
-        if origin != target
+        (f"{C_TYPES[target]} {origin}_to_{target}({C_TYPES[origin]} x)", f"({C_TYPES[target]})x")
+        for origin, target in CONVERSIONS
+        if origin not in FLOATS
     ),
     ("int32_t clamp_index(int32_t i, int32_t last)", "i < 0 ? 0 : i > last ? last : i"),
     ("bool real_equal(real x, real y)", "x <= y && x >= y"),  # for a compiler that warns of x == y
@@ -69,6 +71,23 @@ def _named(precision: str, suffix: str) -> dict[str, str]:
     return {text.partition("(")[0].split()[-1]: text for text in (*texts, *_BITS[precision])}
 
 
-HELPERS = {"float64": _named("float64", ""), "float32": _named("float32", "f")}
+_REAL = re.compile(r"\breal(?=_|\b)|(?<=_to_)real\b")
+
+
+def _of(kind: str, texts: dict[str, str]) -> dict[str, str]:
+    """The functions of reals as those of a `kind` whose precision they are in."""
+    made = {}
+    for name, text in texts.items():
+        own = _REAL.sub(kind, name)
+        if own != name and own not in texts:
+            made[own] = re.sub(rf"\b{kind}\b", C_TYPES[kind], _REAL.sub(kind, text))
+    return made
+
+
+_PRECISE = {"float64": _named("float64", ""), "float32": _named("float32", "f")}
+HELPERS = {
+    precision: texts | {name: text for kind in _PRECISE for name, text in _of(kind, _PRECISE[kind]).items()}
+    for precision, texts in _PRECISE.items()
+}
 """The definition of each function, by precision and name."""
 NAMES = frozenset(HELPERS["float64"])

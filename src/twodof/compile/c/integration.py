@@ -6,6 +6,7 @@ from functools import partial
 
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.tick import FROZEN, NEXT_TICK, Scope, TickEmitter, commit, describe
 from twodof.compile.c.writer import CWriter
@@ -254,9 +255,9 @@ class IntegrationEmitter:
         writer.line(f"{end} = {one};")
         for s, (fraction, after) in tick.fractions.items():
             changed = style.compared("!=", tick.signal(s), after, s.kind)
-            if writer.lean and s.kind == "real":
-                writer.helpers.add("real_equal")
-                changed = f"!real_equal({tick.signal(s)}, {after})"
+            if writer.lean and s.kind in FLOATS:
+                writer.helpers.add(f"{s.kind}_equal")
+                changed = f"!{s.kind}_equal({tick.signal(s)}, {after})"
             inside = [style.compared(">", fraction, start), style.compared("<", fraction, end)]
             with writer.choice("", [changed, *inside]):
                 writer.assign(end, fraction, "real")

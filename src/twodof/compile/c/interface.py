@@ -99,8 +99,9 @@ class CInterface:
 
     def _tables(self) -> str:
         p = self.program.name
-        return f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, i int32, u uint32,
-   b bool), number of elements, offset, bounds. The last entry has no path. */
+        return f"""/* For live tuning and logging: path, unit, struct (P, S, U, Y), type (r real, f float32, d float64,
+   i int32, u uint32, c int8, C uint8, h int16, H uint16, b bool), number of elements, offset, bounds.
+   The last entry has no path. */
 typedef struct {{
     const char *path;
     const char *unit;

@@ -4,8 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.kinds import CONVERSIONS, FLOATS, INTEGERS, TAKES, WORDS
 
-C_TYPES = {"real": "real", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
+C_TYPES = {"real": "real", "float32": "float", "float64": "double", "bool": "bool"}
+C_TYPES |= {kind: f"{kind}_t" for kind in INTEGERS}
 # How tightly an expression's text binds.
 ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
 COMPARISONS = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
@@ -19,7 +21,7 @@ class Operator:
     """How an operation is written: C with `{0}`, `{1}` for its operands, or the call of a `helper`.
 
     `operands` are the loosest that each operand may bind without brackets, `binding` is how the whole binds. `{f}` is
-    the suffix of float32's functions.
+    the suffix of float32's functions in the build's precision.
     """
 
     text: str
@@ -47,35 +49,40 @@ def row(item: Expr, operand: str) -> str:
     if item.op == "convert":
         return f"{operand}_to_{item.kind}"
     if item.op == "bits":
-        return f"word_{1 if item.data else 0}"
+        return f"{operand}_word_{1 if item.data else 0}"
     if item.op == "from_bits":
-        return "from_bits" if len(item.args) == 2 else "from_word"
+        return f"{item.kind}_from_{'bits' if len(item.args) == 2 else 'word'}"
     return f"{item.op}_{item.kind}"
 
 
 def _rows() -> Iterator[tuple[str, Operator]]:
-    for kind, ctype in C_TYPES.items():
+    for kind in C_TYPES:
         yield f"pick_{kind}", Operator("{0} ? {1} : {2}", (COMPARISON, SIGNED, SIGNED), LOOSE)
         for op, sign in COMPARISONS.items():
-            yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (SUM, SUM), COMPARISON)
-        for origin in ("bool", "int32", "uint32"):
-            yield f"{origin}_to_{kind}", Operator(f"({ctype}){{0}}", (ATOM,), SIGNED)
-    for kind in ("real", "uint32"):
+            if kind in TAKES[op]:
+                yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (SUM, SUM), COMPARISON)
+    for origin, target in CONVERSIONS:
+        name = f"{origin}_to_{target}"
+        cast = origin not in FLOATS or target in FLOATS
+        yield name, Operator(f"({C_TYPES[target]}){{0}}", (ATOM,), SIGNED) if cast else called(name, 1, name)
+    for kind in (*FLOATS, "uint32"):
         yield f"add_{kind}", Operator("{0} + {1}", (SUM, PRODUCT), SUM)
         yield f"sub_{kind}", Operator("{0} - {1}", (SUM, PRODUCT), SUM)
         yield f"mul_{kind}", Operator("{0} * {1}", (PRODUCT, ATOM), PRODUCT)
-    yield "div_real", Operator("{0} / {1}", (PRODUCT, ATOM), PRODUCT)
-    yield "neg_real", Operator("-{0}", (ATOM,), SIGNED)
-    yield "abs_real", called("__builtin_fabs{f}", 1)
-    yield "sqrt_real", called("__builtin_sqrt{f}", 1)
+    for kind, f in zip(FLOATS, ("{f}", "f", ""), strict=True):
+        yield f"div_{kind}", Operator("{0} / {1}", (PRODUCT, ATOM), PRODUCT)
+        yield f"neg_{kind}", Operator("-{0}", (ATOM,), SIGNED)
+        yield f"abs_{kind}", called(f"__builtin_fabs{f}", 1)
+        yield f"sqrt_{kind}", called(f"__builtin_sqrt{f}", 1)
+        for name, operands in (("word_0", 1), ("word_1", 1), ("from_bits", 2), ("from_word", 1)):
+            yield f"{kind}_{name}", called(f"{kind}_{name}", operands, f"{kind}_{name}")
     yield "not_bool", Operator("!{0}", (ATOM,), SIGNED)
     for op, sign in (("and", "&&"), ("or", "||"), ("xor", "!=")):
         yield f"{op}_bool", Operator(f"{{0}} {sign} {{1}}", (ATOM, ATOM), LOOSE)
-    for kind in ("int32", "uint32"):
+    for kind in WORDS:
         yield f"not_{kind}", Operator("~{0}", (ATOM,), SIGNED)
         for op, sign in BITWISE.items():
             yield f"{op}_{kind}", Operator(f"{{0}} {sign} {{1}}", (ATOM, ATOM), LOOSE)
-        yield f"real_to_{kind}", called(f"real_to_{kind}", 1, f"real_to_{kind}")
         for op in ("quot", "rem"):
             yield f"{op}_{kind}", called(f"{kind}_{op}", 2, f"{kind}_{op}")
     for op in ("add", "sub", "mul", "shl", "shr"):
@@ -91,10 +98,6 @@ def _rows() -> Iterator[tuple[str, Operator]]:
     yield "neg_uint32", Operator("0u - {0}", (PRODUCT,), SUM)
     yield "abs_uint32", Operator("{0}", (LOOSE,), LOOSE)
     yield "mulhi_uint32", Operator("(uint32_t)(((uint64_t){0} * {1}) >> 32)", (ATOM, ATOM), SIGNED)
-    for word in (0, 1):
-        yield f"word_{word}", called(f"real_word_{word}", 1, f"real_word_{word}")
-    yield "from_bits", called("real_from_bits", 2, "real_from_bits")
-    yield "from_word", called("real_from_word", 1, "real_from_word")
 
 
 OPERATORS = dict(_rows())

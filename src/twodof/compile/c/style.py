@@ -21,8 +21,6 @@ class CStyle:
     writer: type[CWriter] = CWriter
     renderer: type[Renderer] = BranchingRenderer
     function = "static"  # how an elementary function is declared
-    prelude = ""  # C that comes before the programs'
-    needs: frozenset[str] = frozenset()  # helpers that the prelude calls
     reserved: frozenset[str] = frozenset()  # names that the prelude defines
     tables = True  # whether the file ends with tables of parameters and signals
     copies = 1  # instances in a struct
@@ -34,6 +32,10 @@ class CStyle:
     def inner(self) -> CStyle:
         """The style of the elementary functions."""
         return self
+
+    def prelude(self, programs: str) -> tuple[str, frozenset[str]]:
+        """The C that comes before that of `programs`, and the helpers that it calls."""
+        return "", frozenset()
 
     def same(self, text: str, kind: str) -> str:
         """A value that is the same in all instances, as an instance's own."""

@@ -11,6 +11,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram, carried
+from twodof.blocks.expressions.kinds import BY_NAME, FLOATS
 from twodof.blocks.machine import axes
 from twodof.compile.diagram_test.assertions import Assertion, assertion
 from twodof.compile.diagram_test.input_signals import ConstantInput, InputSignal, between_rows
@@ -56,7 +57,7 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
         where = f"{scenario.name}, {name}"
         port = _input(diagram, name, where)
         given = _signals(value, axes(port), where, port.enum)
-        elements[name] = {i: s.values(steps, dt, port.kind != "real") for i, s in given.items()}
+        elements[name] = {i: s.values(steps, dt, port.kind not in FLOATS) for i, s in given.items()}
     checks = tuple(
         assertion(c, lambda s, name: _member(diagram, s, name, scenario.name)) if isinstance(c, str) else c
         for c in scenario.checks
@@ -197,7 +198,7 @@ def _fed(given: ExpectedTable, column: str, port: Port, steps: int, dt: float, w
         raise DiagramError("a cell of an input is empty", where, "fill it, or take the input out of the table")
     if ticks[0] != 0:
         raise DiagramError("the first row is not at 0", where, "say what the input is from the start on")
-    return between_rows(ticks, given.table.columns[column], steps, given.between if port.kind == "real" else "hold")
+    return between_rows(ticks, given.table.columns[column], steps, given.between if port.kind in FLOATS else "hold")
 
 
 def _column(port: Port, elements: dict[Index, NDArray[np.float64]], steps: int, where: str) -> NDArray[Any]:
@@ -207,8 +208,8 @@ def _column(port: Port, elements: dict[Index, NDArray[np.float64]], steps: int, 
         place: tuple[Any, ...] = (slice(None), *index)
         data[place] = values
     found: NDArray[Any] = data
-    if port.kind != "real":
-        low, high = {"bool": (0, 1), "int32": (-(2**31), 2**31 - 1)}.get(port.kind, (0, 2**32 - 1))
+    if port.kind not in FLOATS:
+        low, high = BY_NAME[port.kind].low, BY_NAME[port.kind].high
         odd = ~((data == np.rint(data)) & (data >= low) & (data <= high))
         if odd.any():
             value = data[odd][0]

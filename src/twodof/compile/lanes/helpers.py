@@ -6,10 +6,12 @@ Vectors are GCC's and clang's; what they lack is done lane by lane. `templates/`
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from importlib import resources
 from string import Template
 
 from twodof.compile.c.operators import BITWISE, C_TYPES, COMPARISONS, OPERATORS
+from twodof.compile.lanes.other_kinds import MoreC, helpers_of, other_float, other_reals, other_types, wrapped
 from twodof.compile.program.layout import LaneShape
 
 _PARTS = dict(
@@ -19,9 +21,11 @@ _PARTS = dict(
     .read_text(encoding="utf-8")
     .split("//// ")[1:]
 )
-KINDS = tuple(C_TYPES)
-TYPES = {kind: f"lanes_{kind}" for kind in KINDS}
+KINDS = ("real", "int32", "uint32", "bool")
+"""Those that every program's C has; `other_kinds` has the rest."""
+TYPES = {kind: f"lanes_{kind}" for kind in (*KINDS, "float32", "float64")}
 VECTORS = {"real": "lanes_r", "int32": "lanes_i", "uint32": "lanes_u", "bool": "lanes_m"}
+VECTORS |= dict.fromkeys(("float32", "float64"), "lanes_x")  # that which is not the build's real
 _ORDERED = {"lt": "LT_OQ", "le": "LE_OQ", "eq": "EQ_OQ", "ne": "NEQ_UQ"}
 _TESTS = {name: f"{COMPARISONS[name]}, {test}" for name, test in _ORDERED.items()}
 _TESTS |= {"gt": ">, GT_OQ", "ge": ">=, GE_OQ"}
@@ -87,51 +91,67 @@ def _types(shape: LaneShape) -> str:
     return "".join(text) + "\n"
 
 
+def _vectorwise(shape: LaneShape, result: str, name: str, arguments: str, expression: str) -> str:
+    """A function of single vectors, and one of whole values."""
+    kinds = dict(part.split(" ") for part in arguments.split(", "))
+    single = ", ".join(f"{VECTORS[kind]} {letter}" for letter, kind in kinds.items())
+    head = ", ".join(f"{TYPES[kind]} {letter}" for letter, kind in kinds.items())
+    calls = [f"lanes_v_{name}({', '.join(f'{x}.v{k}' for x in kinds)})" for k in range(shape.vectors)]
+    return (
+        f"td_inline {VECTORS[result]} lanes_v_{name}({single})\n{{\n"
+        f"    return {expression};\n}}\n\n"
+        f"td_inline {TYPES[result]} lanes_{name}({head})\n{{\n"
+        f"    return ({TYPES[result]}){{{', '.join(calls)}}};\n}}\n\n"
+    )
+
+
+def _lanewise(shape: LaneShape, result: str, name: str, kinds: Sequence[str], expression: str) -> str:
+    """A function that a scalar expression of a, b gives, lane by lane."""
+    letters = "ab"[: len(kinds)]
+    head = ", ".join(f"{VECTORS[kind]} {letter}" for kind, letter in zip(kinds, letters, strict=True))
+    native = (
+        f"td_inline {VECTORS[result]} lanes_each_{name}({head})\n{{\n    {VECTORS[result]} y;\n"
+        f"    for (int l = 0; l < {shape.each}; l++)\n        y[l] = {expression};\n    return y;\n}}\n\n"
+    )
+    arguments = ", ".join(f"{letter} {kind}" for kind, letter in zip(kinds, letters, strict=True))
+    return native + _vectorwise(shape, result, name, arguments, f"lanes_each_{name}({', '.join(letters)})")
+
+
+def _same_in_all(shape: LaneShape, kind: str) -> str:
+    """A value that all lanes have."""
+    value = "-(lanes_one_bool)x" if kind == "bool" else "x"
+    one = "{" + ", ".join(["w"] * shape.each) + "}"
+    if kind == "bool" and shape.bits:
+        value, one = "(lanes_one_bool)-x", "w"
+    return _part(
+        "same_in_all",
+        kind=kind,
+        vector=VECTORS[kind],
+        whole=TYPES[kind],
+        scalar=C_TYPES[kind],
+        value=value,
+        one=one,
+        calls=", ".join([f"lanes_v_{kind}_all(x)"] * shape.vectors),
+    )
+
+
+def more(shape: LaneShape) -> list[MoreC]:
+    """The C that only programs with other kinds need."""
+    kind = other_float(shape.precision)
+    vectorwise, lanewise = partial(_vectorwise, shape), partial(_lanewise, shape)
+    text = other_types(kind, shape.each, shape.vectors) + _same_in_all(shape, kind)
+    text += other_reals(kind, vectorwise, lanewise) + _elements(shape, kind)
+    return [MoreC(f"_{kind}", text, helpers_of(kind)), *wrapped(vectorwise)]
+
+
 def _functions(shape: LaneShape) -> Iterator[str]:
     single = shape.precision == "float32"
     f = "f" if single else ""
-
-    def vectorwise(result: str, name: str, arguments: str, expression: str) -> str:
-        """A function of single vectors, and one of whole values."""
-        kinds = dict(part.split(" ") for part in arguments.split(", "))
-        single = ", ".join(f"{VECTORS[kind]} {letter}" for letter, kind in kinds.items())
-        head = ", ".join(f"{TYPES[kind]} {letter}" for letter, kind in kinds.items())
-        calls = [f"lanes_v_{name}({', '.join(f'{x}.v{k}' for x in kinds)})" for k in range(shape.vectors)]
-        return (
-            f"td_inline {VECTORS[result]} lanes_v_{name}({single})\n{{\n"
-            f"    return {expression};\n}}\n\n"
-            f"td_inline {TYPES[result]} lanes_{name}({head})\n{{\n"
-            f"    return ({TYPES[result]}){{{', '.join(calls)}}};\n}}\n\n"
-        )
-
-    def lanewise(result: str, name: str, kinds: Sequence[str], expression: str) -> str:
-        """A function that a scalar expression of a, b gives, lane by lane."""
-        letters = "ab"[: len(kinds)]
-        head = ", ".join(f"{VECTORS[kind]} {letter}" for kind, letter in zip(kinds, letters, strict=True))
-        native = (
-            f"td_inline {VECTORS[result]} lanes_each_{name}({head})\n{{\n    {VECTORS[result]} y;\n"
-            f"    for (int l = 0; l < {shape.each}; l++)\n        y[l] = {expression};\n    return y;\n}}\n\n"
-        )
-        arguments = ", ".join(f"{letter} {kind}" for kind, letter in zip(kinds, letters, strict=True))
-        return native + vectorwise(result, name, arguments, f"lanes_each_{name}({', '.join(letters)})")
+    vectorwise, lanewise = partial(_vectorwise, shape), partial(_lanewise, shape)
 
     # the same in all lanes
     for kind in KINDS:
-        value = "-(lanes_one_bool)x" if kind == "bool" else "x"
-        one = "{" + ", ".join(["w"] * shape.each) + "}"
-        if kind == "bool" and shape.bits:
-            value, one = "(lanes_one_bool)-x", "w"
-        calls = ", ".join([f"lanes_v_{kind}_all(x)"] * shape.vectors)
-        yield _part(
-            "same_in_all",
-            kind=kind,
-            vector=VECTORS[kind],
-            whole=TYPES[kind],
-            scalar=C_TYPES[kind],
-            value=value,
-            one=one,
-            calls=calls,
-        )
+        yield _same_in_all(shape, kind)
     # reals
     for name in ("add", "sub", "mul", "div"):
         yield vectorwise("real", f"{name}_real", "a real, b real", _scalar(f"{name}_real", "a", "b"))
@@ -236,21 +256,21 @@ def _conversions(
     yield vectorwise("uint32", "int32_to_uint32", "a int32", "(lanes_u)a")
     if single:
         nan = "lanes_blend_u(lanes_v_ne_real(a, a), (lanes_u){0} + 0x7fc00000u, (lanes_u)a)"
-        yield vectorwise("uint32", "word_0", "a real", nan)
-        yield vectorwise("uint32", "word_1", "a real", "(lanes_u)((lanes_w)a & 0u)")
-        yield lanewise("real", "from_bits", ("uint32", "uint32"), "real_from_bits(a[l], b[l])")
-        yield vectorwise("real", "from_word", "a uint32", "(lanes_r)a")
+        yield vectorwise("uint32", "real_word_0", "a real", nan)
+        yield vectorwise("uint32", "real_word_1", "a real", "(lanes_u)((lanes_w)a & 0u)")
+        yield lanewise("real", "real_from_bits", ("uint32", "uint32"), "real_from_bits(a[l], b[l])")
+        yield vectorwise("real", "real_from_word", "a uint32", "(lanes_r)a")
         return
     yield _part("bits")
-    yield vectorwise("uint32", "word_0", "a real", "lanes_u_of_w(lanes_bits(a))")
-    yield vectorwise("uint32", "word_1", "a real", "lanes_u_of_w(lanes_bits(a) >> 32)")
+    yield vectorwise("uint32", "real_word_0", "a real", "lanes_u_of_w(lanes_bits(a))")
+    yield vectorwise("uint32", "real_word_1", "a real", "lanes_u_of_w(lanes_bits(a) >> 32)")
     yield vectorwise(
         "real",
-        "from_bits",
+        "real_from_bits",
         "a uint32, b uint32",
         "(lanes_r)(lanes_w_of_u(b) << 32 | lanes_w_of_u(a))",
     )
-    yield lanewise("real", "from_word", ("uint32",), "real_from_word(a[l])")
+    yield lanewise("real", "real_from_word", ("uint32",), "real_from_word(a[l])")
 
 
 def _memory(shape: LaneShape) -> Iterator[str]:
@@ -260,25 +280,31 @@ def _memory(shape: LaneShape) -> Iterator[str]:
     others = " | ".join(f"(i.v{k} ^ first)" for k in vectors)
     within = ", ".join(f"lanes_within(i.v{k}, last)" for k in vectors)
     yield _part("indices", within=within, others=others, compared=_all_zero(each * 32))
+    for kind in KINDS:
+        yield _elements(shape, kind)
+    yield _part("any", masks=lanes // each if shape.bits else lanes)
+
+
+def _elements(shape: LaneShape, kind: str) -> str:
+    """Elements of arrays of one kind."""
+    lanes, each = shape.lanes, shape.each
     at = "((const lanes_one_int32 *)i)[l]"
     on = f"((const lanes_one_bool *)c)[{f'l / {each}' if shape.bits else 'l'}]"
     if shape.bits:
         on += f" >> l % {each} & 1"
-        copy_bit = _part("copy_bit", each=each)
-    for kind in KINDS:
-        one = f"lanes_one_{kind}"
-        get = f"(({one} *)y)[l] = ((const {one} *)a)[{at} * {lanes} + l]"
-        put = f"(({one} *)a)[{at} * {lanes} + l] = ((const {one} *)x)[l]"
-        begun = ""
-        if kind == "bool" and shape.bits:
-            begun = "    *y = *a;\n"
-            get, put = f"lanes_copy_bit(y, &a[{at}], l)", f"lanes_copy_bit(&a[{at}], x, l)"
-            yield copy_bit
-        fetched = f"    for (int l = 0; l < {lanes}; l++)\n        {get};\n"
-        if kind == "real" and shape.bits:
-            fetched = f"#if defined(__AVX512F__)\n{_gathered(shape)}#else\n{fetched}#endif\n"
-        yield _part("elements", kind=kind, whole=TYPES[kind], fetched=begun + fetched, lanes=lanes, on=on, put=put)
-    yield _part("any", masks=lanes // each if shape.bits else lanes)
+    one = f"lanes_one_{kind}"
+    get = f"(({one} *)y)[l] = ((const {one} *)a)[{at} * {lanes} + l]"
+    put = f"(({one} *)a)[{at} * {lanes} + l] = ((const {one} *)x)[l]"
+    begun = before = ""
+    if kind == "bool" and shape.bits:
+        begun = "    *y = *a;\n"
+        get, put = f"lanes_copy_bit(y, &a[{at}], l)", f"lanes_copy_bit(&a[{at}], x, l)"
+        before = _part("copy_bit", each=each)
+    fetched = f"    for (int l = 0; l < {lanes}; l++)\n        {get};\n"
+    if kind == "real" and shape.bits:
+        fetched = f"#if defined(__AVX512F__)\n{_gathered(shape)}#else\n{fetched}#endif\n"
+    whole = TYPES[kind]
+    return before + _part("elements", kind=kind, whole=whole, fetched=begun + fetched, lanes=lanes, on=on, put=put)
 
 
 def _all_zero(bits: int) -> str:

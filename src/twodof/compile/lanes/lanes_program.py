@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from twodof.blocks.declarations import Param, Port, State, check_steps, numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.kinds import dtype_of
 from twodof.blocks.machine import axes, fitting
 from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.style import LaneStyle as Style
@@ -187,7 +188,7 @@ class LanesMachine(BuiltMachine):
         results = {}
         for path, (s, _) in self._outputs.items():
             inner = () if s.width is None else (s.width,)
-            results[path] = np.empty((steps, self.lanes, *inner), program.precision if s.kind == "real" else s.kind)
+            results[path] = np.empty((steps, self.lanes, *inner), dtype_of(s.kind, program.precision))
         y = _structs(min(CHUNK, max(steps, 1)), program.dtypes["Y"], together=True)[0]
         changing = _structs(min(CHUNK, max(steps, 1)), program.dtypes["U"], together=True)[0] if columns else None
         for b, (p, s, u) in enumerate(zip(*(self._structs[k] for k in "PSU"), strict=True)):
@@ -282,7 +283,7 @@ class LanesMachine(BuiltMachine):
         rows, kind = [], declared.kind
         for _, given in self._each(value, declared, path):
             rows.append(numbers.plain(numeric(given, kind, declared.width, path, declared.shape)))
-        return np.array(rows, dtype={"real": "float64", "bool": "bool"}.get(kind, kind))
+        return np.array(rows, dtype=dtype_of(kind, "float64"))
 
     def _views(self, struct: str, member: str) -> Iterable[NDArray[Any]]:
         """A member's memory in each block of lanes, ([width,] lanes of the block)."""
@@ -293,7 +294,7 @@ class LanesMachine(BuiltMachine):
     def _read(self, struct: str, member: str, kind: str) -> NDArray[Any]:
         views = (_apart(view, kind) for view in self._views(struct, member))
         data = np.concatenate([np.moveaxis(view, -1, 0) for view in views])[: self.lanes]
-        return data != 0 if kind == "bool" else data
+        return data != 0 if kind == "bool" else data.astype(dtype_of(kind, self.precision), copy=False)
 
     def _put(self, struct: str, member: str, data: NDArray[Any]) -> None:
         wide = self.program.shape.lanes

@@ -9,16 +9,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from functools import reduce
+from typing import ClassVar
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.compile.c.expressions import Renderer, Text, constant
 from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
-from twodof.compile.c.operators import ATOM, PLAIN, Operator, called
+from twodof.compile.c.operators import ATOM, PLAIN, called
 from twodof.compile.c.operators import OPERATORS as SCALAR
 from twodof.compile.c.style import CStyle
 from twodof.compile.c.writer import CWriter
-from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, prelude
+from twodof.compile.lanes.helpers import SCALARS, TYPES, VECTORS, more, prelude
+from twodof.compile.lanes.other_kinds import lane_kinds, lane_operators
 from twodof.compile.program.layout import LaneShape, Member
 
 MASKS = 1000  # names kept for masks
@@ -29,6 +31,7 @@ DEEPEST_INDEX = 20  # operations in an index that is the same in all lanes
 class LaneWriter(CWriter):
     """Lines of C whose stores a mask may choose: they store where it allows it."""
 
+    kinds: ClassVar[Mapping[str, str]]
     mask: str = ""
     masks: int = 0
     shared: set[str] = field(default_factory=set)  # indices that are the same in all lanes
@@ -48,9 +51,8 @@ class LaneWriter(CWriter):
             self.mask, self.masked = outer
 
     def assign(self, target: str, text: str, kind: str) -> None:
-        self.line(
-            f"{target} = lanes_pick_{kind}({self.mask}, {text}, {target});" if self.mask else f"{target} = {text};"
-        )
+        pick = f"lanes_pick_{self.kinds[kind]}"
+        self.line(f"{target} = {pick}({self.mask}, {text}, {target});" if self.mask else f"{target} = {text};")
 
     def copy(self, target: str, source: str, width: int, kind: str, own: bool = False) -> None:
         if own or not self.mask:
@@ -64,13 +66,13 @@ class LaneWriter(CWriter):
 
     def table(self, target: str, table: str, width: int, kind: str) -> None:
         with self.block(f"for (int32_t i = 0; i < {width}; i++)"):
-            self.assign(f"{target}[i]", f"lanes_{kind}_all({table}[i])", kind)
+            self.assign(f"{target}[i]", f"lanes_{self.kinds[kind]}_all({table}[i])", kind)
 
     def put(self, target: str, index: str, text: str, kind: str, own: bool = False) -> None:
         """A line that stores an element of an array; its index may be each lane's own."""
         mask = "" if own else self.mask
         if index not in self.shared:
-            self.line(f"lanes_put_{kind}({target}, {index}, {text}, {mask or 'lanes_bool_all(true)'});")
+            self.line(f"lanes_put_{self.kinds[kind]}({target}, {index}, {text}, {mask or 'lanes_bool_all(true)'});")
         elif mask:
             self.assign(f"{target}[{index}]", text, kind)
         else:
@@ -90,18 +92,15 @@ def conjunction(texts: Sequence[str]) -> str:
 _VARIABLE = re.compile(r"[A-Za-z_][\w.\[\]]*(->[\w.\[\]]+)?\.v@")
 
 
-OPERATORS = {name: called(f"lanes_v_{name}", operator.arity) for name, operator in SCALAR.items()}
-OPERATORS |= {name: called(f"lanes_v_{name}", 2) for name in ("min_real", "max_real")}
-"""The rows of C's operators as functions of vectors; what a row does is said in `helpers`."""
+_LESS = {name: called(f"lanes_v_{name}", 2) for name in ("min_real", "max_real")}
+OPERATORS = {precision: lane_operators(precision) | _LESS for precision in ("float32", "float64")}
+"""The rows of C's operators as functions of vectors, by precision; what a row does is said in `helpers`."""
 
 
 class LaneRenderer(Renderer):
     """Writes the expressions of one block, each value in all lanes: `@` stands for the number of a vector."""
 
     vectors: int
-
-    types: Mapping[str, str] = TYPES
-    operators: Mapping[str, Operator] = OPERATORS
     writer: LaneWriter
 
     def _local(self, name: str) -> Text:
@@ -148,12 +147,12 @@ class LaneRenderer(Renderer):
     def _leaf(self, item: Expr) -> Text:
         text = super()._leaf(item)
         if item.op == "const" or (item.op == "bound" and item.data[1] == 0):  # a constant, or a loop's counter
-            return f"lanes_v_{item.kind}_all({text[0]})", ATOM
+            return f"lanes_v_{self.kinds[item.kind]}_all({text[0]})", ATOM
         return text if item.op == "bound" or item.width is not None else self._local(text[0])
 
     def _special(self, item: Expr, args: Sequence[Text], operand: str) -> Text | None:
         """The smaller or the larger of two."""
-        if item.op != "where" or item.kind != "real":
+        if item.op != "where" or self.kinds[item.kind] != "real":
             return None
         test = self._resolve(item.args[0])
         if test.op != "lt":
@@ -171,14 +170,12 @@ class LaneRenderer(Renderer):
         if at in self.writer.shared:
             return self._local(f"{name}[{at}]")
         fetched = self.names.numbered(f"{self.stem}_t")
-        self.writer.line(f"const {self.types[item.kind]} {fetched} = lanes_get_{item.kind}({name}, {at});")
+        self.writer.line(f"const {self.types[item.kind]} {fetched} = lanes_get_{self.kinds[item.kind]}({name}, {at});")
         return self._name(item, self._local(fetched))
 
 
 class VectorRenderer(LaneRenderer):
     """Writes an elementary function of a single vector."""
-
-    types: Mapping[str, str] = VECTORS
 
     def _local(self, name: str) -> Text:
         return name, ATOM
@@ -196,10 +193,7 @@ _WEIGHTED = (
 class LaneStyle(CStyle):
     """C for as many instances as a `LaneShape` says; a condition says where it holds."""
 
-    types: Mapping[str, str] = TYPES
-    writer = LaneWriter
     function = "td_inline"
-    needs = SCALARS
     tables = False
     branches = False
 
@@ -209,10 +203,17 @@ class LaneStyle(CStyle):
         along = self._whole("lanes_v_add_real({0}.v@, lanes_v_mul_real(h.v@, {1}.v@))")
         self.along = along.replace("{{", "{{{{").replace("}}", "}}}}")  # it is formatted twice
         self.weighted = self._whole(_WEIGHTED)
-        self.renderer = type("Renderer", (LaneRenderer,), {"vectors": shape.vectors})
+        self._inner = VECTOR[shape.precision]
+        kinds = lane_kinds(shape.precision)
+        self.kinds = kinds
+        self.types = {kind: TYPES[lane] for kind, lane in kinds.items()}
+        own = {"kinds": kinds, "types": self.types, "operators": OPERATORS[shape.precision]}
+        self.renderer = type("Renderer", (LaneRenderer,), {**own, "vectors": shape.vectors})
+        self.writer = type("Writer", (LaneWriter,), {"kinds": kinds})
         self.copies = shape.lanes
-        self.prelude = prelude(shape)
-        self.reserved = frozenset(re.findall(r"\blanes_\w+", self.prelude)) | {f"on_{i}" for i in range(MASKS)}
+        self._always, self._more = prelude(shape), more(shape)
+        every = "".join([self._always, *(m.text for m in self._more)])
+        self.reserved = frozenset(re.findall(r"\blanes_\w+", every)) | {f"on_{i}" for i in range(MASKS)}
 
     def _whole(self, text: str) -> str:
         """A real whose vectors `text` gives, `@` being the number of each; braces doubled, for it will be formatted."""
@@ -222,10 +223,14 @@ class LaneStyle(CStyle):
     @property
     def inner(self) -> CStyle:
         """The style of the elementary functions: of single vectors."""
-        return VECTOR
+        return self._inner
+
+    def prelude(self, programs: str) -> tuple[str, frozenset[str]]:
+        used = [m for m in self._more if m.mark in programs]
+        return "".join([self._always, *(m.text for m in used)]), SCALARS.union(*(m.helpers for m in used))
 
     def same(self, text: str, kind: str) -> str:
-        return f"lanes_{kind}_all({text})"
+        return f"lanes_{self.kinds[kind]}_all({text})"
 
     def literal(self, text: str, binding: int, kind: str) -> Text:
         return self.same(text, kind), ATOM
@@ -247,10 +252,10 @@ class LaneStyle(CStyle):
 
     def compared(self, sign: str, a: str, b: str, kind: str = "real") -> str:
         name = {"!=": "ne", ">": "gt", "<": "lt", ">=": "ge"}[sign]
-        return f"lanes_{name}_{kind}({a}, {b})"
+        return f"lanes_{name}_{self.kinds[kind]}({a}, {b})"
 
     def chosen(self, test: str, a: str, b: str, kind: str) -> str:
-        return f"lanes_pick_{kind}({test}, {a}, {b})"
+        return f"lanes_pick_{self.kinds[kind]}({test}, {a}, {b})"
 
     def anywhere(self, test: str) -> str:
         return f"lanes_any({test})"
@@ -277,10 +282,14 @@ class LaneStyle(CStyle):
 class VectorStyle(CStyle):
     """C of single vectors, for the elementary functions."""
 
-    types: Mapping[str, str] = VECTORS
-    renderer = VectorRenderer
-    writer = LaneWriter
     function = "td_inline"
 
+    def __init__(self, precision: str) -> None:
+        kinds = lane_kinds(precision)
+        self.types = {kind: VECTORS[lane] for kind, lane in kinds.items()}
+        own = {"kinds": kinds, "types": self.types, "operators": OPERATORS[precision]}
+        self.renderer = type("Renderer", (VectorRenderer,), own)
+        self.writer = type("Writer", (LaneWriter,), {"kinds": kinds})
 
-VECTOR = VectorStyle()
+
+VECTOR = {precision: VectorStyle(precision) for precision in OPERATORS}

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Dual, Value
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.blocks.expressions.numbers import Vector
 from twodof.compile.linear.integer_states import IntegerStates
 from twodof.compile.linear.operating_point import OperatingPoint
@@ -32,7 +33,7 @@ class Coordinates:
             for s in node.block.states:
                 e = node.trace.update.get(s.name)
                 kept = e is None or (e.op == "state" and e.data == s.name)
-                if s.kind == "real" and (s.continuous or not kept):
+                if s.kind in FLOATS and (s.continuous or not kept):
                     self.keys.append((node, s.name))
         self.size = sum(point.width(k) for k in self.keys) + sum(s.width or 1 for s in self.held)
 

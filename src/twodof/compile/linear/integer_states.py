@@ -10,6 +10,7 @@ from typing import Any
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.graph import leaves, walk
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.blocks.expressions.numbers import Integer
 from twodof.compile.linear.operating_point import OperatingPoint
 from twodof.compile.linear.parts import Parts
@@ -56,7 +57,7 @@ class IntegerStates:
                 names = tuple(
                     s.name
                     for s in node.discrete
-                    if s.kind != "real" and s.name in node.trace.update and (node, s.name) not in self.point.given
+                    if s.kind not in FLOATS and s.name in node.trace.update and (node, s.name) not in self.point.given
                 )
                 if names and now.active(node.guard):
                     self._settle(node, names, now)
@@ -112,7 +113,7 @@ class IntegerStates:
         """That of the states `names` which says where a buffer of reals is written, "" if none does."""
         for e in node.trace.update.values():
             item = e
-            while item.op == "store" and item.kind == "real":
+            while item.op == "store" and item.kind in FLOATS:
                 if found := leaves([item.args[1]], "state") & set(names):
                     return min(found)
                 item = item.args[0]
@@ -126,7 +127,7 @@ class IntegerStates:
         notes = {}
         for node, name in sorted(self.point.given, key=lambda k: (k[0].path, k[1])):
             e = node.trace.update.get(name)
-            if node not in self.parts.nodes or e is None or e.kind == "real" or not step.active(node.guard):
+            if node not in self.parts.nodes or e is None or e.kind in FLOATS or not step.active(node.guard):
                 continue
             if _same(plain(step.evaluate(node, [e])[0]), self.point.states[node, name]):
                 continue

@@ -14,6 +14,7 @@ from twodof.blocks.declarations import element_names, unknown_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.linear.coordinates import Coordinates
 from twodof.compile.linear.equilibrium import move_to_equilibrium
 from twodof.compile.linear.integer_states import IntegerStates
@@ -117,19 +118,19 @@ class _Linearization:
 
     def _inputs(self, names: Sequence[str] | None) -> dict[str, FlatSignal]:
         if names is None:
-            return {n: s for n, s in self.program.inputs.items() if s.kind == "real"}
+            return {n: s for n, s in self.program.inputs.items() if s.kind in FLOATS}
         return {name: self._signal(name, self.program.inputs) for name in names}
 
     def _outputs(self, names: Sequence[str] | None) -> dict[str, FlatSignal]:
         if names is None:
-            return {n: s for n, s in self.program.outputs.items() if s.kind == "real" and n in self.ports}
+            return {n: s for n, s in self.program.outputs.items() if s.kind in FLOATS and n in self.ports}
         return {name: self._signal(name, {**self.program.inputs, **self.program.outputs}) for name in names}
 
     def _signal(self, name: str, ports: Mapping[str, FlatSignal]) -> FlatSignal:
         found = ports.get(name) or self.program.signals.get(name)
         if found is None:
             raise unknown_name("signal", name, [*ports, *self.program.signals], self.name)
-        if found.kind != "real":
+        if found.kind not in FLOATS:
             raise DiagramError(f"{name!r} is {found.kind}", self.name, "a linear model has real inputs and outputs")
         return found
 
@@ -252,7 +253,7 @@ class _Linearization:
             f"{node.path}.{s.name}": "no output depends on it"
             for node in self.program.nodes
             for s in node.block.states
-            if node not in here and s.kind == "real"
+            if node not in here and s.kind in FLOATS
         }
 
     def _input_values(self, s: FlatSignal) -> list[float]:

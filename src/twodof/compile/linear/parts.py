@@ -7,6 +7,7 @@ from functools import cached_property
 
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.expressions.graph import leaves
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 from twodof.compile.program.flatten import constants
 from twodof.errors import DiagramError
@@ -92,7 +93,7 @@ class Parts:
             return []
         read = {s for n in self.nodes for s in n.drivers.values()} | set(outputs)
         slow = [s for n in self.nodes for s in n.outputs.values() if n.rate != BASE and s in read]
-        return [s for s in slow if s.kind == "real"]
+        return [s for s in slow if s.kind in FLOATS]
 
     def read_tick(self) -> list[str]:
         """The paths of the nodes that read the tick."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant, plain
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.linear.coordinates import Coordinates
 from twodof.compile.linear.operating_point import OperatingPoint
 from twodof.compile.linear.parts import Parts
@@ -92,7 +93,7 @@ class Slopes:
         self.outputs = outputs
         self.size = coordinates.size
         self.seeds = self.size + sum(s.width or 1 for s in inputs.values())
-        self._whole = [(n, s) for n in parts.nodes for s in n.block.states if s.kind != "real"]
+        self._whole = [(n, s) for n in parts.nodes for s in n.block.states if s.kind not in FLOATS]
         self._paths = {n.path for n in parts.nodes}
         self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
 

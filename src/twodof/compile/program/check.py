@@ -7,6 +7,7 @@ import numpy as np
 
 from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node, parameter_values
 from twodof.compile.program.flatten import FlatDiagram
@@ -194,7 +195,7 @@ def _not_finite(diagram: Diagram, program: FlatProgram) -> Iterator[Remark]:
             yield Remark("the default parameters make it infinite or NaN", where, "change the defaults")
     if found:
         return
-    paths = [s.path for n in program.nodes for s in n.outputs.values() if s.kind == "real"]
+    paths = [s.path for n in program.nodes for s in n.outputs.values() if s.kind in FLOATS]
     for path, value in Reference(diagram, program.dt, log=paths).machine().step().items():
         if path in paths and not np.all(np.isfinite(value)):
             yield Remark(

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.expressions.kinds import BY_NAME, dtype_of
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
@@ -136,13 +137,13 @@ def _place(m: Member, precision: str, shape: LaneShape | None) -> tuple[np.dtype
     """
     dims = () if m.width is None else (m.width,)
     if shape is None or m.shared:
-        base = np.dtype(precision if m.kind == "real" else m.kind)
+        base = dtype_of(m.kind, precision)
         return np.dtype((base, dims)), base.itemsize
     if m.kind == "bool" and shape.bits:
         return np.dtype((np.uint8, (*dims, shape.lanes // 8))), shape.each // 8
     masks = "int32" if precision == "float32" else "int64"
-    base = np.dtype({"real": precision, "bool": masks}.get(m.kind, m.kind))
-    return np.dtype((base, (*dims, shape.lanes))), base.itemsize * shape.each
+    base = np.dtype(masks) if m.kind == "bool" else dtype_of(BY_NAME[m.kind].computes, precision)
+    return np.dtype((base, (*dims, shape.lanes))), min(base.itemsize * shape.each, 64)
 
 
 def _struct_dtype(places: Sequence[tuple[str, np.dtype[Any], int]]) -> np.dtype[Any]:

@@ -6,7 +6,9 @@ from dataclasses import dataclass, replace
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.kinds import STORED
 from twodof.compile.c.emitter import emit
+from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import MemoryLayout
 from twodof.compile.program.lower import lower
@@ -155,7 +157,7 @@ def _integer(value: float) -> str:
 
 
 def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str:
-    members = {parameter.path: member.name for parameter, member in layout.parameters.items()}
+    members = {parameter.path: member for parameter, member in layout.parameters.items()}
     lines = {False: "", True: ""}
     for i, row in enumerate(rows):
         if not row.path:
@@ -167,8 +169,10 @@ def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str
             "uint32": f"(uint32_t)values[{i}].integer",
             "bool": f"values[{i}].integer != 0",
         }[row.kind]
+        member = members[row.path]
+        cast = f"({C_TYPES[member.kind]})" if member.kind in STORED else ""
         indent = "        " if row.fixed else "    "
-        lines[row.fixed] += f"{indent}own->candidate.{members[row.path]}{element} = {value};\n"
+        lines[row.fixed] += f"{indent}own->candidate.{member.name}{element} = {cast}{value};\n"
     starting = f"    if (starting) {{\n{lines[True]}    }}\n" if lines[True] else ""
     return lines[False] + starting
 

@@ -84,6 +84,10 @@ def fields(program: FlatProgram, outputs: int) -> MessageFields:
     """
     ins = _named("in", list(program.inputs.items()))
     rows = list(program.outputs.items())
+    for path, signal in [*program.inputs.items(), *rows]:
+        if signal.kind not in TYPES:
+            remedy = f"convert it to one of {', '.join(TYPES)} for PX4"
+            raise DiagramError(f"its signal {path!r} is {signal.kind}", program.name, remedy)
     found = MessageFields(ins, _named("out", rows[:outputs]) + _named("log", rows[outputs:]))
     every = [*found.inputs, *found.outputs]
     size = sum(_SIZES[f.kind] * f.words for f in every)

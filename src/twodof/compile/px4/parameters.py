@@ -7,6 +7,8 @@ from types import MappingProxyType
 
 import numpy as np
 
+from twodof.blocks.declarations import limits
+from twodof.blocks.expressions.kinds import FLOATS, STORED
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.px4.names import ModuleNames, harmless, parameter_names
 from twodof.errors import DiagramError
@@ -33,7 +35,8 @@ UNITS: Mapping[str, str] = MappingProxyType(
 class ExportedParameter:
     """A parameter in PX4.
 
-    `kind` is "real", "int32", "uint32" or "bool" as in the diagram, `index` an element of an array. `low` and `high`
+    `kind` is "real", "int32", "uint32" or "bool" as in the diagram; "real" stands for float32 too and "int32" for the
+    integers of 8 and 16 bits. `index` is an element of an array. `low` and `high`
     are those that the module enforces, in float32 for a real. `fixed`: read when the module starts. The module's own
     parameters have no `path`.
     """
@@ -127,7 +130,9 @@ def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[Ke
         values = [float(v) for v in np.ravel(np.asarray(d.value), order="F")]
         if d.width is not None and d.width > WIDEST:
             kept.append(KeptParameter(path, f"an array of {d.width} elements; up to {WIDEST} are shown"))
-        elif d.kind == "real" and not all(math.isfinite(float32(v)) for v in values):
+        elif d.kind == "float64":
+            kept.append(KeptParameter(path, "a float64; PX4's parameters are float32 and int32"))
+        elif d.kind in FLOATS and not all(math.isfinite(float32(v)) for v in values):
             kept.append(KeptParameter(path, "its default is not finite in float32"))
         elif d.kind == "uint32" and max(values) > LARGEST_INT:
             kept.append(KeptParameter(path, "its default is above 2147483647, the largest integer of PX4"))
@@ -146,17 +151,18 @@ def _row(program: FlatProgram, name: str, path: str, index: int | None) -> Expor
     d = program.parameters[path].declared
     value = np.ravel(np.asarray(d.value), order="F")
     default = float(value[0 if index is None or len(value) == 1 else index])
-    if d.kind == "real":
+    kind = "real" if d.kind in FLOATS else "int32" if d.kind in STORED else d.kind
+    if kind == "real":
         low, high = max(float32(d.low), -LARGEST_FLOAT), min(float32(d.high), LARGEST_FLOAT)
         default = float32(default)
     elif d.kind == "bool":
         low, high = 0.0, 1.0
     else:
-        floor = 0 if d.kind == "uint32" else SMALLEST_INT
-        low, high = max(_whole(d.low, math.ceil), floor), min(_whole(d.high, math.floor), LARGEST_INT)
+        least, most = limits(d)
+        low, high = max(_whole(least, math.ceil), SMALLEST_INT), min(_whole(most, math.floor), LARGEST_INT)
     if not low <= default <= high:
         raise DiagramError(f"its default {default:g} is outside [{low:g}, {high:g}]", path, "change one of them")
-    return ExportedParameter(name, d.kind, default, low, high, d.unit, d.text, not d.tunable, path, index)
+    return ExportedParameter(name, kind, default, low, high, d.unit, d.text, not d.tunable, path, index)
 
 
 def _whole(bound: float, rounded: Callable[[float], int]) -> float:

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from twodof.blocks.expressions.kinds import dtype_of
 from twodof.compile.c import freestanding
 from twodof.compile.program.layout import Member
 from twodof.compile.target import EmittedProgram
@@ -120,7 +121,7 @@ def _entry(
     return {
         "path": path,
         "unit": member.unit,
-        "type": program.precision if member.kind == "real" else member.kind,
+        "type": dtype_of(member.kind, program.precision).name,
         "count": member.width or 1,
         "array": member.width is not None,
         "address": places.structs[struct] + offset,

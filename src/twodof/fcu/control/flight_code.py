@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks import Diagram
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
@@ -272,4 +273,4 @@ def _of_kind(kind: str, value: Any) -> Any:
     """A whole number that came as a float, as a parameter of type `kind` takes it."""
     if not isinstance(value, float) or not value.is_integer():
         return value
-    return value == 1.0 if kind == "bool" and value in (0.0, 1.0) else value if kind == "real" else int(value)
+    return value == 1.0 if kind == "bool" and value in (0.0, 1.0) else value if kind in FLOATS else int(value)

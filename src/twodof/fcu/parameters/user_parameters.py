@@ -14,6 +14,7 @@ import numpy as np
 
 from twodof.blocks import Diagram, Param
 from twodof.blocks.declarations import rows_of
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names
@@ -116,7 +117,7 @@ def _exact(declared: Param, row: VehicleParameter, value: float, default: Any) -
     """The number that flies for a row's value."""
     if declared.kind == "bool":
         return bool(value)
-    if declared.kind != "real":
+    if declared.kind not in FLOATS:
         return int(value)
     # A bound, too, may lie between two numbers of float32.
     return float(default) if value == row.default else min(max(float(value), declared.low), declared.high)

@@ -10,6 +10,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.datatypes.bus import Bus, grouped
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part
+from twodof.blocks.expressions.kinds import INTEGERS
 from twodof.blocks.library.delays import StoreRead, StoreWrite
 from twodof.blocks.library.math import Sum
 from twodof.report.drawing.layered_layout import Box
@@ -214,7 +215,7 @@ def wire_class(port: Port | None) -> str:
         return "wire"
     if isinstance(port.kind, Bus):
         return "wire bus"
-    kind = {"bool": " truth", "int32": " whole", "uint32": " whole"}.get(port.kind, "")
+    kind = " truth" if port.kind == "bool" else " whole" if port.kind in INTEGERS else ""
     return "wire" + (" array" if port.width is not None else "") + kind
 
 
