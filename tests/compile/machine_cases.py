@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.compile.differential import Case
 from tests.compile.random_machines import MachineTable, machine_block, random_table
-from twodof.blocks import Diagram, Param, Port, State, fold, sin
+from twodof.blocks import Bus, Diagram, Param, Port, State, fold, sin
 from twodof.blocks.library import Logic
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 
@@ -39,12 +39,20 @@ def machine_case(r: random.Random, name: str, steps: int) -> tuple[Case, Machine
     return Case(d, paths, random_rows(r, steps), {}), table
 
 
+POSE = Bus("Pose", [Port("angle", unit="rad"), Port("at", width=2)])
+
+
 class Arrays(StateMachine):
-    """Vectors, matrices, loops and shared expressions in guards and actions."""
+    """Vectors, matrices, buses, loops and shared expressions in guards and actions."""
 
     inputs = (Port("u"), Port("b", "int32"), Port("flag", "bool"))
-    outputs = (Port("norm"), Port("v", width=3), Port("A", shape=(2, 2)), Port("elapsed", "uint32"))
-    variables = (State("v", [1.0, 2.0, 3.0], width=3), State("A", [[1, 2], [3, 4]], shape=(2, 2)), State("s", 0.25))
+    outputs = (Port("norm"), Port("v", width=3), Port("A", shape=(2, 2)), Port("elapsed", "uint32"), Port("pose", POSE))
+    variables = (
+        State("pose", kind=POSE),
+        State("v", [1.0, 2.0, 3.0], width=3),
+        State("A", [[1, 2], [3, 4]], shape=(2, 2)),
+        State("s", 0.25),
+    )
     params = (Param("gain", 0.5),)
 
     modes = (
@@ -55,7 +63,7 @@ class Arrays(StateMachine):
                 Mode(
                     "b",
                     during=lambda x, p: {"norm": x.s * p.gain + sin(x.s * p.gain), "s": x.s * p.gain + 0.125},
-                    exit=lambda x: {"A": x.A.T},
+                    exit=lambda x: {"A": x.A.T, "pose": POSE(angle=x.pose.angle + 1.0, at=[x.s, x.pose.at[0]])},
                 ),
             ],
             during=lambda u, x, t: {"norm": 0.0, "A": store_first(x.A, u.u + t.elapsed_time)},

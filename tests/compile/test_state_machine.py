@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.compile.differential import Case, reference_run
-from tests.compile.machine_cases import machine_case
+from tests.compile.differential import Case, reference_run, same
+from tests.compile.machine_cases import array_case, machine_case
 from tests.compile.random_machines import told_by_the_table
 from twodof.blocks.schema import from_json, to_json
 
@@ -53,3 +53,13 @@ def test_its_json_means_the_same_and_stays_the_same() -> None:
     found = reference_run(again, "float64", "rk4").signals
     for k, row in enumerate(told_by_the_table(table, case.rows)):
         assert {n: found[f"inner.machine.{n}"][k].item() for n in row} == row, k
+
+
+def test_the_json_of_arrays_and_buses_means_the_same() -> None:
+    case = array_case(STEPS)
+    text = to_json(case.diagram)
+    again = Case(from_json(text), case.paths, case.rows, {})
+    assert to_json(again.diagram) == text
+    one, other = (reference_run(c, "float32", "rk4") for c in (case, again))
+    assert one.states == other.states
+    assert all(same(values, other.signals[path]).all() for path, values in one.signals.items())

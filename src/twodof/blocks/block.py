@@ -89,7 +89,7 @@ class Block:
         return function
 
 
-_DECLARED = frozenset(("inputs", "outputs", "states", "params"))
+_DECLARED = frozenset(("inputs", "outputs", "states", "params", "variables"))
 
 REGISTRY: dict[str, type[Block]] = {}
 

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 from twodof.blocks.declarations import Port, State, numeric
 from twodof.blocks.expressions.expr import int32, recording, to_real, uint32, where
-from twodof.blocks.expressions.matrix import shaped
-from twodof.blocks.matrix_views import matrices
+from twodof.blocks.expressions.matrix import flat_of, shaped
+from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine.chart import Leaf, Route
 from twodof.blocks.state_machine.machine_graph import (
@@ -25,7 +25,7 @@ from twodof.blocks.state_machine.machine_graph import (
     owner_clock,
 )
 from twodof.blocks.state_machine.mode import MachineFunction, Mode, ModeClock
-from twodof.blocks.trace import returned
+from twodof.blocks.trace import by_path, returned
 
 LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
 
@@ -46,13 +46,14 @@ class Reaction:
         self.machine = machine
         self.chart = machine.chart
         self.seen = u, p, t
-        self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **vars(x)}
+        names = [s.name for s in (*machine.variables, *machine.graph.states)]
+        self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **{n: flat_of(x[n]) for n in names}}
         self.outputs: Values = {}
         self.taken: Route | None = None  # on numbers
         self.variables: dict[str, State] = {v.name: v for v in machine.variables}
         declared: dict[str, State | Port] = {**self.variables, **{port.name: port for port in machine.outputs}}
         self.declared = list(declared.values())
-        self.shapes = matrices(self.declared)
+        self.shapes = matrices(machine.variables)
 
     def after(self, values: Values, outputs: Values | None = None) -> Reaction:
         """The reaction as it goes on from other values."""
@@ -66,7 +67,8 @@ class Reaction:
         u, p, t = self.seen
         elapsed = self.values[owner_clock(owner in self.chart.outers)]
         clock = ModeClock(t.tick, t.dt, t.base_dt, elapsed, to_real(elapsed) * t.dt)
-        return function(u, States({name: self.values[name] for name in self.variables}), p, clock)
+        x = with_matrices(States({name: self.values[name] for name in self.variables}), self.shapes)
+        return function(u, x, p, clock)
 
     def perform(self, function: MachineFunction | None, owner: Mode) -> None:
         """An action: its values take effect together."""
@@ -78,13 +80,14 @@ class Reaction:
         else:
             if not isinstance(given, Mapping):
                 given = {self.declared[0].name: given}
+            given = by_path(given, [d.name for d in self.declared])
             flat = {
                 d.name: numeric(given[d.name], d.kind, d.width, d.name, d.shape)
                 for d in self.declared
                 if d.name in given
             }
         for name, value in flat.items():
-            (self.values if name in self.variables else self.outputs)[name] = shaped(value, self.shapes.get(name))
+            (self.values if name in self.variables else self.outputs)[name] = value
 
     def act(self, mode: Mode, action: str) -> None:
         """An action of a mode."""
@@ -126,10 +129,12 @@ def react(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Val
     """The states and the outputs after a tick."""
     reaction = Reaction(machine, u, x, p, t)
     end = _recorded(reaction) if recording() else _on_numbers(reaction)
-    states = {s.name: end.values[s.name] for s in (*machine.variables, *machine.graph.states)}
-    shown = {port.name: end.values[port.name] for port in machine.outputs if port.name in end.values}
-    wanted = {port.name for port in machine.outputs}
-    return states, {name: value for name, value in (end.outputs | shown).items() if name in wanted}
+    states = [*machine.variables, *machine.graph.states]
+    outputs = [(port, end.values if port.name in end.values else end.outputs) for port in machine.outputs]
+    return (
+        {s.name: shaped(end.values[s.name], s.shape) for s in states},
+        {port.name: shaped(values[port.name], port.shape) for port, values in outputs},
+    )
 
 
 def followed(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[int | None, int]:
