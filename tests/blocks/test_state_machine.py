@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from twodof.blocks import Diagram, Param, Port, State, to_real
+from twodof.blocks.difference import difference
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
@@ -191,6 +192,7 @@ def test_the_active_mode_is_a_member_of_an_enumeration() -> None:
     block = lamp(outputs=(Port("power"), Port("mode", Light)), params=(Param("p"),))
     d.add("lamp", block, button="button", level="level")
     d.output("mode", "lamp.mode")
+    assert not difference(d, from_json(to_json(d)))
     for diagram in (d, from_json(to_json(d))):
         machine = Reference(diagram, 0.25).machine()
         assert [machine.step({"button": k > 1})["mode"] for k in range(6)] == [0, 0, 1, 1, 0, 1]

@@ -8,7 +8,7 @@ from typing import Any
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Param, shape
 from twodof.blocks.diagram import Diagram, Part
-from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
+from twodof.blocks.schema.traced_block import graph_to_json
 
 WHATS = ("input", "output", "parameter", "block", "connection")
 _SHOWN = 8  # elements of an array
@@ -132,7 +132,7 @@ def _settings(part: Part, prefix: str) -> str:
 def _block(block: Block) -> str:
     """The type of a block and the arguments of its constructor, without the values of parameters."""
     if not type(block).type_name:
-        label = block.label if isinstance(block, TracedBlock) else type(block).__name__
+        label = getattr(block, "label", "") or type(block).__name__
         # The expressions themselves are no reading; that they changed is.
         return f"{label} (custom, {hashlib.sha256(_expressions(block).encode()).hexdigest()[:12]})"
     values = {param.name.lower() for param in block.params}
