@@ -169,7 +169,9 @@ def differences(
 
 
 def same(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Row by row the same bits, all NaNs being one value."""
+    """Row by row the same bits, all NaNs being one value; `a` has matrices column after column, `b` as rows."""
+    if a.ndim == 2 and b.ndim == 3:
+        b = np.ascontiguousarray(b.transpose(0, 2, 1)).reshape(a.shape)
     if a.dtype.kind == "f":
         bits = f"u{a.dtype.itemsize}"
         same = (a.view(bits) == b.view(bits)) | (np.isnan(a) & np.isnan(b))

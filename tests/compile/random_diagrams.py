@@ -8,6 +8,7 @@ from typing import Any
 
 from tests.compile.random_blocks import FLOATS, MIXED, STORED, RandomBlock
 from tests.compile.random_machines import machine_block, random_table
+from tests.compile.random_matrices import FilledMatrix, RandomMatrices
 from twodof.blocks import Block, Diagram, Enumeration, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
@@ -123,6 +124,7 @@ class Maker:
         self.machines = random.Random(seed + 1)  # the same for state machines
         self.mixed = random.Random(f"mixed {seed}")
         self.enumerated = random.Random(f"enumerated {seed}")
+        self.matrices = random.Random(f"matrices {seed}")
         self.small = small
         self.size = 3 if small else 8
         self.paths: list[str] = []
@@ -247,6 +249,8 @@ class Maker:
                 made = self.mixed.choice(CONVERTED)(self.mixed)
         if self.machines.random() < 0.08:
             made = machine_block(random_table(self.machines))
+        if what < 0.75 and self.matrices.random() < 0.1:
+            made = RandomMatrices(self.matrices.randrange(2**31), self.size)
         return made
 
     def sub(
@@ -284,6 +288,13 @@ class Maker:
         r = self.rng
         fits = [s for s in sources if mismatch(port, s.port, "") is None]
         extra = f"h{len(d.parts)}"
+        if port.shape is not None:
+            here = [s for s in fits if s.rate == own]
+            if here:
+                return r.choice(here).text
+            d.add(extra, FilledMatrix(), rate=own)
+            d.connect(self.driver(d, FilledMatrix.inputs[0], own, sources, False), f"{extra}.v")
+            return extra
         if not fits:
             value = {"real": r.uniform(-2, 2), "bool": True}.get(port.kind, r.randint(0, 5))
             value = value if port.enum is None else "amber"

@@ -272,7 +272,9 @@ class TickEmitter:
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
         at_once = self._may_update(node, action.signals)
-        renderer.prepare([*roots, *(_numbers(node.trace.update) if at_once else ())])
+        shared = [*roots, *(_numbers(node.trace.update) if at_once else ())]
+        own = set(action.signals).intersection(node.drivers.values())
+        renderer.prepare(r for r in shared if not own or own.isdisjoint(inputs_of(node, [r])))
         together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
         for signal, root in zip(action.signals, roots, strict=True):
             if signal not in self.layout.stored or together.keys() & inputs_of(node, [root]):
