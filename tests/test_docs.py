@@ -138,6 +138,14 @@ def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
+def test_each_recipe_prints_what_the_page_says(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = (PROJECT / "docs" / "how-to" / "recipes.md").read_text()
+    script = tmp_path / "recipes.py"
+    script.write_text("\n".join(re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)))
+    run(script, tmp_path)
+    assert capsys.readouterr().out == "".join(re.findall(r"```text\n(.*?)```", page, flags=re.DOTALL))
+
+
 def test_the_code_of_the_pages_on_tuning_and_recording_runs(tmp_path: Path) -> None:
     pages = [PROJECT / "docs" / "how-to" / name for name in ("tune-in-flight.md", "record-and-convert.md")]
     blocks = [re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL) for page in pages]
