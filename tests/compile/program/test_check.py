@@ -178,3 +178,31 @@ def test_problems_are_bounded() -> None:
     for i in range(1500):
         d.add(f"g{i}", lib.Gain())
     assert len(check(d, DT).problems) == MAX_PROBLEMS
+
+
+class Scaled(Block):
+    """y = a u / trace(a)."""
+
+    inputs = (Port("u", width=2),)
+    outputs = (Port("y", width=2),)
+    params = (Param("a", [[1.0, 2.0], [3.0, -1.0]], shape=(2, 2)),)
+    derived = (Port("scale", shape=(2, 2)),)
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        return p.a / (p.a[0, 0] + p.a[1, 1])
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return p.scale @ u.u
+
+
+def test_the_defaults_of_matrices_are_looked_at_too() -> None:
+    d = Diagram("matrices")
+    d.input("u", width=2)
+    d.param("a", [[1.0, 2.0], [3.0, 4.0]], shape=(2, 2))
+    d.add("block", Scaled(), u="u")
+    d.output("y", "block")
+    assert [(r.where, r.what) for r in check(d, DT).remarks if "NaN" in r.what] == [
+        ("block.scale", "the default parameters make it infinite or NaN")
+    ]
+    d.parts["block"].params["a"] = "a"
+    assert check(d, DT).remarks == ()

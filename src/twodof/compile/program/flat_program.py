@@ -243,7 +243,7 @@ def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key
             own = {}
             for name, parameter in node.parameters.items():
                 d = parameter.declared
-                own[name] = numeric(given.get(parameter.path, d.value), d.kind, d.width, parameter.path)
+                own[name] = numeric(given.get(parameter.path, d.value), d.kind, d.width, parameter.path, d.shape)
             clock = Clock(None, np.float64(program.dt * node.rate.divider), np.float64(program.dt))
             prepare = node.trace.prepare
             derived = dict(
