@@ -66,7 +66,8 @@ void hand_attitude_step(const hand_attitude_P *restrict p, hand_attitude_S *rest
         s->carry = (total - s->sum) - term;
         s->sum = total;
     }
-    s->slope = p->decay * s->slope + p->rise * (error - s->error);
+    const float slope = p->decay * s->slope + p->rise * (error - s->error);
+    s->slope = slope - slope == 0.0f ? slope : 0.0f; /* never reset, it would stay no number for ever */
     s->error = error;
-    y->M = within(p->kp * error + s->sum + p->kd * s->slope, p->limit);
+    y->M = within(p->kp * error + s->sum + p->kd * slope, p->limit);
 }

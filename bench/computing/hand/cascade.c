@@ -96,9 +96,10 @@ void hand_cascade_step(const hand_cascade_P *restrict p, hand_cascade_S *restric
     } else {
         accumulate(&s->rate_sum, &s->rate_carry, increment);
     }
-    s->slope = p->rate_decay * s->slope + p->rate_rise * (error - s->error);
+    const float slope = p->rate_decay * s->slope + p->rate_rise * (error - s->error);
+    s->slope = slope - slope == 0.0f ? slope : 0.0f; /* never reset, it would stay no number for ever */
     s->error = error;
-    const float M = within(p->rate_kp * error + s->rate_sum + p->rate_kd * s->slope, p->rate_limit);
+    const float M = within(p->rate_kp * error + s->rate_sum + p->rate_kd * slope, p->rate_limit);
     y->M = mode == OFF ? 0.0f : mode == OPEN_LOOP ? u->M_open : M;
     y->T = mode == OFF ? 0.0f : T;
     y->q0 = q0;

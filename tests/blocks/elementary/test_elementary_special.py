@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.blocks.elementary.numpy_evaluation import REALS
+from tests.blocks.elementary.numpy_evaluation import REALS, function
 from tests.blocks.same_bits import same_bits
 from twodof.blocks.elementary.functions import ARGUMENTS, FUNCTIONS
 from twodof.blocks.expressions import numbers
@@ -101,3 +101,18 @@ def test_special_cases_of_c99(precision: str) -> None:
         for name, args, expected in table:
             got = FUNCTIONS[name](*map(real, args))
             assert same_bits(got, real(expected)), f"{name}{args} = {got}, not {expected}"
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_an_angle_within_the_octant_is_its_own_remainder(precision: str) -> None:
+    """On both sides of the angle up to which nothing is reduced: 0.78."""
+    rng = np.random.default_rng(1)
+    scales = 10.0 ** rng.uniform(-45.0, 0.0, 20_000)
+    near = np.linspace(0.7799, 0.7801, 20_000)
+    wide = rng.uniform(-0.7853, 0.7853, 100_000)
+    x = np.concatenate([wide, near, -near, scales * 0.785, -scales * 0.785, [0.0, -0.0, 0.78, -0.78]])
+    x = x.astype(REALS[precision])
+    for name in ("sin", "cos"):
+        plain, octant = function(name, precision)(x), function(f"{name}_octant", precision)(x)
+        bits = f"u{x.itemsize}"
+        assert (plain.view(bits) == octant.view(bits))[x != 0.0].all()

@@ -17,7 +17,7 @@ from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.kinds import FLOATS
 
-WORTH = 20  # operations from which on a branch costs less than computing what may not be read
+WORTH = 10  # operations from which on a branch costs less than computing what may not be read
 WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
 SLOW = {"div": 4, "sqrt": 4, "call": CALL}  # operations that take as long as some
 DEEPEST = 24  # branches within one another
