@@ -302,7 +302,9 @@ def _listed(value: object) -> object:
     return value.tolist() if hasattr(value, "tolist") else value
 
 
+_HARMLESS = {c: c for c in map(chr, range(32, 127)) if c not in '"\\?'}
+
+
 def _quoted(text: str) -> str:
     """User's text made harmless within a C string."""
-    safe = {c: c for c in map(chr, range(32, 127)) if c not in '"\\?'}
-    return "".join(safe.get(c) or "".join(f"\\{b:03o}" for b in c.encode("utf-8", "replace")) for c in text)
+    return "".join(_HARMLESS.get(c) or "".join(f"\\{b:03o}" for b in c.encode("utf-8", "replace")) for c in text)

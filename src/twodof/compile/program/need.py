@@ -4,7 +4,7 @@
 block that selects between signals reads one of them, and what gives the other one need not run.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from twodof.blocks.elementary.functions import FUNCTIONS
@@ -33,16 +33,16 @@ class _Use:
 
 
 def needs(
-    nodes: Iterable[Node], ordered: Sequence[FlatSignal], always: Iterable[FlatSignal]
+    nodes: Collection[Node], ordered: Sequence[FlatSignal], always: Iterable[FlatSignal]
 ) -> dict[FlatSignal, tuple[Need, ...]]:
     """The conditions on those of the signals `ordered` that are worth a branch; `always` are read under none."""
-    uses = _uses(nodes, ordered)
-    for s in always:
-        uses.setdefault(s, []).append(_Use(None, {}))
     outputs: dict[Node, list[FlatSignal]] = {}
     for s in ordered:
         outputs.setdefault(node_of(s), []).append(s)
     worth = {n for n, signals in outputs.items() if _worth(n, signals)}
+    uses = _uses(nodes, ordered, worth)
+    for s in always:
+        uses.setdefault(s, []).append(_Use(None, {}))
     found: dict[FlatSignal, _Needs | None] = {}  # None: nobody has been seen to read it
     for _ in range(MOST_ROUNDS):
         before = dict(found)
@@ -76,8 +76,13 @@ def _common(uses: Iterable[_Use], found: Mapping[FlatSignal, _Needs | None]) -> 
     return common
 
 
-def _uses(nodes: Iterable[Node], ordered: Iterable[FlatSignal]) -> dict[FlatSignal, list[_Use]]:
-    """Where each signal is read. Who acts at other ticks may read a value of a tick in which nobody else did."""
+def _uses(
+    nodes: Collection[Node], ordered: Iterable[FlatSignal], worth: Container[Node]
+) -> dict[FlatSignal, list[_Use]]:
+    """Where each signal of the nodes `worth` is read, and perhaps others.
+
+    Who acts at other ticks may read a value of a tick in which nobody else did.
+    """
     uses: dict[FlatSignal, list[_Use]] = {}
     meanings: dict[int, Need] = {}
 
@@ -85,13 +90,17 @@ def _uses(nodes: Iterable[Node], ordered: Iterable[FlatSignal]) -> dict[FlatSign
         together = d.node is not None and d.node.guard == n.guard
         uses.setdefault(d, []).append(_Use(reader, under) if together else _Use(None, {}))
 
+    readers = {n for n in nodes if any(d.node in worth for d in n.drivers.values())}
     for s in ordered:
         n = node_of(s)
+        if n not in readers:
+            continue
         for d, under in _reads(n, [n.trace.outputs[s.port], *n.trace.edges.get(s.port, ())], meanings):
             read(d, n, s, under)
     for n in nodes:
-        for d, under in _reads(n, [*n.trace.update.values(), *n.trace.project.values()], meanings):
-            read(d, n, None, under)
+        if n in readers:
+            for d, under in _reads(n, [*n.trace.update.values(), *n.trace.project.values()], meanings):
+                read(d, n, None, under)
         for condition in n.conditions:
             for d in condition.signals:
                 uses.setdefault(d, []).append(_Use(None, {}))
