@@ -16,7 +16,7 @@ from twodof.blocks.schema import from_json, to_json
 STEPS = 30
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.randoms(use_true_random=False), st.sampled_from(("float64", "float32")))
 def test_a_machine_does_what_its_table_says(r: random.Random, precision: str) -> None:
     case, table = machine_case(r, "machine", STEPS)
