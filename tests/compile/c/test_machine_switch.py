@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 
-from twodof.blocks import Diagram, Port
+from twodof.blocks import Diagram, Port, State
+from twodof.blocks.library import Bias, Convert
+from twodof.blocks.reference import Reference
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
+from twodof.compile import build
 from twodof.compile.builder import emit_program
 from twodof.compile.c.source_map import source_map
 
@@ -65,3 +68,31 @@ def test_the_lines_of_a_machine_are_its_own() -> None:
     assert lines[-1] == "    }"
     owners = {line.block for line in found.lines if line.part == "step" and "s->door_" in line.text}
     assert owners == {"door"}
+
+
+class FedBack(StateMachine):
+    """It passes on what others make of the mode that it gives in the same tick."""
+
+    inputs = (Port("go", "bool"), Port("u"))
+    outputs = (Port("mode", "int32"), Port("y"))
+    variables = (State("sum"),)
+    modes = (
+        Mode("low", during=lambda u, x: {"y": u.u, "sum": x.sum + u.u}),
+        Mode("high", during=lambda u, x: {"y": -u.u, "sum": x.sum - u.u}),
+    )
+    transitions = (Transition("low", "high", lambda u: u.go), Transition("high", "low", lambda u: ~u.go))
+
+
+def test_a_mode_that_comes_back_as_an_input_is_no_loop() -> None:
+    d = Diagram("round")
+    d.input("go", "bool")
+    d.add("machine", FedBack(), go="go", u="more")
+    d.add("real", Convert("int32", "real"), u="machine.mode")
+    d.add("more", Bias(3.0), u="real")
+    d.output("y", "machine.y")
+    rows = [{"go": k % 3 > 0} for k in range(12)]
+    for program in (Reference(d, 0.01), build(d, dt=0.01)):
+        machine = program.machine()
+        # The mode is 0 or 1, and 3 is added.
+        assert [machine.step(row)["y"] for row in rows] == [3.0 if k % 3 == 0 else -4.0 for k in range(12)]
+        assert machine.state("machine.sum") == 4 * 3.0 - 8 * 4.0
