@@ -124,6 +124,9 @@ def typed() -> Diagram:
     d.input("this", "bool")
     d.input("vector", width=3)
     d.input("m", shape=(2, 3))
+    for kind in ("int8", "uint8", "int16", "uint16", "float32", "float64"):
+        d.input(f"of_{kind}", kind)
+        d.output(f"{kind}_out", f"of_{kind}")
     d.param("errno", 1.0)
     for name in ("new", "class", "this", "vector", "m"):
         d.output(f"{name}_out", name)
@@ -139,7 +142,8 @@ def test_the_loop_in_the_header_compiles(language: str, tmp_path: Path) -> None:
     made.write(tmp_path)
     example = re.search(r"uses them:\n\n(.*?\n\n.*?)\n\n", made.header, re.DOTALL)
     assert example
-    declared, body = example[1].split("\n\n")
+    shown = re.sub(r"^ *\.\.\. .*\n", "", example[1], flags=re.MULTILINE)  # "and 5 more"
+    declared, body = shown.split("\n\n")
     given = dict.fromkeys(re.findall(r"\bread_\w+\(\)", body), "1")  # a number; else a function takes an array
     taken = {f"{name}(a)": "((void)(a))" for name in re.findall(r"\b((?:read|write)_\w+)\([^)]", body)}
     macros = "".join(f"#define {call} {value}\n" for call, value in {**given, **taken}.items())
