@@ -128,9 +128,12 @@ def test_readme_code_runs(tmp_path: Path) -> None:
     run(script, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["test-a-diagram", "come-from-simulink", "write-a-state-machine"])
+@pytest.mark.parametrize(
+    "name",
+    ["how-to/test-a-diagram", "how-to/come-from-simulink", "how-to/write-a-state-machine", "explanation/language"],
+)
 def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
-    page = PROJECT / "docs" / "how-to" / f"{name}.md"
+    page = PROJECT / "docs" / f"{name}.md"
     blocks = re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL)
     assert blocks
     script = tmp_path / "page.py"

@@ -1,4 +1,4 @@
-"""A hostile diagram file is refused with a reason, in bounded time and memory (docs/explanation/language.md, 5)."""
+"""A hostile diagram file is refused with a reason, in bounded time and memory (docs/reference/diagram-files.md)."""
 
 from __future__ import annotations
 

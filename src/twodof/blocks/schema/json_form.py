@@ -1,6 +1,6 @@
 """The JSON form of a diagram. A custom block travels as its traced expressions; loading a file runs nothing of it.
 
-What comes in is bounded before it is used. docs/explanation/language.md, section 5, describes the form and the limits.
+What comes in is bounded before it is used. docs/reference/diagram-files.md describes the form and the limits.
 """
 
 import json
@@ -40,7 +40,7 @@ def from_json(text: str | bytes) -> Diagram:
     """The diagram in `text`. Raises DiagramError, naming the place, for text that is not a diagram of this version.
 
     Nothing of the file is executed. What it makes is bounded in memory, in code and in the work of a step: see
-    docs/explanation/language.md, section 5. Connections are checked when the diagram is compiled or
+    docs/reference/diagram-files.md. Connections are checked when the diagram is compiled or
     interpreted.
     """
     if len(text) > MAX_BYTES:

@@ -53,7 +53,7 @@ def member(data: Mapping[str, Any], key: str, kind: type | tuple[type, ...], whe
     """`data[key]` (or `default`) if it is of the type `kind`; else DiagramError."""
     value = data.get(key, default)
     if not isinstance(value, kind) or (isinstance(value, bool) and kind is int):
-        remedy = "see docs/explanation/language.md, section 5"
+        remedy = "see docs/reference/diagram-files.md"
         raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
     return value
 
@@ -303,7 +303,7 @@ def _typed(cls: type, given: Mapping[str, Any], where: str) -> Any:
         raise DiagramError("a declaration has no name", where, "name it")
     for key, kind in _PLAIN_FIELDS.items():  # the declaration itself checks its type, width, bounds and numbers
         if key in given and not isinstance(given[key], kind):
-            raise DiagramError(f"{key!r} is {shown(given[key])}", where, "see docs/explanation/language.md, section 5")
+            raise DiagramError(f"{key!r} is {shown(given[key])}", where, "see docs/reference/diagram-files.md")
     _visible(given.get("unit", ""), given.get("text", ""), where)
     name = given["name"] if NAME.fullmatch(given["name"]) else ""
     with located(f"{where}.{name}".rstrip(".")):
