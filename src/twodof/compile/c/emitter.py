@@ -15,13 +15,13 @@ from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
-from twodof.compile.c.interface import CInterface, comment, indented
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
 from twodof.compile.c.unused import with_idle_parameters, without_unused
 from twodof.compile.c.writer import CWriter
+from twodof.compile.c_files.interface import CInterface, comment, indented
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram

@@ -19,7 +19,7 @@ from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.program.lower import inputs_of
 
 TICKS = 2**32  # a tick is a uint32
-# Comments above lines that belong to no single block; `twodof.compile.c.source_map` reads them.
+# Comments above lines that belong to no single block; `twodof.compile.c_files.source_map` reads them.
 RATES_DUE = "/* which rates are due */"
 DISABLED = "/* outputs of what is disabled */"
 RETURNED = "/* what is returned */"

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from twodof.blocks.declarations import Param
-from twodof.compile.c.interface import CInterface, comment
 from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c_files.interface import CInterface, comment
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 

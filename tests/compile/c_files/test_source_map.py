@@ -10,7 +10,7 @@ from tests.compile.random_diagrams import Maker
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.compile.builder import EmittedProgram, emit_program
-from twodof.compile.c.source_map import ROLES, SourceMap, source_map
+from twodof.compile.c_files.source_map import ROLES, SourceMap, source_map
 from twodof.compile.program.check import compiled
 from twodof.flight.core import core
 from twodof.rig.rig import rig
