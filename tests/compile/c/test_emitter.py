@@ -17,11 +17,13 @@ from tests.compile import differential, examples
 from tests.compile.whole_library import library_cases
 from twodof.blocks import Block, Diagram, Param, Port, State, sin, store, to_int32, to_real, to_uint32
 from twodof.blocks.expressions import numbers
+from twodof.blocks.library import Compare, Logic
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile.builder import emit_program
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.expressions import constant
+from twodof.compile.c.unused import without_unused
 from twodof.compile.native import target
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
@@ -104,8 +106,37 @@ def test_strict_compilers_do_not_complain(compiler: str, precision: str, tmp_pat
         assert done.returncode == 0, done.stderr
 
 
-SPARE = (320, 343, 393)
-"""Random diagrams that compare a signal with itself, name what they do not read, and loop for a result unread."""
+SPARE = (343, 349)
+"""Random diagrams that name what they do not read in the end."""
+
+
+def itself() -> Diagram:
+    """Signals that are compared with themselves."""
+    d = Diagram("itself")
+    d.input("n", "int32")
+    d.input("flag", "bool")
+    d.add("less", Compare("<", "int32"), a="n", b="n")
+    d.add("other", Logic("xor"), a="flag", b="flag")
+    d.output("never", "less")
+    d.output("no", "other")
+    return d
+
+
+def test_what_nothing_reads_goes_and_what_is_only_assigned_is_marked() -> None:
+    head = ["void f(const real *a)", "{"]
+    loop = ["    for (int32_t i = 0; i < 2; i++) {", "        d = helper(1);", "    }"]
+    lines = [
+        *head,
+        "    const real b = lost(a[0]);",
+        "    const real c = b + 1; /* c */",
+        "    real d = 0;",
+        *loop,
+        "}",
+    ]
+    text, gone = without_unused("\n".join(lines))
+    assert text.split("\n") == [*head, "    real d = 0;", "    (void)d;", *loop, "}"]
+    assert {"lost", "b", "c"} <= gone
+    assert not gone & {"helper", "d", "f"}
 
 
 def lean_source(diagrams: Sequence[Diagram], precision: str) -> str:
@@ -116,7 +147,7 @@ def lean_source(diagrams: Sequence[Diagram], precision: str) -> str:
 @pytest.mark.parametrize(("compiler", "precision"), SLOTS)
 def test_lean_c_passes_what_firmware_is_built_with(compiler: str, precision: str, tmp_path: Path) -> None:
     spare = [case.diagram for case in differential.random_cases(SPARE, 1)]
-    diagrams = [*(starter(name) for name in ("stock-position", "lqr-attitude")), *spare]
+    diagrams = [*(starter(name) for name in ("stock-position", "lqr-attitude")), itself(), *spare]
     done = strictly(compiler, lean_source(diagrams, precision), tmp_path, *LEAN, "-O0")
     assert done.returncode == 0, done.stderr
 
