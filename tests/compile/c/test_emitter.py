@@ -188,7 +188,7 @@ def test_the_c_is_the_kind_a_person_writes() -> None:
     for path in ("held", "gain", "back", "error", "sum", "pendulum"):
         assert f"/* {path}: " in source
     assert "real k; /* gain of the feedback */" in source
-    assert "s->held_y" in source  # names come from paths
+    assert "s->gain_y" in source  # names come from paths
     step = source[source.index("void loop_advance") :]
     order = [step.index(text) for text in ("/* pendulum:", "if (due_4_1)", "/* gain:", "/* error:")]
     assert order == sorted(order)

@@ -217,27 +217,24 @@ class TickEmitter:
                 for action in group.actions:
                     self._action(action)
                 continue
+            signals = [s for action in group.actions for s in action.signals]
+            self._declare(s for s in signals if s in self.layout.passing)
             with self.guarded(group.guard):
                 for action in group.actions:
                     self._action(action)
                 self._early_updates(group.guard)
-            held = [s for action in group.actions for s in action.signals]
-            if group.guard.clears and held:
+            if group.guard.clears and (held := [s for s in signals if s not in self.layout.passing]):
                 style = self.scope.style
                 self.writer.line(DISABLED)
                 cleared = style.negation(style.conjunction([self.signal(e) for e in group.guard.clears]))
                 with self.writer.choice(self.terms(group.guard)[0], [cleared]):
                     for s in held:
-                        self.scope.fill(
-                            self.writer, self.signal(s), s.before, Port("y", s.kind, s.width, shape=s.shape)
-                        )
+                        port = Port("y", s.kind, s.width, shape=s.shape)
+                        self.scope.fill(self.writer, self.signal(s), s.before, port)
 
     def _where_needed(self, group: Group) -> None:
         """Outputs that nobody reads unless some conditions hold; they stand in variables that are 0 otherwise."""
-        for action in group.actions:
-            for s in action.signals:
-                self.texts[s] = self.names.new(s.path)
-                self.writer.line(f"{self.scope.type(s.kind)} {self.texts[s]} = {self.scope.constant(0, s.kind)};")
+        self._declare(s for action in group.actions for s in action.signals)
         with nullcontext() if group.guard.always else self.guarded(group.guard):
             tests = self._tests(group.needs) if self.scope.style.branches else []
             outside, self.renderers = self.renderers, {}  # what is declared inside is not seen behind it
@@ -248,6 +245,12 @@ class TickEmitter:
                     self.renderer(action.node).assign(roots)
                     self.computed.update(action.signals)
             self.renderers = outside
+
+    def _declare(self, signals: Iterable[FlatSignal]) -> None:
+        """Variables for numbers that are computed in brackets and read behind them."""
+        for s in signals:
+            self.texts[s] = self.names.new(s.path)
+            self.writer.line(f"{self.scope.type(s.kind)} {self.texts[s]} = {self.scope.constant(0, s.kind)};")
 
     def _tests(self, needs: Iterable[Need]) -> list[str]:
         """The C of conditions."""
@@ -277,10 +280,11 @@ class TickEmitter:
         renderer.prepare(r for r in shared if not own or own.isdisjoint(inputs_of(node, [r])))
         together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
         for signal, root in zip(action.signals, roots, strict=True):
-            if signal not in self.layout.stored or together.keys() & inputs_of(node, [root]):
+            kept = signal in self.layout.stored or signal in self.texts
+            if not kept or together.keys() & inputs_of(node, [root]):
                 self._store(renderer, node, together)
                 together = {}
-            if signal in self.layout.stored:
+            if kept:
                 together[signal] = root
             else:
                 self._output(renderer, signal, root)
@@ -312,7 +316,7 @@ class TickEmitter:
         assert isinstance(machine, StateMachine)
         targets = {}
         for signal in signals:
-            if signal not in self.layout.stored:
+            if signal not in self.layout.stored and signal not in self.texts:
                 self.texts[signal] = self.names.new(signal.path)
                 size = "" if signal.width is None else f"[{signal.width}]"
                 write.elements += signal.width or 0

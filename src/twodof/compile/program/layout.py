@@ -11,6 +11,7 @@ from twodof.blocks.expressions.kinds import BY_NAME, dtype_of
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
+from twodof.compile.program.holding import passing
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
 
@@ -96,9 +97,12 @@ class MemoryLayout:
                 path = f"{node.path}.{state.name}"
                 struct = self.x if state.continuous else self.s
                 self.states[node, state.name] = struct.add(_member(path, state, _about(state)))
+        self.passing = passing(program)
         for group in program.tick:
             for action in group.actions:
                 for signal in action.signals:
+                    if signal in self.passing:
+                        continue
                     wide = signal.width is not None and signal.width > WIDEST_LOCAL
                     if (not group.guard.always and not group.needs) or wide:
                         remark = "work" if group.guard.always else "held"
