@@ -27,13 +27,16 @@ from twodof.blocks import (
     array_of,
     atan2,
     exp,
+    fold,
     minimum,
     round_half_even,
     store,
+    sum,
     to_float32,
     to_float64,
     to_int8,
     to_int16,
+    to_int32,
     to_real,
     to_uint8,
     to_uint16,
@@ -304,3 +307,89 @@ def test_the_linear_model_of_a_filter_in_singles() -> None:
     d.output("y", "filter")
     model = linearize(d, 0.01)
     assert (model.a, model.b, model.c, model.d) == ([[0.75]], [[0.25]], [[0.5]], [[0.0]])
+
+
+class Prepared(Block):
+    """Derived parameters of all shapes: a number, arrays from vectors, stores and loops, a matrix, an integer."""
+
+    inputs = (Port("u"),)
+    outputs = (
+        Port("smooth"),
+        Port("scaled", width=3),
+        Port("replaced", width=3),
+        Port("sums", width=6),
+        Port("cube", shape=(2, 2)),
+        Port("whole", "int32"),
+    )
+    params = (
+        Param("tau", 0.1),
+        Param("z", [1.1, 2.2, 3.3], width=3),
+        Param("A", [[1.0, 0.1], [0.2, 1.0]], shape=(2, 2)),
+        Param("single", 0.3, "float32"),
+    )
+    derived = outputs
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        smooth = 1.0 - exp(-t.dt / p.tau)
+        return {
+            "smooth": smooth + to_real(p.single),
+            "scaled": p.z * smooth / 3.0,
+            "replaced": store(p.z, 1, smooth),
+            "sums": array_of(6, lambda i: fold(3, [p.tau], lambda j, s: [s + p.z[j] * to_real(i)])[0] + sum(p.z)),
+            "cube": p.A @ p.A.T @ p.A,
+            "whole": to_int32(p.tau * 1e9),
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {port.name: p[port.name] for port in self.outputs}
+
+
+def prepared() -> Diagram:
+    d = Diagram("prepared")
+    d.input("u")
+    d.add("block", Prepared(), u="u")
+    for port in Prepared.outputs:
+        d.output(port.name, f"block.{port.name}")
+    return d
+
+
+def in_doubles() -> dict[str, Any]:
+    """The derived parameters of a build of singles: numpy's doubles from the stored singles, rounded once."""
+    tau = np.float64(np.float32(0.1))
+    z, A = (np.array(v, np.float32).astype(np.float64) for v in ([1.1, 2.2, 3.3], [[1.0, 0.1], [0.2, 1.0]]))
+    smooth = 1.0 - np.exp(-0.01 / tau)
+    return {
+        "smooth": smooth + np.float64(np.float32(0.3)),
+        "scaled": z * smooth / 3.0,
+        "replaced": [z[0], smooth, z[2]],
+        "sums": [((tau + z[0] * i) + z[1] * i) + z[2] * i + ((z[0] + z[1]) + z[2]) for i in range(6)],
+        "cube": A @ A.T @ A,
+    }
+
+
+def test_derived_parameters_are_rounded_once_in_a_build_of_singles() -> None:
+    """In singles throughout, most of these numbers have another last bit."""
+    machine = Reference(prepared(), 0.01, "float32").machine()
+    given = machine.step({"u": 0.0})
+    for name, exact in in_doubles().items():
+        assert np.array_equal(np.float32(given[name]), np.float32(exact)), name
+    assert given["whole"] == int(np.float64(np.float32(0.1)) * 1e9)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("target", RUNS)
+def test_derived_parameters_have_the_bits_of_the_reference(target: str, precision: str) -> None:
+    inputs = {"u": np.zeros(40)}
+    expected = reference(prepared(), precision, inputs)
+    for name, column in RUNS[target](prepared(), precision, inputs).items():
+        assert np.array_equal(column, expected[name]), name
+
+
+def test_a_parameter_that_is_tuned_is_prepared_in_doubles_on_board() -> None:
+    native, judge = (
+        p.machine() for p in (build(prepared(), 0.01, precision="float32"), Reference(prepared(), 0.01, "float32"))
+    )
+    for machine in (native, judge):
+        machine.step({"u": 0.0})
+        machine.set("block.tau", 0.037)
+    assert native.step({"u": 0.0}) == judge.step({"u": 0.0})

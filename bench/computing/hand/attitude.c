@@ -1,9 +1,10 @@
-/* Attitude P and rate PID of the stock cascade at 250 Hz, by hand, in single precision for a Cortex-M7. */
+/* Attitude P and rate PID of the stock cascade at 250 Hz, by hand, in single precision for a Cortex-M7; its
+   coefficients are computed in doubles. */
 #include <stdbool.h>
 #include <stddef.h>
 #include <string.h>
 
-#define PERIOD 0.004f /* [s] */
+#define PERIOD 0.004 /* [s] */
 
 typedef struct {
     float attitude_kp, attitude_limit, kp, ki, kd, N, limit;
@@ -39,10 +40,10 @@ void hand_attitude_defaults(hand_attitude_P *p)
 
 void hand_attitude_prepare(hand_attitude_P *p)
 {
-    const float lag = 1.0f / p->N;
-    p->ki_dt = p->ki * PERIOD;
-    p->decay = lag / (lag + PERIOD);
-    p->rise = 1.0f / (lag + PERIOD);
+    const double lag = 1.0 / p->N;
+    p->ki_dt = (float)(p->ki * PERIOD);
+    p->decay = (float)(lag / (lag + PERIOD));
+    p->rise = (float)(1.0 / (lag + PERIOD));
 }
 
 void hand_attitude_init(const hand_attitude_P *p, hand_attitude_S *s)

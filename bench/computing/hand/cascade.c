@@ -1,12 +1,13 @@
 /* The whole stock cascade at 250 Hz (position, velocity, projection on pitch, attitude, rate), by hand, in single
-   precision for a Cortex-M7, with the C library's atanf and cosf. */
+   precision for a Cortex-M7, with the C library's atanf and cosf. Its
+   coefficients are computed in doubles. */
 #include <math.h>
 #include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 #include <string.h>
 
-#define PERIOD 0.004f /* [s] */
+#define PERIOD 0.004 /* [s] */
 
 enum { OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION };
 
@@ -56,11 +57,11 @@ void hand_cascade_defaults(hand_cascade_P *p)
 
 void hand_cascade_prepare(hand_cascade_P *p)
 {
-    const float lag = 1.0f / p->rate_N;
-    p->velocity_ki_dt = p->velocity_ki * PERIOD;
-    p->rate_ki_dt = p->rate_ki * PERIOD;
-    p->rate_decay = lag / (lag + PERIOD);
-    p->rate_rise = 1.0f / (lag + PERIOD);
+    const double lag = 1.0 / p->rate_N;
+    p->velocity_ki_dt = (float)(p->velocity_ki * PERIOD);
+    p->rate_ki_dt = (float)(p->rate_ki * PERIOD);
+    p->rate_decay = (float)(lag / (lag + PERIOD));
+    p->rate_rise = (float)(1.0 / (lag + PERIOD));
 }
 
 void hand_cascade_init(const hand_cascade_P *p, hand_cascade_S *s)

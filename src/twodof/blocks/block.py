@@ -45,7 +45,7 @@ class Block:
             type.__setattr__(cls, "__init__", _recording_config(cls, cls.__init__))
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        """The derived parameters; runs when a parameter changes. `t.tick` may not be used here."""
+        """The derived parameters, computed in float64; runs when a parameter changes. `t.tick` may not be used here."""
         return {}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

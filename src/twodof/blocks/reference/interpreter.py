@@ -119,10 +119,11 @@ class _Run:
     def set_tick(self, tick: int) -> None:
         vars(self.t)["tick"] = UInt32(tick)
 
-    def told(self, method: str, values: dict[str, Any]) -> dict[str, Any]:
-        """What a method gave, after it was shown to who watches."""
+    def told(self, method: str, values: dict[str, Any], *seen: Any) -> dict[str, Any]:
+        """What a method gave, after it was shown to who watches; `seen` is what `prepare` saw of p and t."""
         if self.watch is not None:
-            self.watch(self.cell, method, values, self.seen)
+            u, x, p, t = self.seen
+            self.watch(self.cell, method, values, (u, x, *(seen or (p, t))))
         return values
 
     def feed(self) -> None:
@@ -345,7 +346,13 @@ class ReferenceMachine(Machine):
         cell = run.cell
         given = {name: self._values[root] for name, root in cell.parameters.items()}
         run.p.update(given)
-        run.p.update(run.told("prepare", run.prepare(Parameters(given), Clock(None, run.t.dt, run.t.base_dt))))
+        # In doubles, whatever the build's precision is: what is computed once shall not carry its roundings about.
+        with numbers.precision("float64"):
+            exact = {d.name: _as_real(given[d.name], d) for d in cell.block.params}
+            dt = np.float64(self.program.dt * cell.rate.divider)
+            clock = Clock(None, dt, np.float64(self.program.dt))
+            found = run.told("prepare", run.prepare(Parameters(exact), clock), Parameters(exact), clock)
+        run.p.update({d.name: _as_real(found[d.name], d) for d in cell.block.derived})
 
     def _initial(self, run: _Run) -> dict[str, Any]:
         return {
@@ -361,6 +368,13 @@ def _number(value: Any, declared: Port | State | Param, where: str) -> Any:
 def _flat(value: Any, declared: Port | State | Param) -> Any:
     """Checked numbers as they are kept: a matrix's column after column."""
     return numeric(value, declared.kind, declared.width, declared.name)
+
+
+def _as_real(value: Any, declared: Port | Param) -> Any:
+    """A value whose reals are in the present precision."""
+    if declared.kind != "real":
+        return value
+    return _elementwise(numbers.real_type(), value)
 
 
 def _zero(port: Port) -> Any:

@@ -22,6 +22,7 @@ from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickE
 from twodof.compile.c.unused import with_idle_parameters, without_unused
 from twodof.compile.c.writer import CWriter
 from twodof.compile.c_files.interface import CInterface, comment, indented
+from twodof.compile.program.derived import in_doubles
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram
@@ -197,7 +198,8 @@ class _Emitter:
                 writer.line(describe(node))
                 leaf_text = self.scope.leaf(node, lambda s: s.path, str, "")
                 renderer = self.scope.renderer(writer, names, leaf_text, node.path)
-                renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in node.trace.prepare.items()])
+                exprs = in_doubles(node.trace.prepare) if self.precision == "float32" else node.trace.prepare
+                renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in exprs.items()])
 
     def _init(self, writer: CWriter) -> None:
         with writer.function(f"void {self.prefix}_init(const {self.prefix}_P *p, {self.prefix}_S *s)"):

@@ -77,7 +77,7 @@ class Scope:
             if item.op == "tick":
                 return self.style.same(tick, "uint32"), ATOM
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
-            return self.style.literal(*constant(seconds, "real", self.precision), "real")
+            return self.style.literal(*constant(seconds, item.kind, self.precision), item.kind)
 
         return text
 
