@@ -9,9 +9,10 @@ from typing import Any
 from tests.compile.random_blocks import FLOATS, MIXED, STORED, RandomBlock
 from tests.compile.random_machines import machine_block, random_table
 from tests.compile.random_matrices import FilledMatrix, RandomMatrices
-from twodof.blocks import Block, Diagram, Enumeration, Port
+from twodof.blocks import Block, Bus, Diagram, Enumeration, Port
 from twodof.blocks import library as lib
 from twodof.blocks.conditions import EDGES
+from twodof.blocks.datatypes.bus import grouped
 from twodof.blocks.declarations import mismatch
 from twodof.blocks.expressions.conversions import OVERFLOW
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold
@@ -82,6 +83,17 @@ ENUMERATED: tuple[Any, ...] = (
     lambda r: lib.UnitDelay(r.choice(("red", "green")), LIGHT),
     lambda r: lib.CompareToConstant(r.choice(("==", "!=")), "amber", LIGHT),
     lambda r: lib.Convert("int32", "real"),
+)
+BUS = Bus(
+    "Mixed", [Port("a"), Port("more", Bus("More", [Port("n", "int32"), Port("v", width=3)])), Port("light", LIGHT)]
+)
+BUSED: tuple[Any, ...] = (
+    lambda r: lib.UnitDelay({"a": r.uniform(-2, 2), "light": "amber"}, BUS),
+    lambda r: lib.Switch(BUS),
+    lambda r: lib.Merge(2, kind=BUS),
+    lambda r: lib.BusSelect(BUS, ["more.v", "light"]),
+    lambda r: lib.BusAssign(BUS, [r.choice(("a", "more", "light"))]),
+    lambda r: lib.BusCreate(BUS),
 )
 CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.Integrator(),
@@ -174,13 +186,21 @@ class Maker:
                 self.sources[prefix + name] = block.source
                 block.crossing = r.random() < 0.15
             d.add(name, block, rate=own, params=self.binding(d, block))
+            wired = [
+                p.name for p in grouped(block.inputs) if isinstance(p.kind, Bus) and self.enumerated.random() < 0.5
+            ]
+            for bus in wired:  # as one, from where its fields are put together
+                maker = d.add(f"{name}_{bus}", lib.BusCreate(BUS), rate=own)
+                d.connect(maker, f"{name}.{bus}")
+                waiting += [(f"{maker}.{leaf.name}", leaf, own, before) for leaf in BUS.leaves]
             if block.outputs and self.more.random() < 0.2 and not isinstance(block, lib.StoreWrite):
                 held = self.more.choice(block.outputs)
                 number = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
                 value = number if held.enum is None else "red"
                 d.parts[name].initial = {held.name: value}
             if not isinstance(block, lib.StoreRead):
-                waiting += [(f"{name}.{p.name}", p, own, before) for p in block.inputs]
+                free = [p for p in block.inputs if p.name.partition(".")[0] not in wired]
+                waiting += [(f"{name}.{p.name}", p, own, before) for p in free]
             for p in block.outputs:
                 self.paths.append(f"{prefix}{name}.{p.name}")
                 made.append(Source(f"{name}.{p.name}", p, own, not block.trace.feedthrough[p.name]))
@@ -239,7 +259,7 @@ class Maker:
         if isinstance(made, lib.StoreWrite):
             return made  # it is counted on
         if what < 0.75 and self.enumerated.random() < 0.1:
-            made = self.enumerated.choice(ENUMERATED)(self.enumerated)
+            made = self.enumerated.choice((*ENUMERATED, *BUSED))(self.enumerated)
         if rate == (1, 0) and self.more.random() < 0.05:
             made = lib.ResetIntegrator()
         if what < 0.93 and self.mixed.random() < 0.2:
@@ -270,6 +290,8 @@ class Maker:
         inner = Diagram(name)
         inner.input("in0")
         inner.input("in1", "bool")
+        if self.enumerated.random() < 0.3:
+            inner.input("bus", BUS)
         whole = (rate[0] * own[0], rate[1] + rate[0] * own[1])
         fed = [Source(n, p, (1, 0), True) for n, p in inner.inputs.items()]
         made = self.fill(inner, f"{prefix}{name}.", fed, whole, 1 if self.small else r.randint(1, 3), depth + 1)
@@ -278,6 +300,11 @@ class Maker:
             if s.rate == (1, 0):
                 inner.output(f"o{i}", s.text)
                 outside.append(Source(f"{name}.o{i}", s.port, own, False))
+        for part in list(inner.parts.values()):
+            outputs = grouped(part.item.outputs) if isinstance(part.item, Block) and part.rate == (1, 0) else []
+            if any(p.name == "y" and isinstance(p.kind, Bus) for p in outputs) and "bus" not in inner.outputs:
+                inner.output("bus", f"{part.name}.y")
+                outside += [Source(f"{name}.bus.{leaf.name}", leaf, own, False) for leaf in BUS.leaves]
         d.add(name, inner, rate=own)
         waiting += [(f"{name}.{p.name}", p, own, before) for p in inner.inputs.values()]
         conditions.append((name, before))

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any, ClassVar
 
 from twodof.blocks.datatypes.bus import expanded
-from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.declarations import Param, Port, State, as_bus
 from twodof.blocks.expressions.expr import fault
 from twodof.blocks.mistakes import HIDDEN
 from twodof.blocks.namespaces import Clock as Clock
@@ -134,7 +134,7 @@ def _recording_config(cls: type[Block], init: Callable[..., None]) -> Callable[.
             given = {name: plain_data(value, name) for name, value in list(bound.arguments.items())[1:]}
             if outermost:
                 self.config = given
-            bound.arguments.update(given)
+            bound.arguments.update(given | {n: as_bus(given[n]) for n in ("kind", "bus") if n in given})  # made once
             init(*bound.args, **bound.kwargs)
 
     return wrapped

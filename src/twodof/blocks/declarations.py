@@ -64,7 +64,7 @@ def _is_bus(declared: "Port | State | Param") -> bool:
     kind = declared.kind
     if isinstance(kind, Mapping) and "fields" in kind:
         with located(f"{declared.name!s:.80}"):
-            kind = _bus_of(kind)
+            kind = as_bus(kind)
         object.__setattr__(declared, "kind", kind)
     if not isinstance(kind, Bus):
         return False
@@ -75,8 +75,10 @@ def _is_bus(declared: "Port | State | Param") -> bool:
     return True
 
 
-def _bus_of(form: Mapping[str, Any]) -> Bus:
-    """The bus of which `form` is the plain form."""
+def as_bus(form: Any) -> Any:
+    """The bus of which `form` is the plain form; what is not such a form as it is."""
+    if not isinstance(form, Mapping) or "fields" not in form:
+        return form
     fields = form["fields"]
     good = isinstance(fields, list) and all(isinstance(f, dict) and set(f) <= _FIELD and "name" in f for f in fields)
     if set(form) != {"name", "fields"} or not good or len(fields) > MAX_FIELDS:

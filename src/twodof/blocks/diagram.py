@@ -237,13 +237,21 @@ class Diagram:
             raise _no_bus(top, field, self.name)
         return self._end(text, "output")
 
-    def feed(self, part: str, port: str) -> str | None:
-        """The source of an input: its own, or that field of what feeds the bus around it; None without one."""
+    def wire(self, part: str, port: str) -> tuple[str | None, str]:
+        """The source of an input and "", or that of the bus around it and the input's path within that, ".rates.p".
+
+        The source is None if nothing is connected.
+        """
         for path in (port, *bus_paths(port)):
             source = self.connections.get((part, path))
             if source is not None:
-                return self.field(source, port[len(path) :])
-        return None
+                return source, port[len(path) :]
+        return None, ""
+
+    def feed(self, part: str, port: str) -> str | None:
+        """The source of an input: its own, or that field of what feeds the bus around it; None without one."""
+        source, field = self.wire(part, port)
+        return None if source is None else self.field(source, field)
 
     def outlet(self, output: str) -> str | None:
         """The source of an output, or of the field "att.rates.p" of one; None without one."""

@@ -42,11 +42,12 @@ class Bus:
         for one in fields:
             if not isinstance(getattr(one, "name", None), str) or not hasattr(one, "kind"):
                 raise DiagramError(f"the field {shown(one)}", where, 'write Port("name")')
-            leaves += leaves_of(one)
+            inside = leaves_of(one)
+            if any(leaf.name.count(".") >= MAX_LEVELS for leaf in inside):
+                raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
+            leaves += inside
             if len(leaves) > MAX_FIELDS:
                 raise DiagramError(f"more than {MAX_FIELDS} fields", where, "use arrays")
-            if any(leaf.name.count(".") >= MAX_LEVELS for leaf in leaves):
-                raise DiagramError(f"more than {MAX_LEVELS} buses within one another", where, "nest them less")
         check_paths([leaf.name for leaf in leaves], where)
         for key, value in (("name", name), ("fields", tuple(fields)), ("leaves", tuple(leaves))):
             object.__setattr__(self, key, value)

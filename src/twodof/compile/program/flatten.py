@@ -46,6 +46,7 @@ class FlatDiagram:
         self.parameters: dict[str, FlatParameter] = {}
         self.signals: dict[str, FlatSignal] = {}  # the outputs of blocks and sub-diagrams, by path
         self.outputs: dict[str, FlatSignal] = {}  # of the whole, buses by field
+        self.buses: dict[tuple[str, str], dict[str, FlatSignal]] = {}  # by path of the diagram and source in it
         self.levels: list[Level] = []
         self.root = Level(diagram, diagram.name, "")
         self.root.root_inputs = {
@@ -229,9 +230,11 @@ class FlatDiagram:
         where = f"{path}.{port.name}"
         with self._reported():
             with located(where) if "." in port.name else nullcontext():
-                source = level.diagram.feed(part, port.name)
+                source, field = level.diagram.wire(part, port.name)
                 if source is None:
                     signal = self._stored(level, part, where, port.name)
+                elif field:
+                    signal = self._field(level, source, field)
                 else:
                     signal = scalar(level.signals(source), where)
             clash = mismatch(port, signal, signal.path)
@@ -245,6 +248,14 @@ class FlatDiagram:
         stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape, enum=port.enum)
         self.unknown.add(stand_in)
         return stand_in
+
+    def _field(self, level: Level, source: str, field: str) -> FlatSignal:
+        """The signal that is a field of what `source` means; of a wide bus it is looked up a thousand times."""
+        key = level.path, source
+        if key not in self.buses:
+            self.buses[key] = level.signals(source)
+        found = self.buses[key].get(field[1:])
+        return level.resolve(level.diagram.field(source, field)) if found is None else found
 
     def _stored(self, level: Level, part: str, where: str, port: str) -> FlatSignal:
         """What feeds an input without a connection: a data store, or its writer."""

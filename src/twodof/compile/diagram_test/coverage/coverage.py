@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.reference.hierarchy import DiagramLevel, PortOf
 from twodof.blocks.reference.interpreter import Reference
+from twodof.blocks.reference.places import DiagramLevel, PortOf
 from twodof.compile.diagram_test.coverage.decisions import Decision
 from twodof.compile.diagram_test.coverage.observer import DecisionObserver
 from twodof.compile.diagram_test.judgement import ScenarioResult

@@ -9,7 +9,7 @@ from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.matrix import flat_of
 from twodof.blocks.matrix_views import matrices, with_matrices
-from twodof.blocks.reference.hierarchy import Cell
+from twodof.blocks.reference.places import Cell
 from twodof.blocks.state_machine import StateMachine
 from twodof.blocks.state_machine.reaction import followed
 from twodof.blocks.trace import by_method, computed
