@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from html import escape as escape_html
 
@@ -140,9 +141,9 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
         place[part.name, ""] = len(symbols)
         if depth > 0 and isinstance(part.item, Diagram):
             inner[len(symbols)] = _draw(part.item, depth - 1, True, count)
-            symbols.append(_frame(part, part.item, inner[len(symbols)]))
+            symbols.append(_frame(part, part.item, inner[len(symbols)], input_names(part, diagram)))
         else:
-            symbols.append(symbol(part))
+            symbols.append(symbol(part, input_names(part, diagram)))
     for name in diagram.outputs:
         place["", name] = len(symbols)
         symbols.append(terminal(name, "out", ""))
@@ -152,7 +153,7 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
     if flipped:
         for part in parts:
             if part.name in flipped:
-                symbols[place[part.name, ""]] = symbol(part, flip=True)
+                symbols[place[part.name, ""]] = symbol(part, input_names(part, diagram), flip=True)
         placed = layout([s.box for s in symbols], nets, border)
     return Drawing(diagram, symbols, nets, sources, placed, inner)
 
@@ -185,19 +186,13 @@ def _nets(
             fields = carried_fields(item, name)
             bus = [replace(p, name=f"{name}.{field}") for field, p in fields.items() if field]
             about[pin] = f"{part}.{name}", grouped(bus)[0] if bus else fields.get("")
-        to_pin = sinks.setdefault(pin, [])
-        if to not in to_pin:  # two fields of one bus
-            to_pin.append(to)
+        sinks.setdefault(pin, []).append(to)
 
-    connected: dict[str, list[tuple[tuple[str, str], str]]] = {}
-    for key, source in diagram.connections.items():
-        connected.setdefault(key[0], []).append((key, source))
     for part in diagram.parts.values():
-        for i, name in enumerate(input_names(part)):
-            fed = [s for (_, at), s in connected.get(part.name, ()) if at == name or at.startswith(f"{name}.")]
-            deciding = getattr(part, name) if name in CONDITIONS and not fed else None
-            for one in [*fed, *([deciding] if deciding else [])]:
-                drive(one, (place[part.name, ""], i))
+        for i, name in enumerate(input_names(part, diagram)):
+            fed = diagram.connections.get((part.name, name)) or (getattr(part, name) if name in CONDITIONS else None)
+            if fed:
+                drive(fed, (place[part.name, ""], i))
     for name, feeder in diagram.outputs.items():
         if feeder is not None:
             drive(feeder, (place["", name], 0))
@@ -205,18 +200,20 @@ def _nets(
     return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
 
 
-def _frame(part: Part, diagram: Diagram, shown: Drawing) -> BlockSymbol:
+def _frame(part: Part, diagram: Diagram, shown: Drawing, pins: Sequence[str]) -> BlockSymbol:
     """An opened sub-diagram: a frame around its own drawing, with pins where its terminals stand."""
     name = shortened(part.name, 13.0, 300.0, True)
     header = HEADER
     width = float(round(max(shown.placed.width, text_width(name, 13.0, True) + 20.0)))
     height = float(round(shown.placed.height + header))
-    first = len(grouped(diagram.inputs.values()))
     last = len(shown.symbols) - len(diagram.outputs)
     corners = shown.placed.corners
-    left = [header + corners[i][1] + 0.5 * TERMINAL for i in range(first)]
+    ports = [port.name for port in grouped(diagram.inputs.values())]
+    terminals = [ports.index(name.partition(".")[0]) for name in pins if name.partition(".")[0] in ports]
+    beside = [terminals[:k].count(i) - 0.5 * (terminals.count(i) - 1) for k, i in enumerate(terminals)]
+    left = [header + corners[i][1] + 0.5 * TERMINAL + 4.0 * at for i, at in zip(terminals, beside, strict=True)]
     right = [header + corners[last + i][1] + 0.5 * TERMINAL for i in range(len(diagram.outputs))]
-    wires = [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in enumerate(left)]
+    wires = [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in zip(terminals, left, strict=True)]
     for i, y in enumerate(right):
         edge = corners[last + i][0] + shown.symbols[last + i].box.width
         wires.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')

@@ -9,7 +9,7 @@ from typing import Any
 from twodof.blocks.block import Block
 from twodof.blocks.datatypes.bus import Bus, grouped
 from twodof.blocks.declarations import Port
-from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part
+from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part, bus_paths
 from twodof.blocks.expressions.kinds import INTEGERS
 from twodof.blocks.library.delays import StoreRead, StoreWrite
 from twodof.blocks.library.math import Sum
@@ -75,22 +75,31 @@ def terminal(name: str, side: str, remark: str) -> BlockSymbol:
     return BlockSymbol(Box(width, TERMINAL, left, right, side), [shape], texts, name)
 
 
-def symbol(part: Part, flip: bool = False) -> BlockSymbol:
-    """The drawing of a part. `flip` lets the second input of a sum come from above."""
+def symbol(part: Part, pins: Sequence[str], flip: bool = False) -> BlockSymbol:
+    """The drawing of a part with the inputs `pins`. `flip` lets the second input of a sum come from above."""
     item = part.item
     if isinstance(item, Block):
-        made = _special(part, item, flip) or _block(part, item)
+        fields = any("." in name for name in pins)
+        made = (None if fields else _special(part, item, flip)) or _block(part, item, pins)
     else:
-        made = _subdiagram(part, item)
+        made = _subdiagram(part, item, pins)
     made.box.wish = part.position
     return made
 
 
-def input_names(part: Part) -> list[str]:
-    """The pins on a part's left side: its inputs, then what decides over it."""
+def input_names(part: Part, diagram: Diagram) -> list[str]:
+    """The pins on a part's left side: its inputs, then what decides over it. `diagram` is the one around it.
+
+    A bus is one pin, or one for each field that is connected by itself.
+    """
     item = part.item
     own = item.inputs if isinstance(item, Block) else item.inputs.values()
-    return [port.name for port in grouped(own)] + [what for what in CONDITIONS if getattr(part, what)]
+    names = []
+    for port in grouped(own):
+        inside = [f"{port.name}.{leaf.name}" for leaf in port.kind.leaves] if isinstance(port.kind, Bus) else []
+        paths = dict.fromkeys(path for name in inside for path in (*reversed(bus_paths(name)[:-1]), name))
+        names += [path for path in paths if (part.name, path) in diagram.connections] or [port.name]
+    return names + [what for what in CONDITIONS if getattr(part, what)]
 
 
 def value_text(part: Part, block: Block, name: str) -> str:
@@ -109,7 +118,7 @@ def _number(value: Any) -> str:
     return f"{value:.4g}".replace("e+0", "e").replace("e-0", "e-").replace("-", "−")
 
 
-def _block(part: Part, block: Block) -> BlockSymbol:
+def _block(part: Part, block: Block, pins: Sequence[str]) -> BlockSymbol:
     """A rectangle with name, type, parameters and named ports."""
     kind = getattr(block, "label", "") or type(block).__name__
     lines = []
@@ -124,30 +133,31 @@ def _block(part: Part, block: Block) -> BlockSymbol:
     lines += _starts(part)
     outputs = [(p.name, p.unit) for p in grouped(block.outputs)]
     signs = block.signs if isinstance(block, Sum) else ""  # of a sum with more inputs than a circle has places for
-    return _rectangle(part, kind, lines, outputs, "block", [s.replace("-", "−") for s in signs])
+    return _rectangle(part, pins, kind, lines, outputs, "block", [s.replace("-", "−") for s in signs])
 
 
-def _subdiagram(part: Part, diagram: Diagram) -> BlockSymbol:
+def _subdiagram(part: Part, diagram: Diagram, pins: Sequence[str]) -> BlockSymbol:
     count = len(diagram.parts)
     lines = [f"{count} part{'s' if count != 1 else ''}"] if count else []
     lines += _starts(part)
     lines += [f"at {part.edge} edges"] if part.trigger else []
     lines += ["starts afresh when enabled"] if part.enabling == "restart" else []
     lines += [f"{inner} = {outer}" for inner, outer in part.params.items() if inner != outer][:MANY_PARAMETERS]
-    made = _rectangle(part, "", lines, [(name, "") for name in diagram.outputs], "sub")
+    made = _rectangle(part, pins, "", lines, [(name, "") for name in diagram.outputs], "sub")
     made.title = f"{part.name}: {diagram.text}" if diagram.text else part.name
     return made
 
 
 def _rectangle(
     part: Part,
+    pins: Sequence[str],
     kind: str,
     lines: list[str],
     outputs: list[tuple[str, str]],
     style: str,
     signs: Sequence[str] = (),
 ) -> BlockSymbol:
-    names = input_names(part)
+    names = list(pins)
     inputs = [f"{sign} {name}" for sign, name in zip(signs, names, strict=False)] + names[len(signs) :]
     name = shortened(part.name, NAME, MOST, True)
     about = " · ".join([*([kind] if kind else []), *_rate(part)])
@@ -173,8 +183,8 @@ def _rectangle(
     rule = top - 14.0
     if rows:
         shapes.append(f'<path class="rule" d="M0 {rule:g}H{width:g}"/>')
-    pins = [at - 4.0 for at in rows]
-    box = Box(width, height, pins[: len(inputs)], pins[: len(outputs)])
+    heights = [at - 4.0 for at in rows]
+    box = Box(width, height, heights[: len(inputs)], heights[: len(outputs)])
     return BlockSymbol(box, shapes, texts, f"{part.name}: {kind}".rstrip(": "))
 
 
