@@ -43,11 +43,12 @@ class EmittedProgram:
         found: dict[str, dict[str, tuple[int, int]]] = {}
         for struct, whole in self.dtypes.items():
             members = found[struct] = {}
-            fields: Mapping[str, Any] = whole.fields or {}
+            empty = not getattr(self.layout, struct.lower()).members  # its only field is a byte that is no member
+            fields: Mapping[str, Any] = {} if empty else whole.fields or {}
             for name, (dtype, offset, *_) in fields.items():
                 inner: Mapping[str, Any] = dtype.fields or {}
                 members |= {f"{name}.{n}": (offset + at, item.itemsize) for n, (item, at, *_) in inner.items()}
-                if not inner and dtype != np.uint8:  # the byte of a struct without members
+                if not inner:
                     members[name] = offset, dtype.itemsize
         return found
 
