@@ -51,7 +51,7 @@ check: $(VENV)/ready-dev
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_layers.py
 
-bench: $(VENV)/ready-dev tools
+bench: $(VENV)/ready-bench tools
 	$(BIN)/python -m bench
 
 docs: $(VENV)/ready-docs
@@ -104,6 +104,10 @@ $(VENV)/ready-dev: requirements/dev.txt pyproject.toml $(VENV)/ready-pip
 	$(BIN)/python $(INSTALL) --no-deps -e .
 	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox $(VENV)/ready-docs
 
+$(VENV)/ready-bench: requirements/bench.txt $(VENV)/ready-dev
+	$(BIN)/python $(INSTALL) --require-hashes -r requirements/bench.txt
+	@touch $@
+
 # What maintains the pins has an environment of its own, so that nobody else installs it.
 MAINTAIN := $(VENV)/maintain
 $(MAINTAIN)/ready: requirements/maintain.txt requirements/pip.txt | $(BIN)/python
@@ -123,13 +127,14 @@ lock: $(MAINTAIN)/ready
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra docs -o requirements/docs.txt pyproject.toml
+	$(LOCK) -c requirements/dev.txt -o requirements/bench.txt requirements/bench.in
 	$(LOCK) -o requirements/pip.txt requirements/pip.in
 	$(LOCK) -o requirements/maintain.txt requirements/maintain.in
 
 # One document for each file of pins: name, version, purl and hashes of every part, checked against CycloneDX's schema.
 sbom: $(MAINTAIN)/ready
 	@mkdir -p out/sbom
-	@for pins in run compiler sandbox docs dev maintain pip; do \
+	@for pins in run compiler sandbox docs bench dev maintain pip; do \
 		PYTHONWARNINGS=ignore $(MAINTAIN)/bin/cyclonedx-py requirements --validate --output-reproducible --short-PURLs \
 			--mc-type library --pyproject pyproject.toml -o out/sbom/$$pins.cdx.json requirements/$$pins.txt && \
 		[ $$(grep -c '^[^ #].*==' requirements/$$pins.txt) = $$(grep -c '"purl"' out/sbom/$$pins.cdx.json) ] && \

@@ -14,6 +14,7 @@ from bench.computing.linear_loop import linear_loop_seconds
 from bench.computing.mujoco_loop import MujocoLoop
 from bench.measure import Figure, Timing, one_core, timed
 from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
@@ -49,6 +50,10 @@ digit, moves an output by 1e-8 or more (the estimator's first variance of x alon
 """
 
 UNPACKED = ("-fno-tree-slp-vectorize",)
+OURS = tuple(flag for flag in compilers.FLAGS if flag.startswith("-f"))
+"""What decides over the machine code of the compiled loop: with -O3 and the processor's options as for both."""
+
+OF_HAND_WITH_OURS = 1.0
 
 HOVER: dict[str, Any] = {"mode": "position", "x0": 0.1}
 """What is timed: holding a position, with all noise."""
@@ -139,23 +144,32 @@ def run(quick: bool = False) -> list[Figure]:
             ours, kept = CompiledLoop(precision), CompiledLoop(precision)
             hand = HandLoop(ours.machine, precision)
             tuned = HandLoop(ours.machine, precision, flags=UNPACKED)
-            mine, theirs, unpacked, arrays = timed(
+            same = HandLoop(ours.machine, precision, flags=OURS)
+            mine, theirs, unpacked, alike, arrays = timed(
                 [
                     partial(ours.spin, ticks, hover),
                     partial(hand.spin, ticks, hover),
                     partial(tuned.spin, ticks, hover),
+                    partial(same.spin, ticks, hover),
                     partial(kept.run, ticks // 10, hover),
                 ],
                 repeats,
             )
             speed, words = _rate(mine, ticks)
             peer, peer_words = _rate(theirs, ticks)
-            paired = np.median(np.array(theirs.seconds) / np.array(mine.seconds))
+            paired, flagged = (np.median(np.array(t.seconds) / np.array(mine.seconds)) for t in (theirs, alike))
             figures += [
                 Figure(f"{precision}: compiled diagram", speed, "steps/s", STEPS_PER_SECOND, remark=words),
                 Figure(f"{precision}: hand-written C", peer, "steps/s", remark=peer_words),
                 Figure(
                     f"{precision}: compiled over hand-written", float(paired), "", OF_HAND, remark="median of pairs"
+                ),
+                Figure(
+                    f"{precision}: compiled over hand-written, the same options",
+                    float(flagged),
+                    "",
+                    OF_HAND_WITH_OURS,
+                    remark=f"both with {' '.join(OURS)}",
                 ),
                 Figure(
                     f"{precision}: hand-written C, {' '.join(UNPACKED)}",

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,10 +15,14 @@ from bench.measure import Figure, one_core, timed
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.lanes.lanes_program import SIMD, LanesMachine, best_simd, build_lanes
+from twodof.compile.program.lower import lower
 from twodof.errors import CompileError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, rig
 from twodof.sim.closed_loop import closed_loop
+
+if TYPE_CHECKING:
+    from bench.computing.numba_rig import NumbaRig
 
 LANES = 64
 PRECISIONS = ("float64", "float32")
@@ -34,6 +40,13 @@ DIAGRAMS: Mapping[str, tuple[Callable[[], Diagram], str, dict[str, Any]]] = {
     "closed loop": (closed_loop, "rig.", numbered(HOVER)),
 }
 """What runs: the diagram, the prefix of the rig's parameters in it, and its inputs."""
+
+FLOWN = ((2_000, 0.4, 0.4), (1_000, 0.45, 0.38), (1_000, 0.38, 0.44), (500, 0.0, 0.0), (3_000, 0.5, 0.39))
+"""Ticks and commands of the flight in which the rig and its loop in numba are compared: both stops of the pitch."""
+
+AGREEMENT = 1e-11
+OF_NUMBA = 1.0
+INSTALL = "make bench, or pip install --require-hashes -r requirements/bench.txt"
 
 VARIED = ("mass_drone", "mass_cart", "inertia", "arm", "pair_thrust", "lag")
 
@@ -80,6 +93,52 @@ def alone(what: str, precision: str) -> Callable[[int], None]:
     return lambda steps: instance.run(steps, u, y)
 
 
+def numba_rig(given: Mapping[str, Any]) -> NumbaRig | None:
+    """One rig in numba, with the program's defaults in place of the parameters that are not given.
+
+    None, and a line on what to install, where numba is not.
+    """
+    if importlib.util.find_spec("numba") is None:
+        print(f"numba is not here, its loop is left out: {INSTALL}", file=sys.stderr)
+        return None
+    from bench.computing.numba_rig import NumbaRig
+
+    return NumbaRig({path: q.declared.value for path, q in lower(rig(), BASE_DT).parameters.items()} | {**given})
+
+
+def _difference(given: Mapping[str, Any]) -> float:
+    """The largest difference of any output of the rig and its loop in numba, without noise, over its largest value."""
+    program = build(rig(), BASE_DT)
+    ours, peer = program.machine(), numba_rig({**given, "noise": 0.0})
+    if peer is None:
+        return 0.0
+    ours.set_many({**given, "noise": 0.0})
+    ours.reset()
+    gap: dict[str, float] = {}
+    for ticks, fore, aft in FLOWN:
+        right = peer.run(ticks, fore, aft)
+        for name, left in ours.run(ticks, {"fore": fore, "aft": aft}).items():
+            off = np.abs(left.astype(np.float64) - right[name]).max() / max(1.0, np.abs(right[name]).max())
+            gap[name] = max(gap.get(name, 0.0), float(off))
+    return max(gap.values())
+
+
+def _against_numba(quick: bool) -> list[Figure]:
+    given = {path: values[0] for path, values in parameters("", delays=False).items()}
+    peer = numba_rig(given)
+    if peer is None:
+        return []
+    ticks, repeats = (200, 2) if quick else (100_000, 11)
+    ours = alone("rig", "float64")
+    mine, theirs = timed([partial(ours, ticks), partial(peer.spin, ticks, **HOVERING)], repeats)
+    paired = np.median(np.array(theirs.seconds) / np.array(mine.seconds))
+    return [
+        Figure("difference to numba, no noise", _difference(given), "of largest value", AGREEMENT, at_most=True),
+        Figure("float64: one rig in numba", ticks / theirs.median, "steps/s", remark="a loop written by hand"),
+        Figure("float64: one rig, over numba", float(paired), "", OF_NUMBA, remark="median of pairs"),
+    ]
+
+
 def run(quick: bool = False) -> list[Figure]:
     """All figures; `quick` only shows that everything runs. Raises CompileError without a compiler."""
     ticks, repeats = (200, 2) if quick else (20_000, 11)
@@ -115,4 +174,5 @@ def run(quick: bool = False) -> list[Figure]:
                         remark="each lane reads its own place (AVX-512: a gather)",
                     )
                 )
+        figures += _against_numba(quick)
     return figures
