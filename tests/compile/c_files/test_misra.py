@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import subprocess
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ import pytest
 
 from tests.compile import examples
 from tests.compile.differential import random_cases
+from tests.compile.machine_cases import machine_case
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile.c_files.c_files import c_files
@@ -43,9 +45,10 @@ def broken(diagrams: Sequence[Diagram], precision: str, folder: Path) -> dict[st
 
 @pytest.mark.soak
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_the_flight_core_all_starters_and_random_diagrams(precision: str, tmp_path: Path) -> None:
+def test_the_flight_core_all_starters_random_diagrams_and_machines(precision: str, tmp_path: Path) -> None:
     drawn = [case.diagram for case in random_cases(range(300, 312), 1)]
-    diagrams = [core(), *(starter(name) for name in STARTERS), examples.edge(), *drawn]
+    machines = [machine_case(random.Random(seed), f"machine{seed}", 1)[0].diagram for seed in range(8)]
+    diagrams = [core(), *(starter(name) for name in STARTERS), examples.edge(), *drawn, *machines]
     found = broken(diagrams, precision, tmp_path)
     assert {rule: line for rule, line in found.items() if rule not in listed()} == {}
     assert {"12.1", "14.1"} <= set(found)  # it looks, and finds what the page says

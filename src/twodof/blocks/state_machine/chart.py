@@ -130,8 +130,9 @@ class Chart:
         stays = leaf.outer is not None and leaf.outer is end.outer and leaf.outer.name not in (t.source, t.target)
         left = (leaf.mode,) if stays or leaf.outer is None else (leaf.mode, leaf.outer)
         entered = None if stays else end.outer
-        if target.history:
-            return Route(number, t, leaf, left, entered, tuple(self.inside(target)), target)
+        inside = self.inside(target)
+        if target.history and len(inside) > 1:
+            return Route(number, t, leaf, left, entered, tuple(inside), target)
         return Route(number, t, leaf, left, entered, (end,), None)
 
 
