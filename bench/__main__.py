@@ -14,7 +14,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.computing import closed_loop, cortex_m7, greybox, lanes, matrices, start_up, targets
+from bench.computing import closed_loop, copies, cortex_m7, greybox, lanes, matrices, start_up, targets
 from bench.measure import Figure, machine
 from bench.stack import companion, flight_stack, kill_latency, link
 from twodof.flightlog.atomic import atomic_write
@@ -22,6 +22,7 @@ from twodof.flightlog.atomic import atomic_write
 BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "closed_loop": closed_loop.run,
     "companion": companion.run,
+    "copies": copies.run,
     "cortex_m7": cortex_m7.run,
     "flight_stack": flight_stack.run,
     "greybox": greybox.run,

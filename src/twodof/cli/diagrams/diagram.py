@@ -199,7 +199,9 @@ app.command()(export)
 def _print_code(found: SourceMap, block: str | None) -> None:
     """Three columns: path or role, line number, C. Helpers and structs are in the file, not here."""
     console = table_console()
-    lines = [line for line in found.lines if (line.block == block if block else _worth(line))]
+    shared = f"{found.kinds[block]}." if block in found.kinds else "?"
+    chosen = (line for line in found.lines if not block or line.block == block or line.part.startswith(shared))
+    lines = [line for line in chosen if block or _worth(line)]
     width = min(max((len(line.block or line.role) for line in lines), default=0), 44)
     before = ("", "")
     for line in lines:
@@ -214,7 +216,7 @@ def _print_code(found: SourceMap, block: str | None) -> None:
 
 
 def _worth(line: SourceLine) -> bool:
-    return bool(line.part) and not line.part[0].isupper()
+    return bool(line.part) and not line.part.rpartition(".")[2][0].isupper()
 
 
 @app.command()

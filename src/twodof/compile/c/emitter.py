@@ -17,13 +17,15 @@ from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM
+from twodof.compile.c.pieces import in_pieces
+from twodof.compile.c.shared import APART, SharedFunctions, SharingTick
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
 from twodof.compile.c.unused import with_idle_parameters, without_unused
 from twodof.compile.c.writer import CWriter
 from twodof.compile.c_files.interface import CInterface, comment, indented
-from twodof.compile.program.derived import in_doubles
 from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.kinds import kinds
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram
 from twodof.errors import DiagramError
@@ -67,9 +69,12 @@ def emit(
     """
     helpers: set[str] = set()
     functions: set[str] = set()
-    layouts = [MemoryLayout(program) for program in programs]
+    layouts = [MemoryLayout(program, kinds(program) if style.shares else ()) for program in programs]
     bodies = []
+    named = CNames({program.name for program in programs})
     for program, layout in zip(programs, layouts, strict=True):
+        for k in layout.kinds:
+            k.prefix = named.new(k.prefix)
         emitter = _Emitter(program, layout, precision, lean, style, not header)
         bodies.append(emitter.text())
         helpers |= emitter.helpers
@@ -81,6 +86,7 @@ def emit(
         f'#include "{header}"\n\n' if header else "",
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
+        APART if any("td_apart" in body or "td_shared" in body for body in bodies) else "",
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
         prelude,
@@ -142,6 +148,8 @@ class _Emitter:
         self.scope = Scope(program, layout, precision, style)
         self.helpers: set[str] = set()
         self.functions: set[str] = set()
+        self.shared = SharedFunctions(self.scope, lean, self._written)
+        self.copied = {n.parameters[name] for k in layout.kinds for n in k.kind.nodes for name in k.kind.own}
         self.continuous = sum(m.width or 1 for m in layout.x.members)
 
     def text(self) -> str:
@@ -163,18 +171,21 @@ class _Emitter:
                 f"typedef struct {{ /* what does not change inside a step */\n"
                 f"{indented(stage.declarations())}}} {p}_Held;\n\n"
             )
-        return "".join(parts + functions) + ("" if self.lean else self._tables() + self._sizes())
+        return "".join(parts + self.shared.texts + functions) + ("" if self.lean else self._tables() + self._sizes())
 
     def _written(self, write: Callable[[CWriter], None]) -> str:
         writer = self.scope.style.writer(lean=self.lean)
         write(writer)
-        if (writer.elements + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
+        text, gone = without_unused("\n".join(writer.lines) + "\n")
+        handed = 0
+        if not self.program.edged:  # whose times stand in variables of a kind that cannot be handed on
+            text, handed = in_pieces(text)
+        if (writer.elements + handed + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
             raise DiagramError(
                 f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
                 self.prefix,
                 "make them shorter, or states, which do not stand on the stack",
             )
-        text, gone = without_unused("\n".join(writer.lines) + "\n")
         self.helpers |= writer.helpers - gone
         self.functions |= {name for name in writer.functions if f"td_{name}" not in gone}
         return with_idle_parameters(text)
@@ -186,29 +197,32 @@ class _Emitter:
     def _defaults(self, writer: CWriter) -> None:
         with writer.function(f"void {self.prefix}_defaults({self.prefix}_P *p)"):
             for parameter, member in self.layout.parameters.items():
-                d = parameter.declared
-                self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
+                if parameter not in self.copied:
+                    d = parameter.declared
+                    self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
+            self.shared.defaults(writer)
 
     def _prepare(self, writer: CWriter) -> None:
         names = self.scope.names("p")
         with writer.function(f"void {self.prefix}_prepare({self.prefix}_P *p)"):
             for node in self.program.nodes:
-                if not node.block.derived:
+                if not node.block.derived or node in self.layout.of:
                     continue
                 writer.line(describe(node))
-                leaf_text = self.scope.leaf(node, lambda s: s.path, str, "")
-                renderer = self.scope.renderer(writer, names, leaf_text, node.path)
-                exprs = in_doubles(node.trace.prepare) if self.precision == "float32" else node.trace.prepare
-                renderer.assign([(f"p->{self.layout.derived[node, n].name}", e) for n, e in exprs.items()])
+                self.scope.prepare(writer, names, node)
+            self.shared.prepare(writer)
 
     def _init(self, writer: CWriter) -> None:
         with writer.function(f"void {self.prefix}_init(const {self.prefix}_P *p, {self.prefix}_S *s)"):
             writer.line("(void)memset(s, 0, sizeof *s);")
             for node in self.program.nodes:
+                if node in self.layout.of:
+                    continue
                 if node.block.states:
                     writer.line(describe(node))
                 for state in node.block.states:
                     self.scope.initial(writer, node, state, self.scope.state(node, state))
+            self.shared.init(writer)
             for signal, member in self.layout.stored.items():
                 if signal.initial is not None:
                     writer.line(f"/* {signal.path} */")
@@ -216,7 +230,9 @@ class _Emitter:
                     self.scope.fill(writer, f"s->{member.name}", signal.initial, declared)
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
-        tick = TickEmitter(self.scope, writer, self.scope.names("p", "s", "u", "y"))
+        names = self.scope.names("p", "s", "u", "y")
+        copies = bool(self.layout.kinds)
+        tick = SharingTick(self.scope, writer, names, self.shared) if copies else TickEmitter(self.scope, writer, names)
         head = f"void {self.prefix}_step" if self.lean else f"td_inline void {self.prefix}_advance"
         with writer.function(f"{head}({self._arguments()})"):
             tick.due()
@@ -283,10 +299,10 @@ void {p}_step({one})
                 f"(uint32_t)offsetof({p}_{struct}, {place}), {bound(low)}, {bound(high)}}},"
             )
 
-        states = [("S", m, m.name) for m in layout.s.members if m.path and m.remark != "work"]
+        states = [("S", m, m.name) for m in layout.members("S") if m.path and m.remark != "work"]
         states += [("S", m, f"x.{m.name}") for m in layout.x.members]
         signals = [("U", m, m.name) for m in layout.u.members] + [("Y", m, m.name) for m in layout.y.members] + states
-        parameters = [("P", m, m.name) for m in layout.p.members]
+        parameters = [("P", m, m.name) for m in layout.members("P")]
         none = "{0, 0, 0, 0, 0u, 0u, 0.0, 0.0},"
         text = ""
         for name, rows in (("parameters", parameters), ("signals", signals)):

@@ -25,6 +25,7 @@ class CStyle:
     tables = True  # whether the file ends with tables of parameters and signals
     copies = 1  # instances in a struct
     branches = True  # whether a condition can leave out what it guards: lanes compute both sides
+    shares = True  # whether copies share functions: lanes would have to hand on which of them act
     along = "{0} + h * {1}"
     weighted = "x->{m} + sixth * (((k1.{m} + {two} * k2.{m}) + {two} * k3.{m}) + k4.{m})"
 

@@ -14,6 +14,7 @@ from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES, LOOSE
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.writer import CWriter
+from twodof.compile.program.derived import in_doubles
 from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Need, Node, Start
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.program.lower import inputs_of
@@ -38,10 +39,12 @@ class Scope:
         self.layout = layout
         self.precision = precision
         self.style = style
+        self.defined: set[str] = set()  # what the program defines beside OWN
 
     def names(self, *arguments: str) -> CNames:
         """Identifiers of a function: its locals must not hide its `arguments` or what the program defines."""
-        return CNames({*arguments, *(f"{self.program.name}_{own}" for own in OWN), *self.style.reserved})
+        own = (f"{self.program.name}_{own}" for own in OWN)
+        return CNames({*arguments, *own, *self.defined, *self.style.reserved})
 
     def constant(self, value: object, kind: str) -> str:
         """A literal of the program's precision."""
@@ -73,7 +76,7 @@ class Scope:
             if item.op == "state":
                 return state(item.data), ATOM
             if item.op == "param":
-                return f"p->{self.parameter(node, item.data).name}", ATOM
+                return self.given(node, item.data), ATOM
             if item.op == "tick":
                 return self.style.same(tick, "uint32"), ATOM
             seconds = self.program.dt * (node.rate.divider if item.data == "dt" else 1)
@@ -87,6 +90,10 @@ class Scope:
             return self.layout.parameters[node.parameters[name]]
         return self.layout.derived[node, name]
 
+    def given(self, node: Node, name: str) -> str:
+        """The C text of a block's parameter (given or derived)."""
+        return f"p->{self.parameter(node, name).name}"
+
     def state(self, node: Node, state: State) -> str:
         """The lvalue of a state."""
         prefix = "s->x." if state.continuous else "s->"
@@ -95,13 +102,20 @@ class Scope:
     def initial(self, writer: CWriter, node: Node, state: State, target: str) -> None:
         """Lines that set a state to its initial value."""
         if isinstance(state.initial, str):
-            source = f"p->{self.parameter(node, state.initial).name}"
+            source = self.given(node, state.initial)
             if state.width is None:
                 writer.assign(target, source, state.kind)
             else:
                 writer.duplicate(target, source, state.width, state.kind)
             return
         self.fill(writer, target, state.initial, state)
+
+    def prepare(self, writer: CWriter, names: CNames, node: Node, stem: str = "") -> None:
+        """Lines that compute a block's derived parameters."""
+        leaf_text = self.leaf(node, lambda s: s.path, str, "")
+        renderer = self.renderer(writer, names, leaf_text, stem or node.path)
+        exprs = in_doubles(node.trace.prepare) if self.precision == "float32" else node.trace.prepare
+        renderer.assign([(self.given(node, name), e) for name, e in exprs.items()])
 
     def fill(self, writer: CWriter, target: str, value: object, declared: Port | State | Param) -> None:
         """Lines that store a constant number, or a sequence of them, in `target`."""
@@ -241,8 +255,7 @@ class TickEmitter:
             with self.writer.choice("", tests) if tests else nullcontext():
                 for action in group.actions:
                     self.writer.line(describe(action.node))
-                    roots = [(self.texts[s], action.node.trace.outputs[s.port]) for s in action.signals]
-                    self.renderer(action.node).assign(roots)
+                    self._assigned(action)
                     self.computed.update(action.signals)
             self.renderers = outside
 
@@ -251,6 +264,11 @@ class TickEmitter:
         for s in signals:
             self.texts[s] = self.names.new(s.path)
             self.writer.line(f"{self.scope.type(s.kind)} {self.texts[s]} = {self.scope.constant(0, s.kind)};")
+
+    def _assigned(self, action: Action) -> None:
+        """Lines that store an action's outputs in variables that are there."""
+        roots = [(self.texts[s], action.node.trace.outputs[s.port]) for s in action.signals]
+        self.renderer(action.node).assign(roots)
 
     def _tests(self, needs: Iterable[Need]) -> list[str]:
         """The C of conditions."""
@@ -275,7 +293,7 @@ class TickEmitter:
         renderer = self.renderer(node)
         roots = [node.trace.outputs[s.port] for s in action.signals]
         at_once = self._may_update(node, action.signals)
-        shared = [*roots, *(_numbers(node.trace.update) if at_once else ())]
+        shared = [*roots, *(numbers_of(node.trace.update) if at_once else ())]
         own = set(action.signals).intersection(node.drivers.values())
         renderer.prepare(r for r in shared if not own or own.isdisjoint(inputs_of(node, [r])))
         together: dict[FlatSignal, Expr] = {}  # outputs that share their temporaries, as none reads another
@@ -420,7 +438,7 @@ def _changes(node: Node) -> bool:
     return any(not _keeps(k, e) for k, e in node.trace.update.items())
 
 
-def _numbers(update: Mapping[str, Expr]) -> Iterator[Expr]:
+def numbers_of(update: Mapping[str, Expr]) -> Iterator[Expr]:
     """The numbers of which the next states are made."""
     for name, e in update.items():
         if e.op == "vector":

@@ -1,6 +1,6 @@
 """What a program's C shows to its callers: the structs P, S, U and Y, prototypes, and what is in the tables."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
@@ -37,7 +37,10 @@ class CInterface:
     def text(self) -> str:
         """Constants of enumerations, structs, prototypes, and the declarations of the tables."""
         layout, moving = self.layout, bool(self.program.integrated)
-        structs = [self._struct("P", "parameters; `prepare` computes the derived ones", layout.p.members)]
+        structs = [
+            *self._copies(),
+            self._struct("P", "parameters; `prepare` computes the derived ones", layout.p.members),
+        ]
         if moving:
             structs.append(self._struct("X", "continuous states", layout.x.members))
         structs += [
@@ -60,8 +63,19 @@ class CInterface:
             lines.append(f"enum {{ {members} }};\n")
         return "".join([*lines, "\n"] if lines else [])
 
+    def _copies(self) -> Iterator[str]:
+        """The structs of one copy of each kind of block that exists many times."""
+        for k in self.layout.kinds:
+            for which, struct in k.structs():
+                lines = indented(m.declaration(self.types) + self._remark(which, m) for m in struct.members)
+                remark = f"of one of {len(k.kind.nodes)}: {k.kind.name}"
+                yield f"typedef struct {{ /* {remark} */\n{lines}}} {k.prefix}_{which};\n\n"
+
     def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
         lines = [m.declaration(self.types) + self._remark(name, m) for m in members]
+        for k in self.layout.kinds:
+            count = len(k.kind.nodes)
+            lines += [f"{k.prefix}_{name} {k.name}[{count}];" for which, _ in k.structs() if which == name]
         if nested:
             lines.append(f"{self.program.name}_X x;")
         lines = lines or ["unsigned char none;"]

@@ -1,13 +1,14 @@
 """Whose line is whose: from the generated C back to the blocks, by the comments that stand above their lines."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from twodof.compile.c.pieces import PIECES
 from twodof.compile.c.tick import DISABLED, FROZEN, INTEGRATION, NEXT_TICK, RATES_DUE, RETURNED
 from twodof.compile.program.check import compiled
 from twodof.compile.program.flat_program import FlatProgram, Node
-from twodof.compile.program.layout import MemoryLayout
+from twodof.compile.program.layout import KindLayout, MemoryLayout
 
 ROLES = {
     RATES_DUE: "rates",
@@ -16,6 +17,7 @@ ROLES = {
     INTEGRATION: "integration",
     FROZEN: "disabled states",
     NEXT_TICK: "next tick",
+    PIECES: "pieces",
 }
 """The comments above lines of no single block, and what these lines are for."""
 
@@ -27,9 +29,13 @@ _OF_FUNCTION = {
     "step": "one step",
     "run": "many steps",
 }
-_HEAD = re.compile(r"[\w ]*\bvoid (\w+)\(")
+SHARED = "shared by copies"
+_HEAD = re.compile(r"(?:td_(?:apart|shared) \w+|[\w ]*\bvoid) (\w+)\(")
+_EACH = re.compile(r"/\* each of \d+: \w+ \*/")
+_PIECE = re.compile(r"(defaults|prepare|init|derivative|step|advance)_\d+")
 _COMMENT = re.compile(r"/\*.*?\*/")
 _PATH = re.compile(r"/\* ([A-Za-z][\w.]*)(?:: \w+)?(?:; .*)? \*/")
+_ROW = re.compile(r"}, /\* ([\w.]+)(?:: \w+)? \*/$")
 _DEFAULT = re.compile(r"\bp->(\w+)")
 _IDLE = re.compile(r"\(void\)\w+;")
 _MEMBER = re.compile(r"(\w+)(?:\[\d+\])?;")
@@ -61,15 +67,18 @@ class SourceMap:
     lines: list[SourceLine]
     blocks: dict[str, str]  # path -> type
     left_out: tuple[str, ...] = ()  # blocks of which nothing runs
+    kinds: dict[str, str] = field(default_factory=dict)  # path of a copy -> its kind: `part` is then `kind.function`
     _by_block: dict[str, list[SourceLine]] = field(default_factory=dict)
 
     def of(self, path: str) -> dict[str, list[tuple[int, int]]]:
-        """The ranges of line numbers (first, last) that a block became, by function or struct."""
+        """The ranges of line numbers (first, last) that a block became, by function or struct; also what it shares."""
         if not self._by_block:
             for line in self.lines:
-                self._by_block.setdefault(line.block, []).append(line)
+                kind, dot, _ = line.part.partition(".")
+                self._by_block.setdefault(f".{kind}" if dot else line.block, []).append(line)
         found: dict[str, list[tuple[int, int]]] = {}
-        for line in self._by_block.get(path, []):
+        shared = self._by_block.get(f".{self.kinds[path]}", []) if path in self.kinds else []
+        for line in [*shared, *self._by_block.get(path, [])]:
             ranges = found.setdefault(line.part, [])
             if ranges and ranges[-1][1] == line.number - 1:
                 ranges[-1] = ranges[-1][0], line.number
@@ -84,21 +93,27 @@ def source_map(program: FlatProgram, source: str, layout: MemoryLayout) -> Sourc
     text = source.splitlines()
     lines = [SourceLine(i + 1, t, "", "", "") for i, t in enumerate(text)]
     members = _members(program, layout)
-    for part, first, last in _parts(text, program.name):
+    shared = {k.prefix.removeprefix(f"{program.name}_"): k for k in layout.kinds}
+    for name, first, last in _parts(text, program.name):
+        kind, function = _shared(name, shared)
+        piece = _PIECE.fullmatch(name)
+        work = name.endswith("_Work")
+        part = f"{kind}.{function}" if kind else piece[1] if piece else "Work" if work else name
         owned = (
             _struct(text, first, last, part, members)
-            if part[0].isupper()
+            if text[first].startswith("typedef")
             else _function(text, first, last, part, nodes)
         )
         for at, block, role in owned:
-            default = _DEFAULT.search(text[at]) if part == "defaults" and not block else None
+            default = (_DEFAULT.search(text[at]) or _ROW.search(text[at])) if part == "defaults" and not block else None
             if default:
-                block = members.get(("P", default[1]), "")
+                block = members.get(("P", default[1]), default[1] if default[1] in nodes else "")
                 role = "" if block else role
             lines[at] = SourceLine(at + 1, text[at], part, block, role)
     needed = compiled(program)
     kinds = {path: n.block.type_name or type(n.block).__name__ for path, n in nodes.items()}
-    return SourceMap(lines, kinds, tuple(path for path in nodes if path not in needed))
+    copies = {n.path: k.name for n, (k, _) in layout.of.items()}
+    return SourceMap(lines, kinds, tuple(path for path in nodes if path not in needed), copies)
 
 
 def _parts(text: list[str], name: str) -> Iterator[tuple[str, int, int]]:
@@ -113,6 +128,15 @@ def _parts(text: list[str], name: str) -> Iterator[tuple[str, int, int]]:
                 part = head[1].removeprefix(prefix)
                 yield "step" if part == "advance" else part, start - (line == "}"), i
             start = -1
+
+
+def _shared(name: str, kinds: Mapping[str, KindLayout]) -> tuple[str, str]:
+    """The kind that shares a struct or function, and its name without the kind's; a number may end it."""
+    stem = name.rpartition("_")[0]
+    for begin in (stem, stem.rpartition("_")[0]):
+        if begin in kinds:
+            return kinds[begin].name, name.removeprefix(f"{begin}_")
+    return "", name
 
 
 def _members(program: FlatProgram, layout: MemoryLayout) -> dict[tuple[str, str], str]:
@@ -145,7 +169,7 @@ def _function(
     text: list[str], first: int, last: int, part: str, nodes: dict[str, Node]
 ) -> Iterator[tuple[int, str, str]]:
     """Whose each line is: that of the last comment at its depth, or further out."""
-    inner = ("", _OF_FUNCTION.get(part, ""))
+    inner = ("", SHARED if "." in part else _OF_FUNCTION.get(part, ""))
     owners = [inner]  # by depth of braces
     opened: list[tuple[tuple[str, str], bool]] = []  # of each open brace: whose, and whether it is a condition
     yield first, "", "head"
@@ -189,5 +213,7 @@ def _named(line: str, nodes: dict[str, Node]) -> tuple[str, str] | None:
     """The block or the role that a comment names."""
     if line in ROLES:
         return "", ROLES[line]
+    if _EACH.fullmatch(line):
+        return "", SHARED
     named = _PATH.fullmatch(line)
     return (named[1], "") if named and named[1] in nodes else None

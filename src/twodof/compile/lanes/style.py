@@ -196,6 +196,7 @@ class LaneStyle(CStyle):
     function = "td_inline"
     tables = False
     branches = False
+    shares = False
 
     def __init__(self, shape: LaneShape) -> None:
         self.shape = shape
