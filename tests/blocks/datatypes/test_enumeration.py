@@ -172,7 +172,9 @@ def test_names_go_into_a_running_program_and_nothing_else_does() -> None:
 
 
 def test_lanes_take_members_only() -> None:
-    lanes = build_lanes(enumerated().case.diagram, 0.1, 2, optimise="-O0").machine()
+    d = Diagram("d")
+    d.output("y", d.input("asked", Mode))
+    lanes = build_lanes(d, 0.1, 2, optimise="-O0").machine()
     with pytest.raises(TwodofError, match="4 is not a member of Mode"):
         lanes.run(2, {"asked": [[0, 0], [4, 0]]})
 
