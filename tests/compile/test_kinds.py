@@ -215,10 +215,12 @@ RUNS: dict[str, Callable[[Diagram, str, dict[str, NDArray[Any]]], dict[str, Any]
         for name, column in build_lanes(d, 0.01, 3, precision, optimise="-O0").machine().run(40, u).items()
     },
 }
+# Of lanes it takes seconds to compile; random diagrams and the test of every operator hold the kinds too.
+TARGETS = ["native", "wasm", pytest.param("lanes", marks=pytest.mark.soak)]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("target", RUNS)
+@pytest.mark.parametrize("target", TARGETS)
 def test_arrays_loops_and_functions_of_all_kinds_have_the_bits_of_the_reference(target: str, precision: str) -> None:
     inputs = columns(40)
     expected = reference(everything(), precision, inputs)
@@ -377,7 +379,7 @@ def test_derived_parameters_are_rounded_once_in_a_build_of_singles() -> None:
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("target", RUNS)
+@pytest.mark.parametrize("target", TARGETS)
 def test_derived_parameters_have_the_bits_of_the_reference(target: str, precision: str) -> None:
     inputs = {"u": np.zeros(40)}
     expected = reference(prepared(), precision, inputs)
