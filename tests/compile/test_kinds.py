@@ -46,9 +46,11 @@ from twodof.blocks.library import Convert, Maximum, Sum, UnitDelay
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
+from twodof.compile.builder import emit_program
 from twodof.compile.lanes import build_lanes
 from twodof.compile.linear.linearize import linearize
 from twodof.compile.stepper import Stepper
+from twodof.compile.wasm.module import compile_module
 from twodof.errors import DiagramError
 
 PRECISIONS = ("float64", "float32")
@@ -265,6 +267,14 @@ def test_parameters_states_and_inputs_keep_to_their_kinds() -> None:
     assert machine.state("sensor.total") == float(np.float32(0.1))
     stepper = Stepper(machine, ["v"], ["raw", "smooth", "total", "count"])
     assert stepper.step([40.0]) == (32767, 0.1 * (32767 * 0.001), pytest.approx(3.3766, abs=1e-4), 8)
+
+
+def test_a_scalar_of_one_byte_has_its_place_in_every_struct() -> None:
+    """It is not the byte of a struct without members."""
+    program = emit_program(diagram(), 0.01)
+    assert program.places["P"]["sensor_first"][1] == program.places["S"]["sensor_count"][1] == 1
+    assert "count" in program.places["Y"]
+    assert [o["type"] for o in compile_module([program]).interface("mixed")["outputs"]][-1] == "uint8"
 
 
 def test_library_blocks_of_the_kinds() -> None:
