@@ -23,7 +23,7 @@ from twodof.compile import build
 from twodof.compile.builder import emit_program
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.expressions import constant
-from twodof.compile.c.unused import without_unused
+from twodof.compile.c.text.unused import without_unused
 from twodof.compile.native import target
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers

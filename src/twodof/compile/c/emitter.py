@@ -17,11 +17,11 @@ from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM
-from twodof.compile.c.pieces import in_pieces
 from twodof.compile.c.shared import APART, SharedFunctions, SharingTick
 from twodof.compile.c.style import SCALAR, CStyle
+from twodof.compile.c.text.pieces import in_pieces
+from twodof.compile.c.text.unused import with_idle_parameters, without_unused
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
-from twodof.compile.c.unused import with_idle_parameters, without_unused
 from twodof.compile.c.writer import CWriter
 from twodof.compile.c_files.interface import CInterface, comment, indented
 from twodof.compile.program.flat_program import FlatProgram

@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from twodof.compile.c.pieces import PIECES
+from twodof.compile.c.text.pieces import PIECES
 from twodof.compile.c.tick import DISABLED, FROZEN, INTEGRATION, NEXT_TICK, RATES_DUE, RETURNED
 from twodof.compile.program.check import compiled
 from twodof.compile.program.flat_program import FlatProgram, Node
