@@ -157,8 +157,10 @@ class Renderer:
                 self._later.setdefault(id(a), []).append(id(item))
 
     def prepare(self, roots: Iterable[Expr]) -> None:
-        """Write what numbers that will be asked for one by one share, so that it is found once for all."""
-        self._texts([self._resolve(r) for r in roots if r.width is None])
+        """Write what several numbers that will be asked for one by one share, so that it is found once for all."""
+        numbers = [self._resolve(r) for r in roots if r.width is None]
+        if len(numbers) > 1:
+            self._texts(numbers)
 
     def scalars(self, roots: Sequence[Expr]) -> list[Text]:
         """The C texts of `roots`, after the lines that they need. An array's text is a name."""
