@@ -158,7 +158,7 @@ def test_the_header_says_units_bounds_defaults_and_the_order_of_a_matrix() -> No
     loop = c_files(examples.loop(), 0.01).header
     assert "double k; /* gain of the feedback; default 2, at least 0, at most 10 */" in loop
     assert "double sum_limit; /* sum.limit [rad] largest magnitude of the integral; default 1, at least 0 */" in loop
-    assert "Sizes [bytes] where a double is aligned to 8: P 64, S 48, U 8, Y 16." in loop
+    assert "Sizes [bytes] where a double is aligned to 8: P 64, S 40, U 8, Y 16." in loop
 
 
 def test_nothing_visible_is_without_the_prefix(firmware: tuple[Path, CFiles, CFiles]) -> None:
