@@ -27,7 +27,7 @@ WALKED = 20  # nodes that are looked at for each node of the graph, in finding w
 
 
 @dataclass(frozen=True)
-class Decision:
+class Choice:
     """What `where`, `and` or `or` decide: by `condition`, the value of each side, a constant that is not a node."""
 
     condition: Expr
@@ -49,13 +49,13 @@ Step = Expr | Branch
 Arguments = Callable[[Expr], Sequence[Expr]]
 
 
-def decision(item: Expr, args: Sequence[Expr]) -> Decision | None:
+def decision(item: Expr, args: Sequence[Expr]) -> Choice | None:
     """What a node with these arguments decides, if it is one that reads one of two values."""
     if item.op == "where":
-        return Decision(*args)
+        return Choice(*args)
     if item.op in ("and", "or") and item.kind == "bool":
         first, second = args
-        return Decision(first, second, False) if item.op == "and" else Decision(first, True, second)
+        return Choice(first, second, False) if item.op == "and" else Choice(first, True, second)
     return None
 
 
@@ -106,7 +106,7 @@ class _Plan:
     def __init__(self, order: Sequence[Expr], args: Arguments, always: Iterable[Expr], in_loop: bool) -> None:
         self.order = order
         self.args: dict[int, tuple[Expr, ...]] = {}
-        self.decisions: dict[int, Decision] = {}
+        self.decisions: dict[int, Choice] = {}
         self.known: set[int] = set()  # what is at hand
         self.flags: dict[int, bool] = {}  # whether nothing real is in it
         for item in order:

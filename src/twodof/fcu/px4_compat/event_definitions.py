@@ -6,7 +6,7 @@ Source: `validation/schema.json` of MAVLink's libevents, version 2 of the format
 import json
 from typing import Any
 
-from twodof.fcu.px4_compat.event_enumerations import ENUMERATIONS, Enumeration
+from twodof.fcu.px4_compat.event_enumerations import ENUMERATIONS, EventEnumeration
 from twodof.fcu.px4_compat.event_table import COMPONENT, EVENTS, EventType
 from twodof.link.mavlink.modes import MODES
 
@@ -33,7 +33,7 @@ def definitions() -> bytes:
     return json.dumps({"version": 2, "components": {str(COMPONENT): component}}, separators=(",", ":")).encode()
 
 
-def _enumeration(one: Enumeration) -> dict[str, Any]:
+def _enumeration(one: EventEnumeration) -> dict[str, Any]:
     bits = {"is_bitfield": True, "separator": "; "} if one.bits else {}
     entries = {str(value): {"name": name, "description": text} for value, name, text in one.entries}
     return {"type": one.kind, "description": one.text, **bits, "entries": entries}

@@ -10,7 +10,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.link.mavlink.modes import MODES
 
 
-class Enumeration(NamedTuple):
+class EventEnumeration(NamedTuple):
     """An enumeration; `kind` is the unsigned integer that carries it.
 
     An entry is a value (of a bit field, `bits`, the bit itself), a name, and a text for people.
@@ -78,8 +78,8 @@ _CAUSE_ENTRIES = tuple((1 << place, cause.name, cause.text) for place, cause in 
 
 ENUMERATIONS = MappingProxyType(
     {
-        "cause_t": Enumeration("uint32_t", "What the failsafe sees.", _CAUSE_ENTRIES, True),
-        "obstacle_t": Enumeration(
+        "cause_t": EventEnumeration("uint32_t", "What the failsafe sees.", _CAUSE_ENTRIES, True),
+        "obstacle_t": EventEnumeration(
             "uint32_t",
             "What keeps from arming: causes of the failsafe, and more.",
             (
@@ -90,12 +90,12 @@ ENUMERATIONS = MappingProxyType(
             ),
             True,
         ),
-        "action_t": Enumeration(
+        "action_t": EventEnumeration(
             "uint8_t",
             "What the failsafe does.",
             tuple((place, name, name) for place, name in enumerate(ACTIONS)),
         ),
-        "disarmed_by_t": Enumeration(
+        "disarmed_by_t": EventEnumeration(
             "uint8_t",
             "Who or what disarmed it.",
             (
@@ -104,18 +104,18 @@ ENUMERATIONS = MappingProxyType(
                 (FAILED, "failsafe", "by the failsafe"),
             ),
         ),
-        "mode_t": Enumeration(
+        "mode_t": EventEnumeration(
             "uint32_t",
             "The modes, as HEARTBEAT.custom_mode.",
             tuple((mode.custom_mode, mode.name, mode.name) for mode in MODES),
         ),
-        "navigation_mode_group_t": Enumeration(
+        "navigation_mode_group_t": EventEnumeration(
             "uint32_t",
             "The modes again, a bit each: which of them a check is about.",
             tuple((1 << place, mode.name, mode.text) for place, mode in enumerate(MODES)),
             True,
         ),
-        "health_component_t": Enumeration(
+        "health_component_t": EventEnumeration(
             "uint32_t",
             "What a check is about.",
             tuple((1 << place, name, text) for name, place, text, _ in _COMPONENTS),
