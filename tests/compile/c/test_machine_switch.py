@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import pytest
+
 from twodof.blocks import Diagram, Port, State
 from twodof.blocks.library import Bias, Convert
 from twodof.blocks.reference import Reference
@@ -96,3 +98,38 @@ def test_a_mode_that_comes_back_as_an_input_is_no_loop() -> None:
         # The mode is 0 or 1, and 3 is added.
         assert [machine.step(row)["y"] for row in rows] == [3.0 if k % 3 == 0 else -4.0 for k in range(12)]
         assert machine.state("machine.sum") == 4 * 3.0 - 8 * 4.0
+
+
+class Waiting(StateMachine):
+    """It starts outside the mode whose time it reads."""
+
+    inputs = (Port("go", "bool"),)
+    outputs = (Port("long", "bool"),)
+    modes = (
+        Mode("waiting", during={"long": False}),
+        Mode("busy", inner=[Mode("one"), Mode("other")], during=lambda t: {"long": t.elapsed > 3}),
+    )
+    transitions = (
+        Transition("waiting", "busy", lambda u: u.go),
+        Transition("one", "other", lambda t: t.elapsed >= 2),
+        Transition("other", "one"),
+    )
+
+
+@pytest.mark.parametrize("start", [-1, 77])
+def test_all_clocks_are_0_at_the_start(start: int) -> None:
+    """That of an outer mode too, which may be entered later; a mode that does not exist is the start as well."""
+    d = Diagram("waits")
+    d.input("go", "bool")
+    d.add("machine", Waiting(), go="go")
+    d.output("long", "machine.long")
+    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
+    for stepper in (expected, compiled):
+        stepper.set_state("machine.mode", start)
+        stepper.set_state("machine.elapsed_outer", 9)
+    clocks = []
+    for k in range(12):
+        assert compiled.step({"go": k == 3}) == expected.step({"go": k == 3})
+        clocks.append(expected.state("machine.elapsed_outer"))
+        assert compiled.state("machine.elapsed_outer") == clocks[-1]
+    assert clocks == [0, 1, 2, 0, 1, 2, 3, 4, 5, 6, 7, 8]

@@ -109,6 +109,12 @@ class Reaction:
             self.act(mode, "exit")
         self.perform(self.chart.does[route.number], self.chart.by_name[route.transition.source])
 
+    def begin(self) -> None:
+        """Enter the first mode, with all clocks at 0."""
+        self.values[OUTER_ELAPSED] = uint32(0)
+        first = self.chart.leaves[0]
+        self.enter(first, first.outer)
+
     def enter(self, leaf: Leaf, outer: Mode | None) -> None:
         """Be in `leaf`, and enter the mode `outer` around it before, if there is one to enter."""
         self.values[MODE], self.values[ELAPSED] = int32(leaf.number), uint32(0)
@@ -159,7 +165,7 @@ def _on_numbers(now: Reaction) -> Reaction:
                 now.enter(leaf, route.entered)
                 break
     else:
-        now.enter(chart.leaves[0], chart.leaves[0].outer)
+        now.begin()
     now.stay(chart.leaves[now.values[MODE].value])
     return now
 
@@ -168,7 +174,7 @@ def _recorded(now: Reaction) -> Reaction:
     chart = now.chart
     mode = now.values[MODE]
     start = now.after(now.values)
-    start.enter(chart.leaves[0], chart.leaves[0].outer)
+    start.begin()
     now.grow_older()
     values = start.values
     for leaf in reversed(chart.leaves):

@@ -61,6 +61,8 @@ class MachineSwitch:
                 with self._case(f"case {leaf.number}", leaf):
                     self._ways(self.chart.routes[leaf.number])
             with self._case("default", None):
+                if self.chart.leaves[0].outer is None:
+                    self._set(OUTER_ELAPSED, "0u")
                 self._enter(self.chart.leaves[0], self.chart.leaves[0].outer)
         self._during()
         for port in self.machine.outputs:
