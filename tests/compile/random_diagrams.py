@@ -186,13 +186,12 @@ class Maker:
                 self.sources[prefix + name] = block.source
                 block.crossing = r.random() < 0.15
             d.add(name, block, rate=own, params=self.binding(d, block))
-            wired = [
-                p.name for p in grouped(block.inputs) if isinstance(p.kind, Bus) and self.enumerated.random() < 0.5
-            ]
+            buses = {p.name: p.kind for p in grouped(block.inputs) if isinstance(p.kind, Bus)}
+            wired = [bus for bus in buses if self.enumerated.random() < 0.5]
             for bus in wired:  # as one, from where its fields are put together
-                maker = d.add(f"{name}_{bus}", lib.BusCreate(BUS), rate=own)
+                maker = d.add(f"{name}_{bus}", lib.BusCreate(buses[bus]), rate=own)
                 d.connect(maker, f"{name}.{bus}")
-                waiting += [(f"{maker}.{leaf.name}", leaf, own, before) for leaf in BUS.leaves]
+                waiting += [(f"{maker}.{leaf.name}", leaf, own, before) for leaf in buses[bus].leaves]
             if block.outputs and self.more.random() < 0.2 and not isinstance(block, lib.StoreWrite):
                 held = self.more.choice(block.outputs)
                 number = {"real": self.more.uniform(-2, 2), "bool": True}.get(held.kind, 3)
