@@ -133,3 +133,26 @@ def test_all_clocks_are_0_at_the_start(start: int) -> None:
         clocks.append(expected.state("machine.elapsed_outer"))
         assert compiled.state("machine.elapsed_outer") == clocks[-1]
     assert clocks == [0, 1, 2, 0, 1, 2, 3, 4, 5, 6, 7, 8]
+
+
+class TakenBack(StateMachine):
+    """What its exit action reads, the transition's takes back: the recorded machine does not need that input."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    variables = (State("y"),)
+    modes = (Mode("one", exit=lambda u: {"y": u.u}), Mode("other"))
+    transitions = (Transition("one", "other", True, do={"y": 3.0}),)
+
+
+def test_an_input_that_only_a_dead_action_reads_may_come_later() -> None:
+    d = Diagram("late")
+    d.input("u")
+    d.add("machine", TakenBack())
+    d.add("zero", Bias(1.0), u="u")
+    d.connect("zero", "machine.u")
+    d.output("y", "machine.y")
+    d.output("z", "zero.y")
+    expected, compiled = Reference(d, 0.01).machine(), build(d, 0.01).machine()
+    for _ in range(3):
+        assert compiled.step({"u": 5.0}) == expected.step({"u": 5.0})

@@ -60,6 +60,11 @@ class MachineGraph:
         self._check_outputs(chart)
         self.states = list(self._own_states(chart))
 
+    @property
+    def expressions(self) -> list[Expr]:
+        """All that guards and actions give; the machine's trace leaves out what another action takes back."""
+        return [*self.guards, *(e for given in (*self.does, *self.actions.values()) for e in given.values())]
+
     def action(self, mode: str, action: str) -> Recorded:
         """What an action of a mode gives, by name."""
         return self.actions.get((mode, action), {})
