@@ -326,7 +326,8 @@ class TickEmitter:
         if not (isinstance(node.block, StateMachine) and self.scope.style.branches) or node in self.updated:
             return False
         given = {s for s in node.outputs.values() if s in self._tick_signals}
-        needed = inputs_of(node, node.block.graph.expressions) & self._tick_signals
+        # What no output and no state needs is read by nobody else perhaps, and is then not computed at all.
+        needed = {s for s in inputs_of(node, node.block.graph.expressions) if s.node is not None}
         return given == set(signals) and self.computed.issuperset([*needed, *node.starts])
 
     def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
