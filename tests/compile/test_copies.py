@@ -21,7 +21,7 @@ from twodof.compile.builder import emit_program
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.text import pieces
 from twodof.compile.c_files.source_map import source_map
-from twodof.compile.program import kinds
+from twodof.compile.program import block_kinds
 from twodof.compile.program.lower import lower
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
@@ -30,8 +30,8 @@ from twodof.sim.closed_loop import closed_loop
 @pytest.fixture
 def forced(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two copies share, however small they are, and functions are cut into pieces of a few lines."""
-    monkeypatch.setattr(kinds, "FEWEST", 2)
-    monkeypatch.setattr(kinds, "WORTH", 0)
+    monkeypatch.setattr(block_kinds, "FEWEST", 2)
+    monkeypatch.setattr(block_kinds, "WORTH", 0)
     monkeypatch.setattr(pieces, "LONGEST", 30)
     monkeypatch.setattr(pieces, "PIECE", 10)
 
@@ -138,7 +138,7 @@ def knotted(count: int) -> Diagram:
 
 @pytest.mark.parametrize("target", ["gcc-O3", "wasm"])
 def test_copies_that_read_themselves_and_each_other(target: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kinds, "FEWEST", 3)
+    monkeypatch.setattr(block_kinds, "FEWEST", 3)
     rows = [{"u": 0.3 * k - 1.0, "on": k % 3 != 1} for k in range(12)]
     source, found = shared([Case(knotted(3), [], rows, {})], "rk4", "float64", [target])
     assert not found
@@ -196,7 +196,7 @@ def test_the_text_of_all_but_the_calls_stays_as_long() -> None:
 
 
 def test_what_exists_few_times_stays_as_it_was() -> None:
-    for d in (closed_loop(), core(), bank(kinds.FEWEST - 1)):
+    for d in (closed_loop(), core(), bank(block_kinds.FEWEST - 1)):
         source = emit_program(d, 0.001).source
         assert "td_apart" not in source
         assert not re.search(r"\[0\]\.\w+;", source)

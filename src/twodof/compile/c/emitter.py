@@ -24,8 +24,8 @@ from twodof.compile.c.text.unused import with_idle_parameters, without_unused
 from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
 from twodof.compile.c.writer import CWriter
 from twodof.compile.c_files.interface import CInterface, comment, indented
+from twodof.compile.program.block_kinds import block_kinds
 from twodof.compile.program.flat_program import FlatProgram
-from twodof.compile.program.kinds import kinds
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram
 from twodof.errors import DiagramError
@@ -69,11 +69,11 @@ def emit(
     """
     helpers: set[str] = set()
     functions: set[str] = set()
-    layouts = [MemoryLayout(program, kinds(program) if style.shares else ()) for program in programs]
+    layouts = [MemoryLayout(program, block_kinds(program) if style.shares else ()) for program in programs]
     bodies = []
     named = CNames({program.name for program in programs})
     for program, layout in zip(programs, layouts, strict=True):
-        for k in layout.kinds:
+        for k in layout.block_kinds:
             k.prefix = named.new(k.prefix)
         emitter = _Emitter(program, layout, precision, lean, style, not header)
         bodies.append(emitter.text())
@@ -149,7 +149,7 @@ class _Emitter:
         self.helpers: set[str] = set()
         self.functions: set[str] = set()
         self.shared = SharedFunctions(self.scope, lean, self._written)
-        self.copied = {n.parameters[name] for k in layout.kinds for n in k.kind.nodes for name in k.kind.own}
+        self.copied = {n.parameters[name] for k in layout.block_kinds for n in k.kind.nodes for name in k.kind.own}
         self.continuous = sum(m.width or 1 for m in layout.x.members)
 
     def text(self) -> str:
@@ -231,7 +231,7 @@ class _Emitter:
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
         names = self.scope.names("p", "s", "u", "y")
-        copies = bool(self.layout.kinds)
+        copies = bool(self.layout.block_kinds)
         tick = SharingTick(self.scope, writer, names, self.shared) if copies else TickEmitter(self.scope, writer, names)
         head = f"void {self.prefix}_step" if self.lean else f"td_inline void {self.prefix}_advance"
         with writer.function(f"{head}({self._arguments()})"):

@@ -15,7 +15,7 @@ from twodof.compile.c.operators import ATOM
 from twodof.compile.c.tick import Scope, TickEmitter, describe
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import Action, FlatSignal, Node
-from twodof.compile.program.layout import KindLayout
+from twodof.compile.program.layout import BlockKindLayout
 from twodof.compile.program.lower import inputs_of
 
 APART = """/* Not put in place, for it is there so that many share it, or so that a compiler sees less at once. */
@@ -40,7 +40,7 @@ class CopyScope(Scope):
     `inputs` and `outer` are the names of arguments: the inputs, and the parameters that other blocks read too.
     """
 
-    def __init__(self, scope: Scope, kind: KindLayout) -> None:
+    def __init__(self, scope: Scope, kind: BlockKindLayout) -> None:
         super().__init__(scope.program, scope.layout, scope.precision, scope.style)
         self.defined = scope.defined
         self.kind = kind
@@ -86,11 +86,11 @@ class SharedFunctions:
         self._made: dict[tuple[str, str, tuple[str, ...]], SharedFunction] = {}
         self._names = CNames()  # of functions
         ends = ("P", "S", "prepare", "init", "output", "update", "step")
-        scope.defined |= {f"{k.prefix}_{end}" for k in scope.layout.kinds for end in ends}
+        scope.defined |= {f"{k.prefix}_{end}" for k in scope.layout.block_kinds for end in ends}
 
     def defaults(self, writer: CWriter) -> None:
         """Lines that store the given parameters of all copies, and 0 in the derived ones."""
-        for k in self.scope.layout.kinds:
+        for k in self.scope.layout.block_kinds:
             if not k.p.members:
                 continue
             count, name = len(k.kind.nodes), k.name
@@ -120,13 +120,13 @@ class SharedFunctions:
 
     def prepare(self, writer: CWriter) -> None:
         """Lines that compute the derived parameters of all copies."""
-        for k in self.scope.layout.kinds:
+        for k in self.scope.layout.block_kinds:
             if k.kind.first.block.derived:
                 self._for_each(writer, k, "prepare")
 
     def init(self, writer: CWriter) -> None:
         """Lines that set the states of all copies."""
-        for k in self.scope.layout.kinds:
+        for k in self.scope.layout.block_kinds:
             if k.kind.first.block.states:
                 self._for_each(writer, k, "init")
 
@@ -156,7 +156,7 @@ class SharedFunctions:
         k, i = self.scope.layout.of[node]
         return self._call(k, self.function(k, "update"), node, str(i), inputs)
 
-    def _for_each(self, writer: CWriter, k: KindLayout, what: str) -> None:
+    def _for_each(self, writer: CWriter, k: BlockKindLayout, what: str) -> None:
         function, nodes = self.function(k, what), k.kind.nodes
         calls = [self._call(k, function, node, "i") for node in nodes]
         writer.line(_each(k))
@@ -169,7 +169,7 @@ class SharedFunctions:
 
     def _call(
         self,
-        k: KindLayout,
+        k: BlockKindLayout,
         function: SharedFunction,
         node: Node,
         copy: str,
@@ -184,13 +184,13 @@ class SharedFunctions:
         texts += [self.scope.given(node, name) for name in function.outer]
         return f"{function.name}({', '.join([*texts, *outputs])})"
 
-    def function(self, k: KindLayout, what: str, ports: tuple[str, ...] = ()) -> SharedFunction:
+    def function(self, k: BlockKindLayout, what: str, ports: tuple[str, ...] = ()) -> SharedFunction:
         """The function that does `what` (prepare, init, output, update, or step: the last two) for a copy."""
         if (k.name, what, ports) not in self._made:
             self._made[k.name, what, ports] = self._written(k, what, ports)
         return self._made[k.name, what, ports]
 
-    def _written(self, k: KindLayout, what: str, ports: tuple[str, ...]) -> SharedFunction:
+    def _written(self, k: BlockKindLayout, what: str, ports: tuple[str, ...]) -> SharedFunction:
         node, scope, types = k.kind.first, CopyScope(self.scope, k), self.scope.style.types
         trace = node.trace
         roots = {port: trace.outputs[port] for port in ports}
@@ -353,6 +353,6 @@ class SharingTick(TickEmitter):
             super()._update(node)
 
 
-def _each(k: KindLayout) -> str:
+def _each(k: BlockKindLayout) -> str:
     """The comment above what is done for each copy; `twodof.compile.c_files.source_map` reads it."""
     return f"/* each of {len(k.kind.nodes)}: {k.kind.name} */"

@@ -65,7 +65,7 @@ class CInterface:
 
     def _copies(self) -> Iterator[str]:
         """The structs of one copy of each kind of block that exists many times."""
-        for k in self.layout.kinds:
+        for k in self.layout.block_kinds:
             for which, struct in k.structs():
                 lines = indented(m.declaration(self.types) + self._remark(which, m) for m in struct.members)
                 remark = f"of one of {len(k.kind.nodes)}: {k.kind.name}"
@@ -73,7 +73,7 @@ class CInterface:
 
     def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
         lines = [m.declaration(self.types) + self._remark(name, m) for m in members]
-        for k in self.layout.kinds:
+        for k in self.layout.block_kinds:
             count = len(k.kind.nodes)
             lines += [f"{k.prefix}_{name} {k.name}[{count}];" for which, _ in k.structs() if which == name]
         if nested:

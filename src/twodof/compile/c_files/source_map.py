@@ -8,7 +8,7 @@ from twodof.compile.c.text.pieces import PIECES
 from twodof.compile.c.tick import DISABLED, FROZEN, INTEGRATION, NEXT_TICK, RATES_DUE, RETURNED
 from twodof.compile.program.check import compiled
 from twodof.compile.program.flat_program import FlatProgram, Node
-from twodof.compile.program.layout import KindLayout, MemoryLayout
+from twodof.compile.program.layout import BlockKindLayout, MemoryLayout
 
 ROLES = {
     RATES_DUE: "rates",
@@ -93,7 +93,7 @@ def source_map(program: FlatProgram, source: str, layout: MemoryLayout) -> Sourc
     text = source.splitlines()
     lines = [SourceLine(i + 1, t, "", "", "") for i, t in enumerate(text)]
     members = _members(program, layout)
-    shared = {k.prefix.removeprefix(f"{program.name}_"): k for k in layout.kinds}
+    shared = {k.prefix.removeprefix(f"{program.name}_"): k for k in layout.block_kinds}
     for name, first, last in _parts(text, program.name):
         kind, function = _shared(name, shared)
         piece = _PIECE.fullmatch(name)
@@ -130,7 +130,7 @@ def _parts(text: list[str], name: str) -> Iterator[tuple[str, int, int]]:
             start = -1
 
 
-def _shared(name: str, kinds: Mapping[str, KindLayout]) -> tuple[str, str]:
+def _shared(name: str, kinds: Mapping[str, BlockKindLayout]) -> tuple[str, str]:
     """The kind that shares a struct or function, and its name without the kind's; a number may end it."""
     stem = name.rpartition("_")[0]
     for begin in (stem, stem.rpartition("_")[0]):

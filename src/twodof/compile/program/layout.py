@@ -10,9 +10,9 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.kinds import BY_NAME, dtype_of
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
+from twodof.compile.program.block_kinds import BlockKind
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
 from twodof.compile.program.holding import passing
-from twodof.compile.program.kinds import Kind
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
 
@@ -73,13 +73,13 @@ class Struct:
 
 
 @dataclass
-class KindLayout:
+class BlockKindLayout:
     """The structs of one copy of a kind, and the name of the arrays in P and S that hold them.
 
     `prefix` begins the names in C of its types and functions.
     """
 
-    kind: Kind
+    kind: BlockKind
     name: str
     prefix: str
     p: Struct = field(default_factory=Struct)
@@ -97,7 +97,7 @@ class MemoryLayout:
     The copies of `kinds` stand in arrays of structs behind the other members: theirs are called `array[copy].member`.
     """
 
-    def __init__(self, program: FlatProgram, kinds: Iterable[Kind] = ()) -> None:
+    def __init__(self, program: FlatProgram, kinds: Iterable[BlockKind] = ()) -> None:
         self.p, self.s, self.x, self.u, self.y = Struct(), Struct(), Struct(), Struct(), Struct()
         self.parameters: dict[FlatParameter, Member] = {}
         self.derived: dict[tuple[Node, str], Member] = {}
@@ -138,15 +138,15 @@ class MemoryLayout:
         for path, signal in program.outputs.items():
             self.outputs[path] = self.y.add(_member(path, signal, _about(signal)))
 
-        self.kinds = [self._kind(kind, program.name) for kind in kinds]
-        self.of = {n: (k, i) for k in self.kinds for i, n in enumerate(k.kind.nodes)}
+        self.block_kinds = [self._kind(kind, program.name) for kind in kinds]
+        self.of = {n: (k, i) for k in self.block_kinds for i, n in enumerate(k.kind.nodes)}
 
-    def _kind(self, kind: Kind, program: str) -> KindLayout:
+    def _kind(self, kind: BlockKind, program: str) -> BlockKindLayout:
         """The structs of a kind's copies, and the members that stand for each copy's parameters and states."""
         name = CNames(self.p.names.taken | self.s.names.taken | {"x"}).new(kind.name)
         self.p.names.taken.add(name)
         self.s.names.taken.add(name)
-        made = KindLayout(kind, name, f"{program}_{name}")
+        made = BlockKindLayout(kind, name, f"{program}_{name}")
         first = kind.first
         for own in kind.own:
             made.members[own] = made.p.add(replace(_parameter(own, first.parameters[own]), path="", remark=""))
@@ -171,7 +171,7 @@ class MemoryLayout:
         """All that P or S holds, but for what stands in X."""
         own = (self.p if struct == "P" else self.s).members
         copies: list[Member] = []
-        for k in self.kinds:
+        for k in self.block_kinds:
             for node in k.kind.nodes:
                 if struct == "P":
                     copies += [self.parameters[node.parameters[name]] for name in k.kind.own]
@@ -191,7 +191,7 @@ class MemoryLayout:
         made = {}
         for name, struct in (("P", self.p), ("S", self.s), ("U", self.u), ("Y", self.y)):
             places: list[_Place | _Copies] = [*laid(struct)]
-            for k in self.kinds:
+            for k in self.block_kinds:
                 places += [
                     _Copies(k.name, laid(inner), len(k.kind.nodes)) for which, inner in k.structs() if which == name
                 ]

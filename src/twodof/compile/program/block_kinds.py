@@ -1,4 +1,4 @@
-"""Kinds: blocks that exist many times and differ in the values of their parameters alone. They share their C."""
+"""Block kinds: blocks that exist many times and differ in the values of their parameters alone. They share their C."""
 
 import re
 from collections import Counter
@@ -17,7 +17,7 @@ WORTH = 8  # operations from which on a call is shorter than what it does
 
 
 @dataclass(eq=False)
-class Kind:
+class BlockKind:
     """The blocks `nodes`, with the parameters `own` that no other block reads; `called`: they are worth a function."""
 
     name: str
@@ -36,7 +36,7 @@ class Kind:
         return tuple(d.name for d in self.first.block.params if d.name not in self.own)
 
 
-def kinds(program: FlatProgram) -> list[Kind]:
+def block_kinds(program: FlatProgram) -> list[BlockKind]:
     """The kinds of a program's blocks that are worth sharing, in the order of their first blocks."""
     if len(program.nodes) < FEWEST:
         return []
@@ -54,7 +54,7 @@ def kinds(program: FlatProgram) -> list[Kind]:
         size = CostMeter(None).measure([*first.trace.outputs.values(), *first.trace.update.values()]).size
         # A state machine stays a switch that reads like its drawing.
         called = size >= WORTH and not isinstance(first.block, StateMachine)
-        kind = Kind(_name(first), tuple(nodes), _own(first, readers), called)
+        kind = BlockKind(_name(first), tuple(nodes), _own(first, readers), called)
         if kind.called or kind.own or first.block.derived or first.block.states:
             found.append(kind)
     return found
