@@ -13,7 +13,9 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 
 def export(
     diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Where to write NAME.h and NAME.c.")] = Path(),
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Where to write NAME.h and NAME.c.", show_default="this folder")
+    ] = Path(),
     dt: Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")] = 0.004,
     precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
     log: Annotated[
