@@ -24,8 +24,8 @@ SPECIAL = (0.0, -0.0, 1e-310, 1e30, float("inf"), float("nan"))
 
 
 class Nested(Block):
-    """Choices within choices, drawn by `seed`: they share values with one another, with the next states and with what
-    is read in any case, among them quotients by 0 and elements that are not there.
+    """Choices within choices, drawn by `seed`. They share values with one another, with the next states and with what
+    is read in any case. Quotients by 0 and elements that are not there are among them.
     """
 
     inputs = tuple(Port(name, kind) for name, kind in INPUTS)

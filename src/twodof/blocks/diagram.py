@@ -386,7 +386,7 @@ def carried(item: Block | Diagram, output: str) -> Port | None:
 
 
 def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
-    """What comes out of an output by field: "rates.p", or "" of an output that is no bus. Empty if it leads nowhere."""
+    """What comes out of an output by field: "rates.p", or "" if it is not a bus. Empty if it leads nowhere."""
     for _ in range(64):
         if isinstance(item, Block):
             return _fields(item.outputs, output)

@@ -398,7 +398,7 @@ def float_kind(values: Iterable[Any]) -> str:
 
 
 def as_float(value: Any) -> Expr:
-    """`value` as an Expr of its own float kind, a literal as a real. Raises DiagramError for what is no float."""
+    """`value` as an Expr of its own float kind, a literal as a real. Raises DiagramError for what is not a float."""
     return as_expr(value, value.kind if isinstance(value, Expr) and value.kind in FLOATS else "real")
 
 

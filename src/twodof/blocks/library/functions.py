@@ -144,10 +144,10 @@ class Remainder(Pointwise):
 class Convert(Pointwise):
     """y = u as another type. Float to integer: rounded by `rounding`, then saturated, NaN gives 0. To bool: u != 0.
 
-    int32 to uint32 and back keep the bits; bool gives 0 or 1. To an integer of 8 or 16 bits `overflow` says what
-    happens to what does not fit: "saturate", or "wrap" to keep the low bits of the int32. "half_even" and "half_away"
-    round to the nearest integer; "nearest" is floor(|u| + 0.5) with u's sign. An enumeration as `target` takes the
-    int32; what is none of its members becomes 0.
+    int32 to uint32 and back keep the bits; bool gives 0 or 1. `overflow` says what happens to what does not fit an
+    integer of 8 or 16 bits: "saturate", or "wrap", which keeps the low bits of the int32. The roundings "half_even"
+    and "half_away" go to the nearest integer. The rounding "nearest" is floor(|u| + 0.5) with u's sign. An
+    enumeration as `target` takes the int32; what is none of its members becomes 0.
     """
 
     def __init__(

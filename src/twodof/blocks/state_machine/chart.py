@@ -49,8 +49,8 @@ class Route:
 class Chart:
     """The checked modes and transitions of a machine. Raises DiagramError for names that are wrong or missing.
 
-    `routes` are those of each leaf, by its number, in the order in which they are tried: those of the mode around it
-    come first, and those of one mode in the order in which they are listed.
+    `routes` are those of each leaf, by its number, in the order in which they are tried. Those of the mode around it
+    come first; those of one mode stand in the order in which they are listed.
     """
 
     def __init__(self, modes: Sequence[Mode], transitions: Sequence[Transition]) -> None:

@@ -14,8 +14,8 @@ from twodof.errors import DiagramError, listed
 def check_ways(chart: Chart, graph: MachineGraph) -> None:
     """Raise DiagramError for a transition that is never taken, and for modes that are never entered.
 
-    What is found for certain, from the guards' recorded expressions: a guard that is never true; one that holds only
-    where that of an earlier transition of the same mode does, or of the mode around it.
+    The guards' recorded expressions tell it for certain. A guard is never true, or it holds only where that of an
+    earlier transition does, of the same mode or of the mode around it.
     """
     seen: dict[int, list[str]] = {}  # of each transition that something hides in some leaf: what
     open_in: dict[int, int] = {}

@@ -22,8 +22,8 @@ class StateMachine(Block):
     """Subclass this: set `modes` and `transitions`, and `inputs`, `outputs`, `params` as for any block.
 
     `variables` are what the actions change: a list of `State`. An output is given by `during` in each mode, or it has
-    the name of a variable and shows it. So do outputs named `mode` (int32, the number of the mode in which the tick
-    ends, counted without outer ones) and `elapsed` (uint32, the ticks since it was entered).
+    the name of a variable and shows it. An output named `mode` (int32) is the number of the mode in which the tick
+    ends, counted without outer ones. One named `elapsed` (uint32) is the number of ticks since it was entered.
 
     At its first tick, and after a reset, the machine enters its first mode. At each other tick it looks at the
     transitions: those of the outer mode, then those of the inner one, each in their order. The first one whose guard

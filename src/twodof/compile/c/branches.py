@@ -1,7 +1,7 @@
 """Branches: what of an expression graph is computed only where a condition holds.
 
 `where` reads one of its two values, `and` and `or` their second one only where the first does not decide. What is read
-on one side alone, and is worth it, becomes an `if` with all that hangs on the same condition; the rest stays a choice
+on one side alone, and is worth it, becomes an `if` with all that hangs on the same condition. The rest stays a choice
 between two values. Expressions have no effect, so both give the same bits.
 """
 

@@ -76,8 +76,10 @@ def _stores(array: Expr) -> int:
 
 @dataclass
 class Batch:
-    """Expressions that are written together: how often each node is read, what loops need `before` them, what is read
-    `always`, later too, which roots stand as a `whole` in what asked for them; and the `texts` so far.
+    """Expressions that are written together, with the `texts` that are known so far.
+
+    `uses`: how often each node is read. `before`: what loops need before them. `always`: what is read later too.
+    `whole`: the roots that stand by themselves in what asked for them.
     """
 
     uses: dict[int, int]

@@ -412,9 +412,9 @@ class TickEmitter:
                 self._update(node)
 
     def _may_update(self, node: Node, now: Sequence[FlatSignal] = ()) -> bool:
-        """Whether a node's states can be replaced at once, when its outputs `now` are computed too: they share what
-        both need, and nothing has to be kept until the end.
+        """Whether a node's states can be replaced at once, when its outputs `now` are computed too.
 
+        Then they share what both need, and nothing has to be kept until the end.
         Nobody but a block itself reads its states, and only one with continuous states reads them again in this tick.
         """
         if node.continuous or node in self.updated or not changes(node):

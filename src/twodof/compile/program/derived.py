@@ -9,7 +9,7 @@ EXACT = "float64"
 
 
 def in_doubles(exprs: Mapping[str, Expr]) -> dict[str, Expr]:
-    """What `prepare` gives, with each real in it a float64, but for the parameters and the results themselves.
+    """What `prepare` gives, with each real in it a float64, except the parameters and the results themselves.
 
     In a build of float64 that is the same arithmetic.
     """

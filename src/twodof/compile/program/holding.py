@@ -1,7 +1,7 @@
 """Holding: which signals of parts that act at times must be kept between those times.
 
-A part that acts at some ticks only holds its outputs in between. That is seen by whoever reads them at other ticks, or
-logs them. What is read at the very ticks alone at which it is computed need not be kept.
+A part that acts at some ticks only holds its outputs in between. A reader at other ticks sees
+that, and so does a log. What is read only at the ticks at which it is computed need not be kept.
 """
 
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node

@@ -168,7 +168,7 @@ class MemoryLayout:
         return made
 
     def members(self, struct: str) -> list[Member]:
-        """All that P or S holds, but for what stands in X."""
+        """All members of P or S, except those of X."""
         own = (self.p if struct == "P" else self.s).members
         copies: list[Member] = []
         for k in self.block_kinds:
