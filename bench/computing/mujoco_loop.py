@@ -91,7 +91,7 @@ class MujocoLoop:
             nose_up=rig["pitch_stop"],
             viscous_run=rig["viscous_run"],
             coulomb_run=rig["coulomb_run"],
-            spring=rig["spring"],
+            spring=rig["spring"] - rig["softening"],
             below=-offset,
             mass_drone=rig["mass_drone"],
             inertia=rig["inertia"] - rig["mass_drone"] * offset**2,

@@ -74,7 +74,9 @@ def rates(
         thrust, moment, running, _ = thrust_of(p, supply, wake_moment, fore, aft)
     viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * running
     coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * running
-    torque = moment + gust - p.weight * sine - theta * (p.spring + p.hardening * theta * theta) - viscous * q
+    cable = (1.0 - running) * (p.hardening * theta * theta)
+    spring = theta * (p.spring - p.softening * running + cable)
+    torque = moment + gust - p.weight * sine - spring - viscous * q
     force = (p.offset_mass * q * q - thrust) * sine + p.rail_force - p.rail_viscous * v
     coupling, alone = p.offset_mass * cosine, torque * p.per_inertia
     stuck = holds(q, torque, coulomb, theta, -p.pitch_stop, p.pitch_stop)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -142,10 +142,10 @@ class Operations(Block):
         return {f"{name}_": operation(u.a, u.b) for name, operation in self.operations.items()}
 
 
-def every_operator() -> Case:
-    """All operations, with all pairs of special values of their types."""
-    d = Diagram("operators")
-    for kind in KINDS:
+def every_operator(kinds: Sequence[str] = tuple(KINDS), name: str = "operators") -> Case:
+    """All operations on `kinds`, with all pairs of special values of their types."""
+    d = Diagram(name)
+    for kind in kinds:
         d.input(f"{kind}_a", kind)
         d.input(f"{kind}_b", kind)
         operations = KINDS[kind]
@@ -170,7 +170,7 @@ def every_operator() -> Case:
     for kind in STORED:
         low, high = BY_NAME[kind].low, BY_NAME[kind].high
         values[kind] = [low, low + 1, 0, 1, 33, high - 1, high, *(rng.randint(low, high) for _ in range(5))]
-    pairs = {kind: itertools.cycle(itertools.product(v, v)) for kind, v in values.items()}
+    pairs = {kind: itertools.cycle(itertools.product(values[kind], values[kind])) for kind in kinds}
     rows = []
     for _ in range(len(values["real"]) ** 2):
         row = {}

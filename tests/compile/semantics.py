@@ -199,15 +199,17 @@ def starting_elsewhere() -> Told:
     initial = {"y": -3.0, "pair": [4.0, 5.0], "positive": True}
     d.add("hold", middle, u="u", enable="on", initial=initial)
     d.add("back", middle, u="u", enable="on", initial=initial, disabled="reset")
+    elsewhere = {"y": 6.5, "positive": False}
+    d.add("elsewhere", middle, u="u", enable="on", initial=initial, disabled=elsewhere)
     d.add("edge", middle, u="u", trigger="on", initial={"y": 7.0})
     d.add("late", ZeroOrderHold(), u="u", rate=(5, 4), initial={"y": 9.0})
     d.output("late", "late")
-    for part in ("hold", "back", "edge"):
+    for part in ("hold", "back", "elsewhere", "edge"):
         for name in inner.outputs:
             d.output(f"{part}_{name}", f"{part}.{name}")
     given = [{**row, "on": row["on"] and k > 6} for k, row in enumerate(rows(3, ("on",)))]
     start: dict[str, Any] = {"y": -3.0, "pair": [4.0, 5.0], "positive": True}
-    y = {"hold": start, "back": start, "edge": {"y": 7.0, "pair": [0.0, 0.0], "positive": False}}
+    y = {"hold": start, "back": start, "elsewhere": start, "edge": {"y": 7.0, "pair": [0.0, 0.0], "positive": False}}
     total = dict.fromkeys(y, 10.0)
     late, before, expected = 9.0, True, []
     for k, row in enumerate(given):
@@ -216,8 +218,8 @@ def starting_elsewhere() -> Told:
             if row["on"] and not (name == "edge" and before):
                 total[name] += row["u"]
                 y[name] = {"y": total[name], "pair": [row["u"], total[name]], "positive": row["u"] > 0}
-            elif name == "back":
-                y[name] = start
+            elif name in ("back", "elsewhere"):
+                y[name] = start if name == "back" else start | elsewhere
         before = row["on"]
         expected.append({"late": late, **{f"{part}_{n}": v for part, now in y.items() for n, v in now.items()}})
     return Told(Case(d, [], given, {}), expected)

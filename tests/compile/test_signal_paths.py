@@ -66,7 +66,8 @@ def test_a_model_is_cut_at_the_output_of_a_sub_diagram() -> None:
     assert model.d.tolist() == [[0.0], [0.0]]
 
 
-TYPES = "unit_delay, delay, discrete_integrator, discrete_derivative, discrete_filter and "
+# What else is named depends on the rooms that have been imported.
+TYPES = "unit_delay, delay, "
 
 
 def wired(*connection: str) -> Callable[[], object]:

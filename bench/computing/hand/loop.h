@@ -36,8 +36,8 @@ typedef double real;
 
 /* The path of each parameter, its dots as underscores, in the order in which the array of values gives them. */
 #define PARAMETERS(X) \
-    X(rig_mass_drone) X(rig_mass_cart) X(rig_inertia) X(rig_offset) X(rig_spring) X(rig_hardening) \
-    X(rig_viscous_idle) X(rig_viscous_run) X(rig_coulomb_idle) X(rig_coulomb_run) X(rig_pitch_stop) \
+    X(rig_mass_drone) X(rig_mass_cart) X(rig_inertia) X(rig_offset) X(rig_spring) X(rig_softening) \
+    X(rig_hardening) X(rig_viscous_idle) X(rig_viscous_run) X(rig_coulomb_idle) X(rig_coulomb_run) X(rig_pitch_stop) \
     X(rig_pitch_bounce) X(rig_rail_viscous) X(rig_rail_coulomb) X(rig_rail_force) X(rig_rail_stop) \
     X(rig_rail_bounce) X(rig_rings) X(rig_ring_place) X(rig_ring_play) X(rig_theta_start) X(rig_q_start) \
     X(rig_x_start) X(rig_v_start) X(rig_pair_thrust) X(rig_curve) X(rig_arm) X(rig_delay) X(rig_lag) X(rig_trim) \

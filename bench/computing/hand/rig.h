@@ -45,7 +45,8 @@ static inline Motion rates(const Loop *l, const Drive *d, const Motion *m)
     const Thrust t = thrust_of(l, d, m->fore, m->aft);
     const real viscous = p->rig_viscous_idle + (p->rig_viscous_run - p->rig_viscous_idle) * t.running;
     const real coulomb = p->rig_coulomb_idle + (p->rig_coulomb_run - p->rig_coulomb_idle) * t.running;
-    const real spring = m->theta * (p->rig_spring + p->rig_hardening * m->theta * m->theta);
+    const real cable = (1 - t.running) * (p->rig_hardening * m->theta * m->theta);
+    const real spring = m->theta * (p->rig_spring - p->rig_softening * t.running + cable);
     const real torque = t.moment + d->gust - c->weight * m->sine - spring - viscous * m->q;
     const real force =
         (c->offset_mass * m->q * m->q - t.thrust) * m->sine + p->rig_rail_force - p->rig_rail_viscous * m->v;

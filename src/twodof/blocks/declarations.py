@@ -319,7 +319,10 @@ def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | Non
 
 
 def element_names(name: str, declared: Typed) -> list[str]:
-    """The names of a value's elements in the order of memory: "x", "x[0]", or of a matrix "P[0,0]", "P[1,0]"."""
+    """The names of a value's elements in the order of memory: "x", or "x[0]" and so on.
+
+    A matrix has "P[0,0]", "P[1,0]" and so on.
+    """
     if declared.width is None:
         return [name]
     if declared.shape is None or len(declared.shape) < 2:

@@ -55,9 +55,10 @@ class Part:
     """A block or sub-diagram under a name. `enable`, `reset` and `trigger` are sources of bools in the same diagram.
 
     `params` binds parameters of the part to parameters of the diagram: inner name -> outer name.
-    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0). `enabling` is what the
-    states do once it and all around it are enabled again: "keep" their values, or "restart" from the initial ones.
-    `initial` are the values of outputs before they are first computed, and where "reset" puts them, if that is not 0.
+    `disabled` is what outputs do while a sub-diagram is not enabled: "hold" or "reset" (0); or they are reset to these
+    values, {output: value}. `enabling` is what the states do once it and all around it are enabled again: "keep" their
+    values, or "restart" from the initial ones. `initial` are the values of outputs before they are first computed, and
+    where "reset" puts them, if that is not 0.
     With a `trigger` it acts at the ticks alone at which that has an `edge`: "rising", "falling" or "either".
     """
 
@@ -69,7 +70,7 @@ class Part:
     reset: str | None = None
     trigger: str | None = None
     edge: str = "rising"
-    disabled: str = "hold"
+    disabled: str | dict[str, Any] = "hold"
     enabling: str = "keep"
     initial: dict[str, Any] = field(default_factory=dict)
     position: tuple[float, float] | None = None
@@ -152,7 +153,7 @@ class Diagram:
         reset: str | None = None,
         trigger: str | None = None,
         edge: str = "rising",
-        disabled: str = "hold",
+        disabled: str | Mapping[str, Any] = "hold",
         enabling: str = "keep",
         initial: Mapping[str, Any] | None = None,
         position: tuple[float, float] | None = None,
@@ -177,12 +178,9 @@ class Diagram:
                 raise DiagramError(
                     f"{argument}={shown(value)} is no {argument}", path, _as_input(item, argument, value) or "see add"
                 )
-        for output in initial or {}:
-            top = output.partition(".")[0] if isinstance(item, Diagram) else output
-            if top not in port_names(item, "output"):
-                there = nearest(output, port_names(item, "output"))
-                raise DiagramError(f"there is no output {shown(output)} to start", path, f"there are: {there}")
-        held = {n: plain_data(v, f"{path}.{n}") for n, v in (initial or {}).items()}
+        held = _of_outputs(item, initial or {}, path, "start")
+        if isinstance(disabled, Mapping):
+            disabled = _of_outputs(item, disabled, path, "reset")
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
         for inner in params or {}:
             if inner not in known:
@@ -224,7 +222,7 @@ class Diagram:
         return any((part, path) in self.connections for name in fields for path in (name, *bus_paths(name)))
 
     def source(self, text: str) -> tuple[str | None, str]:
-        """(part, port) that a source names, or (None, name) of an input; the port may be a bus, or a field of one.
+        """(part, port) that a source names, or (None, name) of an input. The port may be a bus, or a field of one.
 
         Raises DiagramError if there is none.
         """
@@ -325,6 +323,27 @@ def _no_bus(signal: str, field: str, where: str) -> DiagramError:
     )
 
 
+def told_values(part: Part) -> dict[str, dict[str, Any]]:
+    """What `part` says of values that its outputs hold: {"initial": {output: value}, "disabled": ...}."""
+    return {"initial": part.initial, "disabled": part.disabled if isinstance(part.disabled, dict) else {}}
+
+
+def two_values(what: str, signal: str, first: Any, second: Any) -> str:
+    """An error's words for two `told_values` of one signal."""
+    verb, to = ("starts", "at") if what == "initial" else ("is reset", "to")
+    return f"{signal} {verb} {to} {shown(first)} and {to} {shown(second)}"
+
+
+def _of_outputs(item: Block | Diagram, values: Mapping[str, Any], path: str, what: str) -> dict[str, Any]:
+    """Values by output; DiagramError for a name that is not an output of the part."""
+    names = port_names(item, "output")
+    for output in values:
+        if (output.partition(".")[0] if isinstance(item, Diagram) else output) not in names:
+            there = f"there are: {nearest(output, names)}"
+            raise DiagramError(f"there is no output {shown(output)} to {what}", path, there)
+    return {n: plain_data(v, f"{path}.{n}") for n, v in values.items()}
+
+
 def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
     """The two numbers of an argument of `add`; DiagramError for anything else."""
     pair = plain_data(value, path)
@@ -354,6 +373,10 @@ def _check_conditions(part: Part, path: str, by_keyword: bool) -> None:
             )
     for argument, choices in _CHOICES.items():
         choice = getattr(part, argument)
+        if argument == "disabled" and isinstance(choice, dict):
+            if part.enable is None:
+                raise DiagramError("values when disabled of what is never disabled", path, "give enable= too")
+            continue
         if choice not in choices:
             remedy = _as_input(part.item, argument, choice) or f"use one of {', '.join(choices)}"
             raise DiagramError(f"{argument}={shown(choice)}", path, remedy)

@@ -122,7 +122,10 @@ def _settings(part: Part, prefix: str) -> str:
     words += [f"enabled by {prefix}{part.enable}"] if part.enable else []
     words += [f"reset by {prefix}{part.reset}"] if part.reset else []
     words += [f"at {part.edge} edges of {prefix}{part.trigger}"] if part.trigger else []
-    words += [f"outputs when disabled: {part.disabled}"] if part.disabled != "hold" else []
+    if isinstance(part.disabled, dict):
+        words += [f"{output} is {_number(value)} when disabled" for output, value in sorted(part.disabled.items())]
+    elif part.disabled != "hold":
+        words.append(f"outputs when disabled: {part.disabled}")
     words += [f"{output} starts at {_number(value)}" for output, value in sorted(part.initial.items())]
     words += ["starts afresh when enabled again"] if part.enabling == "restart" else []
     words += [f"{inner} is {prefix}{outer}" for inner, outer in sorted(part.params.items())]

@@ -94,10 +94,10 @@ def count(value: Any, low: int, high: int, block: str, argument: str) -> int:
 
 
 def port_series(number: int, block: str) -> list[str]:
-    """The names of `number` ports of one sort: a, b, ..., z, then u27, u28, ... by their number.
+    """The names of `number` ports of one sort: a to z, then u27, u28, ... by their number.
 
-    Raises DiagramError for more than a block may have. (Two letters would give `as`, `if`, `in`, `is` and `or`, which
-    are not keywords of a call in Python.)
+    Raises DiagramError for more than a block may have. (Two letters would give `as`, `if`, `in`, `is` and `or`. Python
+    does not take these as keywords of a call.)
     """
     count(number, 1, MAX_PORTS, block, "number of ports")
     return [*LETTERS[:number], *(f"u{i}" for i in range(len(LETTERS) + 1, number + 1))]

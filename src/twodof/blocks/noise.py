@@ -1,8 +1,9 @@
 """Random numbers as a pure function of (seed, stream, tick): nothing is stored, any sample can be computed alone.
 
-The generator is Philox 4x32-10 (Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC 2011):
-key (seed, stream), counter (tick, 0, 0, 0). One evaluation gives four words, so ask for several numbers of one tick
-together (`normal4`), and give each source of noise a stream of its own. All arguments are uint32 or int literals.
+The generator is Philox 4x32-10. Source: Salmon, Moraes, Dror, Shaw, "Parallel random numbers: as easy as 1, 2, 3", SC
+2011. The key is (seed, stream), and the counter is (tick, 0, 0, 0). One evaluation gives four words, so ask for several
+numbers of one tick together (`normal4`), and give each source of noise a stream of its own. All arguments are uint32 or
+int literals.
 """
 
 from collections.abc import Sequence

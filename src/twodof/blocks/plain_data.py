@@ -18,8 +18,8 @@ def plain_data(value: Any, where: str, depth: int = 0) -> Any:
     """`value` with numpy's arrays and scalars turned into lists and numbers of Python, at any depth; the rest as it is.
 
     The numbers are the same ones: a float32 is a float64 too. Members of an enumeration become numbers, and an
-    enumeration or a bus its plain form. Raises DiagramError, at `where`, for complex numbers, for arrays of what is not
-    a number, and for lists within lists without end (`depth` counts them).
+    enumeration or a bus its plain form. Raises DiagramError, at `where`, for complex numbers and for arrays of what is
+    not a number. It is also raised for lists within lists without end (`depth` counts them).
     """
     if type(value) in _SCALARS:
         return value

@@ -21,8 +21,9 @@ def resettable_integrator(
 
     With `reset` there is a bool input `clear`. It acts at each tick at which it is true ("level"), or at its edges
     ("rising", "falling" or "either"; the first tick is not one). Then y becomes the initial value before the outputs
-    are computed, and is integrated from there. "none" is without. y depends on `clear` and `x0` in the same tick: a
-    loop through them needs a delay. Raises DiagramError for another `reset`, or limits that are none.
+    are computed, and is integrated from there. With "none" the input `clear` is absent. The output y depends on
+    `clear` and `x0` in the same tick: a loop through them needs a delay. Raises DiagramError for another `reset`, or
+    limits that are none.
     """
     d = Diagram(name)
     latch = ResetLatch(reset, initial, width, unit)

@@ -15,6 +15,9 @@ _ROWS = {
     row.name: row for row in PARAMETERS if row.path.startswith("cascade.") and row.path[-3:] in (".kp", ".ki", ".kd")
 }
 """The rows of the gains, in the order in which `Gains` has them."""
+GAIN_NAMES = tuple(_ROWS)
+"""What the drone calls the gains."""
+
 _DEFAULTS = {name: row.default for name, row in _ROWS.items()}
 _CASCADE = "cascade."
 _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}'

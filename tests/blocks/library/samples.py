@@ -162,6 +162,7 @@ EXTRA: dict[str, list[Config]] = {
         {"A": _MATRIX, "B": [[1.0], [0.5], [0.1]], "C": [[1.0, 2.0, 3.0]], "D": [[0.5]], "initial": [1.0, 0.0, -1.0]},
         {"A": _MATRIX, "B": _MATRIX, "C": _MATRIX[:2]},
     ],
+    "recursive_least_squares": [{"width": 3, "every": 4, "memory": 0.2, "noise": 0.1, "initial": [1.0, 0.0, -1.0]}],
     "reset_integrator": [{"limits": [-0.01, 0.02], "width": 2}],
     "reset_latch": [
         *({"reset": e, "initial": "input"} for e in ("none", "level", "rising")),

@@ -95,8 +95,8 @@ def test_a_difference_of_one_bit_is_found() -> None:
 
 
 def compare(d: Diagram, precision: str, most: int) -> None:
-    """The reference and the compiled program agree in every output and state: over `most` steps of ordinary inputs, a
-    few with other parameters, and a few of strange inputs.
+    """The reference and the compiled program agree in every output and state. They run `most` steps of ordinary inputs,
+    a few with other parameters, and a few of strange inputs.
     """
     blocks = {part: p.item for part, p in d.parts.items() if isinstance(p.item, Block)}
     program = build(d, DT, precision)

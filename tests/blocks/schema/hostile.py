@@ -412,6 +412,15 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a trigger that is a number": (file(parts=[{**PART, "trigger": 1}]), "'trigger' is missing or of the wrong kind"),
     "another edge": (file(parts=[{**PART, "trigger": "u", "edge": "rise"}]), "edge='rise'"),
     "another enabling": (file(parts=[{**PART, "enabling": "afresh"}]), "enabling='afresh'"),
+    "a value when disabled of nothing": (
+        file(parts=[{**PART, "enable": "u", "disabled": {"y": 1}}]),
+        "there is no output 'y' to reset",
+    ),
+    "a number when disabled": (file(parts=[{**PART, "disabled": 1}]), "'disabled' is missing or of the wrong kind"),
+    "values when disabled beyond number": (
+        file(parts=[{**PART, "enable": "u", "disabled": {"y": [0] * 200_000}}]),
+        "more than 100000 numbers",
+    ),
     "an initial value of nothing": (file(parts=[{**PART, "initial": {"y": 1}}]), "there is no output 'y'"),
     "initial values that are none": (
         file(parts=[{**PART, "initial": [1]}]),

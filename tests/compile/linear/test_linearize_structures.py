@@ -38,7 +38,7 @@ PLANTS: dict[str, tuple[Structure, dict[str, float], Any, Any, Any, Any]] = {
     "pitch_rate": (pitch_rate(), {}, PITCH, [[0], [MU]], np.eye(2), [[0], [0]]),
     "pitch_rate_lag": (
         pitch_rate(lag=True),
-        {"tau": 0.0261},
+        {"dead_time": 0.0151},
         [[0, 1, 0], [-W * W, -2 * XI * W, MU], [0, 0, -1 / LAG]],
         [[0], [0], [1 / LAG]],
         np.eye(2, 3),
@@ -125,8 +125,8 @@ def test_a_structure_is_its_textbook_plant_behind_a_hold_and_its_delay(name: str
     assert model.dt == DT
     assert model.outputs == structure.outputs
     assert model.inputs == structure.inputs
-    delay = at.get("tau", float(structure.diagram.params["tau"].value))
-    delay -= LAG if name == "pitch_rate_lag" else 0.0  # part of the total there
+    own = "dead_time" if name == "pitch_rate_lag" else "tau"
+    delay = at.get(own, float(structure.diagram.params[own].value))
     omega = np.geomspace(0.3, 0.9 * math.pi / DT, 25)
     found = model.response(omega)
     expected = np.array([textbook(delay, *plant, z) for z in np.exp(1j * omega * DT)])

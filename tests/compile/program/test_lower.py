@@ -9,7 +9,17 @@ import pytest
 
 from tests.compile import examples
 from twodof.blocks import Block, Diagram, Param, Port
-from twodof.blocks.library import DataStore, FractionalDelay, Gain, Integrator, StoreRead, StoreWrite, Sum, UnitDelay
+from twodof.blocks.library import (
+    CompareToConstant,
+    DataStore,
+    FractionalDelay,
+    Gain,
+    Integrator,
+    StoreRead,
+    StoreWrite,
+    Sum,
+    UnitDelay,
+)
 from twodof.blocks.reference import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -188,6 +198,64 @@ def test_an_initial_value_that_cannot_be_is_refused(
         read(within(starting(initial)), 0.01)
     assert caught.value.where == f"sub.part.{where}"
     assert caught.value.remedy
+
+
+def enabled_in_enabled(values: dict[str, Any]) -> Callable[[Diagram], None]:
+    """A part that is reset to `values`, around one whose output is reset to 3."""
+
+    def fault(d: Diagram) -> None:
+        parts = [Diagram("inner"), Diagram("around")]
+        for inner in parts:
+            inner.input("u")
+            inner.add("on", CompareToConstant(">", 0.0), u="u")
+            inner.output("through", "u")
+        parts[0].add("gain", Gain(), u="u")
+        parts[0].output("y", "gain")
+        parts[1].add("inner", parts[0], u="u", enable="on", disabled={"y": 3.0})
+        parts[1].output("y", "inner.y")
+        d.add("on", CompareToConstant(">", 0.0), u="u")
+        d.add("part", parts[1], u="u", enable="on", disabled=values)
+
+    return fault
+
+
+@pytest.mark.parametrize(
+    ("values", "where", "what"),
+    [
+        ({"y": 2.0}, "y", "gain.y is reset to 3.0 and to 2.0|gain.y is reset to 2.0 and to 3.0"),
+        ({"y": [1.0, 2.0]}, "y", "a real is expected"),
+        ({"through": 0.0}, "through", "nothing inside computes it"),
+    ],
+)
+@pytest.mark.parametrize("read", [lower, Reference])
+def test_a_value_when_disabled_that_cannot_be_is_refused(
+    read: Callable[..., Any], values: dict[str, Any], where: str, what: str
+) -> None:
+    with pytest.raises(DiagramError, match=what) as caught:
+        read(within(enabled_in_enabled(values)), 0.01)
+    assert caught.value.where.startswith("sub.part.")
+    assert caught.value.where.endswith(f".{where}")
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("options", "what"),
+    [
+        ({"enable": "on", "disabled": {"z": 1.0}}, "there is no output 'z' to reset"),
+        ({"disabled": {"y": 1.0}}, "values when disabled of what is never disabled"),
+        ({"enable": "on", "disabled": "off"}, "disabled='off'"),
+    ],
+)
+def test_what_disabled_cannot_say_is_refused(options: dict[str, Any], what: str) -> None:
+    inner = Diagram("inner")
+    inner.input("u")
+    inner.output("y", "u")
+    d = Diagram("d")
+    d.input("u")
+    d.input("on", "bool")
+    with pytest.raises(DiagramError, match=what) as caught:
+        d.add("part", inner, u="u", **options)
+    assert caught.value.where == "d.part"
 
 
 def test_an_initial_value_of_no_output_is_refused() -> None:

@@ -194,7 +194,7 @@ def spread(f: Callable[..., Any], *values: Any) -> Any:
 
 
 def product(a: Any, b: Any) -> Any:
-    """`a @ b` of matrices and vectors; each element is a(i, 0) * b(0, j) + a(i, 1) * b(1, j) + ..., from the left."""
+    """`a @ b` of matrices and vectors. Each element is a(i, 0) * b(0, j) + a(i, 1) * b(1, j) + ..., from the left."""
     left, right = _operand(a), _operand(b)
     first, second = shape_of(left), shape_of(right)
     if not first or not second or first[-1] != second[0]:

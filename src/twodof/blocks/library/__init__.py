@@ -8,13 +8,13 @@ from twodof.blocks.library.control import *
 from twodof.blocks.library.custom import *
 from twodof.blocks.library.delays import *
 from twodof.blocks.library.discrete import *
+from twodof.blocks.library.estimation import *
 from twodof.blocks.library.filters import *
 from twodof.blocks.library.functions import *
 from twodof.blocks.library.logic import *
 from twodof.blocks.library.math import *
 from twodof.blocks.library.nonlinear import *
 from twodof.blocks.library.playback import *
-from twodof.blocks.library.random import *
 from twodof.blocks.library.routing import *
 from twodof.blocks.library.sources import *
 from twodof.blocks.library.waveforms import *

@@ -58,10 +58,10 @@ class Integrator(Block):
 class ResetLatch(Block):
     """When a ResetIntegrator starts afresh (`start`), and from what (`x0`): held while the step is integrated.
 
-    It does so in its first sample. With `reset` "level" it also does while the bool `clear` is true, and with "rising",
-    "falling" or "either" at the edges of `clear`; the first sample is not an edge. x0 is `initial`, or with
-    initial="input" the input `x0`. `resettable_integrator` (module `twodof.blocks.resettable_integrator`) connects the
-    two.
+    It does so in its first sample. With `reset` "level" it also does so while the bool `clear` is true. With "rising",
+    "falling" or "either" it does so at the edges of `clear`. The first sample is not an edge. `initial` gives x0. With
+    initial="input" the input `x0` gives it. `resettable_integrator` (module `twodof.blocks.resettable_integrator`)
+    connects the two.
     """
 
     def __init__(

@@ -72,7 +72,10 @@ class CompareToConstant(Pointwise):
 
 @library_block("logic")
 class Logic(Pointwise):
-    """y = a operation b operation c ..., bools; `operation` is and, or, xor, nand, nor, or not (of one input)."""
+    """y = a operation b operation c ..., bools.
+
+    `operation` is `and`, `or`, `xor`, `nand`, `nor`, or `not` (of one input).
+    """
 
     def __init__(self, operation: str = "and", inputs: int = 2, width: int | None = None) -> None:
         self.operation = one_of(operation, ("and", "or", "xor", *INVERTED), "Logic", "operation")

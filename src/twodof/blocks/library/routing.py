@@ -1,4 +1,4 @@
-"""Signal routing: switches, mux, demux, selector, the choice of one action among several and the merge of theirs."""
+"""Signal routing: switches, mux, demux and selector; the choice of one action among several and the merge of theirs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -221,9 +221,10 @@ def _bus(given: Any, block: str) -> Bus:
 
 @library_block("first_true")
 class FirstTrue(Block):
-    """if, else if, else: of the conditions a, b, ... the output of the first true one is true, else `otherwise` is.
+    """if, else if, else: the output of the first true condition is true, else `otherwise` is.
 
-    Exactly one output is true. `action_group` (module `twodof.blocks.action_group`) makes sub-diagrams act by it.
+    The conditions are a, b, ... in this order. Exactly one output is true. `action_group` (module
+    `twodof.blocks.action_group`) makes sub-diagrams act by it.
     """
 
     def __init__(self, conditions: int = 2) -> None:

@@ -19,12 +19,12 @@ from twodof.blocks.declarations import (
     narrowed,
     unknown_name,
 )
-from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram
+from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, told_values, two_values
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.blocks.reference.places import Cell, DiagramLevel, PortOf
 from twodof.blocks.steady import steady_trace
-from twodof.errors import DiagramError, nearest, shown
+from twodof.errors import DiagramError, nearest
 
 MAX_DEPTH = 64
 MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagrams would give
@@ -83,7 +83,7 @@ class Hierarchy:
                 level.children[p.name] = cell
                 self.cells.append(cell)
             else:
-                child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled == "reset")
+                child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled != "hold")
                 decided = p.enable or p.reset or p.trigger or p.enabling == "restart"
                 level.children[p.name] = child
                 self._open(p.item, child, at + ".", (*levels, child) if decided else levels, inner)
@@ -111,8 +111,9 @@ class Hierarchy:
                     raise DiagramError("the output is not connected", f"{level.path}.{name}", "connect it or remove it")
             for name, child in level.children.items():
                 part = level.diagram.parts[name]
-                for output, value in part.initial.items():
-                    self._hold(child, output, value)
+                for what, values in told_values(part).items():
+                    for output, value in values.items():
+                        self._hold(child, output, value, what)
                 if isinstance(child, DiagramLevel):
                     stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
@@ -129,8 +130,8 @@ class Hierarchy:
                         i.name: self._checked_driver(level, name, i, child.path) for i in child.block.inputs
                     }
 
-    def _hold(self, part: DiagramLevel | Cell, output: str, value: Any) -> None:
-        """Let the port that is a part's output hold `value` at first."""
+    def _hold(self, part: DiagramLevel | Cell, output: str, value: Any, what: str) -> None:
+        """Let the port that is a part's output hold `value` at first, or (`what` "disabled") where it is disabled."""
         where = f"{part.path}.{output}"
         if isinstance(part, Cell):
             port: PortOf | str = PortOf(part, output)
@@ -140,12 +141,12 @@ class Hierarchy:
                 raise DiagramError("the output is not connected", where, "connect it or remove it")
             port = part.resolve(source)
         if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
-            raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
+            raise DiagramError("nothing inside computes it: it holds nothing", where, f"leave its {what} out")
         value = check_initial(value, port.declared, where)
-        held = port.cell.initial.setdefault(port.port, value)
+        told = port.cell.initial if what == "initial" else port.cell.disabled
+        held = told.setdefault(port.port, value)
         if held != value:
-            what = f"{port} starts at {shown(held)} and at {shown(value)}"
-            raise DiagramError(what, where, "give one initial value")
+            raise DiagramError(two_values(what, str(port), held, value), where, f"give one {what} value")
 
     def _port(self, driver: PortOf | str) -> Port:
         return self.root.diagram.inputs[driver] if isinstance(driver, str) else driver.declared

@@ -83,7 +83,7 @@ class _Run:
         self.x: dict[str, Any] = {}
         self.p: dict[str, Any] = {}
         self.y: dict[str, Any] = {}
-        self.clear_outputs()
+        self.clear_outputs(cell.initial)
         self.after: dict[str, tuple[Any, Any]] = {}  # port -> (fraction of the step, value after it)
         self.feeds: list[tuple[str, dict[str, Any], str]] = []  # input, where its value stands, under which name
         self.enables: list[_Place] = []
@@ -132,9 +132,8 @@ class _Run:
         for port, values, key in self.feeds:
             u[port] = values[key]
 
-    def clear_outputs(self) -> None:
-        initial = self.cell.initial
-        self.y.update({p.name: _number(initial.get(p.name, 0), p, p.name) for p in self.cell.block.outputs})
+    def clear_outputs(self, values: Mapping[str, Any]) -> None:
+        self.y.update({p.name: _number(values.get(p.name, 0), p, p.name) for p in self.cell.block.outputs})
 
 
 class ReferenceMachine(Machine):
@@ -192,7 +191,7 @@ class ReferenceMachine(Machine):
             for run in self._runs.values():
                 self._prepare(run)
                 run.x.update(self._initial(run))
-                run.clear_outputs()
+                run.clear_outputs(run.cell.initial)
                 run.after = {}
 
     def _store_parameters(self, values: Mapping[str, Any]) -> None:
@@ -260,7 +259,7 @@ class ReferenceMachine(Machine):
                     run.told("output", {port: fresh[port] for port in ports})
                     run.told("edges", {port: run.after[port] for port in ports if port in edges})
             elif run.cell.rate.due(self.tick) and not all(values[key] for values, key in run.clears):
-                run.clear_outputs()
+                run.clear_outputs(run.cell.initial | run.cell.disabled)
         for run in self._without_outputs:
             self._begin(run)
         for run in self._runs.values():

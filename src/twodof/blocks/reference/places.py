@@ -22,6 +22,7 @@ class Cell:
     drivers: dict[str, PortOf | str] = field(default_factory=dict)
     parameters: dict[str, str] = field(default_factory=dict)
     initial: dict[str, Any] = field(default_factory=dict)  # output -> what it holds at first, if that is not 0
+    disabled: dict[str, Any] = field(default_factory=dict)  # output -> what it is reset to, if that is another value
 
     @property
     def discrete(self) -> list[State]:

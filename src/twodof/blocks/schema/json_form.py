@@ -117,8 +117,8 @@ def _diagram_to(d: Diagram) -> dict[str, Any]:
     return {
         "name": d.name,
         "text": d.text,
-        "inputs": [_declared_to(p) for p in d.inputs.values()],
-        "params": [_declared_to(p) for p in d.params.values()],
+        "inputs": [declared_form(p) for p in d.inputs.values()],
+        "params": [declared_form(p) for p in d.params.values()],
         "parts": [_part_to(p) for p in d.parts.values()],
         "connections": [[source, f"{part}.{port}"] for (part, port), source in d.connections.items()],
         "outputs": [[name, source] for name, source in d.outputs.items()],
@@ -133,12 +133,13 @@ def _part_to(part: Part) -> dict[str, Any]:
         if getattr(part, key):
             form[key] = getattr(part, key)
     if part.disabled != "hold":
-        form["disabled"] = part.disabled
+        told = part.disabled
+        form["disabled"] = encoded(told, part.name) if isinstance(told, dict) else told
     for key, default in (("edge", "rising"), ("enabling", "keep")):
         if getattr(part, key) != default:
             form[key] = getattr(part, key)
     if part.initial:
-        form["initial"] = _encode(part.initial, part.name)
+        form["initial"] = encoded(part.initial, part.name)
     if part.position is not None:
         form["position"] = list(part.position)
     if isinstance(part.item, Diagram):
@@ -149,13 +150,13 @@ def _part_to(part: Part) -> dict[str, Any]:
 def _block_to(block: Block, name: str) -> dict[str, Any]:
     kind = type(block).type_name
     if REGISTRY.get(kind) is type(block):  # a class made from one of the library is another block
-        return {"type": kind, "config": _encode(getattr(block, "config", {}), name)}
+        return {"type": kind, "config": encoded(getattr(block, "config", {}), name)}
     trace = steady_trace(block, name)
     if isinstance(block, StateMachine):
         return {
             "type": MACHINE,
             "name": block.label or type(block).__name__,
-            **{key: [_declared_to(d) for d in getattr(block, key)] for key in MACHINE_SECTIONS},
+            **{key: [declared_form(d) for d in getattr(block, key)] for key in MACHINE_SECTIONS},
             "crossing": block.crossing,
             **machine_to_json(block),
         }
@@ -163,7 +164,7 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
         "type": "custom",
         "name": block.label if isinstance(block, TracedBlock) else type(block).__name__,
         **{
-            k: [_declared_to(d) for d in getattr(block, k)]
+            k: [declared_form(d) for d in getattr(block, k)]
             for k in ("inputs", "outputs", "states", "params", "derived")
         },
         "crossing": block.crossing,
@@ -171,23 +172,24 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
     }
 
 
-def _declared_to(item: Port | State | Param) -> dict[str, Any]:
+def declared_form(item: Port | State | Param) -> dict[str, Any]:
     """The value, and what else differs from its default."""
     values = {f.name: (getattr(item, f.name), f.default) for f in fields(item)}
     return {
-        key: _encode(value, item.name)
+        key: encoded(value, item.name)
         for key, (value, default) in values.items()
         if (key in ("value", "initial") or value != default) and not (key == "width" and item.shape)
     }
 
 
-def _encode(value: Any, where: str) -> Any:
+def encoded(value: Any, where: str) -> Any:
+    """A value as JSON holds it: infinities and NaN as {"float": "inf"}. DiagramError for what has no JSON form."""
     if isinstance(value, float) and not math.isfinite(value):
         return {"float": str(value)}
     if isinstance(value, (list, tuple)):
-        return [_encode(v, where) for v in value]
+        return [encoded(v, where) for v in value]
     if isinstance(value, dict):
-        return {str(k): _encode(v, where) for k, v in value.items()}
+        return {str(k): encoded(v, where) for k, v in value.items()}
     if isinstance(value, Enumeration):
         return value.form()
     if isinstance(value, Integer):  # a member of an enumeration, in an argument

@@ -134,7 +134,7 @@ class Loader:
                     what = f"more than {MAX_DECLARED} ports and states in diagrams that restart, counted for each such"
                     raise DiagramError(what, where, "let fewer of the diagrams within one another restart")
         else:
-            item = self._block(member(form, "block", dict, where), where)
+            item = self.block(member(form, "block", dict, where), where)
         rate = member(form, "rate", list, where, [1, 0])
         if len(rate) != 2 or not all(type(r) is int for r in rate):
             raise DiagramError(f"rate {shown(rate)}", where, "write [divider, offset]")
@@ -155,14 +155,19 @@ class Loader:
             reset=member(form, "reset", (str, type(None)), where),
             trigger=member(form, "trigger", (str, type(None)), where),
             edge=member(form, "edge", str, where, "rising"),
-            disabled=member(form, "disabled", str, where, "hold"),
+            disabled=self._disabled(form, where),
             enabling=member(form, "enabling", str, where, "keep"),
             initial={n: self._plain(v, where) for n, v in member(form, "initial", dict, where, {}).items()},
             position=None if position is None else (float(position[0]), float(position[1])),
             inputs={},
         )
 
-    def _block(self, form: dict[str, Any], where: str) -> Block:
+    def _disabled(self, form: dict[str, Any], where: str) -> str | dict[str, Any]:
+        told = member(form, "disabled", (str, dict), where, "hold")
+        return {n: self._plain(v, where) for n, v in told.items()} if isinstance(told, dict) else told
+
+    def block(self, form: dict[str, Any], where: str) -> Block:
+        """The block that `form` describes, of the part at the path `where`. Raises DiagramError."""
         kind = member(form, "type", str, where)
         if kind == "custom":
             block: Block = self._custom(form, where)

@@ -1,7 +1,7 @@
 """One tick of a state machine: on numbers it goes one way, of recorded values it records all ways.
 
 Both follow the same small steps, which `StateMachine` describes. On numbers there is an `if` where a person would think
-one; that is the reference. Recorded, each `if` is a `where`: that serves all that reads expressions.
+one; that is the reference. Recorded, each `if` is a `where`: that serves everything that reads expressions.
 """
 
 from __future__ import annotations

@@ -1,29 +1,15 @@
 """Expressions as C99 that computes what is read under a condition only there."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.compile.c.branches import Branch, Step, decision, steps
-from twodof.compile.c.expressions import Batch, Renderer, Text
-from twodof.compile.c.names import CNames
+from twodof.compile.c.expressions import Batch, Renderer
 from twodof.compile.c.operators import ATOM
-from twodof.compile.c.writer import CWriter
 
 
 class BranchingRenderer(Renderer):
     """Writes the expressions of one block, some of them within `if` and `else`."""
-
-    def __init__(
-        self,
-        writer: CWriter,
-        names: CNames,
-        precision: str,
-        leaf: Callable[[Expr], Text],
-        stem: str,
-        known: Mapping[Expr, str] | None = None,
-    ) -> None:
-        super().__init__(writer, names, precision, leaf, stem, known)
-        self._given: dict[int, str] = {}  # the variable that a branch within another one gives its value to
 
     def _write(self, batch: Batch, order: Sequence[Expr]) -> None:
         found = steps(order, self._args, batch.always, bool(self.bound))
@@ -49,7 +35,7 @@ class BranchingRenderer(Renderer):
         """An `if` that gives variables their values."""
         found = [(item, decision(item, self._args(item))) for item in branch.chosen]
         decided = [(item, d) for item, d in found if d is not None]
-        given = [self._given.pop(id(item), "") for item, _ in decided]
+        given = [batch.given.pop(id(item), "") for item, _ in decided]
         names = [name or self.names.numbered(f"{self.stem}_t") for name in given]
         # Where one side gives only what is at hand, the variables have it before the `if`, which has no `else` then.
         first = None
@@ -88,7 +74,7 @@ class BranchingRenderer(Renderer):
         chosen = {id(item) for step in found if isinstance(step, Branch) for item in step.chosen}
         for name, side in rows:
             if isinstance(side, Expr) and id(side) in chosen and batch.uses[id(side)] == 1:
-                self._given[id(side)] = name
+                batch.given[id(side)] = name
         with self._within(), self.writer.side(head):
             self._steps(batch, found)
             for name, side in rows:

@@ -48,6 +48,12 @@ GUARDS = """#if defined(__FAST_MATH__)
 #define td_inline static inline
 #endif
 """
+INSTRUCTIONS = ("floor",)
+"""Elementary functions that some processors have as one instruction, which gives the same bits."""
+INSTRUCTIONS_THERE = """#if defined(__OPTIMIZE__) && (defined(__SSE4_1__) || defined(__aarch64__))
+#define td_instructions
+#endif
+"""
 
 
 UNBOUNDED = (-math.inf, math.inf)
@@ -90,6 +96,7 @@ def emit(
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
         prelude,
+        INSTRUCTIONS_THERE if any("td_instructions" in text for text in elementary) else "",
         *elementary,
         *bodies,
     ]
@@ -129,7 +136,11 @@ def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str
     renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
     head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
-    text = head + "\n".join(writer.lines) + "\n}\n\n"
+    body = "\n".join(writer.lines) + "\n"
+    if base in INSTRUCTIONS and style is SCALAR and not lean:
+        builtin = f"__builtin_{base}{'f' if precision == 'float32' else ''}({', '.join(arguments)})"
+        body = f"#if defined(td_instructions)\n    return {builtin};\n#else\n{body}#endif\n"
+    text = f"{head}{body}}}\n\n"
     return text, frozenset(writer.functions), frozenset(writer.helpers)
 
 

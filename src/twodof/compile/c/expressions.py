@@ -79,7 +79,8 @@ class Batch:
     """Expressions that are written together, with the `texts` that are known so far.
 
     `uses`: how often each node is read. `before`: what loops need before them. `always`: what is read later too.
-    `whole`: the roots that stand by themselves in what asked for them.
+    `whole`: the roots that stand by themselves in what asked for them. `given`: the variable that a branch within
+    another one gives its value to.
     """
 
     uses: dict[int, int]
@@ -87,6 +88,7 @@ class Batch:
     always: list[Expr]
     whole: set[int] = field(default_factory=set)
     texts: dict[int, Text] = field(default_factory=dict)
+    given: dict[int, str] = field(default_factory=dict)
 
 
 class Renderer:

@@ -1,6 +1,6 @@
 """The C of the integration: what is held, one `derivative` function, Runge-Kutta or Euler, edges and projections."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 
@@ -182,27 +182,34 @@ class IntegrationEmitter:
             writer.lines.append("/* to = from + h * slope */")
             arguments = f"{p}_X *restrict to, const {p}_X *restrict from, {h} h, const {p}_X *restrict slope"
             with writer.function(f"{self._qualifier} void {p}_along({arguments})"):
-                self._each(writer, "to->{m} = " + style.along.format("from->{m}", "slope->{m}") + ";")
+                self._each(writer, "to->{m} = " + style.along.format("from->{m}", "slope->{m}") + ";", members)
             writer.lines.append(f"/* Runge and Kutta's method of order 4 over h; {len(members)} continuous states. */")
         arguments = f"const {p}_P *restrict p, const {p}_Held *restrict held, {p}_X *restrict x, {h} h"
         with writer.function(f"{self._qualifier} void {p}_integrate({arguments})"):
             if self.program.integrator == "euler":
                 writer.line(f"{p}_X k1;")
                 writer.line(f"{p}_derivative(p, held, x, &k1);")
-                self._each(writer, "x->{m} = " + style.along.format("x->{m}", "k1.{m}") + ";")
+                self._each(writer, "x->{m} = " + style.along.format("x->{m}", "k1.{m}") + ";", members)
             else:
                 for name in ("k1", "k2", "k3", "k4", "at"):
                     writer.line(f"{p}_X {name};")
                 writer.line(f"const {h} half = {style.product('h', real(0.5, 'real'))};")
                 writer.line(f"const {h} sixth = {style.product('h', real(ONE_SIXTH, 'real'))};")
+                # The sum of the scalars' slopes is gathered in k1: k2 and k3 need no registers until the end.
+                gathered = [m for m in members if m.width is None and style.gathers]
+                two = real(2.0, "real")
                 for k, before, step in ((1, 0, ""), (2, 1, "half"), (3, 2, "half"), (4, 3, "h")):
                     if before:
                         writer.line(f"{p}_along(&at, x, {step}, &k{before});")
+                    if before > 1:
+                        self._each(writer, f"k1.{{m}} = k1.{{m}} + {two} * k{before}.{{m}};", gathered)
                     writer.line(f"{p}_derivative(p, held, {'&at' if before else 'x'}, &k{k});")
-                self._each(writer, "x->{m} = " + style.weighted.replace("{two}", real(2.0, "real")) + ";")
+                self._each(writer, "x->{m} = x->{m} + sixth * (k1.{m} + k4.{m});", gathered)
+                whole = [m for m in members if m not in gathered]
+                self._each(writer, "x->{m} = " + style.weighted.replace("{two}", two) + ";", whole)
 
-    def _each(self, writer: CWriter, line: str) -> None:
-        for m in self.layout.x.members:
+    def _each(self, writer: CWriter, line: str, members: Iterable[Member]) -> None:
+        for m in members:
             if m.width is None:
                 writer.line(line.format(m=m.name))
             else:

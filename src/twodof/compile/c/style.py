@@ -27,6 +27,7 @@ class CStyle:
     branches = True  # whether a condition can leave out what it guards: lanes compute both sides
     shares = True  # whether copies share functions: lanes would have to hand on which of them act
     along = "{0} + h * {1}"
+    gathers = True  # whether the sum of an integration's slopes is built up between its stages
     weighted = "x->{m} + sixth * (((k1.{m} + {two} * k2.{m}) + {two} * k3.{m}) + k4.{m})"
 
     @property

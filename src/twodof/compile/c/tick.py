@@ -245,7 +245,7 @@ class TickEmitter:
                 with self.writer.choice(self.terms(group.guard)[0], [cleared]):
                     for s in held:
                         port = Port("y", s.kind, s.width, shape=s.shape)
-                        self.scope.fill(self.writer, self.signal(s), s.before, port)
+                        self.scope.fill(self.writer, self.signal(s), s.cleared, port)
 
     def _where_needed(self, group: Group) -> None:
         """Outputs that nobody reads unless some conditions hold; they stand in variables that are 0 otherwise."""

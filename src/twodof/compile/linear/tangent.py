@@ -104,7 +104,8 @@ class TangentStep:
                     if acts:
                         self.made[s] = self.evaluate(node, [node.trace.outputs[s.port]])[0]
                     else:
-                        self.made[s] = zero(s) if clears or s not in self.held else self.held[s]
+                        held = self.held.get(s, zero(s))
+                        self.made[s] = valued(s, s.cleared) if clears else held
                     self.read[s] = self.made[s]
                     if s in self.cut:
                         self.read[s] = Dual(plain(self.made[s]), self.cut[s])
@@ -188,7 +189,12 @@ class TangentStep:
 
 def zero(signal: FlatSignal) -> Value:
     """What a signal holds before its first tick."""
-    return constant(numeric(signal.before, signal.kind, signal.width, signal.path))
+    return valued(signal, signal.before)
+
+
+def valued(signal: FlatSignal, value: Any) -> Value:
+    """A constant of a signal's kind."""
+    return constant(numeric(value, signal.kind, signal.width, signal.path))
 
 
 def elements(value: Any) -> tuple[Any, ...]:

@@ -34,11 +34,17 @@ class FlatSignal:
     initial: Any = None
     shape: tuple[int, int] | None = None
     enum: Enumeration | None = None
+    disabled: Any = None
 
     @property
     def before(self) -> Any:
-        """What it holds before it is first computed, and where it is reset to."""
+        """What it holds before it is first computed."""
         return 0 if self.initial is None else self.initial
+
+    @property
+    def cleared(self) -> Any:
+        """What it is reset to where it is disabled."""
+        return self.before if self.disabled is None else self.disabled
 
 
 @dataclass(eq=False)
@@ -51,7 +57,7 @@ class FlatParameter:
 
 @dataclass(eq=False)
 class Condition:
-    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs read 0 while it is disabled.
+    """A sub-diagram that is enabled or reset by bool signals; `clears`: its outputs are reset while it is disabled.
 
     `trigger` is true where its trigger has an edge; it acts only there. At its own ticks (those of `rate`) with
     `restart` true, all states inside become initial, also where nothing else acts.
@@ -136,7 +142,7 @@ class Node:
 class Guard:
     """When a node acts: at the ticks of `rate` while all `enables` hold.
 
-    At such a tick without one of `clears`, its outputs read 0.
+    At such a tick without one of `clears`, its outputs are reset.
     """
 
     rate: Rate

@@ -9,13 +9,13 @@ from contextlib import contextmanager, nullcontext
 from twodof.blocks.block import Block
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, alike, check_initial, located, mismatch, narrowed, unknown_name
-from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate
+from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate, told_values, two_values
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.blocks.steady import steady_trace
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
 from twodof.compile.program.level import Level, scalar
-from twodof.errors import DiagramError, nearest, shown
+from twodof.errors import DiagramError, nearest
 
 MAX_DEPTH = 64
 MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagrams would give
@@ -23,6 +23,14 @@ MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the
 
 Report = Callable[[DiagramError], None]
 """What is done with a problem: `lower` raises the first, `twodof.compile.program.check` collects them all."""
+
+
+class AlgebraicLoop(DiagramError):
+    """Signals that need one another in the same tick. `signals` are their paths, each after the one that needs it."""
+
+    def __init__(self, what: str, where: str, remedy: str, signals: tuple[str, ...]) -> None:
+        super().__init__(what, where, remedy)
+        self.signals = signals
 
 
 def refuse(error: DiagramError) -> None:
@@ -75,7 +83,7 @@ class FlatDiagram:
                 around = conditions
                 own_rate = part.rate.within(rate).check(path, MAX_NESTED)
                 if part.enable or part.reset or part.trigger or part.enabling == "restart":
-                    below.condition = Condition(path, own_rate, clears=part.disabled == "reset")
+                    below.condition = Condition(path, own_rate, clears=part.disabled != "hold")
                     around = (*conditions, below.condition)
                 stack.append((below, own_rate, around, inner, depth + 1))
         self.nodes.sort(key=lambda n: n.path)
@@ -187,18 +195,19 @@ class FlatDiagram:
                     self._decide(level, part, inner, inner.condition)
 
     def _start(self, part: Part, inner: Node | Level) -> None:
-        """Give the signals of a part's outputs the initial values that it declares."""
-        for name, value in part.initial.items():
+        """Give the signals of a part's outputs the values that it declares."""
+        told = [(what, name, value) for what, values in told_values(part).items() for name, value in values.items()]
+        for what, name, value in told:
             where = f"{inner.path}.{name}"
             with self._reported():
                 signal = inner.outputs[name] if isinstance(inner, Node) else inner.driver(name)
                 if not signal.path.startswith(f"{inner.path}."):
-                    raise DiagramError("nothing inside computes it: it holds nothing", where, "leave its initial out")
+                    raise DiagramError("nothing inside computes it: it holds nothing", where, f"leave its {what} out")
                 found = check_initial(value, signal, where)
-                if signal.initial not in (None, found):
-                    what = f"{signal.path} starts at {shown(signal.initial)} and at {shown(found)}"
-                    raise DiagramError(what, where, "give one initial value")
-                signal.initial = found
+                held = getattr(signal, what)
+                if held not in (None, found):
+                    raise DiagramError(two_values(what, signal.path, held, found), where, f"give one {what} value")
+                setattr(signal, what, found)
 
     def _decide(self, level: Level, part: Part, inner: Level, condition: Condition) -> None:
         """Give a sub-diagram's condition its signals, with the nodes that the language adds for them."""
@@ -396,10 +405,11 @@ def _ordered(name: str, signals: Sequence[FlatSignal], report: Report) -> list[F
             break
         loop = _loop({s: [b for b in needs[s] if b not in order] for s in signals if s not in order})
         report(
-            DiagramError(
+            AlgebraicLoop(
                 f"algebraic loop {' <- '.join(s.path for s in loop)}",
                 name,
                 "put a delay or a continuous state into the loop",
+                tuple(s.path for s in loop),
             )
         )
         waiting[loop[0]] = 0  # from here on it only falls, so it is not pushed again

@@ -23,6 +23,6 @@ def passing(program: FlatProgram) -> set[FlatSignal]:
             continue
         for s in (s for action in group.actions for s in action.signals):
             alike = all(n.guard == group.guard and not n.continuous and n not in inside for n in readers.get(s, ()))
-            if alike and s not in seen and s.width is None and s.initial is None:
+            if alike and s not in seen and s.width is None and s.initial is None and s.disabled is None:
                 found.add(s)
     return found

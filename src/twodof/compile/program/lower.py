@@ -148,6 +148,7 @@ def _grouped(
         else:
             before[thing] = {s for s in before_it(thing) if s in chosen}
             before[thing].update(starts.get(node_of(thing), ()))
+    things = _nearest_first(things, before)
     rank = {thing: i for i, thing in enumerate(things)}
     sorter = TopologicalSorter(before)
     sorter.prepare()
@@ -176,3 +177,13 @@ def _grouped(
     if actions:
         groups.append(Group(at[0], tuple(actions), at[1]))
     return groups
+
+
+def _nearest_first(
+    things: Sequence[FlatSignal | Start], before: Mapping[FlatSignal | Start, set[FlatSignal | Start]]
+) -> list[FlatSignal | Start]:
+    """Those first that wait for the shortest chain of others, so that a processor has several chains to work at."""
+    depth: dict[FlatSignal | Start, int] = {}
+    for thing in TopologicalSorter(before).static_order():
+        depth[thing] = max((depth[b] + 1 for b in before[thing]), default=0)
+    return sorted(things, key=depth.__getitem__)

@@ -58,12 +58,19 @@ def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
     return d
 
 
-def pid_attitude(gains: Gains = DEFAULT) -> Diagram:
-    """The laws of the stock loops drawn with library blocks: equal to them up to rounding, and easy to change."""
+def pid_attitude(gains: Gains = DEFAULT, anti_windup: str = "none") -> Diagram:
+    """The laws of the stock loops drawn with library blocks: equal to them up to rounding, and easy to change.
+
+    With `anti_windup` "clamping" or "back-calculation" M is limited to +-.4, where a pair of rotors stands still in
+    hover, and the rate's integral does not gather beyond it. Back-calculation tracks in the integral's own time, Kp/Ki.
+    Raises DiagramError for another name.
+    """
     d = with_ports(ATTITUDE, "pid_attitude", "attitude P and rate PID, block by block")
     pitch_loop(d, gains.attitude)
-    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="q", position=(640.0, 100.0))
-    _rate_pid(d, gains, 1.0, "none")
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="q", position=(680.0, 130.0))
+    limit = 1.0 if anti_windup == "none" else HOVER_MOMENT
+    kp, ki, _ = gains.rate
+    _rate_pid(d, gains, limit, anti_windup, min(100.0, ki / kp) if kp > 0.0 else 5.0)
     d.output("M", "pid")
     return d
 
@@ -80,9 +87,9 @@ def notch_attitude(gains: Gains = NOTCHED) -> Diagram:
         Notch(VIBRATION, 0.3, 0.1, unit="rad/s"),
         params={"frequency": "notch_hz", "width": "notch_width", "depth": "notch_depth"},
         u="q",
-        position=(440.0, 180.0),
+        position=(480.0, 230.0),
     )
-    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="notch", position=(640.0, 100.0))
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="notch", position=(680.0, 130.0))
     _rate_pid(d, gains, HOVER_MOMENT, "back-calculation")
     d.output("M", "pid")
     return d
@@ -114,54 +121,54 @@ def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None)
     tuned(d, "rate_k", turn.state[0], "s/rad", 0.0, 1.0, "rate mode: gain on the rate error")
     tuned(d, "rate_k_i", turn.integral, "1/rad", 0.0, 20.0, "rate mode: gain on the integral of the rate error")
     tuned(d, "rate_k_past", turn.history, "", -2.0, 2.0, "rate mode: gains on the past moments, the latest first")
-    d.add("error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(200.0, 40.0))
-    d.add("rate_error", Sum("+-", unit="rad/s"), a="q_0", b="q", position=(200.0, 260.0))
+    d.add("error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 0.0))
+    d.add("rate_error", Sum("+-", unit="rad/s"), a="q_0", b="q", position=(160.0, 320.0))
     # Each integral runs only while its loop is closed.
-    d.add("in_rate_mode", Logic("not"), a="FLAG_ATTITUDE_ENABLED", position=(200.0, 460.0))
-    d.add("clear", Logic("or"), a="FLAG_RESET_INT", b="in_rate_mode", position=(320.0, 120.0))
-    d.add("rate_clear", Logic("or"), a="FLAG_RESET_INT", b="FLAG_ATTITUDE_ENABLED", position=(320.0, 340.0))
-    for prefix, limit, unit, row in (("", 0.3, "rad*s", 60.0), ("rate_", 1.0, "rad", 280.0)):
+    d.add("in_rate_mode", Logic("not"), a="FLAG_ATTITUDE_ENABLED", position=(180.0, 230.0))
+    d.add("clear", Logic("or"), a="FLAG_RESET_INT", b="in_rate_mode", position=(320.0, 90.0))
+    d.add("rate_clear", Logic("or"), a="FLAG_RESET_INT", b="FLAG_ATTITUDE_ENABLED", position=(320.0, 400.0))
+    for prefix, limit, unit, row in (("", 0.3, "rad*s", 40.0), ("rate_", 1.0, "rad", 340.0)):
         d.add(
             f"{prefix}integral",
             DiscreteIntegrator("backward", limits=(-limit, limit), reset=True, unit=unit),
             u=f"{prefix}error",
             clear=f"{prefix}clear",
-            position=(440.0, row),
+            position=(460.0, row),
         )
     for name, source, bound, row in (
         ("on_theta", "error", "k_theta", 0.0),
-        ("on_integral", "integral", "k_i", 60.0),
-        ("on_q", "q", "k_q", 120.0),
-        ("on_rate", "rate_error", "rate_k", 220.0),
-        ("on_rate_integral", "rate_integral", "rate_k_i", 280.0),
+        ("on_integral", "integral", "k_i", 70.0),
+        ("on_q", "q", "k_q", 140.0),
+        ("on_rate", "rate_error", "rate_k", 300.0),
+        ("on_rate_integral", "rate_integral", "rate_k_i", 370.0),
     ):
-        d.add(name, Gain(1.0), params={"k": bound}, u=source, position=(600.0, row))
+        d.add(name, Gain(1.0), params={"k": bound}, u=source, position=(620.0, row))
     newest = [f"past_{i}" for i in range(1, steps + 1)]
     for i, name in enumerate(newest):
-        d.add(name, UnitDelay(0.0), u=newest[i - 1] if i else "limit", position=(1120.0 - 80.0 * i, 460.0))
+        d.add(name, UnitDelay(0.0), u=newest[i - 1] if i else "limit", position=(160.0 + 90.0 * i, 600.0))
     mux = Mux(steps)
-    d.add("past", mux, position=(560.0, 400.0))
+    d.add("past", mux, position=(640.0, 480.0))
     for port, name in zip(mux.inputs, newest, strict=True):
         d.connect(name, f"past.{port.name}")
-    for name, bound, row in (("on_past", "k_past", 180.0), ("on_rate_past", "rate_k_past", 340.0)):
-        d.add(name, MatrixGain([[0.0] * steps]), params={"K": bound}, u="past", position=(600.0, row))
-    d.add("attitude", Sum("++--"), a="on_theta", b="on_integral", c="on_q", d="on_past", position=(760.0, 80.0))
-    d.add("rate", Sum("++-"), a="on_rate", b="on_rate_integral", c="on_rate_past", position=(760.0, 280.0))
-    d.add("mode", Switch(), condition="FLAG_ATTITUDE_ENABLED", a="attitude", b="rate", position=(900.0, 180.0))
+    for name, bound, row in (("on_past", "k_past", 220.0), ("on_rate_past", "rate_k_past", 500.0)):
+        d.add(name, MatrixGain([[0.0] * steps]), params={"K": bound}, u="past", position=(760.0, row))
+    d.add("attitude", Sum("++--"), a="on_theta", b="on_integral", c="on_q", d="on_past", position=(900.0, 60.0))
+    d.add("rate", Sum("++-"), a="on_rate", b="on_rate_integral", c="on_rate_past", position=(900.0, 360.0))
+    d.add("mode", Switch(), condition="FLAG_ATTITUDE_ENABLED", a="attitude", b="rate", position=(1020.0, 180.0))
     _limits(d, 1.0)
-    d.add("limit", Saturation(-1.0, 1.0), params={"low": "M_low", "high": "M_high"}, u="mode", position=(1020.0, 180.0))
+    d.add("limit", Saturation(-1.0, 1.0), params={"low": "M_low", "high": "M_high"}, u="mode", position=(1180.0, 200.0))
     d.output("M", "limit")
     return d
 
 
-def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str) -> None:
+def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str, tracking: float = 5.0) -> None:
     """M from the rate's `error`, within +-`limit`."""
     kp, ki, kd = rate_gains(d, gains)
     tuned(d, "q_n", 100.0, "rad/s", 1.0, 1000.0, "corner of the derivative's filter")
     _limits(d, limit)
     bound = {"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd", "N": "q_n", "low": "M_low", "high": "M_high"}
     if anti_windup == "back-calculation":
-        tuned(d, "tracking", 5.0, "1/s", 0.0, 100.0, "how fast the integral follows the limited moment")
+        tuned(d, "tracking", tracking, "1/s", 0.0, 100.0, "how fast the integral follows the limited moment")
         bound["Kb"] = "tracking"
     d.add(
         "pid",
@@ -169,7 +176,7 @@ def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str) -> None:
         params=bound,
         e="error",
         clear="FLAG_RESET_INT",
-        position=(760.0, 120.0),
+        position=(800.0, 170.0),
     )
 
 

@@ -11,7 +11,7 @@ from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS, MOTOR
 def stock_motor() -> Diagram:
     """The stock mixer on single motors: thrust +- moment, each clipped to 0 .. 1."""
     d = with_ports(MOTOR, "stock_motor", "fore motors thrust + moment, aft motors thrust - moment")
-    _pairs(d, "thrust_0", "M_0")
+    motor_pairs(d, "thrust_0", "M_0")
     return d
 
 
@@ -24,22 +24,22 @@ def direct_motor(gains: Gains = DEFAULT) -> Diagram:
     d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")
     pitch_loop(d, gains.attitude)
     kp, ki, kd = rate_gains(d, gains)
-    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="gyro_y", position=(640.0, 60.0))
+    d.add("error", Sum("+-", unit="rad/s"), a="q_0_used", b="gyro_y", position=(680.0, 130.0))
     d.add(
         "pid",
         Pid(kp, ki, kd, 100.0, limits=(-0.5, 0.5), anti_windup="clamping", reset="integral", unit="rad/s"),
         params={"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd"},
         e="error",
         clear="FLAG_RESET_INT",
-        position=(760.0, 60.0),
+        position=(800.0, 170.0),
     )
-    d.add("asked", Switch(), condition="FLAG_RATE_ENABLED", a="pid", b="M_0", position=(880.0, 80.0))
-    d.add("moment", Saturation(-0.5, 0.5), u="asked", position=(1000.0, 80.0))
-    d.add("least", Abs(), u="moment", position=(1120.0, 160.0))
-    d.add("one", Constant(1.0), position=(1120.0, 240.0))
-    d.add("most", Sum("+-"), a="one", b="least", position=(1240.0, 220.0))
-    d.add("thrust", DynamicSaturation(), u="thrust_0", low="least", high="most", position=(1360.0, 180.0))
-    _pairs(d, "thrust", "moment")
+    d.add("asked", Switch(), condition="FLAG_RATE_ENABLED", a="pid", b="M_0", position=(940.0, 230.0))
+    d.add("moment", Saturation(-0.5, 0.5), u="asked", position=(1080.0, 250.0))
+    d.add("least", Abs(), u="moment", position=(1200.0, 330.0))
+    d.add("one", Constant(1.0), position=(1200.0, 410.0))
+    d.add("most", Sum("+-"), a="one", b="least", position=(1320.0, 390.0))
+    d.add("thrust", DynamicSaturation(), u="thrust_0", low="least", high="most", position=(1450.0, 300.0))
+    motor_pairs(d, "thrust", "moment")
     return d
 
 
@@ -52,11 +52,11 @@ def empty_motor() -> Diagram:
     return d
 
 
-def _pairs(d: Diagram, thrust: str, moment: str) -> None:
+def motor_pairs(d: Diagram, thrust: str, moment: str) -> None:
     """The motors' commands: thrust + moment on the fore pair, thrust - moment on the aft one."""
-    d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1480.0, 60.0))
-    d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1480.0, 160.0))
-    d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1600.0, 60.0))
-    d.add("aft", Saturation(0.0, 1.0), u="aft_sum", position=(1600.0, 160.0))
+    d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1620.0, 180.0))
+    d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1620.0, 300.0))
+    d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1740.0, 190.0))
+    d.add("aft", Saturation(0.0, 1.0), u="aft_sum", position=(1740.0, 310.0))
     for motor in sorted((*FORE_MOTORS, *AFT_MOTORS)):
         d.output(motor, "fore" if motor in FORE_MOTORS else "aft")

@@ -29,9 +29,9 @@ def stock_position(gains: Gains = DEFAULT) -> Diagram:
         v0="position.v0",
         v="vx",
         in_reset="FLAG_RESET_INT_VEL",
-        position=(380.0, 80.0),
+        position=(460.0, 130.0),
     )
-    d.add("projection", Projection(), force="velocity.force", position=(560.0, 80.0))
+    d.add("projection", Projection(), force="velocity.force", position=(720.0, 150.0))
     d.output("thrust", "projection.T")
     d.output("theta_0", "projection.theta0")
     return d
@@ -58,26 +58,26 @@ def pid_position(gains: Gains = DEFAULT) -> Diagram:
         b="vx_0",
         position=(520.0, 60.0),
     )
-    d.add("vx_error", Sum("+-", unit="m/s"), a="vx_0_used", b="vx", position=(640.0, 80.0))
+    d.add("vx_error", Sum("+-", unit="m/s"), a="vx_0_used", b="vx", position=(680.0, 130.0))
     d.add(
         "pi",
         Pid(kp, ki, reset="integral", unit="m/s", output_unit="N"),
         params={"Kp": "vx_kp", "Ki": "vx_ki"},
         e="vx_error",
         clear="FLAG_RESET_INT_VEL",
-        position=(760.0, 80.0),
+        position=(800.0, 170.0),
     )
-    d.add("feed_forward", Gain(1.0, unit="N"), params={"k": "mass"}, u="ax_0", position=(760.0, 180.0))
-    d.add("force", Sum("++", unit="N"), a="pi", b="feed_forward", position=(880.0, 100.0))
-    d.add("T_level", Constant(0.4), params={"value": "T_bar"}, position=(760.0, 260.0))
-    d.add("full", Constant(6.3386, unit="N"), params={"value": "eta_T"}, position=(760.0, 320.0))
-    d.add("lift", Product("**", unit="N"), a="T_level", b="full", position=(880.0, 280.0))
+    d.add("feed_forward", Gain(1.0, unit="N"), params={"k": "mass"}, u="ax_0", position=(800.0, 260.0))
+    d.add("force", Sum("++", unit="N"), a="pi", b="feed_forward", position=(940.0, 190.0))
+    d.add("T_level", Constant(0.4), params={"value": "T_bar"}, position=(800.0, 330.0))
+    d.add("full", Constant(6.3386, unit="N"), params={"value": "eta_T"}, position=(800.0, 390.0))
+    d.add("lift", Product("**", unit="N"), a="T_level", b="full", position=(940.0, 370.0))
     # theta > 0 pushes towards -x.
-    d.add("slope", Divide(), a="force", b="lift", position=(1000.0, 120.0))
-    d.add("tilt", Trigonometry("atan", unit="rad"), u="slope", position=(1120.0, 120.0))
-    d.add("pitch", Gain(-1.0, unit="rad"), u="tilt", position=(1240.0, 120.0))
-    d.add("upright", Trigonometry("cos", input_unit="rad"), u="pitch", position=(1240.0, 220.0))
-    d.add("thrust_up", Divide(), a="T_level", b="upright", position=(1360.0, 260.0))
+    d.add("slope", Divide(), a="force", b="lift", position=(1060.0, 200.0))
+    d.add("tilt", Trigonometry("atan", unit="rad"), u="slope", position=(1180.0, 210.0))
+    d.add("pitch", Gain(-1.0, unit="rad"), u="tilt", position=(1300.0, 210.0))
+    d.add("upright", Trigonometry("cos", input_unit="rad"), u="pitch", position=(1420.0, 340.0))
+    d.add("thrust_up", Divide(), a="T_level", b="upright", position=(1550.0, 310.0))
     d.output("thrust", "thrust_up")
     d.output("theta_0", "pitch")
     return d

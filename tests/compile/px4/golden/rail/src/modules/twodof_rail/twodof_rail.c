@@ -95,12 +95,12 @@ void twodof_rail_step(const twodof_rail_P *restrict p, twodof_rail_S *restrict s
 {
     /* error: sum */
     const real error_y = u->x_0 - u->x;
+    /* hover: constant */
+    const real hover_y = p->hover_value;
     /* gain: gain */
     const real gain_y = p->kp * error_y;
     /* chosen: switch */
     const real chosen_y = u->FLAG_POSITION_ENABLED ? gain_y : u->vx_0;
-    /* hover: constant */
-    const real hover_y = p->hover_value;
     /* slip: sum */
     const real slip_y = chosen_y - u->vx;
     /* pitch: gain */
