@@ -129,6 +129,7 @@ def run(quick: bool = False) -> list[Figure]:
             "fit over scipy with lfilter",
             filters.median / ours.median,
             "times as fast",
+            1.0,
         ),
         Figure("difference to scipy's minimum", gap, "sigma", AGREE, at_most=True, remark="both minimise one sum"),
     ]

@@ -133,7 +133,7 @@ def test_quoted_intervals_hold_for_coloured_residuals() -> None:
     for _ in range(60):
         e = lfilter([0.02], [1.0, -0.8], rng.standard_normal(U.size + 100))[100:]
         record = Record.from_columns(DT * np.arange(U.size), {"M": U, "q": clean + e}, ["M"], ["q"])
-        found = fit(pitch_rate(), record, estimate=tuple(truth))
+        found = fit(pitch_rate(), record, estimate=tuple(truth), disturbance="white")
         assert not found.white
         errors.append([found[label] - true for label, true in truth.items()])
         claimed.append(np.diag(found.covariance))
@@ -158,11 +158,17 @@ def test_residuals_tell_that_the_structure_is_wrong() -> None:
     record = Record.from_columns(DT * np.arange(u.size), {"M": u, "q": q}, ["M"], ["q"])
     wrong = fit(pitch_rate(), record)
     right = fit(free_response(), record, estimate=("w_n", "xi", "mu", "coulomb", "hardening", "tau"))
-    assert not wrong.white
-    assert any("not white" in remark for remark in wrong.remarks)
+    assert wrong.disturbance.kind == "ar"
+    assert right.disturbance.kind == "white"
     assert right.white
+    plain = fit(pitch_rate(), record, disturbance="white")
+    assert not plain.white
+    assert any("not white" in remark for remark in plain.remarks)
     for label, true in values.items():
         assert abs(right[label] - true) < 3.5 * right.sigma(label)
+
+
+OTHERS = tuple(name for name in pitch_rate().estimate if name != "mu")
 
 
 def test_a_bound_that_holds_is_named() -> None:
@@ -170,7 +176,9 @@ def test_a_bound_that_holds_is_named() -> None:
     found = fit(pitch_rate(), record, bounds={"mu": (100.0, 300.0)}, values={"mu": 200.0})
     assert found.at_bound == ("mu",)
     assert found["mu"] == 300.0
-    assert np.isnan(found.covariance[found.labels.index("mu")]).all()
+    assert np.isnan(found.sigma("mu"))
+    # What goes with mu is as unsure as if mu were free.
+    assert found.sigma("w_n") > fit(pitch_rate(), record, estimate=OTHERS, values={"mu": 300.0}).sigma("w_n")
     assert any("mu is held by its bound" in remark for remark in found.remarks)
     assert json.loads(found.to_json())["estimates"]["mu"]["sigma"] is None
 
@@ -250,8 +258,31 @@ def test_gaps_are_for_the_time_domain() -> None:
     gappy = Record.from_channels({"M": (t, U), "q": (t[lost], q[lost])}, ["M"], ["q"])
     found = fit(pitch_rate(), gappy)
     assert abs(found["mu"] - 358.5) < 3.5 * found.sigma("mu")
-    with pytest.raises(IdentificationError, match="without gaps"):
+    with pytest.raises(IdentificationError, match="single ones are lost"):
         fit(pitch_rate(), gappy, band=(0.1, 10.0))
+
+
+def test_single_lost_samples_leave_a_fit_in_the_frequency_domain_as_it_was() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(13))
+    t, q = record.output_time("q"), record.outputs["q"].value
+    kept = np.ones(t.size, dtype=bool)
+    kept[50::40] = False
+    lossy = Record.from_channels({"M": (t, U), "q": (t[kept], q[kept])}, ["M"], ["q"])
+    whole, found = fit(pitch_rate(), record, band=(0.1, 20.0)), fit(pitch_rate(), lossy, band=(0.1, 20.0))
+    for label in found.labels:
+        # One sample in 40 was replaced by its neighbours' mean: noise of 1.5 / 40 of the record's variance is new.
+        assert abs(found[label] - whole[label]) < 3.0 * np.sqrt(1.5 / 40.0) * whole.cramer_rao(label)
+        assert found.cramer_rao(label) == pytest.approx(whole.cramer_rao(label), rel=0.1)
+
+
+def test_a_slow_output_has_frequencies_of_its_own_clock() -> None:
+    record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(15))
+    t, q = record.output_time("q")[2::5], record.outputs["q"].value[2::5]
+    slow = Record.from_channels({"M": (record.time, U), "q": (t, q)}, ["M"], ["q"])
+    found = fit(pitch_rate(), slow, band=(0.1, 20.0))
+    assert abs(found["mu"] - 358.5) < 3.5 * found.sigma("mu")
+    with pytest.raises(IdentificationError, match="no Fourier coefficient lies in 30"):
+        fit(pitch_rate(), slow, band=(30.0, 100.0))
 
 
 def test_a_model_that_is_not_finite_is_refused() -> None:

@@ -114,3 +114,31 @@ def test_a_model_that_does_not_reproduce_its_record_comes_with_a_warning(flight_
     assert json.loads(found.to_json())["remarks"] == [poor, strayed]
     clean = identify_velocity([velocity_record(PAPER_VELOCITY_GREYBOX, 0.008, np.random.default_rng(0))])
     assert clean.remarks == ()
+
+
+def test_where_it_cannot_work_it_says_so() -> None:
+    rng = np.random.default_rng(0)
+    impulse = pitch_record(PitchRate(3.437, 0.0836, 130.0, 0.020), IMPULSE, 0.0017, rng)
+    clean = doublet(750, 0.5, 0.6, 0.03)
+    # What a loop of 2 Hz makes of a moment that nobody holds: a quarter of the doublet's amplitude.
+    moving = clean + 0.0075 * np.sin(2.0 * np.pi * 2.0 * 0.004 * np.arange(clean.size))
+
+    def remarks(u: np.ndarray, sigma: float) -> tuple[str, ...]:
+        return identify_pitch(impulse, [pitch_record(PAPER_PITCH_RATE, u, sigma, rng)]).remarks
+
+    assert remarks(clean, 0.06) == ()
+    closed = remarks(moving, 0.06)[0]
+    assert "a controller makes it" in closed
+    # .06 rad/s are 3 % of the peak of 2.4, five times that are 13 %.
+    (noisy,) = remarks(clean, 0.3)
+    assert "% of the peak of q unexplained" in noisy
+
+
+def test_noise_that_hides_the_slope_is_said() -> None:
+    rng = np.random.default_rng(0)
+    # The peak is .6 m/s.
+    assert not any(
+        "v scatters" in one for one in identify_velocity([velocity_record(PAPER_VELOCITY_GREYBOX, 0.008, rng)]).remarks
+    )
+    noisy = identify_velocity([velocity_record(PAPER_VELOCITY_GREYBOX, 0.09, rng)])
+    assert any("v scatters" in one for one in noisy.remarks)

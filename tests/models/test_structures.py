@@ -90,9 +90,9 @@ def test_both_at_once_are_the_cascade() -> None:
 def test_lag_and_delay_share_the_total() -> None:
     # q is twice the integral of a ramp r t, so a lag L instead of the same pure delay is ahead by mu r L^2 / 2.
     u = np.linspace(0.0, 0.1, 100)
-    free = {"w_n": 0.05, "xi": 0.0, "tau": 0.020}
-    delayed = run(pitch_rate(), free, u)["q"]
-    lagged = run(pitch_rate(lag=True), {**free, "lag": 0.008}, u)["q"]
+    free = {"w_n": 0.05, "xi": 0.0}
+    delayed = run(pitch_rate(), {**free, "tau": 0.020}, u)["q"]
+    lagged = run(pitch_rate(lag=True), {**free, "dead_time": 0.012, "lag": 0.008}, u)["q"]
     # The held ramp is a staircase: at the samples the lag sees its steps averaged, which is r dt^2 / 12 more.
     ahead = 358.5 * (u[1] / DT) * (0.008**2 / 2.0 + DT**2 / 12.0)
     # What the lag has forgotten after 0.39 s, exp(-48), is nothing; the spring of 0.05 rad/s takes 2e-4 of q.
@@ -234,10 +234,10 @@ def test_a_name_that_is_no_parameter_is_refused() -> None:
 def test_a_step_of_many_time_constants_is_held_exactly() -> None:
     """The fastest rotors that are allowed and data at 20 Hz: the step is 25 times the lag."""
     dt, u = 0.05, noise(100)
-    ours = run(pitch_rate(lag=True), {"lag": 0.002, "tau": 0.002}, u, dt)
+    ours = run(pitch_rate(lag=True), {"lag": 0.002, "dead_time": 0.0}, u, dt)
     a = np.array([[0.0, 1.0, 0.0], [-(3.437**2), -2.0 * 0.0836 * 3.437, 358.5], [0.0, 0.0, -500.0]])
     whole = expm(dt * np.block([[a, np.array([[0.0], [0.0], [500.0]])], [np.zeros((1, 4))]]))
-    x, expected = np.zeros(3), []
+    x, expected = np.array([0.0, 0.0, u[0]]), []
     for value in u:
         expected.append(x[1])
         x = whole[:3, :3] @ x + whole[:3, 3] * value

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.excitation import LIMITS, Doublet, Excitation, Multisine, ThreeTwoOneOne
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.information import Information, predict, simulate_planned
 from twodof.models.structure import Structure
 
@@ -83,11 +84,13 @@ def best(
     *,
     values: Mapping[str, float] | None = None,
     estimate: Collection[str] | None = None,
+    disturbance: DisturbanceModel | None = None,
 ) -> Design:
     """The best of `family(shape, amplitude)` over `shapes`, each with the largest amplitude that `limits` allow.
 
     The experiment lasts `duration` [s], rest and free response included. Excitations that do not fit into it are passed
-    over. Raises IdentificationError if none fits the limits, saying which limit is in the way.
+    over. `disturbance` as in `predict`. Raises IdentificationError if none fits the limits, saying which limit is in
+    the way.
     """
     if len(structure.inputs) != 1:
         raise IdentificationError(
@@ -104,7 +107,7 @@ def best(
             continue
         excitation = family(shape, amplitude)
         inputs = {structure.inputs[0]: _played(excitation, duration, dt)}
-        info = predict(structure, inputs, dt, noise, values=values, estimate=estimate)
+        info = predict(structure, inputs, dt, noise, values=values, estimate=estimate, disturbance=disturbance)
         cost = _cost(structure, info)
         tried.append((shape, amplitude, cost))
         found.append((cost, excitation, info))

@@ -44,6 +44,19 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
     return float(s[0] / s[-1])
 
 
+def doubted(jacobian: Array, scale: Array, free: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The unknowns over which a covariance is taken: the `free` ones, and those held by a bound if the data tell them.
+
+    A bound ends the search, not the doubt. With other noise the unknown would have left its bound and moved the others.
+    """
+    every = np.arange(jacobian.shape[1])
+    try:
+        check_identifiable(jacobian, scale, [""] * every.size, "")
+    except IdentificationError:
+        return free
+    return every
+
+
 def covariance(jacobian: Array) -> Array:
     """(J' J)^-1 for rows that were divided by their noise's standard deviation: the Cramer-Rao bound if it is white."""
     length, s, vt = _unit_svd(jacobian)
@@ -79,6 +92,9 @@ def robust_covariance(jacobian: Array, residual: Array, blocks: Sequence[Residua
         for other in blocks:
             if other.record == block.record:
                 meat += _coloured(jacobian, residual, block, other)
+    # Rows behind those of the data: what is known before, with errors of its own.
+    before = jacobian[max(block.rows.stop for block in blocks) :]
+    meat += before.T @ before
     freedom = residual.size / max(1, residual.size - jacobian.shape[1])
     return np.asarray(freedom * bread @ meat @ bread)
 
@@ -97,12 +113,13 @@ def _coloured(jacobian: Array, residual: Array, one: ResidualRows, two: Residual
     (j1, e1), (j2, e2) = spread(one), spread(two)
     reach = min(math.ceil(2.0 * math.sqrt(steps)), steps - 1)
     lags = np.arange(-reach, reach + 1)
-    size = steps + reach
-    cross = np.fft.irfft(np.fft.rfft(e1, 2 * size) * np.fft.rfft(e2, 2 * size).conj(), 2 * size)[lags]
+    # A power of two, at which the transform is fast, that holds the steps and the lags on both sides.
+    size = 1 << (steps + 2 * reach - 1).bit_length()
+    cross = np.fft.irfft(np.fft.rfft(e1, size) * np.fft.rfft(e2, size).conj(), size)[lags]
     kernel = (1.0 - np.abs(lags) / (reach + 1.0)) * cross / math.sqrt(one.when.size * two.when.size)
-    spectrum = np.fft.rfft(j2, 2 * size, axis=0) * np.fft.rfft(kernel, 2 * size)[:, None]
-    filtered = np.fft.irfft(spectrum, 2 * size, axis=0)[reach : reach + steps]
-    return np.asarray(j1.T @ filtered)
+    spectrum = np.fft.rfft(j2.T, size) * np.fft.rfft(kernel, size)
+    filtered = np.fft.irfft(spectrum, size)[:, reach : reach + steps]
+    return np.asarray(j1.T @ filtered.T)
 
 
 def _smoothed(residual: Array) -> Array:

@@ -2,26 +2,39 @@
 
 import json
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.validate import Comparison, deviations
 
 Array = NDArray[np.float64]
+
+_CONTRADICTED = 3.0
+"""Standard deviations between an estimate and what was known before that are no chance."""
+
+_UNTOLD = 0.9
+"""Share of the doubt before that is left where the data hardly tell anything."""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
     """What a fit found.
 
-    `values`, `covariance` and `robust` are in the order of `labels` (SI units, `units`); an unknown held by a bound
-    has NaN variance; `local` are the labels that belong to one record (initial states, trim, bias). `covariance`
-    supposes white residuals and is then the Cramer-Rao bound at the estimate; `robust` holds for coloured ones too.
-    `noise` is each output's residual standard deviation. `identification` and `validation` compare model and data,
-    one entry an output of a record.
+    `values`, `covariance` and `robust` are in the order of `labels` (SI units, `units`); `local` are the labels that
+    belong to one record (initial states, trim, bias). `covariance` supposes white residuals and is then the Cramer-Rao
+    bound at the estimate; `robust` holds for coloured ones too. An unknown that its bound holds has no standard
+    deviation (NaN). The covariances are those with it free, where the data tell it: a bound makes nothing surer.
+    `at_rest` names unknowns that were held at 0, as dry friction holds at the start what they are the speed of.
+    `sums` are sums of unknowns by name (`Structure.sums`), which `found[name]`, `sigma` and `interval` know as well.
+    `noise` is each output's residual standard deviation, `disturbance` the noise model under which all this holds.
+    Under one that is not white, `covariance` and all tests are those of its prediction errors. `identification` and
+    `validation` compare model and data, one entry an output of a record. `prior` is what was known before of the
+    unknowns that were estimated: mean and standard deviation. It is part of the estimate and of its doubt.
     """
 
     structure: str
@@ -40,10 +53,15 @@ class Estimate:
     iterations: int
     converged: bool
     domain: str
+    sums: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    disturbance: DisturbanceModel = field(default_factory=DisturbanceModel)
+    at_rest: tuple[str, ...] = ()
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __getitem__(self, label: str) -> float:
-        """The value of an unknown. Raises IdentificationError for an unknown name."""
-        return float(self.values[self._index(label)])
+        """The value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
+        held = sum(self.fixed[part] for part in self.sums.get(label, ()) if part not in self.labels)
+        return float(self._weights(label) @ self.values) + held
 
     @property
     def white(self) -> bool:
@@ -62,11 +80,11 @@ class Estimate:
 
     def sigma(self, label: str) -> float:
         """The standard deviation to quote (see `quoted`)."""
-        return math.sqrt(float(np.diag(self.quoted)[self._index(label)]))
+        return self._deviation(self.quoted, label)
 
     def cramer_rao(self, label: str) -> float:
         """The Cramer-Rao bound on the standard deviation, at the estimate and for white noise of the size found."""
-        return math.sqrt(float(np.diag(self.covariance)[self._index(label)]))
+        return self._deviation(self.covariance, label)
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float]:
         """The confidence interval at `level` (normal distribution, standard deviation as quoted).
@@ -77,9 +95,19 @@ class Estimate:
         return self[label] - half, self[label] + half
 
     @property
+    def summed(self) -> tuple[str, ...]:
+        """The sums of which at least one part was estimated for all records."""
+        return tuple(name for name, parts in self.sums.items() if any(part in self.labels for part in parts))
+
+    def unit(self, label: str) -> str:
+        """The unit of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
+        parts = self.sums[label] if label in self.summed and label not in self.labels else (label,)
+        return self.units[self._index(next((part for part in parts if part in self.labels), label))]
+
+    @property
     def correlation(self) -> Array:
         """Correlation matrix of the estimates, from the quoted covariance."""
-        deviation = np.sqrt(np.diag(self.quoted))
+        deviation = np.array([self.sigma(label) for label in self.labels])
         return np.asarray(self.quoted / np.outer(deviation, deviation))
 
     @property
@@ -94,14 +122,25 @@ class Estimate:
         if not self.converged:
             found.append("the search did not converge: give better first guesses or fix unknowns")
         found.extend(f"{label} is held by its bound: widen the bound or fix it" for label in self.at_bound)
+        found.extend(
+            f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
+            for name in self.at_rest
+        )
         if "xi" in self.labels and self["xi"] < 0.0:
             found.append(
                 "xi is negative, a swing that grows by itself: the record does not show the damping. "
                 "Hold w_n and xi at those of a free response"
             )
+        found.extend(self._prior_remarks())
+        loose = [name for name in self.summed if self._only_together(name)]
+        together = {part for name in loose for part in self.sums[name]}
+        found.extend(
+            f"the data tell {' and '.join(self.sums[name])} only together: use {name}, or hold one of them"
+            for name in loose
+        )
         for i, label in enumerate(self.labels):
-            deviation = math.sqrt(self.quoted[i, i])
-            if label not in self.local and deviation > abs(self.values[i]):
+            deviation = self.sigma(label)
+            if label not in (*self.local, *together) and deviation > abs(self.values[i]):
                 found.append(f"the data hardly tell {label}: {self.values[i]:.3g} +- {deviation:.2g}")
         correlation = self.correlation
         for i in range(len(self.labels)):
@@ -109,17 +148,19 @@ class Estimate:
                 f"{self.labels[j]} and {self.labels[i]} are hardly told apart "
                 f"(correlation {correlation[i, j]:.3f}): fix one or add an experiment"
                 for j in range(i)
-                if abs(correlation[i, j]) > 0.98
+                if abs(correlation[i, j]) > 0.98 and not {self.labels[i], self.labels[j]} <= together
             )
         if not self.white:
             found.append(
                 "the residuals are not white, so the robust standard deviations are quoted: "
                 "the structure or the noise model leaves something out"
             )
+            found.extend(self._noise_remarks())
         found.extend(
             f"the residual of {c.output} in '{c.record}' wanders, so the standard deviations are too small by an "
             "unknown factor: something pushes the drone itself, as a gust does, or the structure is wrong. Repeat the "
-            "flight and believe the spread of the estimates"
+            "flight and believe the spread of the estimates, or fit a linear structure with the rotors' lag, which "
+            "lets the gust be a part of the model"
             for c in self.identification
             if c.wanders
         )
@@ -128,9 +169,47 @@ class Estimate:
                 f"the residual of {c.output} in '{c.record}' still depends on {name}: the structure leaves out a part "
                 "of the response"
                 for name, test in c.inputs.items()
-                if not test.passed
+                if not test.causal.passed
             )
         return tuple(found)
+
+    def _only_together(self, name: str) -> bool:
+        """Whether a sum of estimates is known five times better than the part of it that is known worst."""
+        parts = [part for part in self.sums[name] if part in self.labels]
+        known = [self.sigma(part) for part in parts if not math.isnan(self.sigma(part))]
+        return len(parts) > 1 and bool(known) and self.sigma(name) < 0.2 * max(known)
+
+    def _prior_remarks(self) -> list[str]:
+        """Where the data say nothing beyond what was known before, and where they say something else."""
+        found = []
+        for label in self.labels:
+            mean, width = self.prior.get(label.partition("[")[0], (0.0, math.inf))
+            if abs(self[label] - mean) > _CONTRADICTED * width:
+                found.append(
+                    f"the data contradict what was known of {label}, {mean:.3g} +- {width:.2g}: "
+                    "give another `prior`, or look for what the structure leaves out"
+                )
+            elif self.sigma(label) > _UNTOLD * width:
+                found.append(
+                    f"{label} is mostly what was known before, {mean:.3g} +- {width:.2g}: the data hardly tell it"
+                )
+        return found
+
+    def _noise_remarks(self) -> list[str]:
+        """What coloured residuals mean that were taken for white."""
+        if self.disturbance.kind != "white":
+            return []
+        found = [
+            f"{name} answers the noise, as a controller does: coloured noise that is taken for white then makes the "
+            "estimates wrong, not only unsure. Fit with disturbance='ar'"
+            for name in self.disturbance.answering
+        ]
+        if self.disturbance.change > 0.0:
+            found.append(
+                f"coloured noise would change an estimate by {self.disturbance.change:.0f} standard deviations, which "
+                "in open loop it must not: the structure leaves out a part of the response, and output error is kept"
+            )
+        return found
 
     def table(self) -> str:
         """Values, standard deviations (white, robust), fits and remarks as text for a terminal."""
@@ -138,10 +217,20 @@ class Estimate:
         lines = [f"{self.structure} ({self.domain}), condition number {self.condition_number:.3g}"]
         lines.append(f"{'':{width}}{'estimate':>12}{'1 sigma':>11}{'robust':>11}  unit")
         for i, label in enumerate(self.labels):
-            white, robust = math.sqrt(self.covariance[i, i]), math.sqrt(self.robust[i, i])
+            white, robust = self._deviation(self.covariance, label), self._deviation(self.robust, label)
             # Of residuals that wander all that is known is that it is more.
             least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
             lines.append(f"{label:{width}}{self.values[i]:12.5g}{white:11.2g}{least:>11}  {self.units[i] or '-'}")
+        for name in self.summed:
+            white, robust = self._deviation(self.covariance, name), self._deviation(self.robust, name)
+            parts = f"{self.unit(name) or '-'} ({' + '.join(self.sums[name])})"
+            least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
+            lines.append(f"{name:{width}}{self[name]:12.5g}{white:11.2g}{least:>11}  {parts}")
+        if self.disturbance.kind != "white":
+            lines.append(f"disturbance: {self.disturbance.text}")
+        if self.prior:
+            known = (f"{name} {mean:.5g} +- {width:.2g}" for name, (mean, width) in self.prior.items())
+            lines.append(f"known before: {', '.join(known)}")
         if self.held:
             lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
         for title, comparisons in (("identification", self.identification), ("validation", self.validation)):
@@ -162,13 +251,19 @@ class Estimate:
                     label: {
                         "value": float(self.values[i]),
                         "unit": self.units[i],
-                        "sigma": _number(self.covariance[i, i]),
-                        "sigma_robust": _number(self.robust[i, i]),
+                        "sigma": _plain(self._deviation(self.covariance, label)),
+                        "sigma_robust": _plain(self._deviation(self.robust, label)),
                     }
                     for i, label in enumerate(self.labels)
                 },
+                "sums": {
+                    name: {"value": self[name], "sigma": _plain(self.sigma(name)), "parts": list(self.sums[name])}
+                    for name in self.summed
+                },
                 "fixed": self.fixed,
+                "prior": {name: list(one) for name, one in self.prior.items()},
                 "noise": self.noise,
+                "disturbance": self.disturbance.to_json(),
                 "condition_number": self.condition_number,
                 "correlation": [[_plain(v) for v in row] for row in self.correlation],
                 "identification": [c.to_json() for c in self.identification],
@@ -181,16 +276,27 @@ class Estimate:
             allow_nan=False,
         )
 
+    def _weights(self, label: str) -> Array:
+        """Which estimates `label` adds up, as 0 or 1 each."""
+        if label not in self.summed or label in self.labels:
+            return np.asarray(np.arange(len(self.labels)) == self._index(label), dtype=float)
+        return np.array([float(one in self.sums[label]) for one in self.labels])
+
+    def _deviation(self, covariance: Array, label: str) -> float:
+        """The root of the variance of an unknown or a sum; NaN for an unknown that its bound holds."""
+        used = self._weights(label) > 0.0
+        if used.sum() == 1 and label in self.at_bound:
+            return math.nan
+        # Where not even the covariance with it free is known, that of the other parts is left.
+        own = used & np.isfinite(np.diag(covariance)) if used.sum() > 1 else used
+        return math.sqrt(float(covariance[np.ix_(own, own)].sum())) if own.any() else math.nan
+
     def _index(self, label: str) -> int:
         if label not in self.labels:
             raise IdentificationError(
                 f"'{label}' was not estimated", f"structure '{self.structure}'", f"were: {', '.join(self.labels)}"
             )
         return self.labels.index(label)
-
-
-def _number(variance: float) -> float | None:
-    return math.sqrt(variance) if variance >= 0.0 else None
 
 
 def _plain(value: float) -> float | None:

@@ -31,7 +31,8 @@ _REST_S = 0.1
 class ExperimentKind:
     """What to look for (modes and shapes of `flightlog.contents`), and inputs and outputs of the record.
 
-    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m.
+    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m. Inputs
+    named in `smooth` are measured and move on between their samples (`Record.from_channels`).
     """
 
     name: str
@@ -40,6 +41,7 @@ class ExperimentKind:
     shapes: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    smooth: tuple[str, ...] = ()
 
 
 _KINDS = (
@@ -52,6 +54,7 @@ _KINDS = (
         ("doublet", "doublets", "sweep", "steps"),
         ("theta0", "theta", "q", "M", "T"),
         ("v", "x"),
+        ("theta", "q"),
     ),
 )
 KINDS: Mapping[str, ExperimentKind] = MappingProxyType({kind.name: kind for kind in _KINDS})
@@ -80,8 +83,9 @@ def cut(
     if kind.name == "impulse" and window is None:
         stop = _end_of_motion(log, start, stop)
     channels = {one: _channel(log, one, one in kind.outputs) for one in (*kind.inputs, *kind.outputs)}
+    title = log.source if name is None else name
     return Record.from_channels(
-        channels, kind.inputs, kind.outputs, start=start, stop=stop, name=log.source if name is None else name
+        channels, kind.inputs, kind.outputs, start=start, stop=stop, smooth=kind.smooth, name=title
     )
 
 

@@ -1,25 +1,29 @@
-"""Grey-box output error: the parameters with which a simulated structure reproduces the measured outputs best.
+"""Grey-box identification: the parameters with which a simulated structure reproduces the measured outputs best.
 
-The estimate minimises the sum of ((measured - simulated) / sigma)^2 over all outputs of all records. With white output
-noise that is maximum likelihood (Ljung, System Identification, section 7.4; what MATLAB's greyest does without a
-disturbance model). The standard deviations sigma of the outputs are estimated along, unless given.
+The estimate minimises the sum of ((measured - simulated) / sigma)^2 over all outputs of all records: output error. With
+white output noise that is maximum likelihood (Ljung, System Identification, section 7.4; what MATLAB's greyest does
+without a disturbance model). The standard deviations sigma of the outputs are estimated along, unless given. Where the
+residual has a colour, a noise model takes it out of residual and sensitivities (`twodof.identify.disturbance`).
 """
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
-from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, robust_covariance
+from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, doubted, robust_covariance
+from twodof.identify.disturbance.disturbance_model import Disturbance
+from twodof.identify.disturbance.search import check_disturbance, search
 from twodof.identify.estimate import Estimate
-from twodof.identify.levenberg_marquardt import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
-from twodof.identify.record import Record
+from twodof.identify.record import Record, check_record
+from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
 from twodof.identify.validate import Comparison, compare
-from twodof.models.structure import Structure
+from twodof.models.structure import Structure, check_structure
 
 Array = NDArray[np.float64]
 
@@ -36,6 +40,8 @@ def fit(
     band: tuple[float, float] | None = None,
     validation: Record | Sequence[Record] = (),
     like: str = "",
+    disturbance: Disturbance = "auto",
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> Estimate:
     """Fit `structure` to `records`.
 
@@ -46,17 +52,22 @@ def fit(
     domain, from and to these frequencies [Hz].
     `validation`: records that the model must reproduce without having seen them. Only their local unknowns are fitted.
     The separate ones are those of the record `like` (default: the last).
+    `disturbance`: "white" is output error. With "ar" the noise of each output has the colour that its residual shows.
+    It is an autoregression (Ljung, section 7.2), which closed loops need. With "input" a random push (a gust) acts at
+    the input of a linear structure beside the sensor's noise. It is found by restricted likelihood. With "auto" the fit
+    takes output error where its residual is white. Otherwise it takes "ar" for records of 800 samples and more and
+    "input" for shorter ones. It stays with output error where `noise` or `band` is given, and for a short record where
+    the structure has no lag of the actuator. In open loop it does so too where the noise model would change the
+    estimates by more than chance: then the structure is wrong.
+    `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are estimated all the same,
+    and weigh what is known against what the data tell (Bayes, normal). It is added to what the structure knows of the
+    machine (`Structure.prior`); an infinite standard deviation takes that away. Its mean is the first guess.
 
     Raises IdentificationError for a wrong type, for unknown or repeated names, and for a record without the structure's
     channels. It is also raised for a model that is not finite at the first guess, and for unknowns that the data cannot
     tell (apart), naming them.
     """
-    if not isinstance(structure, Structure):
-        raise IdentificationError(
-            f"a {type(structure).__name__} is not a structure",
-            f"{getattr(structure, '__name__', structure)!s:.80}",
-            "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()",
-        )
+    check_structure(structure)
     wanted = structure.estimate if estimate is None else _names(estimate)
     twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
     if twice:
@@ -66,19 +77,46 @@ def fit(
     if not wanted:
         raise IdentificationError("`estimate` names no unknown", f"structure '{structure.name}'", "name an unknown")
     given = dict(values or {})
-    problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), _names(separate), band)
-    minimum = _solve(problem, noise or {})
-    jacobian = problem.central_jacobian(minimum.x)
+    where = f"structure '{structure.name}'"
+    check_disturbance(disturbance, band is not None, bool(noise), where)
+    problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), _names(separate), band, prior)
+    found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
+    minimum, jacobian = found.minimum, found.jacobian
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
-    where = f"structure '{structure.name}'"
     if free.size == 0:
         raise IdentificationError("every unknown is held by a bound", where, "widen the bounds or check the signs")
-    condition = check_identifiable(jacobian[:, free], problem.scale[free], [labels[i] for i in free], where)
+    try:
+        condition = check_identifiable(jacobian[:, free], problem.scale[free], [labels[i] for i in free], where)
+    except IdentificationError:
+        moving = tuple(name for name in wanted if name not in structure.at_rest)
+        left = np.array([i for i in free if problem.slots[i].unknown.name in moving], dtype=np.int64)
+        if left.size == free.size or not left.size:
+            raise
+        check_identifiable(jacobian[:, left], problem.scale[left], [labels[i] for i in left], where)
+        still = {name: 0.0 for name in wanted if name not in moving}
+        given = {name: value for name, value in given.items() if name.partition("[")[0] not in still} | still
+        again = fit(
+            structure,
+            records,
+            estimate=moving,
+            values=given,
+            bounds=bounds,
+            separate=separate,
+            noise=noise,
+            band=band,
+            validation=validation,
+            like=like,
+            disturbance=disturbance,
+            prior={name: one for name, one in (prior or {}).items() if name not in still},
+        )
+        return replace(again, at_rest=tuple(still))
     white, robust = (np.full((len(labels), len(labels)), math.nan) for _ in range(2))
-    residual = problem.residual(minimum.x)
-    white[np.ix_(free, free)] = covariance(jacobian[:, free])
-    robust[np.ix_(free, free)] = robust_covariance(jacobian[:, free], residual, problem.blocks, band is not None)
+    known = doubted(jacobian, problem.scale, free)
+    white[np.ix_(known, known)] = covariance(jacobian[:, known])
+    robust[np.ix_(known, known)] = robust_covariance(
+        jacobian[:, known], found.prediction_error, problem.blocks, band is not None
+    )
     return Estimate(
         structure=structure.name,
         labels=tuple(labels),
@@ -87,15 +125,20 @@ def fit(
         values=minimum.x,
         covariance=white,
         robust=robust,
-        noise=problem.noise(),
+        noise={label: s * float(d) for (label, s), d in zip(problem.noise().items(), found.deviation, strict=True)},
         fixed={name: value for name, value in problem.values(minimum.x, 0).items() if name not in wanted},
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
-        identification=_comparisons(problem, minimum.x),
+        identification=_comparisons(
+            problem, minimum.x, None if found.model.kind == "white" else found.prediction_error
+        ),
         validation=_validation(structure, problem, minimum.x, _several(validation), like),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
+        sums=structure.sums,
+        disturbance=found.model,
+        prior=problem.known,
     )
 
 
@@ -113,10 +156,7 @@ def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
     many = isinstance(records, Iterable) and not isinstance(records, (FlightLog, Mapping))
     several = tuple(records) if many else ()
     if not many or not all(isinstance(one, Record) for one in several):
-        odd = next((one for one in several if not isinstance(one, Record)), records)
-        raise IdentificationError(
-            f"a {type(odd).__name__} is not a record", "records", "cut one from a log: cut(log, 'doublet')"
-        )
+        check_record(next((one for one in several if not isinstance(one, Record)), records))
     return several
 
 
@@ -137,7 +177,7 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
         change = _reweight(problem, minimum, open_weights)
         # One weight alone does not move the minimum; of several, a per cent is far below what their estimated
         # spread is worth.
-        if change < 0.01 or len(problem.blocks) == 1:
+        if change < 0.01 or (len(problem.blocks) == 1 and not len(problem.prior)):
             break
     return minimum
 
@@ -145,7 +185,7 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
 def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[ResidualRows]) -> float:
     """Set the sigma of each block to that of its residuals (degrees of freedom shared by rows); the largest change."""
     residual = minimum.residual
-    freedom = max(1, residual.size - len(problem.slots)) / residual.size
+    freedom = max(1, problem.size - len(problem.slots)) / problem.size
     change = 0.0
     for block in blocks:
         rows = residual[block.rows]
@@ -157,8 +197,11 @@ def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[R
     return change
 
 
-def _comparisons(problem: Problem, x: Array) -> tuple[Comparison, ...]:
+def _comparisons(problem: Problem, x: Array, prediction_error: Array | None = None) -> tuple[Comparison, ...]:
     found = []
+    tested = {}
+    if prediction_error is not None:
+        tested = {(block.record, block.output): prediction_error[block.rows] for block in problem.blocks}
     for r, record in enumerate(problem.records):
         for output, simulated in problem.simulate(x, r).items():
             samples = record.outputs[output]
@@ -171,6 +214,7 @@ def _comparisons(problem: Problem, x: Array) -> tuple[Comparison, ...]:
                     samples.value,
                     np.array(simulated),
                     {name: record.inputs[name][step] for name in problem.structure.inputs},
+                    prediction_error=tested.get((r, output)),
                 )
             )
     return tuple(found)

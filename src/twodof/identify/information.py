@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
@@ -86,12 +87,17 @@ def predict(
     values: Mapping[str, float] | None = None,
     estimate: Collection[str] | None = None,
     repeats: int = 1,
+    disturbance: DisturbanceModel | None = None,
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> Information:
     """The accuracy that `inputs` (name -> samples, each `dt` [s]) will give for the unknowns `estimate`.
 
     `noise`: standard deviation of each output that will be measured (its unit). `values`: what the unknowns are thought
     to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
-    flight, gain nothing from it. Raises IdentificationError as `fit` does, for unknowns the experiment cannot tell.
+    flight, gain nothing from it. `disturbance`: the noise model of an earlier estimate (`found.disturbance`), whose
+    noise of an output is taken instead of white noise of that size. `prior`: what is known before, as `fit` has it. It
+    counts once, however many flights there are. Raises IdentificationError as `fit` does, for
+    unknowns the experiment cannot tell.
     """
     for output, size in noise.items():
         if output not in structure.outputs or not size > 0.0:
@@ -102,15 +108,21 @@ def predict(
             )
     record = _blank(structure, inputs, dt, tuple(noise))
     wanted = structure.estimate if estimate is None else tuple(estimate)
-    problem = Problem(structure, [record], wanted, dict(values or {}), {})
+    problem = Problem(structure, [record], wanted, dict(values or {}), {}, prior=prior)
     problem.set_noise(noise)
     x = problem.x0
     jacobian = problem.central_jacobian(x)
+    if disturbance is not None:
+        for block in problem.blocks:
+            model = disturbance.of(block.output, dt)
+            if model is not None:
+                rows = jacobian[block.rows] * noise[block.output]
+                jacobian[block.rows] = model.whiten(rows, [slice(0, rows.shape[0])])
     labels = tuple(slot.label for slot in problem.slots)
     where = f"structure '{structure.name}', planned experiment"
     condition = check_identifiable(jacobian, problem.scale, labels, where)
     shared = np.flatnonzero([not slot.unknown.local for slot in problem.slots])
-    bound = _repeated(jacobian, shared, repeats)
+    bound = _repeated(jacobian, problem.size, shared, repeats)
     sigma = np.sqrt(np.diag(bound))
     simulated = simulate_planned(structure, inputs, dt, problem.values(x, 0))
     return Information(
@@ -147,12 +159,19 @@ def simulate_planned(
     return RecordSimulator(structure, _blank(structure, inputs, dt, structure.outputs)).run(values)
 
 
-def _repeated(jacobian: Array, shared: NDArray[np.int64], repeats: int) -> Array:
-    """The covariance after `repeats` flights that each have their own local unknowns."""
+def _repeated(jacobian: Array, size: int, shared: NDArray[np.int64], repeats: int) -> Array:
+    """The covariance after `repeats` flights that each have their own local unknowns.
+
+    The first `size` rows of `jacobian` are those of a flight's data, the others what was known before them all.
+    """
     one = covariance(jacobian)
     if repeats == 1 or not shared.size:
         return one
     # Each further flight adds what it tells of the shared unknowns, whatever its own local ones are.
     information = np.linalg.inv(one)
-    information[np.ix_(shared, shared)] += (repeats - 1) * np.linalg.inv(one[np.ix_(shared, shared)])
+    flight = jacobian[:size].T @ jacobian[:size]
+    own = np.setdiff1d(np.arange(jacobian.shape[1]), shared)
+    mixed = flight[np.ix_(shared, own)]
+    told = flight[np.ix_(shared, shared)] - mixed @ np.linalg.solve(flight[np.ix_(own, own)], mixed.T)
+    information[np.ix_(shared, shared)] += (repeats - 1) * told
     return np.linalg.inv(information)

@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import ResidualRows
+from twodof.identify.frequency.band import Band
 from twodof.identify.record import Record
+from twodof.identify.search.prior import Prior, check_prior
 from twodof.identify.simulate import RecordSimulator
 from twodof.models.structure import Structure, UnknownParameter
 
@@ -36,7 +38,8 @@ class Problem:
     differ: one flown with the rotors at rest has a tenth of the noise. `values` are first guesses or fixed values by
     unknown, or by "unknown[record]" for one record. `band` (low, high) [Hz] keeps only the discrete Fourier
     coefficients of the residuals inside it. They are scaled so that white noise of standard deviation sigma still gives
-    rows of standard deviation 1.
+    rows of standard deviation 1. `prior` holds (mean, standard deviation) of unknowns that are known from elsewhere,
+    beside those that the structure has. Each is one more row, behind those of the data.
     """
 
     def __init__(
@@ -48,15 +51,20 @@ class Problem:
         bounds: Mapping[str, tuple[float, float]],
         separate: Collection[str] = (),
         band: tuple[float, float] | None = None,
+        prior: Mapping[str, tuple[float, float]] | None = None,
     ) -> None:
         self.structure, self.records, self.band = structure, tuple(records), band
         self._check(estimate, values, bounds, separate)
         unknowns = structure.unknowns
+        given = dict(prior or {})
+        check_prior(given, tuple(unknowns), f"structure '{structure.name}'")
+        guesses = {name: unknown.value for name, unknown in unknowns.items()}
+        guesses |= {name: mean for name, (mean, deviation) in given.items() if math.isfinite(deviation)}
         self.slots = tuple(_slots(unknowns, self.records, estimate, separate))
         self._fixed = [
             {
-                name: float(values.get(f"{name}[{record.name}]", values.get(name, unknown.value)))
-                for name, unknown in unknowns.items()
+                name: float(values.get(f"{name}[{record.name}]", values.get(name, guess)))
+                for name, guess in guesses.items()
             }
             for record in self.records
         ]
@@ -70,11 +78,21 @@ class Problem:
         self.lower = np.array([max(b[0], s.unknown.lower) for b, s in zip(limits, self.slots, strict=True)])
         self.upper = np.array([min(b[1], s.unknown.upper) for b, s in zip(limits, self.slots, strict=True)])
         self.scale = np.array([s.unknown.scale for s in self.slots])
+        self.known = {
+            name: one
+            for name, one in {**structure.prior, **given}.items()
+            if math.isfinite(one[1]) and any(slot.unknown.name == name for slot in self.slots)
+        }
+        places = [(i, self.known[s.unknown.name]) for i, s in enumerate(self.slots) if s.unknown.name in self.known]
+        self.prior = Prior(places, len(self.slots))
         self._refuse_impossible()
         self._simulators = [RecordSimulator(structure, record) for record in self.records]
         for simulator, fixed in zip(self._simulators, self._fixed, strict=True):
             simulator.run(fixed)
+        self._bands: dict[tuple[int, str], Band] = {}
         self.blocks = tuple(self._blocks())
+        own = [[block.rows for block in self.blocks if block.record == r] for r in range(len(self.records))]
+        self._spans = [slice(rows[0].start, rows[-1].stop) for rows in own]
         # A first weight: the signal's own standard deviation.
         self.sigma = {
             (b.record, b.output): float(self.records[b.record].outputs[b.output].value.std()) or 1.0
@@ -114,11 +132,18 @@ class Problem:
 
     def simulate(self, x: Array, record: int) -> dict[str, Array]:
         """Each measured output of one record at its samples' times."""
-        return self._simulators[record].run({name: x[i] for name, i in self._pick[record].items()})
+        plain = x.tolist()
+        return self._simulators[record].run({name: plain[i] for name, i in self._pick[record].items()})
 
     def residual(self, x: Array) -> Array:
-        """The weighted residuals of all records."""
-        return np.concatenate([self._rows(x, r) for r in range(len(self.records))])
+        """The weighted residuals of all records, and how far x is from what was known before."""
+        own = [self._rows(x, r) for r in range(len(self.records))]
+        return _joined([*own, self.prior.rows(x)] if len(self.prior) else own)
+
+    @property
+    def size(self) -> int:
+        """Number of rows of the data, those of the prior left out."""
+        return int(self._spans[-1].stop)
 
     def jacobian(self, x: Array, residual: Array) -> Array:
         """One-sided differences of the residual; an unknown of one record re-simulates only that record."""
@@ -132,40 +157,34 @@ class Problem:
 
     def _differences(self, x: Array, high: Array, low: Array, residual: Array | None = None) -> Array:
         """(residual at `high` - that at `low`) / (high - low), unknown by unknown; `residual` is that at x = `low`."""
-        rows = [[block.rows for block in self.blocks if block.record == r] for r in range(len(self.records))]
-        jac = np.zeros((rows[-1][-1].stop, x.size))
+        columns = np.zeros((x.size, self.size))
         for i, slot in enumerate(self.slots):
-            up, down = x.copy(), x.copy()
-            up[i], down[i] = high[i], low[i]
-            for r, own in enumerate(rows):
-                if slot.record in (None, r):
-                    span = slice(own[0].start, own[-1].stop)
-                    below = self._rows(down, r) if residual is None else residual[span]
-                    jac[span, i] = (self._rows(up, r) - below) / (high[i] - low[i])
-        return jac
+            up = x.copy()
+            up[i] = high[i]
+            for r, span in enumerate(self._spans):
+                if slot.record not in (None, r):
+                    continue
+                if residual is None:
+                    down = x.copy()
+                    down[i] = low[i]
+                    columns[i, span] = self._rows(up, r) - self._rows(down, r)
+                else:
+                    np.subtract(self._rows(up, r), residual[span], out=columns[i, span])
+        columns /= (high - low)[:, None]
+        return np.hstack([columns, self.prior.slopes.T]).T if len(self.prior) else columns.T
 
     def _rows(self, x: Array, record: int) -> Array:
         simulated = self.simulate(x, record)
         measured = self.records[record].outputs
-        return np.concatenate(
+        return _joined(
             [
-                self._banded(measured[name].value - simulated[name], record) / self.sigma[record, name]
+                self._banded(measured[name].value - simulated[name], record, name) / self.sigma[record, name]
                 for name in self._simulators[record].outputs
             ]
         )
 
-    def _banded(self, error: Array, record: int) -> Array:
-        if self.band is None:
-            return error
-        spectrum = np.fft.rfft(error)[self._bins(error.size, record)] * math.sqrt(2.0 / error.size)
-        return np.concatenate([spectrum.real, spectrum.imag])
-
-    def _bins(self, size: int, record: int) -> NDArray[np.int64]:
-        low, high = self.band or (0.0, math.inf)
-        frequency = np.fft.rfftfreq(size, self.records[record].dt)
-        # The coefficients at 0 and at half the sampling rate are real: they would be rows of another variance.
-        inner = (frequency > 0.0) & (frequency < 0.5 / self.records[record].dt * (1.0 - 1e-9))
-        return np.flatnonzero((frequency >= low) & (frequency <= high) & inner)
+    def _banded(self, error: Array, record: int, output: str) -> Array:
+        return error if self.band is None else self._bands[record, output].coefficients(error)
 
     def _blocks(self) -> list[ResidualRows]:
         blocks, start = [], 0
@@ -174,22 +193,9 @@ class Problem:
                 samples = self.records[r].outputs[output]
                 when = np.floor(samples.position).astype(np.int64)
                 if self.band is not None:
-                    spacing = np.diff(samples.position)
-                    # Jitter of a tenth turns the phase at the highest frequency by 18 degrees, in the band by far less.
-                    if spacing.size == 0 or np.abs(spacing - spacing.mean()).max() > 0.1 * spacing.mean():
-                        raise IdentificationError(
-                            "the frequency domain needs samples without gaps on a uniform clock",
-                            f"record '{self.records[r].name}', output '{output}'",
-                            "fit in the time domain, or resample the log first",
-                        )
-                    bins = self._bins(samples.position.size, r)
-                    if bins.size == 0:
-                        raise IdentificationError(
-                            f"no Fourier coefficient lies in {self.band[0]:g} to {self.band[1]:g} Hz",
-                            f"record '{self.records[r].name}', output '{output}'",
-                            f"the resolution is {1.0 / (self.records[r].dt * samples.position.size):g} Hz",
-                        )
-                    when = np.concatenate([bins, bins])
+                    where = f"record '{self.records[r].name}', output '{output}'"
+                    self._bands[r, output] = band = Band(self.band, samples.position, self.records[r].dt, where)
+                    when = np.concatenate([band.bins, band.bins])
                 blocks.append(ResidualRows(r, output, slice(start, start + when.size), when))
                 start += when.size
         return blocks
@@ -224,6 +230,10 @@ class Problem:
                     f"structure '{self.structure.name}'",
                     "give another guess or other bounds",
                 )
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
 def _slots(

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
+from twodof.identify.hold import HOLDS
 
 Array = NDArray[np.float64]
 
@@ -34,8 +35,10 @@ class Samples:
 class Record:
     """What was applied and what was measured, in one window.
 
-    `inputs[name]` has shape (steps,) and is held from one step to the next; `outputs[name]` are samples at their own
-    times. `dt` [s] is the step, `start` [s] the time of step 0 on the log's axis.
+    `inputs[name]` has shape (steps,); `outputs[name]` are samples at their own times. `dt` [s] is the step, `start` [s]
+    the time of step 0 on the log's axis. `hold[name]` says how an input behaves between its steps. The default "zoh"
+    holds it, and "linear" draws straight lines. With "band-limited" it has nothing above half the sampling rate, as
+    behind an anti-alias filter. Raises IdentificationError for a hold that is none of these, or of no input.
     """
 
     name: str
@@ -43,6 +46,21 @@ class Record:
     start: float
     inputs: Mapping[str, Array]
     outputs: Mapping[str, Samples]
+    hold: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name, hold in self.hold.items():
+            _check_hold(hold, f"record '{self.name}', input '{name}'")
+            if name not in self.inputs:
+                raise IdentificationError(
+                    f"a hold is given for '{name}', which is not an input",
+                    f"record '{self.name}'",
+                    f"the inputs are: {', '.join(self.inputs)}",
+                )
+
+    def hold_of(self, input: str) -> str:
+        """How `input` behaves between its steps."""
+        return self.hold.get(input, "zoh")
 
     @property
     def steps(self) -> int:
@@ -78,13 +96,14 @@ class Record:
         name: str = "record",
         *,
         smooth: Collection[str] = (),
+        hold: str | Mapping[str, str] = "zoh",
     ) -> Self:
-        """A record from one table whose columns share the column `time` [s]; `smooth` as in `from_channels`.
+        """A record from one table whose columns share the column `time` [s]; `smooth`, `hold` as in `from_channels`.
 
         Raises IdentificationError for a missing column, NaN, time that does not increase, fewer than two rows.
         """
         channels = {column: (time, value) for column, value in columns.items()}
-        return cls.from_channels(channels, inputs, outputs, smooth=smooth, name=name)
+        return cls.from_channels(channels, inputs, outputs, smooth=smooth, hold=hold, name=name)
 
     @classmethod
     def from_channels(
@@ -97,6 +116,7 @@ class Record:
         stop: float = math.inf,
         dt: float | None = None,
         smooth: Collection[str] = (),
+        hold: str | Mapping[str, str] = "zoh",
         name: str = "record",
     ) -> Self:
         """A record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
@@ -105,7 +125,9 @@ class Record:
         phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
         jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them, such as a measured
         pitch. Of those, step k takes the value half-way to the next step, interpolated linearly. Outputs keep their
-        stamps. A channel may have gaps; the inputs hold across them.
+        stamps. A channel may have gaps; the inputs hold across them. `hold`: how inputs behave between samples, one of
+        HOLDS for all or by input (see `Record`). An input that is not held has at step k its value at that time,
+        interpolated linearly between its stamps; simulations then move it on between the steps.
         Raises IdentificationError for a missing channel, NaN, time that does not increase, an empty window.
         """
         if not inputs or not outputs:
@@ -119,6 +141,17 @@ class Record:
                     f"'{channel}' is named in `smooth`, but it is not an input",
                     f"record '{name}'",
                     "name it in `inputs` too",
+                )
+        if not isinstance(hold, str | Mapping):
+            raise IdentificationError(f"there is no hold {hold!r:.40}", f"record '{name}'", f"use {', '.join(HOLDS)}")
+        holds = dict.fromkeys(inputs, hold) if isinstance(hold, str) else dict(hold)
+        for channel, kind in holds.items():
+            _check_hold(kind, f"record '{name}', input '{channel}'")
+            if channel in smooth and kind != "zoh":
+                raise IdentificationError(
+                    f"'{channel}' is named in `smooth` and has the hold {kind}",
+                    f"record '{name}'",
+                    "use `hold` alone: it does what `smooth` does, and more exactly",
                 )
         checked = {channel: _checked(channel, *channels[channel]) for channel in (*inputs, *outputs)}
         clock = checked[inputs[0]][0]
@@ -148,7 +181,10 @@ class Record:
                     f"record '{name}', channel '{channel}'",
                     "start the window later",
                 )
-            held[channel] = value[latest]
+            if holds.get(channel, "zoh") == "zoh":
+                held[channel] = value[latest]
+            else:
+                held[channel] = np.interp(origin + step * np.arange(steps), time, value)
         measured = {}
         for channel in outputs:
             time, value = checked[channel]
@@ -159,7 +195,7 @@ class Record:
             keep = (position >= 0.0) & (position <= steps - 1)
             _check_any(keep, start, stop, f"record '{name}', channel '{channel}'", time)
             measured[channel] = Samples(position[keep], value[keep])
-        return cls(name, step, origin, held, measured)
+        return cls(name, step, origin, held, measured, {n: kind for n, kind in holds.items() if kind != "zoh"})
 
     @classmethod
     def from_log(
@@ -171,6 +207,7 @@ class Record:
         stop: float,
         *,
         smooth: Collection[str] = (),
+        hold: str | Mapping[str, str] = "zoh",
         name: str = "",
     ) -> Self:
         """A record from a flight log's window `start` to `stop` [s]; see `from_channels`.
@@ -189,7 +226,8 @@ class Record:
                 )
             channels[own] = (found.time, found.value)
         title = name or log.source
-        return cls.from_channels(channels, list(ins), list(outs), start=start, stop=stop, smooth=smooth, name=title)
+        window = {"start": start, "stop": stop}
+        return cls.from_channels(channels, list(ins), list(outs), **window, smooth=smooth, hold=hold, name=title)
 
     def part(self, start: float, stop: float, name: str | None = None) -> Self:
         """The piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
@@ -209,6 +247,19 @@ class Record:
         inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
         begin = self.start + first * self.dt
         return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs)
+
+
+def check_record(one: object) -> None:
+    """Raises IdentificationError for what is not a Record."""
+    if not isinstance(one, Record):
+        raise IdentificationError(
+            f"a {type(one).__name__} is not a record", "records", "cut one from a log: cut(log, 'doublet')"
+        )
+
+
+def _check_hold(hold: object, where: str) -> None:
+    if hold not in HOLDS:
+        raise IdentificationError(f"there is no hold {hold!r:.40}", where, f"use one of {', '.join(HOLDS)}")
 
 
 def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from twodof.errors import IdentificationError
+from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
@@ -37,8 +38,9 @@ class Repeated:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The unknowns that are the machine's and not one record's."""
-        return tuple(label for label in self.estimates[0].labels if label not in self.estimates[0].local)
+        """The unknowns that are the machine's and not one record's, and the sums of them."""
+        first = self.estimates[0]
+        return (*(label for label in first.labels if label not in first.local), *first.summed)
 
     @property
     def converged(self) -> bool:
@@ -87,8 +89,7 @@ class Repeated:
         width = max(18, *(len(name) for name in self.names)) + 2
         lines = [f"{first.structure} ({first.domain}), each of {len(self.names)} flights by itself"]
         lines.append(" " * width + "".join(f"{label:>22}" for label in labels))
-        units = dict(zip(first.labels, first.units, strict=True))
-        lines.append(" " * width + "".join(f"{units[label] or '-':>22}" for label in labels))
+        lines.append(" " * width + "".join(f"{first.unit(label) or '-':>22}" for label in labels))
         for name, one in zip(self.names, self.estimates, strict=True):
             cells = [f"{one[label]:.5g} +- {one.sigma(label):.2g}" for label in labels]
             lines.append(f"{name:{width}}" + "".join(f"{cell:>22}" for cell in cells))
@@ -122,8 +123,9 @@ def repeat(
     *,
     estimate: Collection[str] | None = None,
     values: Mapping[str, float] | None = None,
+    disturbance: Disturbance = "auto",
 ) -> Repeated:
-    """`fit` of each of `records`, repetitions of one experiment, by itself; `estimate` and `values` as there.
+    """`fit` of each of `records`, repetitions of one experiment, by itself; the other arguments as there.
 
     Raises IdentificationError as `fit` does, and for fewer than two records or two of one name.
     """
@@ -132,4 +134,5 @@ def repeat(
         raise IdentificationError(
             f"records {', '.join(names) or 'none'}", "repetitions", "give two or more, each with a name of its own"
         )
-    return Repeated(names, tuple(fit(structure, record, estimate=estimate, values=values) for record in records))
+    fits = (fit(structure, record, estimate=estimate, values=values, disturbance=disturbance) for record in records)
+    return Repeated(names, tuple(fits))

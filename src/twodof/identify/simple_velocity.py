@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 # Share of the pitch held by which its set-point may stray.
 _STRAYED = 0.1
 
+# The slope is read between 10 and 40 % of the peak: noise of a tenth of the peak is a third of that.
+_NOISY = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
@@ -25,7 +28,8 @@ class StepResponse:
 
     `theta_bar` [rad] is the pitch that is held, and its set-point strays by `strayed` [rad] until the doublet turns.
     `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`).
-    That line meets the rest at `start`. The peak above the rest is `peak` [m/s], at `peak_time`.
+    That line meets the rest at `start`. The peak above the rest is `peak` [m/s], at `peak_time`. Before the edge v
+    scatters by `noise` [m/s].
     """
 
     edge: float
@@ -40,6 +44,7 @@ class StepResponse:
     peak_time: float
     k_v: float
     p_v: float
+    noise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +67,14 @@ class SimpleVelocity(SimpleEstimate):
                 "(grey-box)"
             )
             found = (*found, strayed)
+        share = self.step.noise / abs(self.step.peak)
+        if share > _NOISY:
+            noisy = (
+                f"v scatters by {100.0 * share:.0f} % of its peak before the doublet, and the slope is read from the "
+                "first 40 %: the noise is too large for this method. Fly a larger doublet, or estimate by output error "
+                "(grey-box)"
+            )
+            found = (*found, noisy)
         return found
 
     def table(self) -> str:
@@ -162,4 +175,5 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
         peak_time=float(t[top]),
         k_v=slope / abs(theta_bar),
         p_v=float(p_v),
+        noise=noise,
     )

@@ -3,18 +3,26 @@
 import functools
 import math
 from collections.abc import Callable, Mapping
-from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
+from twodof.compile.machine import CompiledMachine
+from twodof.compile.program.check import check
+from twodof.compile.rerun import Rerun
 from twodof.errors import IdentificationError
+from twodof.identify.hold import LEAST_TICKS, ticks
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 
 Array = NDArray[np.float64]
+
+_AGREE = 0.1
+"""Share of a step by which the stamps of samples that are taken once a step may jitter."""
+
+_ON = 1e-6
 
 
 class RecordSimulator:
@@ -35,22 +43,61 @@ class RecordSimulator:
                 f"structure '{structure.name}', record '{record.name}'",
                 f"the record's outputs are: {', '.join(record.outputs)}",
             )
-        self._machine = program_of(structure, record.dt).machine()
+        moving = any(record.hold_of(name) != "zoh" for name in structure.inputs)
+        self._pieces = max(structure.substeps, LEAST_TICKS if moving else 1)
+        self._machine = program_of(structure, record.dt, self._pieces).machine()
         self._values: dict[str, float] = {}
-        self._substeps = structure.substeps
-        self._steps = record.steps * structure.substeps
-        self._inputs = {name: np.repeat(record.inputs[name], structure.substeps) for name in structure.inputs}
-        self._at = {name: _sampler(record.outputs[name].position, record.steps) for name in self.outputs}
+        self._ran = False
+        self._steps = record.steps * self._pieces
+        direct = _direct(structure) if moving else frozenset()
+        self._inputs = {
+            name: ticks(record.inputs[name], record.hold_of(name), self._pieces, name in direct)
+            for name in structure.inputs
+        }
+        self._rerun: Rerun | None = None
+        if isinstance(self._machine, CompiledMachine):
+            self._rerun = Rerun(self._machine, self._steps, self._inputs, self.outputs)
+        positions = {name: record.outputs[name].position for name in self.outputs}
+        self._delay, self._late = structure.delay, 0.0
+        early = _common_fraction(np.concatenate(list(positions.values()))) if structure.delay else 0.0
+        if early:
+            # Linear interpolation would bend the response at each edge of the input: in closed loop, at every sample.
+            self._late, self._longest = early * record.dt, structure.unknowns[structure.delay].upper
+            self._values[structure.delay] = structure.unknowns[structure.delay].value
+            positions = {name: _on_steps(position + early) for name, position in positions.items()}
+        self._at = {name: _sampler(position, record.steps) for name, position in positions.items()}
 
     def run(self, values: Mapping[str, float]) -> dict[str, Array]:
         """Outputs at their samples' times for the parameters `values`; those not named keep their last value."""
-        # Most runs of a Jacobian change one value, and checking a value takes as long as simulating 50 steps.
+        # Most runs of a Jacobian change one value.
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
-        self._machine.set_many(changed)
         self._values |= changed
-        self._machine.reset()
-        simulated = self._machine.run(self._steps, self._inputs)
-        return {name: self._at[name](simulated[name][:: self._substeps]) for name in self.outputs}
+        if self._late and (self._delay in changed or not self._ran):
+            changed[self._delay] = min(self._values[self._delay] + self._late, self._longest)
+        self._ran = True
+        if self._rerun is not None:
+            simulated = self._rerun.run(changed)
+        else:
+            self._machine.reset()
+            self._machine.set_many(changed)
+            self._machine.reset()
+            simulated = self._machine.run(self._steps, self._inputs)
+        return {name: self._at[name](simulated[name][:: self._pieces]) for name in self.outputs}
+
+
+def _common_fraction(position: Array) -> float:
+    """By how much of a step all samples at `position` come before the next step, or 0 if they do not agree on it."""
+    early = np.ceil(position) - position
+    turn = np.exp(2j * np.pi * early)
+    mean = float(np.angle(turn.mean())) / (2.0 * np.pi)
+    off = np.angle(turn * np.exp(-2j * np.pi * mean)) / (2.0 * np.pi)
+    return mean % 1.0 if np.abs(off).max() < _AGREE and abs(mean) > _ON else 0.0
+
+
+def _on_steps(position: Array) -> Array:
+    """`position`, exactly on a step where it is there but for rounding."""
+    near = np.round(position)
+    return np.where(np.abs(position - near) < _ON, near, position)
 
 
 def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
@@ -59,7 +106,8 @@ def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
     share = position - index
     first = int(index[0])
     if np.array_equal(position, np.arange(first, first + position.size)):
-        return itemgetter(slice(first, first + position.size))
+        own = slice(first, first + position.size)
+        return lambda y: y[own].copy()
 
     def between(y: Array) -> Array:
         left = y[index]
@@ -68,13 +116,22 @@ def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
     return between
 
 
-def program_of(structure: Structure, dt: float) -> CompiledProgram | Reference:
-    """The structure compiled for data with the step `dt` [s]; kept, so that a second fit does not compile again."""
+def program_of(structure: Structure, dt: float, pieces: int | None = None) -> CompiledProgram | Reference:
+    """The structure compiled for data with the step `dt` [s]; kept, so that a second fit does not compile again.
+
+    Each step has `pieces` ticks, by default the structure's substeps.
+    """
     # Logs of one rig differ in the last digits of their step: a relative 1e-9 is no reason to compile again.
     digits = 9 - math.floor(math.log10(dt))
-    return _program(structure, round(dt, digits))
+    return _program(structure, round(dt, digits), pieces or structure.substeps)
 
 
 @functools.lru_cache(maxsize=64)
-def _program(structure: Structure, dt: float) -> CompiledProgram | Reference:
-    return build(structure.diagram, dt=dt / structure.substeps, precision="float64")
+def _program(structure: Structure, dt: float, pieces: int) -> CompiledProgram | Reference:
+    return build(structure.diagram, dt=dt / pieces, precision="float64")
+
+
+@functools.lru_cache(maxsize=64)
+def _direct(structure: Structure) -> frozenset[str]:
+    """The inputs on which an output depends in the same tick."""
+    return frozenset().union(*(check(structure.diagram, 1.0).feedthrough or {}).values())

@@ -69,6 +69,12 @@ class Correlation:
         ratio = quantile(0.5 * (1.0 - self.level) / self.lags.size) / quantile(0.5 * (1.0 - self.level))
         return self.outside <= self.allowed and bool((np.abs(self.value) <= ratio * self.bound).all())
 
+    @property
+    def causal(self) -> "Correlation":
+        """The same at lags >= 0 only, at which the residual follows the input."""
+        later = self.lags >= 0
+        return Correlation(self.lags[later], self.value[later], self.bound[later], self.level)
+
 
 def deviations(level: float) -> float:
     """Within how many standard deviations a normal variable lies with the probability `level`.
@@ -119,7 +125,8 @@ def cross_correlation(residual: ArrayLike, applied: ArrayLike, lags: int = 25, l
 class Comparison:
     """One output of one record beside the model: figures, signals (for plots) and residual tests.
 
-    `inputs` holds the cross-correlation with each input; tests are None for records too short for them.
+    `inputs` holds the cross-correlation with each input; tests are None for records too short for them. With a noise
+    model the tests are of the prediction error, of which the model has taken the colour.
     """
 
     record: str
@@ -174,13 +181,15 @@ def compare(
     simulated: Array,
     applied: dict[str, Array],
     lags: int = 25,
+    prediction_error: Array | None = None,
 ) -> Comparison:
     """Figures and residual tests of one output; `applied` are the inputs at the same times.
 
-    An input that is constant, and a record shorter than 4 `lags`, have no test.
+    Tested is the `prediction_error`, which a noise model has made of the residual, or else the residual itself. An
+    input that is constant, and a record shorter than 4 `lags`, have no test.
     """
-    long_enough = measured.size >= 4 * lags and float(np.ptp(measured - simulated)) > 0.0
-    error = measured - simulated
+    error = measured - simulated if prediction_error is None else prediction_error
+    long_enough = measured.size >= 4 * lags and float(np.ptp(error)) > 0.0
     return Comparison(
         record,
         output,

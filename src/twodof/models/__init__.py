@@ -1,5 +1,6 @@
 """Plant models: linear ones in closed form, and structures (diagrams with unknown parameters) for identification."""
 
+from twodof.models.linear_model import linear_model
 from twodof.models.lti import DelayedStateSpace, SampledStateSpace, StepFigures, step_figures
 from twodof.models.plant import (
     PAPER_PITCH_RATE,
@@ -26,6 +27,7 @@ __all__ = [
     "UnknownParameter",
     "Velocity",
     "free_response",
+    "linear_model",
     "longitudinal",
     "pitch_and_velocity",
     "pitch_rate",

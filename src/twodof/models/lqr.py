@@ -30,8 +30,8 @@ def lqr(
     """The gains that minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 +
     (M / largest_moment)^2.
 
-    `plant` has one input and its states as outputs. It is sampled every 4 ms. Its delayed inputs become states, so
-    that the feedback predicts over the delay (Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3, 11.4). The
+    `plant` has one input and its states as outputs. It is sampled every 4 ms. Its delayed inputs become states, so that
+    the feedback predicts over the delay. See Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 11.4. The
     weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
     count. Raises ParameterError where no feedback stabilises the plant and the integral.
     """

@@ -47,7 +47,10 @@ class SampledStateSpace:
         return np.asarray(states @ self.c.T + through @ self.d.T)
 
     def augmented(self) -> tuple[Array, Array, Array, Array]:
-        """The same model as plain (A, B, C, D) with past inputs as states, for tools that do not support delays."""
+        """The same model as plain (A, B, C, D) with past inputs as states.
+
+        It serves tools that do not support delays.
+        """
         n, m = self.new.shape
         past = self.whole + 1 if self.split else self.whole
         # Columns: the states, then the inputs by age, the present one first.

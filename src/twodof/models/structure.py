@@ -1,14 +1,25 @@
 """A model structure: a diagram with parameters, and which of them an experiment is asked to tell."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Self
 
+from twodof.blocks.block import Block
 from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
 from twodof.errors import IdentificationError
+
+
+def check_structure(one: object) -> None:
+    """Raises IdentificationError for what is not a Structure."""
+    if not isinstance(one, Structure):
+        raise IdentificationError(
+            f"a {type(one).__name__} is not a structure",
+            f"{getattr(one, '__name__', one)!s:.80}",
+            "give a twodof.models.Structure; the ready-made ones are functions, to be called: pitch_rate()",
+        )
 
 
 @dataclass(frozen=True)
@@ -36,6 +47,12 @@ class Structure:
     must have. `estimate` names the unknowns that a fit finds unless told otherwise, the others keep their values;
     `local` those that each record has for itself; `scale` the size of a change that matters, for unknowns whose first
     guess is 0 (default: the guess, or 1). `substeps`: how many base ticks one step of the data is divided into.
+    `sums` names sums of unknowns, such as a total delay: an estimate gives value and standard deviation of them too.
+    `at_rest` names speeds at the start that dry friction may hold at 0. A fit that cannot tell them holds them there.
+    `delay` names the parameter [s] that delays all inputs alike, if there is one. Outputs that are stamped between two
+    steps are then simulated exactly: an output that is seen earlier is one whose inputs are later. The state at the
+    start is then that of the same fraction of a step before the record's start.
+    `prior` gives (mean, standard deviation) of unknowns of which the machine itself tells something before a flight.
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -44,12 +61,55 @@ class Structure:
     local: tuple[str, ...] = ()
     scale: Mapping[str, float] = field(default_factory=dict)
     substeps: int = 1
+    sums: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    at_rest: tuple[str, ...] = ()
+    delay: str = ""
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in (*self.estimate, *self.local, *self.scale):
+        for name in (
+            *self.estimate,
+            *self.local,
+            *self.scale,
+            *self.prior,
+            *(part for parts in self.sums.values() for part in parts),
+            *([self.delay] if self.delay else []),
+        ):
             self._param(name)
         if not self.estimate:
             raise IdentificationError("there is nothing to estimate", f"structure '{self.name}'", "name an unknown")
+
+    @classmethod
+    def of_block(
+        cls,
+        block: Block,
+        estimate: Sequence[str] = (),
+        *,
+        name: str = "model",
+        local: Sequence[str] = (),
+        scale: Mapping[str, float] | None = None,
+        substeps: int = 1,
+    ) -> Self:
+        """The structure that is one block: its inputs, outputs and parameters are the structure's.
+
+        By default all parameters are estimated, and those whose names end in "_0" are local. Raises
+        IdentificationError for names that are not parameters of the block.
+        """
+        diagram = Diagram(name)
+        for port in block.inputs:
+            diagram.input(port.name, unit=port.unit)
+        real = [param for param in block.params if param.kind == "real" and param.width is None]
+        for param in real:
+            value = float(param.value)
+            diagram.param(param.name, value, unit=param.unit, low=param.low, high=param.high, text=param.text)
+        diagram.add("model", block, params={param.name: param.name for param in real})
+        for port in block.inputs:
+            diagram.connect(port.name, f"model.{port.name}")
+        for port in block.outputs:
+            diagram.output(port.name, f"model.{port.name}")
+        names = tuple(param.name for param in real)
+        states = tuple(one for one in names if one.endswith("_0"))
+        return cls(diagram, tuple(estimate) or names, tuple(local) or states, dict(scale or {}), substeps)
 
     @property
     def name(self) -> str:

@@ -25,12 +25,15 @@ Matrix = Sequence[Sequence[Any]]
 class ZohPlant(Block):
     """x' = A x + B u(t - dead time), y = C x + D u(t - dead time) for a scalar input held between steps.
 
-    Inputs before step 0 equal that of step 0. The dead time, by default the parameter `tau`, is a real number of
+    Inputs before step 0 equal that of step 0. The dead time, the parameter named `plant_delay`, is a real number of
     seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
-    and starts from the parameter "<name>_0". The outputs are the states, unless `plant_outputs` names others.
+    and starts from the parameter "<name>_0". Those named in `follows` start where the first input holds them, at the
+    input itself. The outputs are the states, unless `plant_outputs` names others.
     """
 
     plant_states: Sequence[tuple[str, str]] = ()
+    plant_delay = "tau"
+    follows: Sequence[str] = ()
     plant_input = Port("M")
     plant_outputs: Sequence[tuple[str, str]] = ()
     plant_params: Sequence[Param] = ()
@@ -42,11 +45,15 @@ class ZohPlant(Block):
         self.outputs = tuple(Port(name, unit=unit) for name, unit in self.plant_outputs or self.plant_states)
         self.params = (
             *self.plant_params,
-            Param("tau", 0.0, unit="s", low=0.0, text="delay of the input"),
-            *(Param(f"{name}_0", unit=unit, text=f"{name} at the start") for name, unit in self.plant_states),
+            Param(self.plant_delay, 0.0, unit="s", low=0.0, text="delay of the input"),
+            *(
+                Param(f"{name}_0", unit=unit, text=f"{name} at the start")
+                for name, unit in self.plant_states
+                if name not in self.follows
+            ),
         )
         self.states = (
-            *(State(name, f"{name}_0", unit=unit) for name, unit in self.plant_states),
+            *(State(name, 0.0 if name in self.follows else f"{name}_0", unit=unit) for name, unit in self.plant_states),
             *past_states(ring),
         )
         self.derived = (
@@ -67,21 +74,18 @@ class ZohPlant(Block):
         rows = [[float(port.name == name) for name, _ in self.plant_states] for port in self.outputs]
         return rows, [0.0] * len(rows)
 
-    def dead_time(self, p: Any) -> Any:
-        """The pure delay of the input [s], from the parameters."""
-        return p.tau
-
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
         """Phi(dt), and the input's share before and after the edge at `split` inside the step."""
         a, b = self.matrices(p)
         names = [name for name, _ in self.plant_states]
-        steps = self.dead_time(p) / t.dt
+        steps = p[self.plant_delay] / t.dt
         # A delay that is a multiple of dt up to rounding is that multiple.
         whole = to_int32(steps + 1e-9)
         part = steps - to_real(whole)
         split = part > 1e-9
-        phi, full = _held(a, b, t.dt)
-        _, late = _held(a, b, t.dt * (1.0 - where(split, part, 0.0)))
+        drive = [[value] for value in b]
+        phi, full = held(a, drive, t.dt)
+        _, late = held(a, drive, t.dt * (1.0 - where(split, part, 0.0)))
         result: dict[str, Any] = {"whole": whole, "split": split, "fits": steps <= self.ring - 2.0}
         for i, row in enumerate(names):
             result[f"old_{row}"] = full[i] - late[i]
@@ -100,15 +104,17 @@ class ZohPlant(Block):
             now = where(p.split, old, new)
             through = [0.0 if _is_zero(value) else value * now for value in d]
         return {
-            port.name: _sum([*(_times(k, s) for k, s in zip(row, state, strict=True)), direct])
+            port.name: total([*(times(k, s) for k, s in zip(row, state, strict=True)), direct])
             for port, row, direct in zip(self.outputs, c, through, strict=True)
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         old, new = self._delayed(u, x, p)
         names = [name for name, _ in self.plant_states]
+        first = u[self.inputs[0].name]
+        now = {name: where(x.age == 0, first, x[name]) if name in self.follows else x[name] for name in names}
         result: dict[str, Any] = {
-            row: _sum([p[f"phi_{row}_{column}"] * x[column] for column in names])
+            row: total([p[f"phi_{row}_{column}"] * now[column] for column in names])
             + (p[f"old_{row}"] * old + p[f"new_{row}"] * new)
             for row in names
         }
@@ -120,39 +126,45 @@ class ZohPlant(Block):
         return ago(p.whole + 1), ago(p.whole)
 
 
-def _held(a: Matrix, b: Sequence[Any], dt: Any) -> tuple[list[Any], list[Any]]:
-    """exp(A dt), row by row, and the integral of exp(A s) B over s = 0..dt.
+def held(a: Matrix, b: Matrix, dt: Any) -> tuple[list[Any], list[Any]]:
+    """exp(A dt) (n rows), and the integral of exp(A s) B (n rows) over s = 0..dt, each row by row in one list.
 
     By Horner over a piece h of dt, I + A h/1 (I + A h/2 (I + ...)) and h (B + A h/2 (B + A h/3 (...))), then doubled:
     Phi(2 h) = Phi(h) Phi(h), W(2 h) = W(h) + Phi(h) W(h).
     """
-    n = len(a)
+    n, m = len(a), len(b[0])
     one = [1.0 if i == j else 0.0 for i in range(n) for j in range(n)]
     norm = real(0.0)
     for row in a:
-        norm = maximum(norm, dt * _sum([abs(value) for value in row]))
+        norm = maximum(norm, dt * total([abs(value) for value in row]))
     stiff = norm > _LARGEST
     h = where(stiff, dt * 2.0**-_DOUBLINGS, dt)
 
-    def step(k: Any, *m: Any) -> list[Any]:
+    def step(k: Any, *carried: Any) -> list[Any]:
         now, after = h / (_TERMS - to_real(k)), h / (_TERMS + 1.0 - to_real(k))
-        phi, w = m[: n * n], m[n * n :]
+        phi, w = carried[: n * n], carried[n * n :]
         return [
             *(
-                one[i * n + j] + now * _sum([_times(a[i][l], phi[l * n + j]) for l in range(n)])
+                one[i * n + j] + now * total([times(a[i][l], phi[l * n + j]) for l in range(n)])
                 for i in range(n)
                 for j in range(n)
             ),
-            *(b[i] + after * _sum([_times(a[i][l], w[l]) for l in range(n)]) for i in range(n)),
+            *(
+                b[i][j] + after * total([times(a[i][l], w[l * m + j]) for l in range(n)])
+                for i in range(n)
+                for j in range(m)
+            ),
         ]
 
-    def double(k: Any, *m: Any) -> list[Any]:
-        phi, w = m[: n * n], m[n * n :]
-        twice = [_sum([phi[i * n + l] * phi[l * n + j] for l in range(n)]) for i in range(n) for j in range(n)]
-        twice += [w[i] + _sum([phi[i * n + l] * w[l] for l in range(n)]) for i in range(n)]
-        return [where(stiff, new, old) for new, old in zip(twice, m, strict=True)]
+    def double(k: Any, *carried: Any) -> list[Any]:
+        phi, w = carried[: n * n], carried[n * n :]
+        twice = [total([phi[i * n + l] * phi[l * n + j] for l in range(n)]) for i in range(n) for j in range(n)]
+        twice += [
+            w[i * m + j] + total([phi[i * n + l] * w[l * m + j] for l in range(n)]) for i in range(n) for j in range(m)
+        ]
+        return [where(stiff, new, old) for new, old in zip(twice, carried, strict=True)]
 
-    piece = fold(_TERMS, [real(v) for v in one] + [real(0.0)] * n, step)
+    piece = fold(_TERMS, [real(v) for v in one] + [real(0.0)] * (n * m), step)
     whole = fold(_DOUBLINGS, [*piece[: n * n], *(h * w for w in piece[n * n :])], double)
     return list(whole[: n * n]), list(whole[n * n :])
 
@@ -161,19 +173,20 @@ def _is_zero(value: Any) -> bool:
     return isinstance(value, float) and value == 0.0
 
 
-def _times(a: Any, b: Any) -> Any:
+def times(a: Any, b: Any) -> Any:
     """a * b, where a literal 0 or 1 in a model's matrix costs nothing."""
     if _is_zero(a):
         return 0.0
     return b if isinstance(a, float) and a == 1.0 else a * b
 
 
-def _sum(terms: Sequence[Any]) -> Any:
-    total: Any = 0.0
+def total(terms: Sequence[Any]) -> Any:
+    """The sum, in which a literal 0 costs nothing."""
+    result: Any = 0.0
     for term in terms:
         if not _is_zero(term):
-            total = term if _is_zero(total) else total + term
-    return total
+            result = term if _is_zero(result) else result + term
+    return result
 
 
 @library_block("models.HeldPitchRate")
@@ -194,21 +207,19 @@ class ZohPitchRate(ZohPlant):
 
 @library_block("models.HeldPitchRateLag")
 class ZohPitchRateLag(ZohPlant):
-    """G_q behind a rotor lag: `tau` is still the total delay, of which `lag` is the rotors' first-order part.
+    """G_q behind a pure delay `dead_time` and the rotors' first-order `lag`.
 
-    The rest, tau - lag, is a pure delay (none if the lag is longer). A slow input sees the same tau either way.
+    A slow input sees their sum, which the paper calls tau. The rotors start as the first input holds them.
     """
 
     plant_states = (*ZohPitchRate.plant_states, ("m", ""))
     plant_outputs = ZohPitchRate.plant_states
+    plant_delay = "dead_time"
+    follows = ("m",)
     plant_params = (
         *ZohPitchRate.plant_params,
-        Param("lag", 0.011, unit="s", low=0.002, text="time constant of the rotors"),
+        Param("lag", 0.011, unit="s", low=0.0005, text="time constant of the rotors"),
     )
-
-    def dead_time(self, p: Any) -> Any:
-        """What of the total delay is not lag."""
-        return maximum(p.tau - p.lag, 0.0)
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Paper equations (3) to (6), the moment being that of the rotors."""

@@ -13,7 +13,7 @@ from twodof.rig.parameters import lab, load_rig
 def made_up(converged: bool) -> Calibration:
     numbers = {unknown.name: unknown.mean for unknown in UNKNOWNS}
     fits = {flight.name: dict.fromkeys(("theta", "q", "x", "v"), 90.0) for flight in FLIGHTS}
-    return Calibration(lab(), numbers, numbers, fits, {}, 1.0, converged)
+    return Calibration(lab(), numbers, numbers, fits, fits, fits, 1.0, converged)
 
 
 @pytest.fixture
@@ -36,6 +36,7 @@ def test_people_read_unknowns_and_fits(folder: Path, capfd: pytest.CaptureFixtur
     assert all(unknown.name in out for unknown in UNKNOWNS)
     assert all(flight.name in out for flight in FLIGHTS)
     assert "converged" in out
+    assert out.count("left out") == out.count("ceiling") == len(FLIGHTS)
 
 
 def test_a_search_that_did_not_converge_is_not_fine(

@@ -21,7 +21,10 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 def calibrate(
     data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the logs; default: found.")] = None,
     leave_one_out: Annotated[
-        bool, typer.Option("--leave-one-out", help="Also predict each flight from all others.")
+        bool,
+        typer.Option(
+            "--leave-one-out", help="Also predict each flight from all others, and say what gusts leave of it."
+        ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Write the rig as JSON, for `--rig FILE`.")] = None,
     force: Force = False,
@@ -45,6 +48,7 @@ def calibrate(
                 },
                 "fit_percent": {name: dict(fits) for name, fits in found.fit.items()},
                 "left_out_fit_percent": {name: dict(fits) for name, fits in found.left_out.items()},
+                "ceiling_fit_percent": {name: dict(fits) for name, fits in found.ceiling.items()},
                 "file": None if out is None else str(out),
             }
         )
@@ -72,7 +76,7 @@ def _print(found: Calibration, out: Path | None) -> None:
     console.print(table)
     fits = Table("flight", "theta", "q", "x", "v", "", box=None, pad_edge=False)
     for flight in FLIGHTS:
-        for word, group in (("", found.fit), ("left out", found.left_out)):
+        for word, group in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
             if flight.name in group:
                 row = group[flight.name]
                 fits.add_row(flight.name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)

@@ -1,5 +1,6 @@
 """`twodof identify LOG --experiment ...`: a model from a flight log, by hand or by output error."""
 
+import importlib
 import json as json_text
 import math
 from collections.abc import Sequence
@@ -10,43 +11,50 @@ from typing import Annotated
 
 import typer
 
-from twodof.cli.output import Json, print_json, say_line, table_console
+from twodof.cli.logs.own_structure import own_record, read_structure, with_reference
+from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import LogError, ParameterError
+from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
-from twodof.identify.experiments import KINDS, cut, kind_of, only
+from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, by_hand, by_output_error, structure_for
 from twodof.identify.greybox import fit
+from twodof.identify.hold import HOLDS
 from twodof.identify.record import Record
 from twodof.identify.repeated import Repeated, repeat
-from twodof.identify.simple_pitch import SimplePitch, identify_pitch
-from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
+from twodof.identify.simple_pitch import SimplePitch
+from twodof.identify.simple_velocity import SimpleVelocity
 from twodof.models.structure import Structure
-from twodof.models.structures import free_response, pitch_rate, rail, velocity
-from twodof.report.characterisation.characterise import TRAVEL
+from twodof.report.plots.flight_view import SUFFIXES, check_place
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-# What the ready-made experiments of those kinds are called when they are flown.
-_FLOWN_AS = {"velocity-doublet": "velocity"}
-_KNOWN = (*KINDS, *_FLOWN_AS)
-
-# What a free response tells and a doublet hardly does: it is over before the poles show.
-_SWING = ("w_n", "xi", "coulomb", "hardening")
+_KNOWN = (*KINDS, *FLOWN_AS)
 
 
-class Method(StrEnum):
+class FitMethod(StrEnum):
     """How to identify."""
 
     greybox = "grey-box"
     simple = "simple"
 
 
+class NoiseModel(StrEnum):
+    """What disturbs the flight, for the grey-box method (`fit(disturbance=...)`)."""
+
+    auto = "auto"
+    white = "white"
+    ar = "ar"
+    input = "input"
+
+
 class Model(StrEnum):
     """Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
 
-    auto = "auto"
+    auto = AUTO
     pitch_rate = "pitch-rate"
     pitch_rate_lag = "pitch-rate-lag"
     free_response = "free-response"
@@ -68,7 +76,7 @@ def identify(
             metavar="|".join(_KNOWN), help="Which experiment the log holds; left out: what the log says or looks like."
         ),
     ] = None,
-    method: Annotated[Method, typer.Option(help="Output error, or by hand as the paper does.")] = Method.greybox,
+    method: Annotated[FitMethod, typer.Option(help="Output error, or by hand as the paper does.")] = FitMethod.greybox,
     model: Annotated[Model, typer.Option(help="Structure for the grey-box method; auto: the paper's.")] = Model.auto,
     window: Annotated[
         tuple[float, float] | None,
@@ -85,46 +93,201 @@ def identify(
             metavar="LOG", help="Of a doublet: the impulse's log, from which the poles come; by hand it is needed."
         ),
     ] = None,
+    structure: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.py:NAME|FILE.json", help="Your own structure: a Structure or Diagram in Python, or a diagram."
+        ),
+    ] = None,
+    input: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COLUMN", help="Which column is that input of the structure; repeatable."),
+    ] = None,
+    output: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COLUMN", help="Which column is that output of the structure; repeatable."),
+    ] = None,
+    time: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Which column of a table (CSV, Parquet, .mat) is the time.")
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(metavar=f"NAME={'|'.join(HOLDS)}", help="How that input behaves between samples; repeatable."),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help=f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)})."
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMN",
+            help="Of a plot in closed loop: the set-point that excited it (theta0), for the Bode.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the model there as JSON, for `twodof design`.")
+    ] = None,
+    disturbance: Annotated[
+        NoiseModel,
+        typer.Option(help="White: output error; ar: coloured noise; input: gusts; auto: what the data ask."),
+    ] = NoiseModel.auto,
     json: Json = False,
+    force: Force = False,
 ) -> None:
-    """Identify the paper's models from a log; the result has standard deviations, fits and residual tests.
+    """Identify the paper's models from a log, or your own from any table, with standard deviations and residual tests.
 
     What a doublet's log does not show is held with --impulse LOG: the poles, found from the free response. One flight
     knows nothing of what differs from flight to flight: give several logs and believe their spread.
 
+    Your own: --structure model.py:motor --input u=voltage --output y=speed --time t.
+
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
+    if out is not None:
+        check_free(out, force)
+    if plot is not None:
+        _check_plot(plot, method, files, force)
+    elif reference is not None:
+        raise ParameterError("it is of use to a plot only", "--reference", "add --plot FILE, or leave it out")
+    numbers = _numbers(value or [])
+    if structure is not None or input or output or time is not None or hold:
+        _check_own(structure, experiment, method, model, impulse)
+        shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
+        _check_unknowns(shape, estimate or (), numbers)
+        records, others = (
+            [own_record(path, shape, input or (), output or (), time, window, hold or ()) for path in paths]
+            for paths in (files, validate or ())
+        )
+        _check_several(method, [""] * len(files), files, validate)
+        records = _told_apart(records, files)
+        own: Estimate | Repeated
+        if len(records) > 1:
+            own = repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance.value)
+        else:
+            own = fit(
+                shape,
+                records[0],
+                estimate=estimate,
+                values=numbers,
+                validation=others,
+                disturbance=disturbance.value,
+            )
+        _say(own, {"method": method.value}, out, json, own.converged)
+        if plot is not None and isinstance(own, Estimate):
+            if reference is not None:
+                records = [with_reference(records[0], files[0], time, reference)]
+            _draw(own, shape, [*records, *others], plot, force, reference)
+        _end(own.converged)
+        return
     logs = [read_log(path) for path in files]
     kinds = [_experiment(experiment, log) for log in logs]
     asked = kinds[0]
     if experiment is None and "experiment" not in logs[0].provenance:
         say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
-    _check_options(method, asked, model, estimate, value, impulse)
+    _check_options(method, asked, model, estimate, value, impulse, disturbance)
     _check_several(method, kinds, files, validate)
     kind = KINDS[asked]
     if window is not None:
         for log in logs:
             _check_window(log, window)
-    records = [cut(log, kind, window) for log in logs]
-    if len({record.name for record in records}) < len(records):  # run-1/doublet.mat run-2/doublet.mat
-        records = [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
+    records = _told_apart([cut(log, kind, window) for log in logs], files)
     others = [cut(read_log(path), kind) for path in validate or []]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
     found: SimplePitch | SimpleVelocity | Estimate | Repeated
-    if method is Method.simple:
-        found = _by_hand(asked, records[0], others, free)
+    if method is FitMethod.simple:
+        _check_by_hand(asked, free)
+        found = by_hand(asked, records[0], others, free)
         converged = True
     else:
-        found = _by_output_error(asked, model, records, others, estimate, _numbers(value or []), free)
+        shape = structure_for(asked if model is Model.auto else "", model)
+        _check_request(shape, asked, model, estimate or (), numbers)
+        found, records = by_output_error(asked, shape, records, others, estimate, numbers, free, disturbance.value)
         converged = found.converged
+        if plot is not None and isinstance(found, Estimate):
+            if reference is not None:
+                records = [with_reference(records[0], files[0], None, reference), *records[1:]]
+            _draw(found, shape, records, plot, force, reference)
+    _say(found, {"experiment": asked, "method": method.value}, out, json, converged)
+    _end(converged)
+
+
+def _say(
+    found: SimplePitch | SimpleVelocity | Estimate | Repeated,
+    about: dict[str, str],
+    out: Path | None,
+    json: bool,
+    converged: bool,
+) -> None:
     text, document = found.table(), json_text.loads(found.to_json())
+    document = {**about, **document}
+    if out is not None:
+        with atomic_write(out, "w") as file:
+            json_text.dump(document, file, allow_nan=False)
     if json:
-        print_json({"experiment": asked, "method": method.value, **document})
+        print_json(document)
     else:
         table_console().print(text)
     if not converged:
         say_line("note: the search did not converge; try other first guesses with --value")
+
+
+def _end(converged: bool) -> None:
+    if not converged:
         raise typer.Exit(1)
+
+
+def _told_apart(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
+    """Records with names of their own: run-1/doublet.mat and run-2/doublet.mat are called alike."""
+    if len({record.name for record in records}) == len(records):
+        return list(records)
+    return [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
+
+
+def _check_plot(plot: Path, method: FitMethod, files: Sequence[Path], force: bool) -> None:
+    """Raises ParameterError for what is not drawn, LogError for a place that cannot be written."""
+    if method is FitMethod.simple:
+        raise ParameterError("by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out")
+    if len(files) > 1:
+        raise ParameterError("a plot shows the fit of one log", "--plot", "give one log, or leave it out")
+    check_place(plot, force)
+
+
+def _draw(
+    found: Estimate,
+    structure: Structure,
+    records: Sequence[Record],
+    path: Path,
+    force: bool,
+    reference: str | None,
+) -> None:
+    # matplotlib takes a second to load.
+    drawing = importlib.import_module("twodof.report.plots.identification_plot")
+    drawing.write_identification_plot(found, structure, records, path, force, reference=reference or "")
+
+
+def _check_own(
+    structure: str | None, experiment: str | None, method: FitMethod, model: Model, impulse: Path | None
+) -> None:
+    """Raises ParameterError for options that go with the paper's experiments only, and for a missing structure."""
+    given = {
+        "--experiment": experiment is not None,
+        "--method simple": method is FitMethod.simple,
+        "--impulse": impulse is not None,
+        "--model": structure is not None and model is not Model.auto,
+    }
+    if idle := [name for name, there in given.items() if there]:
+        raise ParameterError(
+            "columns that you name are fitted to a structure, not read as an experiment", " ".join(idle), "leave it out"
+        )
+    if structure is None and model is Model.auto:
+        raise ParameterError(
+            "which structure is to be fitted to these columns?",
+            "--input, --output, --time, --hold",
+            "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate",
+        )
 
 
 def _experiment(name: str | None, log: FlightLog) -> str:
@@ -141,20 +304,22 @@ def _experiment(name: str | None, log: FlightLog) -> str:
             log.source if name is None else "--experiment",
             f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
         )
-    return _FLOWN_AS.get(said, said)
+    return FLOWN_AS.get(said, said)
 
 
 def _check_options(
-    method: Method,
+    method: FitMethod,
     experiment: str,
     model: Model,
     estimate: Sequence[str] | None,
     value: Sequence[str] | None,
     impulse: Path | None,
+    disturbance: NoiseModel,
 ) -> None:
     """Raises ParameterError for an option that the method or the experiment has no use for: it would do nothing."""
-    if method is Method.simple:
+    if method is FitMethod.simple:
         given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
+        given["--disturbance"] = disturbance is not NoiseModel.auto
         if idle := [name for name, there in given.items() if there]:
             raise ParameterError(
                 "by hand everything is read off: it takes no structure, no guess and no value to hold",
@@ -170,7 +335,7 @@ def _check_options(
 
 
 def _check_several(
-    method: Method, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
+    method: FitMethod, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
 ) -> None:
     """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
     if len(kinds) == 1:
@@ -184,7 +349,7 @@ def _check_several(
         )
     if len({path.resolve() for path in files}) < len(files):
         raise ParameterError("a log is named twice: its spread with itself is 0", where, "name each once")
-    if method is Method.simple:
+    if method is FitMethod.simple:
         raise ParameterError("by hand one log is read", where, "give one, and further doublets with --validate")
     if validate:
         raise ParameterError(
@@ -199,47 +364,16 @@ def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
     log.slice(*window)
 
 
-def _by_hand(
-    experiment: str, record: Record, others: Sequence[Record], free: Record | None
-) -> SimplePitch | SimpleVelocity:
-    if experiment == "velocity":
-        return identify_velocity([record, *others])
+def _check_by_hand(experiment: str, free: Record | None) -> None:
+    """Raises ParameterError for an experiment that the simple method reads nothing from, BadParameter without poles."""
     if experiment == "impulse":
         raise ParameterError(
             "by hand, the impulse gives only the poles",
             "--method simple",
             "call it with the doublet's log, --experiment doublet and --impulse LOG",
         )
-    if free is None:
+    if experiment == "doublet" and free is None:
         raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")
-    return identify_pitch(free, [record, *others])
-
-
-def _by_output_error(
-    experiment: str,
-    model: Model,
-    records: Sequence[Record],
-    others: Sequence[Record],
-    estimate: Sequence[str] | None,
-    values: dict[str, float],
-    free: Record | None,
-) -> Estimate | Repeated:
-    structure = _structure(experiment, model)
-    _check_request(structure, experiment, model, estimate or (), values)
-    wanted = tuple(estimate) if estimate else None
-    if free is not None:
-        swing = fit(structure, free, values=values)
-        held = {name: swing[name] for name in _SWING if name in swing.labels and name not in (estimate or ())}
-        values = {**held, **values}
-        wanted = wanted or tuple(name for name in structure.estimate if name not in held)
-    if experiment == "velocity":
-        # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
-        output = "v" if model is Model.velocity else "x"
-        records, others = [only(one, output) for one in records], [only(other, output) for other in others]
-        wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
-    if len(records) > 1:
-        return repeat(structure, records, estimate=wanted, values=values)
-    return fit(structure, records[0], estimate=wanted, values=values, validation=others)
 
 
 def _check_request(
@@ -253,6 +387,11 @@ def _check_request(
             f"--model {model.value} --experiment {experiment}",
             "leave --model out",
         )
+    _check_unknowns(structure, estimate, values)
+
+
+def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:
+    """Raises ParameterError for a wrong unknown, or a value out of its bounds."""
     unknowns = structure.unknowns
     for option, names in (("--estimate", estimate), ("--value", values)):
         for name in names:
@@ -262,20 +401,6 @@ def _check_request(
         low, high = unknowns[name].lower, unknowns[name].upper
         if not (math.isfinite(number) and low <= number <= high):
             raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
-
-
-def _structure(experiment: str, model: Model) -> Structure:
-    match model:
-        case Model.auto:
-            return rail(thrust=True) if experiment == "velocity" else pitch_rate()
-        case Model.pitch_rate | Model.pitch_rate_lag:
-            return pitch_rate(lag=model is Model.pitch_rate_lag)
-        case Model.free_response:
-            return free_response()
-        case Model.velocity:
-            return velocity()
-        case Model.rail:
-            return rail()
 
 
 def _numbers(pairs: Sequence[str]) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from twodof.cli.flown import draw
+from twodof.cli.flown import draw, write_view
 from twodof.cli.output import Force, Json, one_line, print_json, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
@@ -19,7 +19,9 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, find
 from twodof.flightlog.recovery import Recovered
 from twodof.flightlog.recovery import recover as recover_log
+from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
+from twodof.report.step_responses import SETTLED
 
 app = typer.Typer(
     help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
@@ -101,26 +103,44 @@ def _experiment(found: dict[str, Any]) -> str:
 
 @app.command()
 def plot(
-    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="A .mat, .mcap, .parquet, .csv or .ulg log, or several.")
+    ],
     out: Annotated[
         Path | None,
-        typer.Option(help=f"What to draw ({', '.join(SUFFIXES)}); FILE with .png if it is left out."),
+        typer.Option(
+            help=f"What to draw ({', '.join(SUFFIXES)}); left out: FILE with .png, or -compared.png for several."
+        ),
     ] = None,
     topics: Annotated[
         list[str] | None,
         typer.Option(metavar="NAME,...", help="Draw these signals only, such as theta,q,imu.gyro; may be repeated."),
     ] = None,
     window: Annotated[
-        tuple[float, float] | None, typer.Option(metavar="T0 T1", help="Draw this stretch only, in seconds of the log.")
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="T0 T1", help="Draw this stretch only, in seconds of the log; of several, from where they align."
+        ),
     ] = None,
+    align: Annotated[
+        Align, typer.Option(help="Where several flights are laid over each other: at their first steps or starts.")
+    ] = Align.step,
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation."""
-    target = out if out is not None else file.with_suffix(".png")
+    """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation.
+
+    Several flights are drawn one over the other, aligned where their set-points first step. A table says rise,
+    overshoot, settling and peak of each step.
+    """
+    first = files[0]
+    target = out or (first.with_suffix(".png") if len(files) == 1 else first.with_name(f"{first.stem}-compared.png"))
     check_place(target, force)
     names = [name for text in topics or () for name in text.split(",") if name]
-    notes = draw(read_log(file), target, names, window, file.name, force)
+    if len(files) > 1:
+        _compare(files, target, names, align, window, force, json)
+        return
+    notes = draw(read_log(first), target, names, window, first.name, force)
     if json:
         print_json({"file": str(target), "notes": list(notes)})
         return
@@ -128,6 +148,48 @@ def plot(
     for note in notes:
         console.print(f"note: {note}")
     console.print(f"written: {target}")
+
+
+def _compare(
+    files: Sequence[Path],
+    target: Path,
+    topics: Sequence[str],
+    align: Align,
+    window: tuple[float, float] | None,
+    force: bool,
+    json: bool,
+) -> None:
+    if topics:
+        raise LogError("topics are for one flight", ", ".join(map(str, files)), "leave --topics out, or give one log")
+    names = _names(files)
+    if len(set(names)) < len(names):
+        raise LogError("a log is given twice", ", ".join(names), "name each once")
+    logs = {name: read_log(file) for name, file in zip(names, files, strict=True)}
+    view = comparison_view(logs, align, window)
+    steps = flight_steps(logs) if align is Align.step else {}
+    write_view(view, target, force)
+    if json:
+        rows = {name: [step.to_json() for step in found] for name, found in steps.items()}
+        print_json({"file": str(target), "steps": rows})
+        return
+    console = table_console()
+    if steps:
+        table = Table(
+            "flight", "at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|"
+        )
+        table.box, table.pad_edge = None, False
+        for column in (table.columns[1], *table.columns[3:]):
+            column.justify = "right"
+        for row in step_rows(steps):
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"written: {target}")
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """What tells the files apart: their stems, or their paths where two stems are the same."""
+    stems = [file.stem for file in files]
+    return stems if len(set(stems)) == len(files) else [str(file) for file in files]
 
 
 @app.command()

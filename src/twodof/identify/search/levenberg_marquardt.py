@@ -47,7 +47,7 @@ def minimise(
     outwards is held there. It ends when the next step promises a relative decrease below `tolerance`, when the steps
     have become too small to change x, or after `iterations`. `converged` says that a further Gauss-Newton step would
     move the estimate by less than a twentieth of its standard deviation, however the search ended. A residual that is
-    not finite at `x0` is returned as it is, not converged.
+    not finite at `x0` is returned as it is, not converged; so is the best x so far whose Jacobian is not finite.
     """
     x = np.clip(x0, lower, upper)
     r = residual(x)
@@ -61,15 +61,17 @@ def minimise(
         jac = jacobian(x, r)
         gradient = jac.T @ r
         normal = jac.T @ jac
+        if not np.isfinite(normal).all():  # there is no direction to go on; the caller finds the same Jacobian
+            return LeastSquaresMinimum(x, r, cost, iteration, False, held)
         held = ((x <= lower) & (gradient > 0.0)) | ((x >= upper) & (gradient < 0.0))
         free = np.flatnonzero(~held)
-        scale = np.maximum(scale, np.sqrt(np.diag(normal)))
-        floor = np.where(scale > 0.0, scale, 1.0)
+        scale = np.maximum(scale, np.sqrt(normal.diagonal()))
+        squares = np.where(scale > 0.0, scale, 1.0) ** 2
         while True:
-            step, clipped = _bounded_step(normal, gradient, damping * floor**2, free, lower - x, upper - x)
-            trial = np.clip(x + step, lower, upper)
+            step, clipped = _bounded_step(normal, gradient, damping * squares, free, lower - x, upper - x)
+            trial = np.minimum(np.maximum(x + step, lower), upper)
             promised = -float(gradient @ step) - 0.5 * float(step @ normal @ step)
-            small = bool(np.all(np.abs(step) <= 1e-14 * (np.abs(x) + 1e-14)))
+            small = bool((np.abs(step) <= 1e-14 * (np.abs(x) + 1e-14)).all())
             # A step cut by a bound may promise nothing although a shorter one would.
             if small or (promised <= tolerance * cost and not clipped):
                 converged = _converged(r, cost, gradient, normal, free)
@@ -96,6 +98,12 @@ def _bounded_step(
 
     An unknown that would cross its bound goes to it, and the others are solved for again, given that.
     """
+    if free.size == gradient.size:
+        system = normal.copy()
+        system.flat[:: free.size + 1] += damping
+        whole = np.asarray(np.linalg.solve(system, -gradient))
+        if (whole >= low).all() and (whole <= high).all():
+            return whole, False
     step = np.zeros_like(gradient)
     open_ = free
     while open_.size:

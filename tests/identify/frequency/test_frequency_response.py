@@ -6,7 +6,7 @@ import pytest
 
 from tests.identify.signals import DT, pitch_record
 from twodof.errors import IdentificationError
-from twodof.identify.frequency import frequency_response
+from twodof.identify.frequency.frequency_response import frequency_response
 from twodof.models.plant import PitchRate
 
 MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)

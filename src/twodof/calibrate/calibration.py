@@ -16,11 +16,12 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.calibrate.ceiling import gust_ceiling
 from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS
-from twodof.identify.levenberg_marquardt import minimise
+from twodof.identify.search.levenberg_marquardt import minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import lift
@@ -77,13 +78,15 @@ class CalibratedUnknown:
 
 
 UNKNOWNS: tuple[CalibratedUnknown, ...] = (
-    # Priors of b and a: linear fits of single flights give mu 288 +- 8 at T = .4 and 112 to 118 at T = 0.
-    CalibratedUnknown("b", 154.0, 8.0, 50.0, 400.0, "rad/s2 of pitch for a pair at full command"),
+    # Priors of b and a: linear fits of single flights give mu 288 +- 8 at T = .4 (1.87 b) and 112 to 118 at T = 0.
+    CalibratedUnknown("b", 154.0, 4.0, 50.0, 400.0, "rad/s2 of pitch for a pair at full command"),
     CalibratedUnknown("a", 0.3, 0.05, 0.0, 0.9, "quadratic share of the thrust curve"),
     CalibratedUnknown("delay", 0.010, 0.003, 0.002, 0.03, "s, pure delay"),
     CalibratedUnknown("lag", 0.012, 0.004, 0.002, 0.05, "s, rotor lag"),
-    CalibratedUnknown("k", 8.0, 2.0, 1.0, 30.0, "1/s2, gravity's stiffness"),
-    CalibratedUnknown("k3", 4.0, 3.0, 0.0, 40.0, "1/s2 per rad2, hardening"),
+    # Prior of k: half swings after two flights of the cart and the pitch, motors off, give 8.4 +- .2 and 7.2 +- .4.
+    CalibratedUnknown("k", 8.0, 0.6, 1.0, 30.0, "1/s2, stiffness, rotors at rest"),
+    CalibratedUnknown("k_run", 6.0, 4.0, -10.0, 30.0, "1/s2, stiffness, rotors running"),
+    CalibratedUnknown("k3", 4.0, 3.0, 0.0, 40.0, "1/s2 per rad2, hardening, rotors at rest"),
     CalibratedUnknown("c_idle", 0.2, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors at rest"),
     CalibratedUnknown("f_idle", 0.3, 0.2, 0.0, 3.0, "rad/s2, Coulomb friction, rotors at rest"),
     CalibratedUnknown("c_run", 0.3, 0.3, 0.0, 5.0, "1/s, viscous friction, rotors running"),
@@ -122,6 +125,7 @@ def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
         "delay": u["delay"],
         "lag": u["lag"],
         "offset": u["k"] * inertia / (built["mass_drone"] * GRAVITY),
+        "softening": (u["k"] - u["k_run"]) * inertia,
         "hardening": u["k3"] * inertia,
         "viscous_idle": u["c_idle"] * inertia,
         "coulomb_idle": u["f_idle"] * inertia,
@@ -142,7 +146,8 @@ class Calibration:
 
     `rig` is the set; `estimate` and `deviation` the unknowns and their standard deviations (robust to misfits that are
     coloured over a second, as turbulence is); `fit[flight][channel]` [%] on all flights; `left_out[flight][channel]`
-    [%] of each flight by the set calibrated on the others (empty if not asked for). `converged` says that no further
+    [%] of each flight by the set calibrated on the others. `ceiling[flight][channel]` [%] is what the gusts of `rig`
+    leave to be predicted (`gust_ceiling`). Both are empty if not asked for. `converged` says that no further
     step promised a relative decrease of the misfit by 1e-5.
     """
 
@@ -151,6 +156,7 @@ class Calibration:
     deviation: Mapping[str, float]
     fit: Mapping[str, Mapping[str, float]]
     left_out: Mapping[str, Mapping[str, float]]
+    ceiling: Mapping[str, Mapping[str, float]]
     cost: float
     converged: bool
 
@@ -200,12 +206,14 @@ def calibrate(
     if progress is not None:
         progress("compare", 1.0)
     values = ParameterSet(rig | _untouched(), TABLE)
+    ceiling = {f.name: gust_ceiling(data, loop, values) for f, data in logged.items()} if left_out else {}
     return Calibration(
         rig=values,
         estimate=MappingProxyType(_named(best.x)),
         deviation=MappingProxyType(_named(best.deviation)),
         fit={f.name: data.compare(loop, values).fit for f, data in logged.items()},
         left_out=left_out,
+        ceiling=ceiling,
         cost=best.cost,
         converged=best.converged,
     )

@@ -1,0 +1,196 @@
+"""A structure and a record that the command line names: FILE.py:NAME or a diagram, and columns of any table."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+from twodof.blocks.diagram import Diagram
+from twodof.errors import LogError, ParameterError, listed, nearest, shown
+from twodof.flight.starters import load_diagram
+from twodof.flightlog.columns import read_columns
+from twodof.flightlog.files import read_log
+from twodof.flightlog.log import FlightLog
+from twodof.identify.record import Record
+from twodof.models.structure import Structure
+
+MAX_SOURCE = 1 << 20
+"""Bytes of a Python file."""
+_LOCAL = ("_0", "_trim", "_bias")
+
+
+def read_structure(source: str, estimate: Sequence[str] = ()) -> Structure:
+    """The structure that `source` names: FILE.py:NAME, whose code is run, or a diagram in JSON, of which none is.
+
+    NAME is a `Structure`, a `Diagram`, or a function without arguments that gives one; it may be left out where the
+    file has one structure. Of a diagram all real parameters are estimated, or those in `estimate`; names that end in
+    _0, _trim or _bias belong to one record. Raises ParameterError for a file that cannot be read or run, and for a name
+    that is not there or is something else; DiagramError as `load_diagram`.
+    """
+    path, colon, name = source.rpartition(":")
+    if not colon or not path.endswith(".py"):
+        path, name = source, ""
+    if path.endswith(".py"):
+        return _of(_named(_run(Path(path)), name, path), source, estimate)
+    return _of(load_diagram(Path(path)), source, estimate)
+
+
+def own_record(
+    path: Path,
+    structure: Structure,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    time: str | None,
+    window: tuple[float, float] | None,
+    hold: Sequence[str] = (),
+) -> Record:
+    """The record of a table or log: `inputs` and `outputs` are NAME=COLUMN, or a name that both share.
+
+    The inputs that are not named are the structure's own; so are the outputs, as far as the table has them. Raises
+    ParameterError for a name that the structure lacks, LogError for a column that the table lacks.
+    """
+    ins = _pairs(inputs, structure.inputs, "--input", structure)
+    ins = {name: ins.get(name, name) for name in structure.inputs}
+    outs = _pairs(outputs, structure.outputs, "--output", structure)
+    held = _holds(hold, structure)
+    log = read_log(path) if time is None else read_columns(path, time)
+    outs = outs or {name: name for name in structure.outputs if name in log}
+    if not outs:
+        raise LogError(
+            f"has no column named as an output of the structure ({', '.join(structure.outputs)})",
+            log.source,
+            f"say which one it is: --output {structure.outputs[0]}=COLUMN; there are: {listed(log.channels)}",
+        )
+    for name, column in (*ins.items(), *outs.items()):
+        if column not in log:
+            option = "--input" if name in ins else "--output"
+            raise LogError(
+                f"has no column {shown(column)}",
+                log.source,
+                f"name it: {option} {name}=COLUMN; there are: {nearest(column, log.channels)}",
+            )
+    start, stop = window or _span(log, [*ins.values(), *outs.values()])
+    return Record.from_log(log, ins, outs, start, stop, hold=held)
+
+
+def with_reference(record: Record, path: Path, time: str | None, column: str) -> Record:
+    """The record with one more input, `column` of the log or table that it was cut from, held from step to step.
+
+    Raises LogError for a column that is not there, or has no sample when the record begins.
+    """
+    if column in record.inputs:
+        return record
+    log = read_log(path) if time is None else read_columns(path, time)
+    if column not in log:
+        raise LogError(
+            f"has no column {shown(column)}", log.source, f"--reference: there are {nearest(column, log.channels)}"
+        )
+    held = log.resample(column, record.time + 0.5 * record.dt)
+    if held.ndim != 1:
+        raise LogError(f"{column!r:.80} has {held.shape[1]} columns", log.source, "name a column with one number a row")
+    return replace(record, inputs={**record.inputs, column: held})
+
+
+def _span(log: FlightLog, columns: Sequence[str]) -> tuple[float, float]:
+    """Where all of the columns have begun and none has ended."""
+    times = [log[column].time for column in columns]
+    if not all(time.size for time in times):
+        raise LogError("a column is empty", log.source, f"of {', '.join(columns)}; name others")
+    return max(float(time[0]) for time in times), min(float(time[-1]) for time in times)
+
+
+def _pairs(given: Sequence[str], known: Sequence[str], option: str, structure: Structure) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for one in given:
+        name, sign, column = one.partition("=")
+        column = column if sign else name
+        if name not in known:
+            raise ParameterError(
+                f"the structure '{structure.name}' has no {option[2:]} {shown(name)}",
+                option,
+                f"write NAME=COLUMN; the structure has: {', '.join(known)}",
+            )
+        if name in found:
+            raise ParameterError(f"{name!r:.80} is named twice", option, "name each once")
+        found[name] = column
+    return found
+
+
+def _holds(given: Sequence[str], structure: Structure) -> dict[str, str]:
+    found = {}
+    for one in given:
+        name, sign, kind = one.partition("=")
+        if not sign or name not in structure.inputs:
+            raise ParameterError(
+                f"{shown(one)} is not an input and its hold", "--hold", f"write {structure.inputs[0]}=linear"
+            )
+        found[name] = kind
+    return found
+
+
+def _of(thing: object, source: str, estimate: Sequence[str]) -> Structure:
+    if callable(thing) and not isinstance(thing, (Structure, Diagram)):
+        try:
+            thing = thing()
+        except Exception as reason:
+            raise ParameterError(f"{source} raised {reason!r:.200}", "--structure", "mend it") from reason
+    if isinstance(thing, Structure):
+        return thing
+    if not isinstance(thing, Diagram):
+        raise ParameterError(
+            f"a {type(thing).__name__} is not a structure",
+            f"--structure {source}",
+            "name a twodof.models.Structure, a Diagram, or a function that gives one",
+        )
+    real = tuple(name for name, param in thing.params.items() if param.kind == "real" and param.width is None)
+    if not real:
+        raise ParameterError(
+            f"the diagram '{thing.name}' has no real parameter",
+            f"--structure {source}",
+            "give it parameters with `Diagram.param`: they are what is estimated",
+        )
+    wanted = tuple(name for name in estimate if name in real) or real
+    return Structure(thing, wanted, local=tuple(name for name in real if name.endswith(_LOCAL)))
+
+
+def _run(path: Path) -> ModuleType:
+    where = f"--structure {path}"
+    try:
+        with path.open("rb") as file:
+            text = file.read(MAX_SOURCE + 1)
+    except (OSError, ValueError) as reason:
+        raise ParameterError(f"cannot be read: {reason}", where, "name a Python file, as model.py:motor") from reason
+    if len(text) > MAX_SOURCE:
+        raise ParameterError(f"is larger than {MAX_SOURCE} bytes", where, "name a file that holds the structure alone")
+    module = ModuleType(path.stem)
+    module.__file__ = str(path)
+    # What stands beside the file can be imported, as if Python ran it.
+    folder = str(path.resolve().parent)
+    sys.path.insert(0, folder)
+    try:
+        exec(compile(text, str(path), "exec"), module.__dict__)  # the user's own file, by his own word
+    except Exception as reason:
+        raise ParameterError(f"raised {reason!r:.200}", where, "mend it; Python runs the whole file") from reason
+    except SystemExit as reason:
+        raise ParameterError(
+            "ended the program", where, 'put what is run behind `if __name__ == "__main__":`'
+        ) from reason
+    finally:
+        sys.path.remove(folder)
+    return module
+
+
+def _named(module: ModuleType, name: str, path: str) -> object:
+    things = {key: value for key, value in vars(module).items() if not key.startswith("_")}
+    if name:
+        if name not in things:
+            raise ParameterError(f"has no {shown(name)}", f"--structure {path}", f"it has: {nearest(name, things)}")
+        return things[name]
+    own: dict[str, object] = {key: value for key, value in things.items() if isinstance(value, Structure)}
+    own = own or {key: value for key, value in things.items() if isinstance(value, Diagram)}
+    if len(own) != 1:
+        raise ParameterError(
+            f"holds {len(own)} structures and diagrams: {listed(own)}", f"--structure {path}", f"name one: {path}:NAME"
+        )
+    return next(iter(own.values()))

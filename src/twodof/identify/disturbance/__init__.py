@@ -1,0 +1,7 @@
+"""What disturbs a flight, as a part of the fit: coloured noise, gusts."""
+
+from twodof.identify.disturbance.autoregression import Autoregression
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel
+from twodof.identify.disturbance.gust import Gust
+
+__all__ = ["Autoregression", "DisturbanceModel", "Gust"]

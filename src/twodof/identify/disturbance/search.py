@@ -1,0 +1,256 @@
+"""Which noise model a fit takes, and the estimate under it."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
+from twodof.identify.disturbance.coloured_problem import ColouredProblem
+from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel
+from twodof.identify.disturbance.feedback import inputs_that_answer
+from twodof.identify.disturbance.pushed_problem import can_be_pushed, pushed
+from twodof.identify.problem import Problem
+from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.validate import whiteness
+
+Array = NDArray[np.float64]
+
+LONG = 800
+"""Samples from which on `auto` trusts an autoregression: fewer do not tell the slow part of the noise."""
+
+_LAGS = 25
+_NEAR = 0.3
+_MUCH = 5.0
+_LOWER = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed:
+    """The end of a search: x, its sensitivities and prediction errors over the noise, and the noise model.
+
+    `deviation` is the standard deviation of the residual of each block of rows, in units of its weight.
+    """
+
+    minimum: LeastSquaresMinimum
+    jacobian: Array
+    prediction_error: Array
+    deviation: Array
+    model: DisturbanceModel
+
+
+def check_disturbance(disturbance: Disturbance, banded: bool, noise_given: bool, where: str) -> None:
+    """Raises IdentificationError for an unknown noise model, and for "ar" or "input" with a given band or noise."""
+    if disturbance not in KINDS:
+        raise IdentificationError(f"no disturbance {disturbance!r:.80}", where, f"there are: {', '.join(KINDS)}")
+    if disturbance in ("auto", "white"):
+        return
+    if banded:
+        raise IdentificationError(
+            f"disturbance='{disturbance}' with a band: a noise model needs all frequencies",
+            where,
+            "leave the band out, or the disturbance",
+        )
+    if noise_given:
+        raise IdentificationError(
+            f"disturbance='{disturbance}' with given standard deviations: the noise model finds its own",
+            where,
+            "leave `noise` out",
+        )
+
+
+def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturbance, noise_given: bool) -> Disturbed:
+    """The estimate under the noise model asked for, from the output-error `minimum`.
+
+    "auto" stays with white noise where the output error's residual is white, and where a band is fitted or the noise is
+    given. Otherwise it takes the autoregression for long records (`LONG`). For shorter ones it takes the gust at the
+    input, which has few unknowns. The structure must then be linear and have the actuator's lag. In open loop output
+    error and noise model are both right if the structure is. Where they differ by more than chance (Hausman, 1978), the
+    structure is wrong, unless a gust explains the difference. Output error then stays, which at least reproduces the
+    response.
+    """
+    white = _white(problem, minimum)
+    passed = problem.band is not None or _passes(problem, white.prediction_error)
+    if passed:
+        return white if disturbance in ("auto", "white") else _asked(problem, minimum, disturbance, ())
+    answering = inputs_that_answer(problem, white.prediction_error)
+    white = replace(white, model=DisturbanceModel(answering=answering))
+    if disturbance == "white" or noise_given:
+        return white
+    if disturbance == "auto" and not _long(problem):
+        if not can_be_pushed(problem, problem.x0, sure=True):  # output error may have lost the lag
+            return white
+        return _settled(problem, white, _pushed(problem, minimum, answering))
+    if disturbance == "auto":
+        weights = dict(problem.sigma)
+        settled = _settled(problem, white, _coloured(problem, minimum, answering))
+        # With other weights the search began anew, and has asked this.
+        asked = problem.sigma != weights
+        if settled.model.change > 0.0 and not asked and can_be_pushed(problem, problem.x0, sure=True):
+            # A slow wander is too long for the flight's own covariance. A gust that explains it acquits the structure.
+            pushed_too = _settled(problem, white, _pushed(problem, minimum, answering))
+            return pushed_too if pushed_too.model.kind == "input" else settled
+        return settled
+    return _asked(problem, minimum, disturbance, answering)
+
+
+def _asked(
+    problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturbance, answering: tuple[str, ...]
+) -> Disturbed:
+    if disturbance == "ar":
+        return _coloured(problem, minimum, answering)
+    if not can_be_pushed(problem, minimum.x):
+        raise IdentificationError(
+            "disturbance='input' needs a linear structure of one input, and one output sampled once a step",
+            f"structure '{problem.structure.name}'",
+            "take disturbance='ar', which any structure can have",
+        )
+    return _pushed(problem, minimum, answering)
+
+
+def _settled(problem: Problem, white: Disturbed, found: Disturbed) -> Disturbed:
+    """On "auto": what was `found`, unless that cannot be or says that the structure is wrong."""
+    if not (math.isfinite(found.minimum.cost) and _identifiable(problem, found)):
+        return white
+    if not white.model.answering:
+        change = _change(problem, white, found)
+        if change > _MUCH:
+            better = _better(problem, white.minimum, found.minimum.x)
+            if better is not None:
+                return search(problem, better, "auto", False)
+            return replace(white, model=DisturbanceModel(change=change))
+    return found
+
+
+def _better(problem: Problem, minimum: LeastSquaresMinimum, x: Array) -> LeastSquaresMinimum | None:
+    """Output error's minimum from `x`, if it is lower than the one that was found; the weights become those there.
+
+    Slow noise gives output error several minima, and one of them proves nothing against the structure.
+    """
+    other = minimise(problem.residual, problem.jacobian, x, problem.lower, problem.upper)
+    if not other.cost < (1.0 - _LOWER) * minimum.cost:
+        return None
+    for block, deviation in zip(problem.blocks, _deviation(problem, other.residual), strict=True):
+        problem.sigma[block.record, block.output] *= max(float(deviation), 1e-9)
+    return minimise(problem.residual, problem.jacobian, other.x, problem.lower, problem.upper)
+
+
+def _pushed(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]) -> Disturbed:
+    tried = [pushed(problem, start) for start in (minimum.x, problem.x0)]
+    best = min(tried, key=lambda one: one.cost if math.isfinite(one.cost) else math.inf)
+    labels = problem.noise()
+    noise = {label: model.scaled(s) for (label, s), model in zip(labels.items(), best.models, strict=True)}
+    gusts = dict(zip(labels, best.gusts, strict=True))
+    raw = problem.residual(best.minimum.x)
+    return Disturbed(
+        best.minimum,
+        best.jacobian,
+        best.prediction_error,
+        _deviation(problem, raw),
+        DisturbanceModel("input", noise, answering, gusts=gusts, dt=problem.records[0].dt),
+    )
+
+
+def _deviation(problem: Problem, raw: Array) -> Array:
+    """Root mean square of the residual of each block."""
+    rows = [raw[block.rows] for block in problem.blocks]
+    return np.array([math.sqrt(float(own @ own) / own.size) for own in rows])
+
+
+def _white(problem: Problem, minimum: LeastSquaresMinimum) -> Disturbed:
+    residual = problem.residual(minimum.x)
+    jacobian = problem.central_jacobian(minimum.x)
+    return Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
+
+
+def _identifiable(problem: Problem, found: Disturbed) -> bool:
+    """Whether the prefiltered data tell the unknowns apart: the noise model may leave less of them than there was."""
+    free = np.flatnonzero(~found.minimum.at_bound)
+    try:
+        check_identifiable(found.jacobian[:, free], problem.scale[free], [problem.slots[i].label for i in free], "")
+    except IdentificationError:
+        return False
+    return True
+
+
+def _change(problem: Problem, white: Disturbed, found: Disturbed) -> float:
+    """By how many standard deviations output error is off the other estimate, of the unknown that is most so."""
+    # What only one of the two has at a bound leaves the others their own doubt in each.
+    own, other = (np.flatnonzero(~one.minimum.at_bound) for one in (white, found))
+    shared = [i for i in np.intersect1d(own, other) if not problem.slots[i].unknown.local]
+    jacobian = white.jacobian[:, own]
+    if not shared or (np.linalg.norm(jacobian, axis=0) == 0.0).any():
+        return 0.0  # an unknown without any effect is refused later
+    variance = np.zeros(len(problem.slots))
+    if found.model.kind == "ar":
+        # Not the colour that was found: what a wrong structure leaves out has passed into it.
+        variance[own] = np.diag(robust_covariance(jacobian, white.prediction_error, problem.blocks, spectral=False))
+        variance[other] += np.diag(covariance(found.jacobian[:, other]))
+    else:
+        # A record so short does not show the colour, and the gust has no room for a wrong structure.
+        variance[own] = _under(problem, jacobian, found)
+        # Output error may end in a corner where it believes itself sure. What it would be worth at the other estimate
+        # bounds that from below.
+        there = problem.central_jacobian(found.minimum.x)[:, own]
+        if (np.linalg.norm(there, axis=0) > 0.0).all():
+            variance[own] = np.maximum(variance[own], _under(problem, there, found))
+    deviation = np.sqrt(np.maximum(variance[shared], 1e-300))
+    return float((np.abs(found.minimum.x - white.minimum.x)[shared] / deviation).max())
+
+
+def _under(problem: Problem, jacobian: Array, found: Disturbed) -> Array:
+    """The variance of output error's estimates under the noise that was `found`, from its sensitivities."""
+    bread, sigmas = covariance(jacobian), problem.noise()
+    variance = np.zeros(bread.shape[0])
+    for block, (label, model) in zip(problem.blocks, found.model.noise.items(), strict=True):
+        seen = model.scaled(1.0 / sigmas[label]).colour(jacobian[block.rows]) @ bread
+        variance += np.einsum("ij,ij->j", seen, seen)
+    return variance
+
+
+def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]) -> Disturbed:
+    coloured = ColouredProblem(problem)
+    # The output error's optimum may be far off in closed loop, the first guess in open loop.
+    found = [coloured.minimise(start) for start in (minimum.x, problem.x0)]
+    costs = [coloured.cost(one.x) if math.isfinite(one.cost) else math.inf for one in found]
+    best = found[int(np.argmin(costs))]
+    coloured.choose(best.x)
+    raw, models = coloured.at(best.x)
+    jacobian, error = coloured.sensitivities(best.x), coloured.whitened(best.x)
+    free = jacobian[:, ~best.at_bound]
+    # A further step, in standard deviations. At the optimum it is not quite 0, because Burg's coefficients are not
+    # quite those of least squares.
+    left = float(np.linalg.norm(free @ np.linalg.lstsq(free, error, rcond=None)[0]))
+    best = replace(best, converged=best.converged or left < _NEAR)
+    coloured.lengthen(best.x)
+    longer = coloured.sensitivities(best.x)
+    if _doubt(longer) > _doubt(jacobian):
+        (raw, models), jacobian, error = coloured.at(best.x), longer, coloured.whitened(best.x)
+    noise = {label: model.scaled(sigma) for (label, sigma), model in zip(problem.noise().items(), models, strict=True)}
+    return Disturbed(
+        best,
+        jacobian,
+        error,
+        _deviation(problem, raw),
+        DisturbanceModel("ar", noise, answering, dt=problem.records[0].dt),
+    )
+
+
+def _doubt(jacobian: Array) -> float:
+    """How much the claims from sensitivities add up to: the logarithms of their variances."""
+    if not np.isfinite(jacobian).all() or (np.linalg.norm(jacobian, axis=0) == 0.0).any():
+        return math.nan  # an unknown without any effect is refused later
+    return float(np.log(np.maximum(np.diag(covariance(jacobian)), 1e-300)).sum())
+
+
+def _passes(problem: Problem, residual: Array) -> bool:
+    """Whether the residual of each output that is long enough for the test is white."""
+    rows = [residual[block.rows] for block in problem.blocks]
+    tested = [own for own in rows if own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0]
+    return all(whiteness(own, _LAGS).passed for own in tested)
+
+
+def _long(problem: Problem) -> bool:
+    return min(int(block.rows.stop - block.rows.start) for block in problem.blocks) >= LONG

@@ -1,0 +1,220 @@
+"""IdentifiedFlight: one log read by hand and by output error, with all that a picture of the fit needs."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError, LogError
+from twodof.flightlog.log import FlightLog
+from twodof.identify import simple_pitch, simple_velocity
+from twodof.identify.disturbance.disturbance_model import Disturbance
+from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import KINDS, cut
+from twodof.identify.from_flight.ready_made import AUTO, by_hand, by_output_error, experiment_in, structure_for
+from twodof.identify.from_flight.sufficiency import PURPOSE, Sufficiency, sufficiency
+from twodof.identify.record import Record
+from twodof.identify.simple_pitch import SimplePitch
+from twodof.identify.simple_velocity import SimpleVelocity
+from twodof.models.structure import Structure
+from twodof.signals import unit_of
+
+Array = NDArray[np.float64]
+
+MOST_POINTS = 8000
+"""Of a curve in `view`: longer records are thinned out evenly, far finer than a screen shows."""
+
+
+@dataclass(frozen=True, eq=False)
+class IdentifiedFlight:
+    """What one flight tells: the `greybox` fit, the paper's `simple` method beside it, and the `record` of both.
+
+    `simple` is None where nothing can be read by hand, and `refusal` says why. `validation` are the records of other
+    flights that the fit was checked on.
+    """
+
+    experiment: str
+    structure: Structure
+    record: Record
+    validation: tuple[Record, ...]
+    greybox: Estimate
+    simple: SimplePitch | SimpleVelocity | None
+    refusal: str
+
+    @property
+    def sufficiency(self) -> Sufficiency:
+        """Whether the data are informative enough for what the experiment is flown for."""
+        return sufficiency(self.greybox, PURPOSE.get(self.experiment, ()))
+
+    def model(self) -> dict[str, Any]:
+        """The model's document, as `twodof identify --out` writes it and `twodof design` reads it."""
+        about = {"experiment": self.experiment, "method": "grey-box"}
+        return {**about, **json.loads(self.greybox.to_json())}
+
+    def view(self) -> dict[str, Any]:
+        """Curves and figures as plain data: inputs, outputs with both models, tests of the residuals, estimates.
+
+        Times are in seconds from the record's start. What is not finite is null.
+        """
+        found, judged = self.greybox, self.sufficiency
+        start = self.record.start
+        return {
+            "experiment": self.experiment,
+            "structure": self.structure.name,
+            "log": self.record.name,
+            "inputs": [
+                {"name": name, "unit": unit_of(name), **_curve(self.record.time - start, value=value)}
+                for name, value in self.record.inputs.items()
+                if name in self.structure.inputs
+            ],
+            "outputs": [*self._outputs(), *self._by_hand_only()],
+            "tests": [test for one in found.identification for test in _tests(one.output, one)],
+            "estimates": [self._row(label) for label in (*found.labels, *found.summed)],
+            "held": dict(found.held),
+            "correlation": {"labels": list(found.labels), "rows": [_listed(row) for row in found.correlation]},
+            "condition_number": found.condition_number,
+            "disturbance": found.disturbance.text,
+            "robust": not found.white,
+            "converged": found.converged,
+            "informative": {"enough": judged.enough, "trusted": judged.trusted, "text": judged.text},
+            "remarks": list(found.remarks),
+            "simple": None if self.simple is None else json.loads(self.simple.to_json()),
+            "simple_text": self.refusal if self.simple is None else self.simple.table(),
+        }
+
+    def _row(self, label: str) -> dict[str, Any]:
+        found = self.greybox
+        low, high = found.interval(label)
+        by_hand = getattr(self.simple.model, label, None) if self.simple is not None else None
+        return {
+            "name": label,
+            "unit": found.unit(label),
+            "value": found[label],
+            "sigma": _plain(found.sigma(label)),
+            "low": _plain(low),
+            "high": _plain(high),
+            "local": label in found.local,
+            "sum": label in found.summed,
+            "simple": by_hand,
+        }
+
+    def _outputs(self) -> list[dict[str, Any]]:
+        rows = []
+        for one in (*self.greybox.identification, *self.greybox.validation):
+            curves = {"measured": one.measured, "greybox": one.simulated, "residual": one.residual}
+            if one.record == self.record.name and self.simple is not None and one.output == self.simple.output:
+                _, _, offset, simulated = self._simulated()
+                curves["simple"] = simulated + offset
+            rows.append(
+                {
+                    "name": one.output,
+                    "unit": unit_of(one.output),
+                    "record": one.record,
+                    "validation": one.record != self.record.name,
+                    "fit_percent": one.fit_percent,
+                    "rmse": one.rmse,
+                    "wanders": one.wanders,
+                    **_curve(one.time - one.time[0], **curves),
+                }
+            )
+        return rows
+
+    def _by_hand_only(self) -> list[dict[str, Any]]:
+        """The output that the simple method reads, where the grey-box fit has another."""
+        if self.simple is None or any(one.output == self.simple.output for one in self.greybox.identification):
+            return []
+        time, measured, offset, simulated = self._simulated()
+        curves = {"measured": measured + offset, "simple": simulated + offset, "residual": measured - simulated}
+        return [
+            {
+                "name": self.simple.output,
+                "unit": unit_of(self.simple.output),
+                "record": self.record.name,
+                "validation": False,
+                "fit_percent": self.simple.identification[1],
+                "rmse": float(np.sqrt(np.mean((measured - simulated) ** 2))),
+                "wanders": False,
+                **_curve(time - self.record.start, **curves),
+            }
+        ]
+
+    def _simulated(self) -> tuple[Array, Array, float, Array]:
+        """Times, the measured output less its rest, that rest, and what the simple model makes of the input."""
+        if isinstance(self.simple, SimplePitch):
+            time, value, _ = self.record.signals("M", "q")
+            measured, simulated = simple_pitch.simulated_pair(self.simple.model, self.record)
+        elif isinstance(self.simple, SimpleVelocity):
+            time, value, _ = self.record.signals("theta0", "v")
+            measured, simulated = simple_velocity.simulated_pair(self.simple.model, self.record)
+        else:
+            raise IdentificationError("nothing was read by hand", self.record.name)
+        return time, measured, float(value[0] - measured[0]), simulated
+
+
+def identify_flight(
+    log: FlightLog,
+    experiment: str | None = None,
+    *,
+    structure: str = AUTO,
+    impulse: FlightLog | None = None,
+    others: Sequence[FlightLog] = (),
+    window: tuple[float, float] | None = None,
+    disturbance: Disturbance = "auto",
+) -> IdentifiedFlight:
+    """Identify an experiment of `KINDS` (None: what the log holds) by output error, and by hand beside it.
+
+    `impulse` is the log of a free response, from which the poles of a doublet come. `others` validate. `window` [s] is
+    the stretch of the log, `structure` a name of `ready_made.STRUCTURES`. Raises LogError and IdentificationError.
+    """
+    kind = experiment_in(log) if experiment is None else experiment
+    if kind not in KINDS:
+        raise IdentificationError(f"no experiment called {kind!r:.80}", "", f"there are: {', '.join(KINDS)}")
+    if impulse is not None and kind != "doublet":
+        raise IdentificationError("the impulse's log is of use to a doublet only", kind, "leave it out")
+    record = cut(log, kind, window)
+    checks = tuple(cut(other, kind) for other in others)
+    free = None if impulse is None else cut(impulse, "impulse")
+    shape = structure_for(kind, structure)
+    found, fitted = by_output_error(kind, shape, [record], checks, free=free, disturbance=disturbance)
+    if not isinstance(found, Estimate):
+        raise IdentificationError("one log gives one estimate", kind)
+    simple, refusal = None, ""
+    try:
+        simple = by_hand(kind, record, checks, free)
+    except (IdentificationError, LogError) as reason:
+        refusal = str(reason)
+    return IdentifiedFlight(kind, shape, record, tuple(fitted[1:]), found, simple, refusal)
+
+
+def _tests(output: str, one: Any) -> list[dict[str, Any]]:
+    tests = {"itself": one.whiteness, **one.inputs}
+    return [
+        {
+            "output": output,
+            "against": name,
+            "lags": test.lags.tolist(),
+            "value": _listed(test.value),
+            "bound": _listed(test.bound),
+            "passed": test.passed if name == "itself" else test.causal.passed,
+            "outside": test.outside,
+            "allowed": test.allowed,
+        }
+        for name, test in tests.items()
+        if test is not None
+    ]
+
+
+def _curve(time: Array, **values: Array) -> dict[str, Any]:
+    step = max(1, -(-time.size // MOST_POINTS))
+    return {"time": _listed(time[::step]), **{name: _listed(value[::step]) for name, value in values.items()}}
+
+
+def _listed(values: Array) -> list[float | None]:
+    return [_plain(float(f"{value:.6g}")) for value in values]
+
+
+def _plain(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,150 @@
+"""A fit from several first guesses: a cost with several minima shows them, and the best one is kept."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.estimate import Estimate
+from twodof.identify.greybox import fit
+from twodof.identify.record import Record
+from twodof.models.structure import Structure, check_structure
+
+MAX_STARTS = 10_000
+
+
+@dataclass(frozen=True, eq=False)
+class LocalMinimum:
+    """Where a search ended: its unknowns by label, its cost and how many of the starts (`starts`) ended there.
+
+    The cost is a sum over outputs and records. Each adds the samples' number times the logarithm of the residual's RMS.
+    Without its constant, the negative logarithm of the likelihood is this sum (Ljung, System Identification, section
+    7.4).
+    """
+
+    values: Mapping[str, float]
+    cost: float
+    starts: int
+
+
+@dataclass(frozen=True, eq=False)
+class MultiStart:
+    """The best fit, all minima (the best first), and the first guesses that failed, with the reason."""
+
+    best: Estimate
+    minima: tuple[LocalMinimum, ...]
+    failed: tuple[tuple[Mapping[str, float], str], ...]
+    seed: int
+
+    @property
+    def share(self) -> float:
+        """The share of the starts that found the best minimum."""
+        return self.minima[0].starts / (sum(one.starts for one in self.minima) + len(self.failed))
+
+
+def fit_from_several(
+    structure: Structure,
+    records: Record | Sequence[Record],
+    within: Mapping[str, tuple[float, float]],
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> MultiStart:
+    """`fit` from the structure's own first guess and from `starts` - 1 random ones, of which the best is kept.
+
+    `within` says from where to where the first guess of an unknown is drawn: (low, high). If both are positive and a
+    factor of ten or more apart, the draw is uniform in the logarithm. Otherwise it is uniform. The draws are a Latin
+    hypercube: each unknown's range is in `starts` equal parts, and each part has one draw. `options` are those of
+    `fit`; the `bounds` of the search are not narrowed. The searches are by output error; a noise model (`disturbance`,
+    see `fit`) is fitted from the best end alone. `progress` is called with the starts done and their number. Two ends
+    are one minimum if their costs differ by less than .1, or 1e-6 of the samples.
+
+    Raises IdentificationError for names, ranges or numbers that are not possible, and the first fit's error if all
+    starts fail.
+    """
+    _check(structure, within, starts)
+    generator = np.random.default_rng(seed)
+    own = dict(options.pop("values", None) or {})
+    disturbance = options.pop("disturbance", "auto")
+    guesses = [own, *({**own, **one} for one in _drawn(within, starts, generator)[1:])]
+    ends: list[tuple[float, dict[str, float]]] = []
+    best: Estimate | None = None
+    failed: list[tuple[Mapping[str, float], str]] = []
+    first: IdentificationError | None = None
+    for done, guess in enumerate(guesses):
+        if progress is not None:
+            progress(done, starts)
+        try:
+            found = fit(structure, records, values=guess, disturbance="white", **options)
+        except IdentificationError as error:
+            first = first or error
+            failed.append((guess, str(error)))
+            continue
+        cost = _cost(found)
+        if best is None or cost < min(end[0] for end in ends):
+            best = found
+        ends.append((cost, dict(zip(found.labels, found.values.tolist(), strict=True))))
+    if best is None:
+        assert first is not None
+        raise first
+    ends.sort(key=lambda end: end[0])
+    near = max(0.1, 1e-6 * sum(c.measured.size for c in best.identification))
+    groups: list[list[tuple[float, dict[str, float]]]] = []
+    for end in ends:
+        if groups and end[0] - groups[-1][0][0] <= near:
+            groups[-1].append(end)
+        else:
+            groups.append([end])
+    minima = [LocalMinimum(group[0][1], group[0][0], len(group)) for group in groups]
+    if disturbance != "white":
+        start = {**own, **ends[0][1]}
+        best = fit(structure, records, values=start, disturbance=disturbance, **options)
+    return MultiStart(best, tuple(minima), tuple(failed), seed)
+
+
+def _cost(found: Estimate) -> float:
+    # A perfect model leaves rounding errors, of which the logarithm would make a difference.
+    return sum(
+        c.measured.size * float(np.log(max(c.rmse, 1e-12 * float(np.ptp(c.measured)), 1e-300)))
+        for c in found.identification
+    )
+
+
+def _drawn(
+    within: Mapping[str, tuple[float, float]], starts: int, generator: np.random.Generator
+) -> list[dict[str, float]]:
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, (low, high) in within.items():
+        share = (generator.permutation(starts) + generator.random(starts)) / starts
+        wide = low > 0.0 and high >= 10.0 * low
+        columns[name] = low * (high / low) ** share if wide else low + (high - low) * share
+    return [{name: float(column[k]) for name, column in columns.items()} for k in range(starts)]
+
+
+def _check(structure: Structure, within: Mapping[str, tuple[float, float]], starts: int) -> None:
+    check_structure(structure)
+    where = f"structure '{structure.name}'"
+    if isinstance(starts, bool) or not isinstance(starts, int) or not 1 <= starts <= MAX_STARTS:
+        raise IdentificationError(f"{starts!r:.40} starts", where, f"give 1 to {MAX_STARTS}")
+    known = structure.unknowns
+    if not isinstance(within, Mapping):
+        raise IdentificationError(f"{type(within).__name__} for ranges", where, "give {name: (low, high)}")
+    for name, ends in within.items():
+        if name not in known:
+            raise IdentificationError(f"no unknown is called '{name}'", where, f"there are: {', '.join(known)}")
+        lower, upper = known[name].lower, known[name].upper
+        try:
+            low, high = (float(end) for end in ends)
+        except (TypeError, ValueError):
+            low, high = np.nan, np.nan
+        if not (np.isfinite(low) and np.isfinite(high) and lower <= low < high <= upper):
+            raise IdentificationError(
+                f"the first guess of '{name}' cannot be drawn from {ends!r:.60}",
+                where,
+                f"give a range, low first, within {lower:g} to {upper:g}",
+            )

@@ -1,0 +1,183 @@
+"""What a structure says of a record: simulated from its start or its first samples, and predicted samples ahead."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import IdentificationError
+from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
+from twodof.identify.estimate import Estimate
+from twodof.identify.problem import Problem
+from twodof.identify.record import Record, Samples, check_record
+from twodof.identify.search.levenberg_marquardt import minimise
+from twodof.identify.simulate import RecordSimulator
+from twodof.models.structure import Structure, check_structure
+
+Array = NDArray[np.float64]
+
+# Steps that inputs go on behind the samples looked at, so that a band-limited input does not end there.
+_BEHIND = 256
+
+
+def simulate(
+    structure: Structure,
+    record: Record,
+    values: Mapping[str, float] | Estimate | None = None,
+    *,
+    initial: int | None = None,
+) -> dict[str, Array]:
+    """The outputs of `structure` for the inputs of `record`, each at the times of its samples: arrays by output.
+
+    `values`: the unknowns by name, or what a fit found; others have the structure's own. With `initial` the states at
+    the start are those that fit the first `initial` samples best (see `initial_state`), nothing else is looked at.
+    Raises IdentificationError for a record without the structure's channels and for unknown names, ParameterError for
+    a value outside its bounds.
+    """
+    given = _given(structure, record, values)
+    if initial is not None:
+        given |= initial_state(structure, record, given, samples=initial)
+    return RecordSimulator(structure, record).run(given)
+
+
+def initial_state(
+    structure: Structure,
+    record: Record,
+    values: Mapping[str, float] | Estimate | None = None,
+    *,
+    samples: int = 50,
+) -> dict[str, float]:
+    """The initial states, by name, that reproduce the first `samples` steps of a record best, all else given.
+
+    They are the structure's local unknowns whose names end in "_0"; those that `samples` steps do not tell keep their
+    values. Raises IdentificationError for a structure without any, for no samples, and as `simulate` does.
+    """
+    given = _given(structure, record, values)
+    names = [name for name in structure.local if name.endswith("_0") and name in structure.unknowns]
+    where = f"structure '{structure.name}', record '{record.name}'"
+    if not names:
+        raise IdentificationError(
+            "the structure has no initial states as local unknowns", where, "name them in its `local`, as theta_0"
+        )
+    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
+        raise IdentificationError(f"{samples!r:.40} samples", where, "give a whole number of steps, at least 1")
+    problem = Problem(structure, [_start(record, samples, where)], names, given, {})
+    jacobian = problem.jacobian(problem.x0, problem.residual(problem.x0))
+    if not np.isfinite(jacobian).all():
+        raise IdentificationError("the model's outputs are not finite", where, "choose other values")
+    told = np.linalg.norm(jacobian, axis=0) * problem.scale > 0.0
+    kept = [name for name, yes in zip(names, told, strict=True) if yes]
+    if not kept:
+        return {name: given.get(name, structure.unknowns[name].value) for name in names}
+    problem = Problem(structure, [_start(record, samples, where)], kept, given, {})
+    found = minimise(problem.residual, problem.jacobian, problem.x0, problem.lower, problem.upper)
+    best = problem.values(found.x, 0)
+    return {name: best[name] for name in names}
+
+
+def predict_ahead(
+    structure: Structure,
+    record: Record,
+    values: Mapping[str, float] | Estimate | None = None,
+    *,
+    steps: int,
+    initial: int | None = None,
+) -> dict[str, Array]:
+    """Each output predicted from its samples up to `steps` earlier, at the times of its samples: arrays by output.
+
+    It is the simulation, and of its error what the noise model tells from the errors up to `steps` samples before
+    (Ljung, System Identification, section 3.2). An estimate brings its noise model; white noise tells nothing of the
+    future, and the prediction is the simulation. Without an estimate an autoregression is fitted to the record's own
+    errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1.
+    """
+    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
+        raise IdentificationError(
+            f"{steps!r:.40} samples ahead", f"record '{record.name}'", "give a whole number, at least 1"
+        )
+    found = simulate(structure, record, values, initial=initial)
+    for name, simulated in found.items():
+        samples = record.outputs[name]
+        error, pieces = samples.value - simulated, pieces_of(samples.position)
+        if isinstance(values, Estimate):
+            models = values.disturbance.noise
+            noise = models.get(f"{name}[{record.name}]", models.get(name))
+        else:
+            noise = autoregression(error, pieces)
+        if noise is not None:
+            for piece in pieces:
+                found[name][piece] += _ahead(noise, error[piece], steps)
+    return found
+
+
+def _ahead(noise: Autoregression, error: Array, steps: int) -> Array:
+    """What the errors tell of those `steps` later, shape (samples,); where fewer are known than the order, by those."""
+    told, order = np.zeros(error.size), noise.order
+    for known in range(1, order):
+        at = known - 1 + steps
+        if at < error.size:
+            told[at] = _weights(noise.predictors[known], steps) @ error[known - 1 :: -1][:known]
+    first = order - 1 + steps
+    if order and first < error.size:
+        for i, weight in enumerate(_weights(noise.coefficients, steps)):
+            told[first:] += weight * error[order - 1 - i : error.size - steps - i]
+    return told
+
+
+def _weights(polynomial: Array, steps: int) -> Array:
+    """Weights of the latest errors, the last one first, in the best prediction `steps` ahead."""
+    one = -polynomial[1:]
+    weights = one.copy()
+    for _ in range(steps - 1):
+        if np.abs(weights).max() < 1e-15:  # the noise has forgotten; a stable one does
+            break
+        weights = weights[0] * one + np.append(weights[1:], 0.0)
+    return np.asarray(weights)
+
+
+def _start(record: Record, samples: int, where: str) -> Record:
+    """The first steps of a record, with those of its outputs that lie in the first `samples`."""
+    steps = min(record.steps, samples + _BEHIND)
+    outputs = {}
+    for name, output in record.outputs.items():
+        keep = output.position < samples
+        if keep.any():
+            outputs[name] = Samples(output.position[keep], output.value[keep])
+    if not outputs:
+        raise IdentificationError(f"the first {samples} steps hold no sample of an output", where, "give more")
+    return replace(record, inputs={name: u[:steps] for name, u in record.inputs.items()}, outputs=outputs)
+
+
+def _given(structure: Structure, record: Record, values: Mapping[str, float] | Estimate | None) -> dict[str, float]:
+    """All values by unknown. Raises IdentificationError for names that are not there and values that are not finite."""
+    check_structure(structure)
+    check_record(record)
+    if not (values is None or isinstance(values, Mapping | Estimate)):
+        raise IdentificationError(
+            f"{type(values).__name__} for values",
+            f"structure '{structure.name}'",
+            "give a dict by name, or an estimate",
+        )
+    own = _of_estimate(record, values) if isinstance(values, Estimate) else dict(values or {})
+    known = structure.unknowns
+    for name, value in own.items():
+        if name not in known:
+            raise IdentificationError(
+                f"no unknown is called '{name}'", f"structure '{structure.name}'", f"there are: {', '.join(known)}"
+            )
+        if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not math.isfinite(value):
+            raise IdentificationError(
+                f"the value {value!r:.40} of '{name}' is not a number", f"structure '{structure.name}'", "give a number"
+            )
+    return {name: unknown.value for name, unknown in known.items()} | {n: float(v) for n, v in own.items()}
+
+
+def _of_estimate(record: Record, found: Estimate) -> dict[str, float]:
+    """An estimate's values; of those that each record has for itself, this record's, or the structure's own."""
+    values = dict(found.fixed)
+    for label, value in zip(found.labels, found.values, strict=True):
+        name, bracket, of = label.partition("[")
+        if not bracket or of.removesuffix("]") == record.name:
+            values[name] = float(value)
+    return values

@@ -1,0 +1,174 @@
+"""`twodof identify` of an own structure on the columns of tables, and its plot."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.io import savemat
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import FirstOrder
+from twodof.cli.app import run
+from twodof.flight.starters import save_diagram
+
+GAIN, TIME_CONSTANT, DT = 20.0, 0.35, 0.01
+COLUMNS = ["--input", "u=volt", "--output", "speed=tacho", "--time", "stamp"]
+SOURCE = """
+from twodof.blocks import Diagram
+from twodof.blocks.library import FirstOrder
+from twodof.models import Structure
+
+def motor():
+    d = Diagram("motor")
+    d.input("u", unit="V")
+    d.param("gain", 1.0, low=0.0, high=1000.0)
+    d.param("time_constant", 0.1, unit="s", low=0.001, high=10.0)
+    d.add("lag", FirstOrder(unit="rad/s"), u="u", params={"gain": "gain", "time_constant": "time_constant"})
+    d.output("speed", "lag")
+    return d
+
+structure = Structure(motor(), estimate=("gain", "time_constant"))
+number = 3
+def broken():
+    return 1 / 0
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same data as CSV, Parquet and .mat, and the same structure as Python and JSON."""
+    made = tmp_path_factory.mktemp("own")
+    generator = np.random.default_rng(1)
+    time = DT * np.arange(800)
+    volt = 6.0 * np.sign(generator.standard_normal(40)).repeat(20)
+    speed = np.zeros(800)
+    for k in range(799):
+        speed[k + 1] = speed[k] + (1.0 - np.exp(-DT / TIME_CONSTANT)) * (GAIN * volt[k] - speed[k])
+    table = {"stamp": time, "volt": volt, "tacho": speed + generator.normal(0.0, 2.0, 800)}
+    table["back"] = -0.1 * table["tacho"]  # k_v is at most 50
+    rows = np.column_stack(list(table.values()))
+    np.savetxt(made / "m.csv", rows, delimiter=",", header="stamp [s],volt [V],tacho,back", comments="", fmt="%.17g")
+    pq.write_table(pa.table(table), made / "m.parquet")
+    savemat(made / "m.mat", {**{name: one[:, None] for name, one in table.items()}, "note": "by hand", "k": 2.0})
+    (made / "model.py").write_text(SOURCE)
+    space: dict[str, object] = {}
+    exec(SOURCE, space)
+    diagram = space["motor"]()  # type: ignore[operator]
+    assert isinstance(diagram, Diagram)
+    assert isinstance(diagram.parts["lag"].item, FirstOrder)
+    save_diagram(diagram, made / "model.json")
+    return made
+
+
+def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict[str, dict[str, dict[str, float]]]:
+    assert run(["identify", *arguments, "--json"]) == 0
+    found: dict[str, dict[str, dict[str, float]]] = json.loads(capfd.readouterr().out)
+    return found
+
+
+def test_tables_and_structures_of_every_form_give_one_result(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    found = [
+        answer([str(folder / table), "--structure", str(folder / structure), *COLUMNS], capfd)["estimates"]
+        for table, structure in (
+            ("m.csv", "model.py:structure"),
+            ("m.parquet", "model.py"),
+            ("m.mat", "model.py:motor"),
+            ("m.csv", "model.json"),
+        )
+    ]
+    for name, truth in (("gain", GAIN), ("time_constant", TIME_CONSTANT)):
+        assert abs(found[0][name]["value"] - truth) < 3.0 * found[0][name]["sigma"]
+        assert [one[name]["value"] for one in found] == pytest.approx([found[0][name]["value"]] * 4, rel=1e-6)
+
+
+def test_a_value_is_held_and_another_file_validates(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(folder / "m.csv"), "--structure", str(folder / "model.json"), *COLUMNS, "--estimate", "gain"]
+    arguments += ["--value", "time_constant=0.35", "--window", "1", "4", "--validate", str(folder / "m.parquet")]
+    found = answer(arguments, capfd)
+    assert list(found["estimates"]) == ["gain"]
+    assert found["fixed"] == {"time_constant": 0.35}
+    assert len(found["validation"]) == 1
+
+
+def test_a_ready_made_structure_fits_columns_too(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = [str(folder / "m.csv"), "--model", "velocity", "--input", "theta=volt", "--output", "v=back"]
+    found = answer([*arguments, "--time", "stamp", "--estimate", "p_v", "--estimate", "k_v"], capfd)
+    assert found["estimates"]["p_v"]["value"] == pytest.approx(1.0 / TIME_CONSTANT, rel=0.02)
+
+
+def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    arguments = ["identify", str(folder / "m.csv"), "--structure", str(folder / "model.py:structure"), *COLUMNS]
+    for suffix, head in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".html", b"<!doctype html>")):
+        path = folder / f"fit{suffix}"
+        assert run([*arguments, "--plot", str(path)]) == 0
+        content = path.read_bytes()
+        assert content[:15].lower().startswith(head.lower())
+        if suffix != ".png":
+            text = content.decode()
+            for word in ("speed [rad/s]", "residual [rad/s]", "u [V]", "time_constant [s]", "(rad/s)/V", "phase [deg]"):
+                assert word in text, word
+            assert "measured, 95 %" in text
+            assert "within the 99 % band" in text
+    assert run([*arguments, "--plot", str(folder / "fit.png")]) == 2
+    assert "is there already" in capfd.readouterr().err
+
+
+def test_the_measured_bode_of_a_closed_loop_comes_from_the_reference(folder: Path) -> None:
+    """u = r - speed/20 with a noisy tachometer: u follows the noise, and the two measured responses differ."""
+    generator = np.random.default_rng(3)
+    time, reference = DT * np.arange(2000), 3.0 * np.sign(generator.standard_normal(200)).repeat(10)
+    noise, speed, state, u = generator.normal(0.0, 8.0, 2000), np.zeros(2000), 0.0, np.zeros(2000)
+    for k in range(2000):
+        speed[k] = state + noise[k]
+        u[k] = reference[k] - 0.1 * speed[k]
+        state += (1.0 - np.exp(-DT / TIME_CONSTANT)) * (GAIN * u[k] - state)
+    rows = np.column_stack([time, u, speed, reference])
+    np.savetxt(folder / "loop.csv", rows, delimiter=",", header="time,u,speed,r", comments="", fmt="%.17g")
+    arguments = ["identify", str(folder / "loop.csv"), "--structure", str(folder / "model.py")]
+    drawn = []
+    for name, more in (("plain", []), ("reference", ["--reference", "r"])):
+        assert run([*arguments, "--plot", str(folder / f"{name}.svg"), *more]) == 0
+        drawn.append((folder / f"{name}.svg").read_text())
+    assert "measured, 95 %" in drawn[1]
+    # All else is the same; the points differ, as tests/identify/frequency/test_conditioned.py says.
+    assert drawn[0] != drawn[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--input", "u=volt"], "which structure"),
+        (["--structure", "model.py:nothing", *COLUMNS], "has no 'nothing'"),
+        (["--structure", "model.py:number", *COLUMNS], "a int is not a structure"),
+        (["--structure", "model.py:broken", *COLUMNS], "ZeroDivisionError"),
+        (["--structure", "absent.py", *COLUMNS], "cannot be read"),
+        (["--structure", "model.py", "--input", "w=volt"], "has no input 'w'"),
+        (["--structure", "model.py", "--input", "u=vlt", "--time", "stamp"], "there are: volt"),
+        (["--structure", "model.py", "--input", "u=volt", "--time", "clock"], "no column 'clock'"),
+        (["--structure", "model.py", "--input", "u=volt", "--time", "stamp"], "no column named as an output"),
+        (["--structure", "model.py", *COLUMNS, "--experiment", "doublet"], "--experiment"),
+        (["--structure", "model.py", *COLUMNS, "--model", "rail"], "--model"),
+        (["--structure", "model.py", *COLUMNS, "--estimate", "mu"], "no unknown 'mu'"),
+        (["--structure", "model.py", *COLUMNS, "--hold", "u"], "not an input and its hold"),
+        (["--structure", "model.py", *COLUMNS, "--hold", "u=soft"], "no hold 'soft'"),
+        (["--structure", "model.py", *COLUMNS, "--plot", "fit.doc"], "no picture has the suffix"),
+        (["--structure", "model.py", *COLUMNS, "--window", "900", "901"], "window"),
+        (["--structure", "model.py", *COLUMNS, "--reference", "back"], "it is of use to a plot only"),
+        (["--structure", "model.py", *COLUMNS, "--reference", "zero", "--plot", "r.svg"], "has no column 'zero'"),
+    ],
+)
+def test_what_it_cannot_do_is_said_with_a_remedy(
+    folder: Path,
+    arguments: list[str],
+    reason: str,
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(folder)
+    assert run(["identify", "m.csv", *arguments]) in (1, 2)
+    said = capfd.readouterr().err
+    assert reason in " ".join(said.split()), said
+    assert "Traceback" not in said

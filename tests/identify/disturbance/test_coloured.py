@@ -1,0 +1,143 @@
+"""Fits under coloured noise: in closed loop output error is wrong and says so, the noise model is right."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.identify.signals import DT, doublet, pitch_record
+from twodof.errors import IdentificationError
+from twodof.experiment import Laboratory, experiment
+from twodof.identify import KINDS, Estimate, Record, Samples, cut, fit, repeat
+from twodof.models.plant import PitchRate
+from twodof.models.structures import free_response, pitch_rate
+from twodof.rig.parameters import lab
+
+TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=300.0, tau=0.02)
+HELD = {"w_n": TRUTH.w_n, "xi": TRUTH.xi}
+STEPS = 1500
+
+
+def closed_loop(seed: int) -> Record:
+    """Steps of the pitch through a controller that measures q, while a moment of .1 s pushes the drone."""
+    rng = np.random.default_rng(seed)
+    plant = replace(TRUTH, tau=0.0).state_space().zero_order_hold(DT)
+    wanted = np.radians(10.0) * np.sign(np.sin(2.0 * np.pi * 0.5 * DT * np.arange(STEPS)))
+    keep, push, delay = np.exp(-DT / 0.1), 0.0, 5
+    x, integral = np.zeros(2), 0.0
+    moment, q = np.zeros(STEPS), np.zeros(STEPS)
+    for k in range(STEPS):
+        theta, rate = plant.c @ x
+        q[k] = rate + 0.01 * rng.normal()
+        error = 8.0 * (wanted[k] - theta) - q[k]
+        integral += 0.2 * DT * error
+        moment[k] = 0.05 * error + integral
+        push = keep * push + np.sqrt(1.0 - keep**2) * 0.006 * rng.normal()
+        applied = moment[k - delay] if k >= delay else moment[0]
+        x = plant.phi @ x + plant.new[:, 0] * (applied + push)
+    columns = {"M": moment, "q": q}
+    return Record.from_columns(DT * np.arange(STEPS), columns, ["M"], ["q"], f"flight {seed}")
+
+
+def estimated(record: Record, disturbance: str) -> Estimate:
+    wanted = ("mu", "tau", "theta_0", "q_0")
+    return fit(pitch_rate(), record, estimate=wanted, values=HELD, disturbance=disturbance)  # type: ignore[arg-type]
+
+
+def test_in_closed_loop_output_error_is_wrong_and_says_so_and_the_noise_model_is_right() -> None:
+    records = [closed_loop(seed) for seed in range(1, 9)]
+    white = [estimated(record, "white") for record in records]
+    auto = [estimated(record, "auto") for record in records]
+    z = np.array([(one["mu"] - TRUTH.mu) / one.sigma("mu") for one in auto])
+    # Chi-square of 8: above 26.1 once in a thousand. The mean of 8 is within 3.3 / sqrt(8) as often.
+    assert float(z @ z) < 26.1
+    assert abs(z.mean()) < 3.3 / np.sqrt(8.0)
+    assert np.mean([one["mu"] for one in white]) < TRUTH.mu - 5.0 * np.mean([one.sigma("mu") for one in auto])
+    for one in white:
+        assert one.disturbance.kind == "white"
+        assert one.disturbance.answering == ("M",)
+        assert any("as a controller does" in remark for remark in one.remarks)
+    for one in auto:
+        assert one.disturbance.kind == "ar"
+        assert one.converged
+        assert one.white
+        assert not any("controller" in remark or "wanders" in remark for remark in one.remarks)
+        assert "disturbance: coloured noise, autoregressive: q of order" in one.table()
+        stored = json.loads(one.to_json())["disturbance"]
+        assert stored["kind"] == "ar"
+        assert len(stored["noise"]["q"]["coefficients"]) == stored["noise"]["q"]["order"] + 1
+
+
+def test_white_noise_is_left_as_it_is() -> None:
+    record = pitch_record(TRUTH, doublet(800, 0.5, 0.6, 0.03), 0.05, np.random.default_rng(4))
+    auto, white = estimated(record, "auto"), estimated(record, "white")
+    assert auto.to_json() == white.to_json()
+    np.testing.assert_array_equal(auto.covariance, white.covariance)
+    # Asked for all the same, the noise model finds order 0 or little more, and costs little.
+    coloured = estimated(record, "ar")
+    assert coloured["mu"] == pytest.approx(white["mu"], abs=0.5 * white.sigma("mu"))
+    assert coloured.sigma("mu") == pytest.approx(white.sigma("mu"), rel=0.15)
+
+
+def test_several_records_have_a_colour_each() -> None:
+    found = fit(pitch_rate(), [closed_loop(1), closed_loop(2)], estimate=("mu", "tau"), values=HELD)
+    assert set(found.disturbance.noise) == {"q[flight 1]", "q[flight 2]"}
+    assert abs(found["mu"] - TRUTH.mu) < 3.3 * found.sigma("mu")
+    each = repeat(pitch_rate(), [closed_loop(1), closed_loop(2)], estimate=("mu", "tau"), values=HELD)
+    assert all(one.disturbance.kind == "ar" for one in each.estimates)
+    assert found.sigma("mu") < min(one.sigma("mu") for one in each.estimates)
+
+
+def test_a_structure_that_is_not_linear_takes_the_noise_model_too() -> None:
+    held = {**HELD, "coulomb": 0.0, "hardening": 0.0, "mu": 250.0}
+    found = fit(free_response(), closed_loop(3), estimate=("mu", "tau", "q_0"), values=held)
+    assert found.disturbance.kind == "ar"
+    # sin(theta) for theta: up to 10 degrees, half a per cent of the spring.
+    assert abs(found["mu"] - TRUTH.mu) < 3.3 * found.sigma("mu")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_edges_of_a_pulse_are_not_feedback(seed: int) -> None:
+    """A structure that lacks the rotors' start fits a free response in open loop.
+
+    The noise model of what it lacks would put mu at 86 to 89 and xi below 0.
+    """
+    flight = Laboratory("lab").fly(experiment("impulse"), seed=seed)
+    found = fit(free_response(), cut(flight.log, KINDS["impulse"]))
+    rig = lab().snapshot()
+    truth = mu_of_pulse(rig["pair_thrust"] * rig["arm"] / rig["inertia"], rig["curve"])
+    assert found.disturbance.answering == ()
+    # Two per cent: the structure has no lag of the rotors, which start from rest in a pulse of .2 s.
+    assert found["mu"] == pytest.approx(truth, rel=0.025)
+    assert 0.02 < found["xi"] < 0.05
+
+
+def mu_of_pulse(pair: float, curve: float, moment: float = 0.1) -> float:
+    """mu at T = 0 under the pulse M, docs/explanation/physics.md (34)."""
+    return (1.0 - curve + curve * moment) * pair
+
+
+def test_lost_samples_cut_the_noise_model_into_pieces() -> None:
+    record = closed_loop(1)
+    whole, q = estimated(record, "ar"), record.outputs["q"]
+    kept = np.ones(STEPS, dtype=bool)
+    kept[[200, 210, 215, 700, 702, 1300]] = False  # pieces shorter than the order among them
+    gappy = replace(record, outputs={"q": Samples(q.position[kept], q.value[kept])})
+    found = estimated(gappy, "ar")
+    assert found["mu"] == pytest.approx(whole["mu"], abs=whole.sigma("mu"))
+    assert found.sigma("mu") == pytest.approx(whole.sigma("mu"), rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"disturbance": "pink"}, "no disturbance 'pink'"),
+        ({"disturbance": "ar", "band": (1.0, 20.0)}, "with a band"),
+        ({"disturbance": "ar", "noise": {"q": 0.05}}, "with given standard deviations"),
+    ],
+)
+def test_what_does_not_go_together_is_refused(options: dict[str, object], message: str) -> None:
+    record = pitch_record(TRUTH, doublet(200, 0.1, 0.6, 0.03), 0.05, np.random.default_rng(4))
+    with pytest.raises(IdentificationError, match=message):
+        fit(pitch_rate(), record, **options)  # type: ignore[arg-type]

@@ -1,0 +1,80 @@
+"""A flight of the virtual rig, whose truth is known, read by both methods at once."""
+
+import json
+import math
+
+import pytest
+
+from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.errors import IdentificationError
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.log import FlightLog
+from twodof.identify.from_flight.identified_flight import IdentifiedFlight, identify_flight
+from twodof.identify.from_flight.ready_made import experiment_in, structure_for
+from twodof.identify.from_flight.sufficiency import sufficiency
+
+
+@pytest.fixture(scope="module")
+def logs() -> dict[str, FlightLog]:
+    laboratory = Laboratory("paper")
+    return {name: laboratory.fly(name).log for name in ("impulse", "doublet", "velocity-doublet", "attitude-steps")}
+
+
+@pytest.fixture(scope="module")
+def doublet(logs: dict[str, FlightLog]) -> IdentifiedFlight:
+    return identify_flight(logs["doublet"], impulse=logs["impulse"], structure="pitch-rate")
+
+
+def test_both_methods_find_the_rig(doublet: IdentifiedFlight) -> None:
+    """The paper's rig is linear and has the paper's w_n of Table 1; its gain by hand is read to 5 %."""
+    assert doublet.greybox.fixed["w_n"] == pytest.approx(3.437, rel=1e-3)
+    rows = {row["name"]: row for row in doublet.view()["estimates"]}
+    assert rows["mu"]["simple"] == pytest.approx(rows["mu"]["value"], rel=0.05)
+    assert rows["mu"]["low"] < rows["mu"]["value"] < rows["mu"]["high"]
+
+
+def test_the_view_is_json_and_its_curves_agree(doublet: IdentifiedFlight) -> None:
+    view = json.loads(json.dumps(doublet.view(), allow_nan=False))
+    (q,) = view["outputs"]
+    assert {len(q[name]) for name in ("time", "measured", "greybox", "simple", "residual")} == {len(q["time"])}
+    # Six figures are sent, of signals up to some rad/s.
+    for measured, model, residual in zip(q["measured"], q["greybox"], q["residual"], strict=True):
+        assert measured - model == pytest.approx(residual, abs=1e-4)
+    assert view["informative"]["enough"]
+    assert "mu to" in view["informative"]["text"]
+
+
+def test_its_model_is_what_design_reads(doublet: IdentifiedFlight) -> None:
+    family = PitchFamily.from_identified(json.loads(json.dumps(doublet.model(), allow_nan=False)))
+    assert family.values["mu"] == pytest.approx(doublet.greybox["mu"])
+    assert "mu" in family.uncertain
+
+
+def test_data_that_do_not_tell_are_said_to_be_too_few(logs: dict[str, FlightLog]) -> None:
+    """A doublet of .6 s hardly shows the poles: alone it is not enough for them, and says so."""
+    found = identify_flight(logs["doublet"], structure="pitch-rate")
+    judged = sufficiency(found.greybox, ("xi",))
+    share = 1.959964 * found.greybox.sigma("xi") / abs(found.greybox["xi"])
+    assert judged.enough == (share <= 0.25 and "xi" not in found.greybox.at_bound)
+    assert found.simple is None
+    assert "impulse" in found.refusal
+
+
+def test_the_velocity_shows_both_outputs(logs: dict[str, FlightLog]) -> None:
+    found = identify_flight(logs["velocity-doublet"])
+    names = [one["name"] for one in found.view()["outputs"]]
+    assert names == ["x", "v"]
+    assert not found.sufficiency.enough, "one doublet tells p_v to a third"
+    assert any("p_v" in reason for reason in found.sufficiency.reasons)
+    assert all(math.isfinite(row["value"]) for row in found.view()["estimates"])
+
+
+def test_what_cannot_be_asked_is_refused(logs: dict[str, FlightLog]) -> None:
+    with pytest.raises(IdentificationError, match="attitude-steps"):
+        experiment_in(logs["attitude-steps"])
+    with pytest.raises(IdentificationError, match="driven by"):
+        structure_for("doublet", "rail")
+    with pytest.raises(IdentificationError, match="no structure"):
+        structure_for("doublet", "nothing")
+    with pytest.raises(IdentificationError, match="doublet only"):
+        identify_flight(logs["impulse"], impulse=logs["impulse"])

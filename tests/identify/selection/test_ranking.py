@@ -1,0 +1,121 @@
+"""Structures of which one is true: criteria, F-tests and their false alarms."""
+
+import numpy as np
+import pytest
+from scipy import signal, stats
+
+from tests.identify.signals import DT, doublet, pitch_record
+from twodof.errors import IdentificationError
+from twodof.identify.greybox import fit
+from twodof.identify.record import Record
+from twodof.identify.selection.ranking import rank, select
+from twodof.models.plant import PitchRate
+from twodof.models.structures import pitch_rate
+
+MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)
+VALUES = {"w_n": 3.437, "xi": 0.3, "tau": 0.0187}
+APPLIED = doublet(400, 0.2, 0.6, 0.03)
+
+
+def record(seed: int, coloured: bool = False) -> Record:
+    rng = np.random.default_rng(seed)
+    if not coloured:
+        return pitch_record(MODEL, APPLIED, 0.06, rng)
+    clean = pitch_record(MODEL, APPLIED, 0.0, rng)
+    noise = signal.lfilter([0.03], [1.0, -0.9], rng.standard_normal(APPLIED.size))
+    q = clean.outputs["q"].value + noise
+    return Record.from_columns(DT * np.arange(APPLIED.size), {"M": APPLIED, "q": q}, ["M"], ["q"])
+
+
+def test_the_criteria_are_those_of_the_book() -> None:
+    data = record(0)
+    fits = {
+        "mu": fit(pitch_rate(), data, estimate=["mu"], values=VALUES),
+        "mu tau": fit(pitch_rate(), data, estimate=["mu", "tau"], values=VALUES),
+    }
+    found = rank(fits)
+    e = {name: one.identification[0].residual for name, one in fits.items()}
+    n = APPLIED.size
+    for one in found.candidates:
+        # The likelihood by scipy's normal density, at the maximum-likelihood standard deviation.
+        s = np.sqrt(np.mean(e[one.name] ** 2))
+        likelihood = stats.norm.logpdf(e[one.name], scale=s).sum()
+        assert one.aic == pytest.approx(2 * one.unknowns - 2 * likelihood, rel=1e-12)
+        assert one.bic == pytest.approx(one.unknowns * np.log(n) - 2 * likelihood, rel=1e-12)
+    assert sum(one.weight for one in found.candidates) == pytest.approx(1.0)
+    small, large = (float(e[name] @ e[name]) for name in ("mu", "mu tau"))
+    (test,) = found.tests
+    assert (test.small, test.large, test.freedom) == ("mu", "mu tau", (1, n - 2))
+    assert test.f == pytest.approx((small - large) / (large / (n - 2)), rel=1e-9, abs=1e-9)
+    assert test.p == pytest.approx(stats.f.sf(test.f, 1, n - 2), rel=1e-9)
+
+
+def false_alarms(coloured: bool, seeds: int) -> np.ndarray:
+    """The p of an unknown that is held at its true value: uniform."""
+    p = []
+    for seed in range(seeds):
+        data = record(seed, coloured)
+        fits = {
+            name: fit(pitch_rate(), data, estimate=unknowns, values=VALUES, disturbance="ar" if coloured else "white")
+            for name, unknowns in (("true", ["mu"]), ("more", ["mu", "tau" if coloured else "M_trim"]))
+        }
+        p.append(rank(fits).tests[0].p)
+    return np.array(p)
+
+
+@pytest.mark.parametrize("coloured", [False, True])
+def test_false_alarms_are_rare(coloured: bool) -> None:
+    # Of 8 draws of 5 % three and more are a chance of .6 %.
+    assert np.count_nonzero(false_alarms(coloured, 8) < 0.05) < 3
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("coloured", [False, True])
+def test_false_alarms_are_as_rare_as_the_level_says(coloured: bool) -> None:
+    p = false_alarms(coloured, 150)
+    # 150 draws of 5 % are known to 1.8 %; the filter is estimated from the same record, which costs a little.
+    assert np.mean(p < 0.05) < 0.11
+    assert 0.35 < np.median(p) < 0.65
+
+
+def test_select_finds_what_is_there_and_leaves_out_what_is_not() -> None:
+    rng = np.random.default_rng(3)
+    data = pitch_record(MODEL, APPLIED, 0.06, rng, trim=0.004)
+    calls: list[tuple[int, int, str]] = []
+    ranking, fits = select(
+        pitch_rate(),
+        data,
+        ["mu", "tau"],
+        ["M_trim", "q_bias"],
+        values={"w_n": 3.437, "xi": 0.3},
+        criterion="bic",
+        progress=lambda *one: calls.append(one),
+    )
+    assert ranking.best == "+ M_trim"
+    assert fits[ranking.best]["M_trim"] == pytest.approx(0.004, abs=5e-4)
+    assert [one[2] for one in calls] == ["-", "+ M_trim", "+ q_bias", "+ M_trim + q_bias"]
+    tests = {(one.small, one.large): one.p for one in ranking.tests}
+    assert tests["-", "+ M_trim"] < 1e-6
+    assert tests["+ M_trim", "+ M_trim + q_bias"] > 1e-3
+    assert "p = " in ranking.table()
+    assert '"criterion": "bic"' in ranking.to_json()
+
+
+def test_what_cannot_be_compared_is_refused() -> None:
+    one = fit(pitch_rate(), record(0), estimate=["mu"], values=VALUES)
+    two = fit(pitch_rate(), record(1), estimate=["mu", "tau"], values=VALUES)
+    banded = fit(pitch_rate(), record(0), estimate=["mu"], values=VALUES, band=(1.0, 20.0))
+    with pytest.raises(IdentificationError, match="1 fits"):
+        rank({"a": one})
+    with pytest.raises(IdentificationError, match="different data"):
+        rank({"a": one, "b": two})
+    with pytest.raises(IdentificationError, match="frequency domain"):
+        rank({"a": one, "b": banded})
+    with pytest.raises(IdentificationError, match="criterion is 'r2'"):
+        rank({"a": one, "b": one}, criterion="r2")
+    with pytest.raises(IdentificationError, match="'a' in 'c'"):
+        rank({"a": one, "b": one}, nested=[("a", "c")])
+    with pytest.raises(IdentificationError, match="no unknown 'nu'"):
+        select(pitch_rate(), record(0), ["mu"], ["nu"])
+    with pytest.raises(IdentificationError, match="0 optional"):
+        select(pitch_rate(), record(0), ["mu"], [])

@@ -1,0 +1,69 @@
+"""The coverage campaign on the rig `lab`: gusts, vibration and a closed loop, and intervals that hold the truth."""
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from tools.coverage import Outcome, campaign, cases, record_of
+from twodof.experiment.flight import Laboratory
+from twodof.identify.greybox import fit
+from twodof.rig.parameters import load_rig
+
+EACH_DAY, LONG = 4, 60
+CLOSED = ("attitude-steps", "attitude-prbs")
+OPEN = ("doublet", "3-2-1-1", "multisine")
+SURE = 0.999
+"""What lies outside a binomial interval of this probability is not chance."""
+
+# Claimed intervals are to cover 90 % or more.
+LEAST = 0.9
+
+
+def flown(name: str, seeds: int) -> Outcome:
+    return campaign("lab", cases(load_rig("lab").snapshot())[name], range(1, seeds + 1), bound_flights=1)
+
+
+@pytest.mark.parametrize(
+    ("name", "seeds"),
+    [
+        *((name, EACH_DAY) for name in CLOSED),
+        *(pytest.param(name, LONG, marks=pytest.mark.soak) for name in CLOSED),
+    ],
+)
+def test_flights_in_closed_loop_tell_gain_and_delay(name: str, seeds: int) -> None:
+    found = flown(name, seeds)
+    assert found.failures == ()
+    assert len(found.values) == seeds
+    assert (found.covered.sum(axis=0) >= binom.ppf(1.0 - SURE, seeds, LEAST)).all(), found.coverage
+    # A third of a deviation of one estimate is what the mean may be off, and 4 of its own deviations by chance.
+    error = found.bound / np.sqrt(seeds)
+    assert (np.abs(found.bias) < found.bound / 3.0 + 4.0 * error).all(), found.bias / found.bound
+    # Within 1.2 of the bound; of n flights the ratio scatters by 1 / sqrt(2 n).
+    assert (found.spread / found.bound < 1.2 * (1.0 + 4.0 / np.sqrt(2.0 * seeds))).all(), found.spread / found.bound
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.soak) for name in OPEN])
+def test_flights_in_open_loop_tell_gain_and_delay(name: str) -> None:
+    found = flown(name, LONG)
+    count = len(found.values)
+    # The others touched the pitch's stop, and were not fitted.
+    assert count + len(found.failures) == LONG
+    assert all("pitch free" in one for one in found.failures)
+    assert (found.covered.sum(axis=0) >= binom.ppf(1.0 - SURE, count, LEAST)).all(), found.coverage
+    error = found.bound / np.sqrt(count)
+    assert (np.abs(found.bias) < found.bound / 3.0 + 4.0 * error).all(), found.bias / found.bound
+    assert (found.spread / found.bound < 1.2 * (1.0 + 4.0 / np.sqrt(2.0 * count))).all(), found.spread / found.bound
+
+
+def test_a_doublet_that_output_error_loses_keeps_its_gust() -> None:
+    # Output error puts the delay at 7 ms and is sure of it there. That is no reason to doubt the structure.
+    case = cases(load_rig("lab").snapshot())["doublet"]
+    found = fit(case.structure, record_of(Laboratory("lab").fly(case.experiment, 47), case))
+    assert found.disturbance.kind == "input"
+    assert abs(found["tau"] - 0.021) < 3.0 * found.sigma("tau")
+
+
+def test_a_free_standing_delay_does_not_end_a_fit() -> None:
+    # With the total delay and the lag as unknowns, 11 of 40 doublets ended where the delay had no effect.
+    found = flown("doublet", 12)
+    assert found.failures == ()

@@ -1,0 +1,304 @@
+"""The coverage campaign: flights of known truth, each identified by itself, and whether its intervals hold the truth.
+
+`campaign(rig, case, seeds)` flies an experiment on a virtual rig with the noise of each seed and fits it as a user
+would. The truth is the rig's own, in closed form. `tools/coverage_table.py` makes the table in docs of it.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from inspect import signature
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tools.coverage_bound import pitch_information, rail_information
+from twodof.errors import IdentificationError
+from twodof.excitation import Multisine, ThreeTwoOneOne
+from twodof.experiment.experiments import Experiment, experiment
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.script import script
+from twodof.identify.experiments import KINDS
+from twodof.identify.greybox import fit
+from twodof.identify.information import predict
+from twodof.identify.record import Record
+from twodof.models.structure import Structure
+from twodof.models.structures import pitch_rate, rail
+from twodof.rig.steady_state import model_parameters
+from twodof.signals import Q_AGE, RAIL_CENTRE
+
+Array = NDArray[np.float64]
+
+PITCH = ("mu", "tau")
+TRAVEL = ("k_v", "p_v")
+POLES = ("w_n", "xi")
+EARLIER = 0
+"""Seed of the flight from which the noise is known to plan with."""
+
+BOUND_FLIGHTS = 3
+"""Flights over which the bound is averaged: in a closed loop the noise moves the input too."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """An experiment, the structure that a fit of it has, and the figures that it is flown for."""
+
+    name: str
+    experiment: Experiment
+    structure: Structure
+    figures: tuple[str, ...]
+    estimate: tuple[str, ...] | None = None
+    values: Mapping[str, float] = field(default_factory=dict)
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """What is known of the machine before, beside what the structure knows: see `fit`."""
+
+    poles: bool = False
+    """Whether w_n and xi are held at those of the rig with its rotors running: in a closed loop they cannot be told."""
+
+    @property
+    def unknowns(self) -> tuple[str, ...]:
+        """What is estimated."""
+        return self.structure.estimate if self.estimate is None else self.estimate
+
+
+def cases(rig: Mapping[str, float]) -> dict[str, Case]:
+    """The experiments of the campaign by name, for a rig with these parameters."""
+    pitch = [
+        experiment("doublet"),
+        Experiment("3-2-1-1", "open-loop", ThreeTwoOneOne(0.03, 0.1, lead=0.2), rings=True, hold=20.0, rest=0.4),
+        Experiment(
+            "multisine",
+            "open-loop",
+            # 1 to 6 Hz: lines below the pendulum's frequency would swing it to its stop.
+            Multisine.schroeder(0.05, 2.0, range(2, 13), lead=0.2, repeat=2),
+            rings=True,
+            hold=20.0,
+            rest=0.4,
+        ),
+        experiment("attitude-steps"),
+        experiment("attitude-prbs"),
+    ]
+    closed = ("attitude-steps", "attitude-prbs")
+    travel = [experiment("velocity-doublet"), experiment("velocity-doublets")]
+    dry = rig["rail_coulomb"] > 0.0
+    along = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0", *(("coulomb",) if dry else ()))
+    known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"]}
+    # A level rail that lets the cart slide at .6 deg: .1 m/s2 at most, and not less than nothing.
+    sliding = {"coulomb": (0.05, 0.05)} if dry else {}
+    return {
+        **{one.name: _pitch(one, rig["lag"] > 0.0, one.name in closed) for one in pitch},
+        **{one.name: Case(one.name, one, rail(thrust=True), TRAVEL, along, known, sliding) for one in travel},
+    }
+
+
+def _pitch(flown: Experiment, lag: bool, poles: bool) -> Case:
+    structure = pitch_rate(lag=lag)
+    if not poles:
+        return Case(flown.name, flown, structure, PITCH)
+    return Case(
+        flown.name,
+        flown,
+        structure,
+        PITCH,
+        tuple(name for name in structure.estimate if name not in POLES),
+        poles=True,
+    )
+
+
+def with_poles(laboratory: Laboratory, case: Case) -> Case:
+    """The case with w_n and xi held, if it is to be, at those that the rig has while its rotors run.
+
+    Running rotors take away stiffness. The free response, with the rotors at rest, gives w_n 20 % too large on `lab`;
+    what it is in flight is known from the rig's calibration.
+    """
+    if not case.poles:
+        return case
+    rig = model_parameters(laboratory.parameters.snapshot())
+    return replace(case, values={**case.values, **{name: rig[f"{name}_run"] for name in POLES}})
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What n fits gave: `values` and `sigma` (n, figures), `covered` (n, figures); the reasons of those that failed.
+
+    `truth`, `bound` (Cramer-Rao, for the noise that the rig really has) and `promised` hold one number a figure.
+    """
+
+    case: Case
+    seeds: tuple[int, ...]
+    values: Array
+    sigma: Array
+    covered: NDArray[np.bool_]
+    truth: Array
+    bound: Array
+    failures: tuple[str, ...]
+
+    @property
+    def spread(self) -> Array:
+        """Standard deviation of the estimates."""
+        return np.asarray(self.values.std(axis=0, ddof=1))
+
+    @property
+    def bias(self) -> Array:
+        """Mean less truth."""
+        return np.asarray(self.values.mean(axis=0) - self.truth)
+
+    @property
+    def claimed(self) -> Array:
+        """The standard deviation that one flight claims: the median."""
+        return np.asarray(np.nanmedian(self.sigma, axis=0))
+
+    @property
+    def coverage(self) -> Array:
+        """Share of the 95 % intervals that hold the truth."""
+        return np.asarray(self.covered.mean(axis=0))
+
+
+def campaign(rig: str, case: Case, seeds: Iterable[int], bound_flights: int = BOUND_FLIGHTS, **options: Any) -> Outcome:
+    """Fly `case` on `rig` with the noise of each seed, and fit each flight with `options` of `fit`.
+
+    The bound is that of the first `bound_flights`.
+    """
+    laboratory = Laboratory(rig)
+    seeds = tuple(seeds)
+    case = with_poles(laboratory, case)
+    truth = true_values(laboratory, case)
+    values, sigma, covered, failures = [], [], [], []
+    for seed in seeds:
+        flight = laboratory.fly(case.experiment, seed)
+        record = record_of(flight, case)
+        if not flight.good:
+            failures.append(f"seed {seed}: {'; '.join(str(one) for one in flight.checks if not one.passed)}")
+            continue
+        try:
+            found = fit(case.structure, record, estimate=case.estimate, values=case.values, prior=case.prior, **options)
+        except IdentificationError as error:
+            failures.append(f"seed {seed}: {error.what}")
+            continue
+        values.append([found[figure] for figure in case.figures])
+        sigma.append([found.sigma(figure) for figure in case.figures])
+        within = [(found.interval(figure), truth[figure]) for figure in case.figures]
+        covered.append([low <= true <= high for (low, high), true in within])
+    return Outcome(
+        case,
+        seeds,
+        np.array(values),
+        np.array(sigma),
+        np.array(covered),
+        np.array([truth[figure] for figure in case.figures]),
+        _bound(laboratory, case, seeds[:bound_flights], truth),
+        tuple(failures),
+    )
+
+
+def record_of(flight: Flight, case: Case) -> Record:
+    """What was applied and measured while the excitation played."""
+    plan = script(case.experiment, flight.x_start)
+    log = flight.log
+    clock = log["M"].time
+    start, stop = float(clock[plan.begin]) - 1e-6, float(clock[min(plan.end, len(clock) - 1)])
+    name = f"{case.name} {flight.seed}"
+    if "k_v" not in case.figures:
+        return Record.from_log(log, ["M"], ["q"], start, stop, name=name)
+    kind = KINDS["velocity"]
+    channels = {one: (log[one].time, log[one].value) for one in kind.inputs}
+    channels["x"] = (log["dist"].time, log["dist"].value - RAIL_CENTRE)
+    return Record.from_channels(channels, kind.inputs, ["x"], start=start, stop=stop, smooth=kind.smooth, name=name)
+
+
+def true_values(laboratory: Laboratory, case: Case) -> dict[str, float]:
+    """The structure's unknowns on this rig, for small angles, at the voltage that the battery has in the excitation.
+
+    All thrusts go with `supply`, so mu and k_v do. It falls by a per cent in a hold of 20 s.
+    """
+    rig = laboratory.parameters.snapshot()
+    known = model_parameters(rig)
+    plan = script(case.experiment)
+    flown = laboratory.signals(
+        case.experiment, plan, 0.0 if case.experiment.rings else laboratory.start(case.experiment)
+    )
+    full = rig["voltage_full"] - rig["resistance"] * rig["hover_current"]
+    supply = float(np.mean((flown["voltage"][plan.begin : plan.end] / full) ** 2))
+    return {
+        "w_n": known["w_n_run"],
+        "xi": known["xi_run"],
+        "mu": known["mu"] * supply,
+        "tau": known["tau"],
+        "dead_time": rig["delay"] - Q_AGE,
+        "lag": max(rig["lag"], case.structure.unknowns["lag"].lower if "lag" in case.structure.unknowns else 0.0),
+        "k_v": known["k_v"] * supply,
+        "p_v": known["p_v"],
+        "coulomb": known["rail_coulomb"],
+    }
+
+
+def _bound(laboratory: Laboratory, case: Case, seeds: Sequence[int], truth: Mapping[str, float]) -> Array:
+    """The Cramer-Rao bound of each figure: the root of its mean variance in the flights of these `seeds`."""
+    rig = laboratory.parameters.snapshot()
+    shared = {**case.values, **{name: truth[name] for name in case.structure.unknowns if name in truth}}
+    covariances = []
+    for seed in seeds:
+        flight = laboratory.fly(case.experiment, seed)
+        record, values, unknowns = record_of(flight, case), dict(shared), case.unknowns
+        if "k_v" in case.figures:
+            # What the structure calls the delay is here the age of the range.
+            values["tau"] = rig["tof_age"]
+            plan = script(case.experiment, flight.x_start)
+            flown = laboratory.signals(case.experiment, plan, flight.x_start, seed)
+            values |= {f"{name}_0": float(flown[f"true_{name}"][plan.begin]) for name in ("theta", "x", "v")}
+            # A cart that dry friction holds has no speed to tell.
+            held = values.get("coulomb", 0.0) > 0.0 and values["v_0"] == 0.0
+            unknowns = tuple(name for name in unknowns if not (held and name == "v_0"))
+            information = rail_information(case.structure, unknowns, values, record, rig, case.prior)
+        else:
+            information = pitch_information(case.structure, unknowns, values, record, rig)
+        covariances.append(_full(case.unknowns, unknowns, np.linalg.inv(information)))
+    # Not the inverse of the mean: unknowns that no flight tells apart differ in how they cannot be told.
+    return _deviations(case, case.unknowns, np.mean(covariances, axis=0))
+
+
+def _full(every: Sequence[str], unknowns: Sequence[str], covariance: Array) -> Array:
+    """`covariance` of the `unknowns` among `every` unknown; the others are certain."""
+    full = np.zeros((len(every), len(every)))
+    place = [every.index(name) for name in unknowns]
+    full[np.ix_(place, place)] = covariance
+    return full
+
+
+def promised(laboratory: Laboratory, case: Case) -> Array:
+    """The standard deviations that `predict` promises, from the noise of one earlier flight and the planned input.
+
+    In a closed loop the planned input is that of a flight without noise.
+    """
+    case = with_poles(laboratory, case)
+    earlier = fit(
+        case.structure,
+        record_of(laboratory.fly(case.experiment, EARLIER), case),
+        estimate=case.estimate,
+        values=case.values,
+        prior=case.prior,
+    )
+    unknowns = tuple(name for name in case.unknowns if name not in earlier.at_rest)
+    planned = record_of(Laboratory(laboratory.parameters, noise=0.0).fly(case.experiment), case)
+    known = {name: value for name, value in true_values(laboratory, case).items() if name in case.structure.unknowns}
+    # A plan has a sample of each output at each step. Fewer samples of the same noise are as good as all of a larger.
+    rarer = {name: math.sqrt(planned.steps / one.position.size) for name, one in planned.outputs.items()}
+    information = predict(
+        case.structure,
+        {name: planned.inputs[name] for name in case.structure.inputs},
+        planned.dt,
+        {name: size * rarer[name] for name, size in earlier.noise.items()},
+        values={**known, **case.values},
+        estimate=unknowns,
+        prior=case.prior,
+        **({"disturbance": earlier.disturbance} if "disturbance" in signature(predict).parameters else {}),
+    )
+    return _deviations(case, unknowns, np.linalg.inv(information.matrix))
+
+
+def _deviations(case: Case, unknowns: Sequence[str], covariance: Array) -> Array:
+    """The standard deviation of each figure, which may be a sum of unknowns."""
+    sums = case.structure.sums
+    weights = np.array([[float(one in sums.get(name, (name,))) for one in unknowns] for name in case.figures])
+    return np.sqrt(np.diag(weights @ covariance @ weights.T))

@@ -1,0 +1,164 @@
+"""Writes the table of the real pitch flights in docs/explanation/identification.md: `python -m tools.real_pitch_table`.
+
+It needs the seven public logs (TWODOF_FLIGHT_DATA). It stands between `<!-- measured: real -->` and `<!-- end -->`.
+"""
+
+import math
+import os
+import re
+import textwrap
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+from twodof.flightlog.mat.mat_file import read_mat
+from twodof.identify.estimate import Estimate
+from twodof.identify.greybox import fit
+from twodof.identify.record import Record
+from twodof.models.structures import pitch_rate
+from twodof.rig.parameters import load_rig
+from twodof.rig.steady_state import model_parameters, moment_gain
+from twodof.signals import HOVER
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "identification.md"
+BLOCK = re.compile(r"<!-- measured: real -->\n.*?<!-- end -->", re.DOTALL)
+
+FLIGHTS: Mapping[str, tuple[float, float]] = {
+    "doublet-0.03": (244.70, 245.75),
+    "attitude-steps-10deg-default": (127.50, 135.80),
+    "attitude-steps-10deg-student": (6.70, 15.00),
+    "rate-doublets-30dps-student": (346.60, 355.60),
+    "velocity-doublets-0.25": (150.80, 160.50),
+    "position-sweep-default": (133.00, 159.40),
+}
+"""Every flight in which the pitch is driven with the rotors running, and its window [s]."""
+
+UNKNOWNS = ("mu", "dead_time", "lag", "theta_0", "q_0")
+
+
+@dataclass(frozen=True, eq=False)
+class RealFlight:
+    """Both fits of a flight; `today` takes its noise for white and its delay for pure. `clipped` is a share.
+
+    `thrust` is the mean T in the window, `armed` the time [s] with thrust from the log's start to the window's middle.
+    """
+
+    name: str
+    today: Estimate
+    found: Estimate
+    clipped: float
+    thrust: float
+    armed: float
+
+
+def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Iterator[RealFlight]:
+    """Each flight fitted by itself, with w_n and xi held at those that the same drone has while its rotors run."""
+    rig = model_parameters(load_rig("lab").snapshot())
+    poles = {"w_n": rig["w_n_run"], "xi": rig["xi_run"]}
+    for name in names:
+        start, stop = FLIGHTS[name]
+        log = read_mat(folder / f"{name}.mat")
+        record = Record.from_log(log, ["M", "T"], ["q"], start, stop, name=name)
+        clock, given = log["T"].time, log["T"].value
+        before = clock < start
+        moment, thrust = record.inputs["M"], record.inputs["T"]
+        yield RealFlight(
+            name,
+            fit(pitch_rate(), record, disturbance="white"),
+            fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles),
+            float(np.mean(np.abs(moment) > thrust)),
+            float(thrust.mean()),
+            float((np.gradient(clock) * (given > 0.05))[before].sum()) + 0.5 * (stop - start),
+        )
+
+
+def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, float, float]:
+    """Weighted mean, its standard deviation, chi-square about it, and the probability of so much or more by chance."""
+    weights = 1.0 / sigmas**2
+    mean = float(weights @ values / weights.sum())
+    square = float(weights @ (values - mean) ** 2)
+    return mean, float(weights.sum() ** -0.5), square, float(chi2.sf(square, values.size - 1))
+
+
+def charge_range() -> float:
+    """How far mu falls from a full to an empty battery on the rig `lab`, as a share."""
+    return 1.0 - supply(1.0)
+
+
+def supply(used: float) -> float:
+    """Factor on mu on the rig `lab` once this share of a full battery is used up, in hover."""
+    rig = load_rig("lab").snapshot()
+    sag = rig["resistance"] * rig["hover_current"]
+    left = rig["voltage_full"] - used * (rig["voltage_full"] - rig["voltage_empty"])
+    return float(((left - sag) / (rig["voltage_full"] - sag)) ** 2)
+
+
+def known_effects(one: RealFlight) -> tuple[float, float]:
+    """Factors on mu that a log tells of: the slope of the thrust curve at its mean T, what it discharged before."""
+    rig = load_rig("lab").snapshot()
+    used = rig["hover_current"] * one.armed / (3600.0 * rig["capacity"])
+    return moment_gain(rig, one.thrust) / moment_gain(rig, HOVER), supply(used)
+
+
+def table(flights: Sequence[RealFlight]) -> Iterator[str]:
+    """The rows, and below them how well the flights agree."""
+    yield "| flight | today: mu | tau, ms | now: mu | tau, ms | \\|M\\| > T, % |"
+    yield "|---|---|---|---|---|---|"
+    for one in flights:
+        cells = [f"{one.today['mu']:.0f} +- {one.today.sigma('mu'):.0f}", delay(one.today)]
+        cells += [
+            f"{one.found['mu']:.0f} +- {one.found.sigma('mu'):.0f}",
+            delay(one.found),
+            f"{100.0 * one.clipped:.1f}",
+        ]
+        yield f"| {one.name} | {' | '.join(cells)} |"
+    yield ""
+    for what, factor, unit in (("mu", 1.0, "rad/s2"), ("tau", 1e3, "ms")):
+        for title, fits in (("today", [one.today for one in flights]), ("now", [one.found for one in flights])):
+            values, sigmas = np.array([[one[what], one.sigma(what)] for one in fits]).T * factor
+            known = np.isfinite(sigmas)
+            mean, sigma, square, chance = agreement(values[known], sigmas[known])
+            yield (
+                f"- {what}, {title}: {values.min():.4g} to {values.max():.4g} {unit}, mean {mean:.4g} +- {sigma:.2g}, "
+                f"chi-square {square:.1f} for {known.sum() - 1} degrees of freedom (probability {chance:.2g})"
+            )
+    yield from ("", *textwrap.wrap(remaining(flights), 120))
+
+
+def remaining(flights: Sequence[RealFlight]) -> str:
+    """What the flights differ by beyond their own doubt, and what it would take to explain it."""
+    values, sigmas = np.array([[one.found["mu"], one.found.sigma("mu")] for one in flights]).T
+    mean, _, square, _ = agreement(values, sigmas)
+    weights = sigmas**-2.0
+    # DerSimonian and Laird (1986): the variance between flights that makes chi-square what it is.
+    freedom = weights.sum() - float(weights @ weights) / float(weights.sum())
+    between = math.sqrt(max(0.0, square - (len(flights) - 1)) / float(freedom)) / mean
+    clipped = 100.0 * max(one.clipped for one in flights)
+    sag = charge_range()
+    charge = 100.0 * between / sag
+    slope, discharge = np.array([known_effects(one) for one in flights]).T
+    level, full = agreement(values / slope, sigmas)[2], agreement(values / slope / discharge, sigmas)[2]
+    least, most = 100.0 * (1.0 - discharge.max()), 100.0 * (1.0 - discharge.min())
+    steeper = 100.0 * (slope.max() - 1.0)
+    return (
+        f"Beyond their own doubt the flights differ by {100.0 * between:.1f} % in mu. Clipping explains none of it: "
+        f"|M| exceeds T in {clipped:.1f} % of the samples. The thrust curve is steeper at the higher mean T of two "
+        f"flights, by {steeper:.1f} % at most: chi-square {level:.1f}. What a log itself discharged before its window "
+        f"takes {least:.1f} to {most:.1f} % off mu: chi-square {full:.1f}. The charge at the start of a log is not in "
+        f"it, nor a voltage. An empty battery takes {100.0 * sag:.0f} % off mu on the rig `lab`, so starts that differ "
+        f"by {charge:.0f} % of a battery would explain the rest. Nothing shows that they did."
+    )
+
+
+def delay(found: Estimate) -> str:
+    """tau in ms with its standard deviation."""
+    return f"{1e3 * found['tau']:.1f} +- {1e3 * found.sigma('tau'):.1f}"
+
+
+if __name__ == "__main__":
+    rows = table(list(real_flights(Path(os.environ["TWODOF_FLIGHT_DATA"]))))
+    made = "\n".join(["<!-- measured: real -->", "", *rows, "", "<!-- end -->"])
+    PAGE.write_text(BLOCK.sub(lambda _: made, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
