@@ -39,7 +39,7 @@ def mechanics() -> CompiledProgram:
 
 
 def newton_euler(
-    state: NDArray[np.float64], p: Mapping[str, float], thrust: float, moment: float
+    state: NDArray[np.float64], p: Mapping[str, float], thrust: float, moment: float, running: float
 ) -> NDArray[np.float64]:
     """(q', v') from Newton's and Euler's laws of each body, the force in the bearing being two more unknowns.
 
@@ -49,7 +49,8 @@ def newton_euler(
     s, c = math.sin(theta), math.cos(theta)
     d, own = p["offset"], p["inertia"] - p["mass_drone"] * p["offset"] ** 2
     md, mc = p["mass_drone"], p["mass_cart"]
-    spring = p["spring"] * theta + p["hardening"] * theta**3 + p["viscous_idle"] * q
+    linear, cubic = p["spring"] - running * p["softening"], (1.0 - running) * p["hardening"]
+    spring = linear * theta + cubic * theta**3 + p["viscous_idle"] * q
     # The centre of mass is accelerated by (v' + d (c q' - s q^2), -d (s q' + c q^2)).
     rows = [
         [md * d * c, md, -1.0, 0.0],  # drone along x
@@ -70,9 +71,11 @@ def newton_euler(
 angles = st.floats(-1.2, 1.2)
 
 
-@given(angles, st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(0.0, 6.0), st.floats(-0.3, 0.3))
+@given(
+    angles, st.floats(-4.0, 4.0), st.floats(-1.0, 1.0), st.floats(0.0, 6.0), st.floats(-0.3, 0.3), st.floats(0.0, 1.0)
+)
 def test_the_accelerations_are_those_of_newton_and_euler(
-    mechanics: CompiledProgram, theta: float, q: float, v: float, thrust: float, moment: float
+    mechanics: CompiledProgram, theta: float, q: float, v: float, thrust: float, moment: float, running: float
 ) -> None:
     p = {
         "mass_drone": 0.374,
@@ -80,6 +83,7 @@ def test_the_accelerations_are_those_of_newton_and_euler(
         "inertia": 2.6e-3,
         "offset": 0.04,
         "spring": 0.01,
+        "softening": 0.006,
         "hardening": 0.02,
         "viscous_idle": 4e-4,
         "viscous_run": 4e-4,
@@ -91,11 +95,11 @@ def test_the_accelerations_are_those_of_newton_and_euler(
     machine = mechanics.machine()
     machine.set_many(settings({**p, "theta_start": theta, "q_start": q, "v_start": v}))
     machine.reset()
-    out = machine.run(3, {"thrust": thrust, "moment": moment, "running": 1.0})
+    out = machine.run(3, {"thrust": thrust, "moment": moment, "running": running})
     # A central difference over 2 us: its own error is some 1e-9, that of rounding 1e-16 / 1e-6 of what is differenced.
     found = [(out[name][2] - out[name][0]) / 2e-6 for name in ("q", "v")]
     state = np.array([out[name][1] for name in ("theta", "q", "x", "v")])
-    assert found == pytest.approx(newton_euler(state, p, thrust, moment), rel=1e-7, abs=1e-7)
+    assert found == pytest.approx(newton_euler(state, p, thrust, moment, running), rel=1e-7, abs=1e-7)
 
 
 @pytest.fixture(scope="module")
@@ -188,7 +192,8 @@ def test_small_motions_of_the_lab_rig_are_those_of_its_linear_model(whole: Compi
     trim = trim_moment(values, 0.0)
     out = fly(whole, steps, 0.4 + moment, 0.4 - moment, values, rings=True, trim=trim, wake_start=1.0)
     found = {name: value for name, (value, _, _) in models(values).items()}
-    w_n, xi, mu, lag = found["w_n"], found["xi, rotors running"], found["mu at T = 0.4"], values["lag"]
+    w_n, xi = found["w_n, rotors running"], found["xi, rotors running"]
+    mu, lag = found["mu at T = 0.4"], values["lag"]
     linear = DelayedStateSpace.of(
         [[0.0, 1.0, 0.0], [-(w_n**2), -2.0 * xi * w_n, mu], [0.0, 0.0, -1.0 / lag]],
         [0.0, 0.0, 1.0 / lag],
@@ -207,14 +212,15 @@ def test_with_the_cart_free_the_pendulum_is_softer(whole: CompiledProgram) -> No
     p = {**lab().snapshot(), **dict.fromkeys(DRY, 0.0), "viscous_run": 0.0, "viscous_idle": 0.0, "rail_viscous": 0.0}
     mass, lever = p["mass_drone"] + p["mass_cart"], p["mass_drone"] * p["offset"]
     thrust = models(p)["k_v at T = 0.4"][0] * mass
+    spring = p["spring"] - p["softening"]
     # (37) against the eigenvalues of (2) and (4), linearised: states theta, q, v.
     matrix = np.array([[p["inertia"], lever], [lever, mass]])
-    stiff = np.linalg.solve(matrix, np.array([p["spring"] + lever * G, thrust]))
+    stiff = np.linalg.solve(matrix, np.array([spring + lever * G, thrust]))
     full = eigvals(np.array([[0.0, 1.0, 0.0], [-stiff[0], 0.0, 0.0], [-stiff[1], 0.0, 0.0]]))
-    stiffness = p["spring"] + lever * (G - thrust / mass)
+    stiffness = spring + lever * (G - thrust / mass)
     expected = math.sqrt(stiffness / (p["inertia"] - lever**2 / mass))
     assert np.abs(full.imag).max() == pytest.approx(expected, rel=1e-12)
-    # And as the rig swings: from a pitch so small that the hardening does not show, over its first crossings.
+    # And as the rig swings: from a pitch so small that sin(theta) is theta, over its first crossings.
     out = fly(whole, 12_000, 0.4, 0.4, {**p, "capacity": 1e9, "rail_stop": 9.0}, theta_start=1e-3, wake_start=1.0)
     theta = out["theta"][1000:]
     cross = np.flatnonzero(np.diff(np.sign(theta)) != 0)

@@ -17,6 +17,7 @@ SMOOTH: Mapping[str, float] = {
     "inertia": 2.6e-3,
     "offset": 0.03,
     "spring": 0.004,
+    "softening": 0.0,
     "hardening": 0.0,
     "viscous_idle": 4e-4,
     "viscous_run": 4e-4,
@@ -49,7 +50,9 @@ def settings(values: Mapping[str, object]) -> dict[str, object]:
     return {f"dynamics.{name}": value for name, value in values.items()}
 
 
-def slopes(state: NDArray[np.float64], p: Mapping[str, float], thrust: float, moment: float) -> NDArray[np.float64]:
+def slopes(
+    state: NDArray[np.float64], p: Mapping[str, float], thrust: float, moment: float, running: float
+) -> NDArray[np.float64]:
     """d/dt of (theta, q, x, v) by Lagrange's equations, solved as a linear system; no friction that sticks."""
     theta, q, _, v = state
     m = p["mass_drone"] + p["mass_cart"]
@@ -59,8 +62,8 @@ def slopes(state: NDArray[np.float64], p: Mapping[str, float], thrust: float, mo
         [
             moment
             - lever * 9.81 * np.sin(theta)
-            - p["spring"] * theta
-            - p["hardening"] * theta**3
+            - (p["spring"] - running * p["softening"]) * theta
+            - (1.0 - running) * p["hardening"] * theta**3
             - p["viscous_run"] * q,
             lever * np.sin(theta) * q**2 - thrust * np.sin(theta) + p["rail_force"] - p["rail_viscous"] * v,
         ]
@@ -70,7 +73,7 @@ def slopes(state: NDArray[np.float64], p: Mapping[str, float], thrust: float, mo
 
 
 def energy(state: NDArray[np.float64], p: Mapping[str, float]) -> NDArray[np.float64]:
-    """Kinetic and potential energy [J] of states (n, 4), rail force left out."""
+    """Kinetic and potential energy [J] of states (n, 4), rotors at rest or without hardening; rail force left out."""
     theta, q, _, v = state.T
     m = p["mass_drone"] + p["mass_cart"]
     lever = p["mass_drone"] * p["offset"]

@@ -30,11 +30,13 @@ def run(program: Any, steps: int, inputs: dict[str, Any], **parameters: Any) -> 
     return np.stack([out[n] for n in ("theta", "q", "x", "v")], axis=1)
 
 
-def exact(seconds: float, thrust: float, moment: float, at: NDArray[np.float64], **p: float) -> NDArray[np.float64]:
+def exact(
+    seconds: float, thrust: float, moment: float, at: NDArray[np.float64], running: float, **p: float
+) -> NDArray[np.float64]:
     values = {**SMOOTH, **p}
     start = np.array(list(START.values()))
     found = solve_ivp(
-        lambda _, s: slopes(s, values, thrust, moment),
+        lambda _, s: slopes(s, values, thrust, moment, running),
         (0.0, seconds),
         start,
         method="DOP853",
@@ -45,16 +47,19 @@ def exact(seconds: float, thrust: float, moment: float, at: NDArray[np.float64],
     return np.asarray(found.y.T)
 
 
-@pytest.mark.parametrize("hardening", [0.0, 0.01])
-def test_it_agrees_with_scipy(program: CompiledProgram, hardening: float) -> None:
+@pytest.mark.parametrize(
+    ("hardening", "softening", "running"), [(0.0, 0.0, 1.0), (0.01, 0.003, 0.0), (0.01, 0.003, 0.4)]
+)
+def test_it_agrees_with_scipy(program: CompiledProgram, hardening: float, softening: float, running: float) -> None:
     seconds, thrust, moment = 3.0, 2.5, 0.004
     ours = run(
         program,
         3000,
-        {"thrust": thrust, "moment": moment, "gust": 0.0, "running": 1.0},
-        **{**SMOOTH, **START, "hardening": hardening},
+        {"thrust": thrust, "moment": moment, "gust": 0.0, "running": running},
+        **{**SMOOTH, **START, "hardening": hardening, "softening": softening},
     )
-    theirs = exact(seconds, thrust, moment, np.linspace(0.0, seconds, 3001), hardening=hardening)
+    at = np.linspace(0.0, seconds, 3001)
+    theirs = exact(seconds, thrust, moment, at, running, hardening=hardening, softening=softening)
     assert np.ptp(theirs[:, 0]) > 0.5  # it does swing
     assert np.abs(ours - theirs).max() < 1e-6
 
@@ -82,10 +87,10 @@ def test_the_integrator_is_of_order_four() -> None:
         ours = run(
             build(dynamics(), dt),
             steps,
-            {"thrust": 2.5, "moment": 0.004, "gust": 0.0, "running": 1.0},
+            {"thrust": 2.5, "moment": 0.004, "gust": 0.0, "running": 0.0},
             **{**SMOOTH, **START, "hardening": 0.01},
         )
-        theirs = exact(1.2, 2.5, 0.004, np.array([1.2]), hardening=0.01)
+        theirs = exact(1.2, 2.5, 0.004, np.array([1.2]), 0.0, hardening=0.01)
         errors.append(float(np.abs(ours[-1] - theirs[-1]).max()))
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
     # The observed order of a fourth-order method tends to 4 as the step shrinks.

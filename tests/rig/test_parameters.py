@@ -33,7 +33,7 @@ def test_the_paper_rig_has_the_papers_numbers() -> None:
     assert p["delay"] == 0.020 + Q_AGE
     assert p["lag"] == 0.0
     assert p["rail_viscous"] / mass == pytest.approx(1.168, rel=1e-12)  # p_v
-    for name in ("coulomb_idle", "coulomb_run", "rail_coulomb", "hardening", "offset", "gust"):
+    for name in ("coulomb_idle", "coulomb_run", "rail_coulomb", "softening", "hardening", "offset", "gust"):
         assert p[name] == 0.0
 
 

@@ -29,13 +29,18 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
     return 2.0 * s * c, 1.0 - 2.0 * s * s
 
 
-def stays_at_rest(speed: Any, load: Any, friction: Any, place: Any, low: Any, high: Any) -> Any:
-    """Whether a body at `place` with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
+def most_at_rest(friction: Any, place: Any, low: Any, high: Any) -> tuple[Any, Any]:
+    """The loads, most negative and most positive, under which a body at `place` stays at rest: `friction`, or any that
+    presses against a stop.
+    """
     # A stop bears any load that presses against it, friction at most its own either way.
-    up = where(place >= high, math.inf, friction)
-    down = where(place <= low, math.inf, friction)
+    return -where(place <= low, math.inf, friction), where(place >= high, math.inf, friction)
+
+
+def stays_at_rest(speed: Any, load: Any, most: tuple[Any, Any]) -> Any:
+    """Whether a body with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
     # Together, so that a body in motion (most of the time) asks nothing of its load.
-    return (speed == 0.0) & ((load <= up) & (-down <= load))
+    return (speed == 0.0) & ((load <= most[1]) & (most[0] <= load))
 
 
 def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
@@ -60,16 +65,18 @@ def after_stops(place: Any, speed: Any, low: Any, high: Any, restitution: Any, r
 class Dynamics(Block):
     """theta, q, x, v of the drone on its cart; docs/explanation/physics.md, equations (1) to (4).
 
-        J q' + m_d d cos(theta) v' = moment + gust - m_d g d sin(theta) - k_1 theta - k_3 theta^3 - c q - friction
+        J q' + m_d d cos(theta) v' = moment + gust - m_d g d sin(theta) - k theta - c q - friction
+
+        k = k_1 - k_r r + (1 - r) k_3 theta^2, r: `running`
 
         m v' + m_d d cos(theta) q' = m_d d sin(theta) q^2 - thrust sin(theta) + f - c_x v - friction
 
     `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
-    shake it). The rings of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give
-    nothing back. The sine and cosine of theta are integrated beside it: s' = c q, c' = -s q. At the end of each step
-    they are set to theta's own. So no stage needs a trigonometric function. Friction acts on each coordinate by itself.
-    A torque that stops the pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 %
-    here, is left out.
+    shake it). It does so with the stiffness too: running rotors take away `softening` and the cubic spring. The rings
+    of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give nothing back. The sine and
+    cosine of theta are integrated beside it: s' = c q, c' = -s q. At the end of each step they are set to theta's own.
+    So no stage needs a trigonometric function. Friction acts on each coordinate by itself. A torque that stops the
+    pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 % here, is left out.
     """
 
     inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))
@@ -80,7 +87,8 @@ class Dynamics(Block):
         Param("inertia", 2.6e-3, unit="kg*m2", low=1e-5, high=1.0, text="of the drone about the bearing"),
         Param("offset", 5e-3, unit="m", low=-0.1, high=0.1, text="centre of mass below the bearing"),
         Param("spring", 0.0, unit="N*m/rad", low=0.0, high=10.0, text="linear spring"),
-        Param("hardening", 0.0, unit="N*m/rad3", low=0.0, high=10.0, text="cubic spring (the cable)"),
+        Param("softening", 0.0, unit="N*m/rad", low=-10.0, high=10.0, text="stiffness that running rotors take"),
+        Param("hardening", 0.0, unit="N*m/rad3", low=0.0, high=10.0, text="cubic spring (the cable), rotors at rest"),
         Param("viscous_idle", 0.0, unit="N*m*s", low=0.0, high=1.0, text="bearing, rotors at rest"),
         Param("viscous_run", 0.0, unit="N*m*s", low=0.0, high=1.0, text="bearing, rotors running"),
         Param("coulomb_idle", 0.0, unit="N*m", low=0.0, high=1.0, text="bearing, rotors at rest"),
@@ -142,16 +150,20 @@ class Dynamics(Block):
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         viscous = p.viscous_idle + (p.viscous_run - p.viscous_idle) * u.running
         coulomb = p.coulomb_idle + (p.coulomb_run - p.coulomb_idle) * u.running
-        spring = x.theta * (p.spring + p.hardening * (x.theta * x.theta))
+        cable = (1.0 - u.running) * (p.hardening * (x.theta * x.theta))
+        spring = x.theta * (p.spring - p.softening * u.running + cable)
         torque = u.moment + u.gust - p.weight * x.sine - spring - viscous * x.q
         force = (p.offset_mass * x.q * x.q - u.thrust) * x.sine + p.rail_force - p.rail_viscous * x.v
         coupling = p.offset_mass * x.cosine
         alone = torque * p.per_inertia
-        stuck = stays_at_rest(x.q, torque, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        # Asked twice, and only of a pitch at rest: so computed once, and only then.
+        least, greatest = most_at_rest(coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        most = where(x.q == 0.0, least, 0.0), where(x.q == 0.0, greatest, 0.0)
+        stuck = stays_at_rest(x.q, torque, most)
         load = force - where(stuck, 0.0, coupling * alone)
-        locked = stays_at_rest(x.v, load, p.rail_coulomb, x.x, p.low, p.high)
+        locked = stays_at_rest(x.v, load, most_at_rest(p.rail_coulomb, x.x, p.low, p.high))
         cart = where(locked, 0.0, force * p.per_mass)  # with the pitch at rest
-        still = stays_at_rest(x.q, torque - coupling * cart, coulomb, x.theta, -p.pitch_stop, p.pitch_stop)
+        still = stays_at_rest(x.q, torque - coupling * cart, most)
         per_det = 1.0 / (p.inertia_mass - coupling * coupling)
         q_rate = where(locked, alone, (p.mass * torque - coupling * force) * per_det)
         v_rate = where(locked, 0.0, (p.inertia * force - coupling * torque) * per_det)

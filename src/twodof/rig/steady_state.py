@@ -1,7 +1,7 @@
 """Predict: gains and balances of the rig by its static laws, without a simulation."""
 
 from collections.abc import Mapping
-from math import sin, sqrt
+from math import copysign, inf, sin, sqrt
 
 from twodof.rig.rotors import lift
 from twodof.signals import GRAVITY, HOVER, Q_AGE
@@ -14,15 +14,37 @@ def rotor_moment(rig: Mapping[str, float], moment: float, thrust: float = HOVER)
     return float(rig["arm"] * rig["pair_thrust"] * (lift(fore, curve) - lift(aft, curve)))
 
 
-def restoring_moment(rig: Mapping[str, float], theta: float) -> float:
-    """Moment [N m] that holds the drone at pitch `theta` [rad]: gravity and springs, no friction."""
+def restoring_moment(rig: Mapping[str, float], theta: float, running: float = 1.0) -> float:
+    """Moment [N m] that holds the drone at pitch `theta` [rad]: gravity and springs, no friction.
+
+    `running` in [0, 1] leads from the stiffness with the rotors at rest to that in hover.
+    """
     gravity = rig["mass_drone"] * GRAVITY * rig["offset"] * sin(theta)
-    return float(gravity + theta * (rig["spring"] + rig["hardening"] * theta**2))
+    linear = rig["spring"] - rig["softening"] * running
+    return float(gravity + theta * (linear + (1.0 - running) * rig["hardening"] * theta**2))
+
+
+def stiffness(rig: Mapping[str, float], running: float = 1.0) -> float:
+    """Of the pitch [N m/rad], for small angles: gravity and springs; `running` as in `restoring_moment`."""
+    gravity = rig["mass_drone"] * GRAVITY * rig["offset"]
+    return float(gravity + rig["spring"] - rig["softening"] * running)
 
 
 def trim_moment(rig: Mapping[str, float], moment: float, theta: float = 0.0) -> float:
     """The wake's moment [N m] (the rig's parameter `trim`) under which M = `moment` holds `theta` at T = .4."""
     return restoring_moment(rig, theta) - rotor_moment(rig, moment)
+
+
+def rail_force(rig: Mapping[str, float], theta: float, speed: float = 0.0, acceleration: float = 0.0) -> float:
+    """The steady push [N] along the rail (the rig's `rail_force`) under which a flight in hover has these means.
+
+    The means are the pitch `theta` [rad], `speed` [m/s] and `acceleration` [m/s2]. Dry friction bears as much of it as
+    it can: up to `rail_coulomb` the means say nothing of the rail.
+    """
+    mass = rig["mass_drone"] + rig["mass_cart"]
+    thrust = 2.0 * rig["pair_thrust"] * lift(HOVER, rig["curve"])
+    push = thrust * sin(theta) + mass * acceleration + rig["rail_viscous"] * speed
+    return float(copysign(max(0.0, abs(push) - rig["rail_coulomb"]), push))
 
 
 def moment_gain(rig: Mapping[str, float], thrust: float) -> float:
@@ -46,16 +68,18 @@ def velocity_damping(rig: Mapping[str, float]) -> float:
 def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
     """What the paper's models call the rig's parameters, for small angles: docs/explanation/physics.md section 8, SI.
 
-    The pitch has w_n, mu at the hover's thrust, tau, and xi (`xi` with the rotors at rest, `xi_run` with them running).
+    The pitch has w_n and xi with the rotors at rest and `w_n_run` and `xi_run` with them running, mu at the hover's
+    thrust, and tau. Where the rotors take all stiffness away, `w_n_run` is 0 and `xi_run` infinite.
     The velocity has k_v and p_v. Dry friction (`coulomb`, `coulomb_run`, `rail_coulomb`) and `hardening` are over the
     moved inertia or mass.
     """
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
-    w_n = sqrt((rig["spring"] + GRAVITY * rig["mass_drone"] * rig["offset"]) / inertia)
+    w_n, w_n_run = (sqrt(max(0.0, stiffness(rig, running)) / inertia) for running in (0.0, 1.0))
     return {
         "w_n": w_n,
         "xi": rig["viscous_idle"] / (2.0 * inertia * w_n),
-        "xi_run": rig["viscous_run"] / (2.0 * inertia * w_n),
+        "w_n_run": w_n_run,
+        "xi_run": rig["viscous_run"] / (2.0 * inertia * w_n_run) if w_n_run > 0.0 else inf,
         "mu": moment_gain(rig, HOVER),
         "tau": rig["delay"] + rig["lag"] - Q_AGE,
         "k_v": velocity_gain(rig),

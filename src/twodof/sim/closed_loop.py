@@ -96,10 +96,15 @@ def closed_loop(
 
 
 def _built(
-    position_filter: str, controllers: tuple[Diagram, ...], failsafe: bool, precision: str, log: tuple[str, ...]
+    position_filter: str,
+    controllers: tuple[Diagram, ...],
+    failsafe: bool,
+    precision: str,
+    log: tuple[str, ...],
+    target: str = "native",
 ) -> tuple[Diagram, CompiledProgram | Reference]:
     diagram = closed_loop(position_filter=position_filter, controllers=controllers, failsafe=failsafe)
-    return diagram, build(diagram, BASE_DT, precision, log=log)
+    return diagram, build(diagram, BASE_DT, precision, log=log, target=target)
 
 
 _stock = functools.lru_cache(8)(_built)  # user diagrams may be changed between two loops
@@ -113,7 +118,8 @@ class ClosedLoop:
     diagrams that fly in place of the stock loops and mixer (`flight.templates`); the gains are those of the stock loops
     that are left. `precision`, "float64" or "float32", is that of everything, the rig included. Without a C compiler it
     runs on the reference interpreter, with its warning. With `failsafe` its inputs `SAFETY` are those of a flight on
-    which nothing fails, unless `fly` is given others: it arms after `ARMING` steps (at once in hover).
+    which nothing fails, unless `fly` is given others: it arms after `ARMING` steps (at once in hover). `target` is
+    where it runs: "wasm" is the sandbox, for diagrams of somebody else.
 
     A controller whose moment or thrust is not finite stops the motors. The flight goes on to its end, and its `M` and
     `T` show where that was. Raises DiagramError for a diagram that fits no template or two that fit one.
@@ -130,11 +136,12 @@ class ClosedLoop:
         controllers: Iterable[Diagram] = (),
         precision: str = "float64",
         failsafe: bool = False,
+        target: str = "native",
     ) -> None:
         # Gains are parameters: one program, compiled once, flies them all.
         flown = tuple(controllers)
         make = _built if flown else _stock
-        diagram, self.program = make(position_filter, flown, failsafe, precision, tuple(log))
+        diagram, self.program = make(position_filter, flown, failsafe, precision, tuple(log), target)
         if isinstance(self.program, Reference):  # not kept: a compiler may be installed before the next one
             _stock.cache_clear()
         self.machine = self.program.machine()
@@ -183,15 +190,23 @@ class ClosedLoop:
 
     def start(self, at: InitialState) -> None:
         """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
+        parameters, states = self.start_values(at)
+        self.configure(parameters)
+        self.machine.reset()
+        for path, value in states.items():
+            self.machine.set_state(path, value)
+
+    def start_values(self, at: InitialState) -> tuple[dict[str, Any], dict[str, Any]]:
+        """What `start` sets: parameters of the rig by name, before a reset, and states by path, after it.
+
+        Raises ExperimentError for a start beyond a stop.
+        """
         get, known = self.machine.get, self._flight_states
         at.check(float(get("rig.pitch_stop")), float(get("rig.rail_stop")))
-        self.configure(at.rig_parameters())
-        self.machine.reset()
         rig = at.rig_states(float(get("rig.delay")), float(get("rig.lag")))
         states = {f"rig.{path}": value for path, value in rig.items()}
         states |= {f"{FLIGHT}{path}": value for path, value in at.flight_states(self.position_filter, known).items()}
-        for path, value in (states | self._settled | dict(at.states)).items():
-            self.machine.set_state(path, value)
+        return at.rig_parameters(), states | self._settled | dict(at.states)
 
     def _settle(self) -> dict[str, Any]:
         """The covariances to which the estimator settles at rest: a flight does not start with a doubtful pitch."""

@@ -26,6 +26,7 @@ HISTORY = 24
 _SETTLE = 0.5  # s after arming until the hold counts, as the rotors and the rate loop settle
 _SETTLE_STEP = 2.0  # s after a set-point step
 _HOLD = 6.0  # s, longest hold used
+_BALANCE = 5.0  # s, least time with thrust that says something of the rail
 _HANDED_OVER = 5e-4  # m
 _FILTER = 100  # steps over which the derivative's state is rebuilt; it forgets .714 a step
 
@@ -38,7 +39,8 @@ class FlightSegment:
     for x0, v0, theta0, q0, M_open, thrust. Where no mode of the window needs the cart (1DoF) and the log lacks its
     signals, x0 and v0, and x and v of `start`, are zeros. `hold` [s] is the time before the window that gives the trim,
     None if there was none. The trim is `trim_moment`, the mean M, at the mean pitch `trim_theta`. `velocity_bias` [m/s]
-    is from before the window too.
+    is from before the window too. So is `balance`, the mean of all time with thrust, where the cart was free: pitch
+    [rad], speed [m/s] and acceleration [m/s2].
     `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
     `tof_elapsed` [s] how long ago the last range sample was.
     """
@@ -52,6 +54,7 @@ class FlightSegment:
     hold: tuple[float, float] | None
     trim_moment: float | None
     trim_theta: float
+    balance: tuple[float, float, float]
     velocity_bias: float
     spun_up: float
     tof_elapsed: float
@@ -141,6 +144,7 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
         hold=hold,
         trim_moment=trim_moment,
         trim_theta=trim_theta,
+        balance=_balance(log, begin) if rails else (0.0, 0.0, 0.0),
         velocity_bias=_velocity_bias(log, begin) if rails else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
         tof_elapsed=float(begin - earlier[-1]) if earlier.size else 0.0,
@@ -234,12 +238,30 @@ def _loop_opened(log: FlightLog, begin: float) -> float:
 def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
     """(mean M, mean theta) of the hold.
 
-    A rail bias is not taken. The mean pitch of a hold is mostly what stiction leaves. As a bias it would cost 5 to 15
-    points of FIT on theta in both flights on the rail.
+    The rail's bias is not the mean pitch of this hold, which is mostly what stiction leaves: see `_balance`.
     """
     if hold is None:
         return None, 0.0
     return float(np.mean(log["M"].slice(*hold).value)), float(np.mean(log["theta"].slice(*hold).value))
+
+
+def _balance(log: FlightLog, begin: float) -> tuple[float, float, float]:
+    """Mean (theta, v, v') over all time with thrust before `begin`; zeros for less than 5 s of it.
+
+    The longer it is, the more often the cart has moved, and the less of the mean pitch is stiction. Over 5 s it still
+    wanders by .01 rad. The speed is from x, which does not drift.
+    """
+    stretches = [(a, min(b, begin)) for a, b in log.armed() if a < begin]
+    duration = sum(b - a for a, b in stretches)
+    if duration < _BALANCE:
+        return 0.0, 0.0, 0.0
+
+    def risen(name: str) -> float:
+        ends = np.interp(stretches, log[name].time, log[name].value)
+        return float(np.sum(ends[:, 1] - ends[:, 0])) / duration
+
+    pitch = np.concatenate([log["theta"].slice(a, b).value for a, b in stretches])
+    return float(np.mean(pitch)) if pitch.size else 0.0, risen("x"), risen("v")
 
 
 def _velocity_bias(log: FlightLog, begin: float) -> float:

@@ -117,7 +117,9 @@ class InitialState:
         if self.running and "failsafe.machine.state" in known:
             thrust = self.commands[-1][1] if self.commands else HOVER
             states |= {"failsafe.machine.state": FLYING, "failsafe.safe.thrust": thrust}
-            states |= dict.fromkeys((f"failsafe.{name}.count" for name in ("range", "range_stuck", "link")), 0)
+            # What flew before had sensors and a link: an axis whose first sample is 0 has not stood still.
+            alive = ("imu", "axis", "range", "range_stuck", "link")
+            states |= dict.fromkeys((f"failsafe.{name}.count" for name in alive), 0)
         return states
 
 

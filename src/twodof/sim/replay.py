@@ -68,8 +68,8 @@ def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64
     compared, with these all along.
 
     Where no compiler is found the reference runs the stock loops, with a warning that says so. Raises LogError if the
-    log lacks a channel, DiagramError for an unknown precision, CompileError where there is no sandbox to run a user's
-    controller in.
+    log lacks a channel, and DiagramError for an unknown precision. Raises CompileError where a sandbox for a user's
+    controller is missing.
 
     Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
     each of these. The twelve seed the loop: its integral, and for M the derivative's memory of the missing error.

@@ -40,7 +40,7 @@ def replay_user(
     controller flew, and nothing is where the log lacks the channel `mode`.
 
     Whoever wrote the log wrote the diagrams: they run in the sandbox, as on board. Raises LogError if the log lacks
-    another channel, CompileError where there is no sandbox, ControllerFault where a step uses up its fuel.
+    another channel, CompileError where a sandbox is missing, and ControllerFault where a step uses up its fuel.
     """
     if "mode" not in log.channels:
         return UserReplay({}, {})

@@ -12,7 +12,7 @@ from twodof.flight.gains import DEFAULT, Gains
 from twodof.flightlog.log import FlightLog
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
-from twodof.rig.steady_state import trim_moment
+from twodof.rig.steady_state import rail_force, trim_moment
 from twodof.sim.closed_loop import FILTERS, ClosedLoop
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
 from twodof.sim.initial_state import InitialState
@@ -95,11 +95,17 @@ class LoggedFlight:
         self.time = {name: channel.time for name, channel in cut.items()}
         self.logged = {name: channel.value for name, channel in cut.items()}
 
-    def simulate(self, loop: ClosedLoop, rig: Mapping[str, float]) -> dict[str, NDArray[np.float64]]:
-        """The simulated estimates at the logged stamps, by channel, for rig parameters `rig`."""
+    def simulate(
+        self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
+    ) -> dict[str, NDArray[np.float64]]:
+        """The simulated estimates at the logged stamps, by channel, for rig parameters `rig`.
+
+        `conditions` are further conditions of the flight, such as `charge_start`, or `noise` and `seed`; left out: a
+        full battery and no noise. Raises ParameterError for one that the rig does not know.
+        """
         flight = self.flown
         loop.tune(self.gains)
-        loop.configure({**rig, **self._conditions(rig)})
+        loop.configure({**rig, **self._conditions(rig), **(conditions or {})})
         k_x, k_v = (float(loop.machine.get(f"{_FILTER}.{n}")) for n in ("k_x", "k_v"))
         # An acceleration error b gives v the lasting error b k_x / k_v.
         loop.machine.set(f"{_FILTER}.bias", flight.velocity_bias * k_v / k_x)
@@ -129,15 +135,19 @@ class LoggedFlight:
         trim = 0.0 if flight.trim_moment is None else trim_moment(rig, flight.trim_moment, flight.trim_theta)
         return {
             "noise": 0.0,
+            "charge_start": 1.0,
             "rings": not flight.rails,
             "ring_place": flight.start["x"],
+            "rail_force": rail_force(rig, *flight.balance),
             "trim": trim,
             "tof_phase": (flight.tof_elapsed * rig["tof_rate"]) % 1.0,
         }
 
-    def compare(self, loop: ClosedLoop, rig: Mapping[str, float]) -> ResimulationFit:
-        """Simulates, and compares with the log."""
-        simulated = self.simulate(loop, rig)
+    def compare(
+        self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
+    ) -> ResimulationFit:
+        """Simulates as `simulate` does, and compares with the log."""
+        simulated = self.simulate(loop, rig, conditions)
         fit = {name: fit_percent(self.logged[name], values) for name, values in simulated.items()}
         return ResimulationFit(fit, self.time, self.logged, simulated, (self.flown.window,), self.flown)
 
@@ -147,12 +157,15 @@ def resimulate(
     rig: ParameterSet | None = None,
     gains: Gains = DEFAULT,
     window: tuple[float, float] | None = None,
+    charge: float = 1.0,
 ) -> ResimulationFit:
     """Flies the logged set-points in closed loop on the noise-free `rig` (None: `lab`) from the logged initial state.
 
-    The mode is found from the log; the trim moment and the velocity bias are those of the hold before the window. A
-    step of the simulation stands for a control step of the log, whose clock runs up to .15 % slow; estimates are
-    compared at the logged stamps. Raises LogError for a log that lacks a channel, steps or flight in the window.
+    The mode is found from the log. The trim moment, the tilt of the rail and the velocity bias are those of the flight
+    before the window. `charge` is the battery's state of charge at the start of the window, 0 to 1. A step of the
+    simulation stands for a control step of the log, whose clock runs up to .15 % slow; estimates are compared at the
+    logged stamps. Raises LogError for a log that lacks a channel, steps or flight in the window, ParameterError for a
+    charge beyond 0 to 1.
     """
     values = (lab() if rig is None else rig).snapshot()
-    return LoggedFlight(log, gains, window).compare(resimulation_loop(), values)
+    return LoggedFlight(log, gains, window).compare(resimulation_loop(), values, {"charge_start": charge})

@@ -1,0 +1,159 @@
+"""The rig in hover as a linear model: from the commands of the rotor pairs to what the controllers read, at 250 Hz.
+
+It is the exact linearisation of the rig and the estimator as they fly: delay and lag of the rotors, the thrust curve,
+the age of each sample. Four things are made linear before. Dry friction is left out: it holds what rests, and takes
+part of a swing, more of a small one. The battery and the wake stand still. The samples of the range sensor come with
+their own clock: it corrects a little at every step instead of more at every fourteenth. What the estimator publishes at
+100 Hz is as old as it is on the mean. At a crossover of 4 rad/s these two change the phase by less than 1 deg.
+"""
+
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.blocks import Diagram
+from twodof.blocks.reference.interpreter import Reference
+from twodof.compile.linear.linear_model import LinearModel
+from twodof.compile.linear.linearize import linearize
+from twodof.flight.core import PreviousPitch
+from twodof.flight.declarations import IMU, RANGE
+from twodof.flight.estimator.diagram import Publisher, estimator
+from twodof.flight.estimator.longitudinal_filter import PAIRS, LongitudinalFilter
+from twodof.rig.rig import BASE_DT, SAMPLE, TRUTH, rig
+from twodof.rig.rotors import RING
+from twodof.signals import GRAVITY, HOVER, PERIOD
+
+Array = NDArray[np.float64]
+
+READ = ("q", "theta", "v", "x")
+"""What the cascade reads, from the inner loop outwards; theta is that of the sample before."""
+
+SIGNALS = (*READ, *IMU)
+"""The outputs of the linear rig."""
+
+_STILL = ("noise", "coulomb_idle", "coulomb_run", "rail_coulomb", "trim", "trim_start")
+_AIR = ("battery.supply", "turbulence.moment")
+_NEW_SAMPLE = 2**32 - 1  # of the range sensor's clock: it turns at the next tick
+
+
+def linear_rig(values: Mapping[str, float]) -> LinearModel:
+    """The linear model of the rig with the parameters `values`, with the inputs fore and aft and the outputs `SIGNALS`.
+
+    Raises DiagramError where the rig has no slope in hover, such as on a stop.
+    """
+    return _linear_rig(tuple(sorted((name, float(value)) for name, value in values.items())))
+
+
+@functools.lru_cache(8)
+def _linear_rig(values: tuple[tuple[str, float], ...]) -> LinearModel:
+    at: dict[str, Any] = dict(values) | dict.fromkeys(_STILL, 0.0)
+    at |= {f"rotors.{pair}_ring": [HOVER] * RING for pair in ("fore", "aft")} | {"rotors.wake": 1.0}
+    at |= {f"rotors.{pair}": HOVER for pair in ("fore", "aft")} | {"fore": HOVER, "aft": HOVER}
+    moved = linearize(rig(), BASE_DT, at, ["fore", "aft", *_AIR], TRUTH)
+    at = {f"rig.{name}": value for name, value in at.items() if name not in ("fore", "aft")}
+    at |= {"rig.range.phase": _NEW_SAMPLE, "estimator.filter.started": True}
+    at |= _filter_at_rest(float(dict(values)["tof_rate"]))
+    outputs = ["estimator.filter.q", "previous.theta", "estimator.filter.v", "estimator.filter.x"]
+    truth = [f"rig.dynamics.{name}" for name in TRUTH]
+    # The load matters to the noise only.
+    seen = linearize(_rig_and_estimator(), BASE_DT, at, [*truth, "rig.rotors.load"], [*outputs, *IMU])
+    return _published(_joined(moved, seen))
+
+
+def _rig_and_estimator() -> Diagram:
+    d = Diagram("linear_rig", "the rig and the estimator, up to what the controllers read")
+    d.input("fore")
+    d.input("aft")
+    d.add("rig", rig(), fore="fore", aft="aft")
+    d.add("estimator", estimator(), rate=SAMPLE)
+    for name in (*IMU, *RANGE):
+        d.connect(f"rig.{name}", f"estimator.{name}")
+    d.add("previous", PreviousPitch(), rate=SAMPLE, theta="estimator.theta")
+    for name in IMU:
+        d.output(name, f"rig.{name}")
+    return d
+
+
+def _joined(moved: LinearModel, seen: LinearModel) -> LinearModel:
+    """The commands held over the ticks of a step, and at each step's start the samples of what has moved."""
+    a, b = moved.a, moved.b[:, :2]
+    step, drive = np.eye(len(a)), np.zeros_like(b)
+    for _ in range(SAMPLE[0]):
+        step, drive = a @ step, a @ drive + b
+    n, m, truth = len(a), len(seen.a), slice(len(TRUTH))
+    whole = np.block([[step, np.zeros((n, m))], [seen.b[:, truth] @ moved.c, seen.a]])
+    return LinearModel(
+        whole,
+        np.vstack([drive, np.zeros((m, 2))]),
+        np.hstack([seen.d[:, truth] @ moved.c, seen.c]),
+        np.zeros((len(SIGNALS), 2)),
+        PERIOD,
+        (*(f"rig.{name}" for name in moved.states), *seen.states),
+        ("fore", "aft"),
+        SIGNALS,
+        name="linear_rig",
+    )
+
+
+def _filter_at_rest(samples_per_second: float) -> dict[str, float]:
+    """States and parameters of the joint filter with a range sample of like weight at every step.
+
+    A sample every n steps corrects by its gain; at every step a sample with n times the variance corrects by an n-th.
+    The covariance is what the filter's comes to in level hover: F, H, Q and R are those of `LongitudinalFilter`.
+    """
+    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
+
+    p = {param.name: float(param.value) for param in LongitudinalFilter().params}
+    steps = max(1.0, 1.0 / (PERIOD * samples_per_second))
+    sigma_range = p["sigma_range"] * float(np.sqrt(steps))
+    f = np.eye(4)
+    f[0, 1], f[2, 3] = -PERIOD, PERIOD
+    f[2, 0], f[3, 0] = -0.5 * GRAVITY * PERIOD**2, -GRAVITY * PERIOD
+    density = p["sigma_a"] ** 2
+    q = np.diag(
+        [p["sigma_gyro"] ** 2 * PERIOD, p["sigma_walk"] ** 2 * PERIOD, density * PERIOD**3 / 3, density * PERIOD]
+    )
+    q[2, 3] = q[3, 2] = 0.5 * density * PERIOD**2
+    h = np.array([[-GRAVITY, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]])
+    r = np.diag([p["sigma_gravity"] ** 2, sigma_range**2])
+    before = solve_discrete_are(f.T, h.T, q, r)
+    after = before - before @ h.T @ np.linalg.solve(h @ before @ h.T + r, h @ before)
+    names = ("theta", "bias", "x", "v")
+    covariance = {f"estimator.filter.P_{a}_{b}": float(after[names.index(a), names.index(b)]) for a, b in PAIRS}
+    return covariance | {"estimator.filter.sigma_range": sigma_range}
+
+
+@functools.cache
+def publishing_ages() -> tuple[float, ...]:
+    """Share of the steps in which what is published is 0, 1, 2, ... steps old. It runs the publisher itself."""
+    d = Diagram("publishing")
+    d.input("x", unit="m")
+    d.input("v", unit="m/s")
+    d.add("publisher", Publisher(), x="x", v="v")
+    d.output("x", "publisher.x")
+    steps = np.arange(100.0)
+    read = Reference(d, PERIOD).machine().run(100, {"x": steps, "v": steps})["x"]
+    ages = np.rint(steps - read).astype(int)[50:]  # 50 of 100: whole rounds of five steps
+    return tuple((np.bincount(ages) / len(ages)).tolist())
+
+
+def _published(model: LinearModel) -> LinearModel:
+    """The model with v and x as they are published, on the mean."""
+    shares = publishing_ages()
+    n, oldest = len(model.a), len(shares) - 1
+    late = [READ.index("v"), READ.index("x")]
+    size = n + 2 * oldest
+    a, b, c = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((len(SIGNALS), size))
+    a[:n, :n], b[:n], c[:, :n] = model.a, model.b, model.c
+    for i, row in enumerate(late):
+        first = n + i * oldest
+        a[first, :n] = model.c[row]
+        a[first + 1 : first + oldest, first : first + oldest - 1] = np.eye(oldest - 1)
+        c[row] = 0.0
+        c[row, :n] = shares[0] * model.c[row]
+        c[row, first : first + oldest] = shares[1:]
+    kept = [f"published.{READ[row]}[k-{k + 1}]" for row in late for k in range(oldest)]
+    return LinearModel(a, b, c, model.d, PERIOD, (*model.states, *kept), model.inputs, SIGNALS, name=model.name)

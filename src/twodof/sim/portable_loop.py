@@ -1,0 +1,115 @@
+"""The closed loop for another host: a module of WebAssembly that a browser flies, and where a flight starts in it."""
+
+from __future__ import annotations
+
+import base64
+import functools
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.blocks import Diagram
+from twodof.compile.builder import emit_program
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.flatten import FlatDiagram
+from twodof.compile.program.lower import lower
+from twodof.compile.wasm.module import WasmModule, compile_module
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.templates import MOTOR, check_template
+from twodof.rig.parameters import load_rig
+from twodof.rig.rig import BASE_DT
+from twodof.signals import PERIOD
+from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, closed_loop
+from twodof.sim.initial_state import InitialState
+
+MOST_LOGGED = 600
+"""Elements of signals inside the diagram that the module gives out at each tick; the outermost come first."""
+
+
+@dataclass(frozen=True)
+class PortableLoop:
+    """The closed loop with one controller as a module, for a host that sets `parameters`, `init`s, and sets `states`.
+
+    `prefix` is where the controller's parameters and signals are, "flight.cascade.attitude_control.". `signals` are
+    the paths within the controller of what the module gives out of it; `given` are the outputs that its inputs read, by
+    name. The rotors run in hover then.
+    """
+
+    module: WasmModule
+    template: str
+    prefix: str
+    parameters: dict[str, Any]
+    states: dict[str, Any]
+    signals: tuple[str, ...]
+    given: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; the module in base 64."""
+        return {
+            "module": base64.b64encode(self.module.data).decode("ascii"),
+            "interface": self.module.interface(),
+            "template": self.template,
+            "prefix": self.prefix,
+            "parameters": self.parameters,
+            "states": self.states,
+            "signals": list(self.signals),
+            "given": self.given,
+            "setpoints": list(SETPOINTS),
+            "ticks": TICKS,
+        }
+
+
+def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab", optimise: str = "-O1") -> PortableLoop:
+    """`controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
+
+    It is compiled, not run: what comes from elsewhere runs only where the module does. Bits are those of `ClosedLoop`
+    with `start(InitialState(hover=True))` on every target. Raises DiagramError for a diagram that fits no template,
+    ParameterError for another rig, CompileError without a compiler for WebAssembly.
+    """
+    template = check_template(controller).name
+    prefix = f"{FLIGHT if template == MOTOR.name else CASCADE}{template}."
+    signals = tuple(_chosen(lower(controller, PERIOD)))
+    loop = closed_loop(gains, controllers=[controller])
+    given = _given(loop, prefix.removesuffix("."))
+    emitted = emit_program(
+        loop, BASE_DT, log=[*(f"{prefix}{path}" for path in signals), *dict.fromkeys(given.values())]
+    )
+    module = compile_module([emitted], optimise=optimise)
+    wanted, states = _start(gains, rig)
+    known = emitted.flat.parameters
+    parameters = {path: value for path, value in wanted.items() if path in known}
+    return PortableLoop(module, template, prefix, parameters, dict(states), signals, given)
+
+
+@functools.lru_cache(8)
+def _start(gains: Gains, rig: str) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parameters and states of a start in hover, of the stock loop: its estimator settles alike, whatever flies."""
+    stock = ClosedLoop(gains, load_rig(rig))
+    started, states = stock.start_values(InitialState(hover=True))
+    wanted = {f"rig.{name}": value for name, value in (stock.rig | started).items()}
+    return wanted | {f"{CASCADE}{path}": value for path, value in gains.parameters().items()}, states
+
+
+def _chosen(program: FlatProgram) -> Iterator[str]:
+    """Paths of outputs of blocks, the outermost first, until there are enough."""
+    left = MOST_LOGGED
+    for path in sorted(program.signals, key=lambda one: one.count(".")):
+        signal = program.signals[path]
+        if signal.node is not None:
+            left -= signal.width or 1
+            if left >= 0:
+                yield path
+
+
+def _given(loop: Diagram, place: str) -> dict[str, str]:
+    """Of the sub-diagram at `place` the signals that its inputs read; not those that are the loop's own inputs."""
+    flat = FlatDiagram(loop)
+    level = next(one for one in flat.levels if one.path == place)
+    found: dict[str, str] = {}
+    for name in level.diagram.inputs:
+        source = None if level.parent is None else level.parent.diagram.feed(level.name, name)
+        if source is not None and level.parent is not None:
+            signal = level.parent.resolve(source)
+            if signal.node is not None:
+                found[name] = signal.path
+    return found
