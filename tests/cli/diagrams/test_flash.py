@@ -46,6 +46,8 @@ def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
     assert first["template"] == "attitude_control"
     assert first["against"] == "the stock controller (stock-attitude)"
     assert first["flashed"] is True
+    assert first["trial"]["fault"] is None
+    assert first["trial"]["margins"]["motors"]["stable"] is True
     assert {row["kind"] for row in first["changes"]} == {"added", "removed", "changed"}
     assert answer(capfd, "flash", "pid-position", "--to", "sim")["template"] == "position_control"
 

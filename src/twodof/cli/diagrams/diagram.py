@@ -1,4 +1,4 @@
-"""`twodof diagram`: start one, check it, test it, draw it, see and export the C that it becomes, linearize it."""
+"""`twodof diagram`: start one, check, test and draw it, see and export the C it becomes, linearize it, say margins."""
 
 import json as json_text
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from rich.table import Table
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagrams.diagram_tests import run_tests
 from twodof.cli.diagrams.export_c import export
+from twodof.cli.diagrams.margins import margins
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
@@ -35,9 +36,10 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     no_args_is_help=True,
-    help="Start, check, test, draw, read, export and linearize diagrams.",
+    help="Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.",
 )
 app.command("test")(run_tests)
+app.command()(margins)
 
 MAX_AT_BYTES = 2**20
 

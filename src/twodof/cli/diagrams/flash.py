@@ -8,10 +8,12 @@ from rich.console import Console
 
 from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
+from twodof.cli.diagrams.margins_table import print_margins
 from twodof.cli.drone.connect import lease_refusals
-from twodof.cli.output import Json, print_json, table_console
-from twodof.fleet.flash import FCU, PX4, SIM, ControllerCosts
+from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.fleet.flash import FCU, FORCE, PX4, SIM, ControllerCosts
 from twodof.fleet.flash import flash as flash_controller
+from twodof.fleet.trial_flight import TrialFlight
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -39,6 +41,9 @@ def flash(
         Path | None, typer.Option(metavar="FILE", help="With a drone: the key that signs everything.")
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say everything and change nothing.")] = False,
+    force_unstable: Annotated[
+        bool, typer.Option(FORCE, help="Flash it although it is unstable on the virtual rig.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Check and compile a controller, say its sizes and what changes against what flies now, and let it fly.
@@ -47,6 +52,9 @@ def flash(
     flies with `twodof simulate --controller flashed` and not otherwise; what was flashed of another template stays
     beside it. `twodof flash stock-attitude --to sim` brings the stock one back. What flies in the simulator is kept in
     the user's data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
+
+    First it flies a small step on the virtual rig, and the margins of its loops are said (`twodof diagram margins`).
+    What is unstable there is not flashed, unless --force-unstable says so.
 
     A drone must be disarmed. It builds the controller for its own sandbox. Until that is done, the earlier controller
     flies on; from then on the new one flies, and the drone keeps it over restarts.
@@ -61,8 +69,8 @@ def flash(
         raise typer.BadParameter("--key goes with a drone")
     new = load_diagram(diagram)
     url = DEFAULT_URL if to == FCU else to
-    with lease_refusals(url):
-        found = flash_controller(new, to, out, px4, precision, key, dry_run)
+    with lease_refusals(url), progress() as say:
+        found = flash_controller(new, to, out, px4, precision, key, dry_run, force_unstable, say)
     if json:
         print_json(
             {
@@ -73,6 +81,7 @@ def flash(
                 "costs": found.costs.to_json(),
                 "against": found.origin,
                 "changes": found.changes.to_json(),
+                "trial": found.trial.to_json(),
                 "remarks": found.remarks,
                 "warnings": found.warnings,
                 "place": found.place,
@@ -83,6 +92,7 @@ def flash(
     console = table_console()
     console.print(f"{new.name} fits {found.template}; {precision}, {1.0 / PERIOD:g} Hz")
     _print_costs(console, found.costs)
+    _print_trial(console, found.trial)
     _print_changes(console, found.changes, found.origin)
     for remark in found.remarks:
         console.print(f"remark: {remark}")
@@ -118,6 +128,15 @@ def _print_costs(console: Console, cost: ControllerCosts) -> None:
         f"  {m7['instructions_max']} instructions a step at most in {m7['steps']} steps, by {m7['compiler']}",
         markup=False,
     )
+
+
+def _print_trial(console: Console, trial: TrialFlight) -> None:
+    if trial.unknown:
+        console.print(f"margins: not known: {trial.unknown}")
+    else:
+        print_margins(console, trial.margins)
+    seen = f"UNSTABLE: {trial.fault}" if trial.fault else "3 s with a small step, and no swing grows"
+    console.print(f"on the virtual rig: {seen}")
 
 
 def _print_changes(console: Console, changes: Difference, origin: str) -> None:

@@ -1,0 +1,254 @@
+"""`twodof design`: from an identified model to a controller and its promise, and from a flight to the verdict."""
+
+import json as json_text
+import math
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twodof.cli.diagrams.design_rail import rail
+from twodof.cli.flown import write_view
+from twodof.cli.options import Seed
+from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.design.synthesis.cascade import SEPARATION, CascadeDesign
+from twodof.design.synthesis.designed_controller import CROSSOVER, design_controller
+from twodof.design.synthesis.requirements import Requirement
+from twodof.design.synthesis.specification import read_specification
+from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.uncertain.promise import MEMBERS, Promise
+from twodof.design.uncertain.robustness import Robustness
+from twodof.design.uncertain.saturated_step import SaturatedStep
+from twodof.errors import LogError, ParameterError
+from twodof.flight.starters import save_diagram
+from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.files import read_log
+from twodof.flightlog.provenance import read_bytes
+from twodof.report.plots.flight_view import check_place
+from twodof.report.plots.promise_view import promise_view
+from twodof.sim.promised.rail_promise import RailPromise
+
+app = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Design a controller on an identified model, promise its flight, and judge it.",
+)
+
+MAX_BYTES = 1 << 24
+
+
+class Method(StrEnum):
+    """What is designed."""
+
+    cascade = "cascade"
+    lqg = "lqg"
+
+
+class AntiWindup(StrEnum):
+    """What the integral of the rate loop does while the motors are at their limits."""
+
+    none = "none"
+    clamping = "clamping"
+    back_calculation = "back-calculation"
+
+
+@app.command()
+def controller(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="What `twodof identify --json` printed; -: from standard input.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write the controller there, a diagram as JSON.")],
+    crossover: Annotated[float, typer.Option(metavar="RAD/S", help="Crossover of the rate loop.")] = CROSSOVER,
+    phase_margin: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Phase margin of the rate loop; left out: what the course's rule gives."),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="The cascade of the drone, or LQG: state feedback with a Kalman filter.")
+    ] = Method.cascade,
+    spec: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A specification (TOML): optimise the gains for it, and check them."),
+    ] = None,
+    separation: Annotated[
+        float, typer.Option(help="The attitude loop crosses over at this part of the rate loop's crossover.")
+    ] = SEPARATION,
+    anti_windup: Annotated[
+        AntiWindup, typer.Option(help="Of the cascade's rate PID, with M limited to what the motors give in hover.")
+    ] = AntiWindup.none,
+    promise_file: Annotated[
+        Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")
+    ] = None,
+    goal: Annotated[float, typer.Option(metavar="DEG", help="The step of the pitch that is promised.")] = 10.0,
+    gust: Annotated[
+        float | None, typer.Option(metavar="RAD/S2", help="Standard deviation of the gusts' angular acceleration.")
+    ] = None,
+    gust_time: Annotated[float | None, typer.Option(metavar="S", help="Correlation time of the gusts.")] = None,
+    q_noise: Annotated[
+        float | None, typer.Option(metavar="RAD/S", help="Noise of a sample of q; left out: the model's.")
+    ] = None,
+    members: Annotated[int, typer.Option(help="How many members of the family are flown.")] = MEMBERS,
+    seed: Seed = 1,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Design the cascade's rate PID and attitude P on an identified pitch, and promise what they will do.
+
+    The family of the model is its estimate with its covariance. Members are drawn of it, and the least stable one of
+    its 99.9 % region is searched. Where none is unstable it is proved that none is. A controller that may not keep
+    them all stable is not written: exit status 1.
+
+    With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also where
+    they miss it.
+    """
+    if spec is not None and method is not Method.cascade:
+        raise typer.BadParameter("--spec optimises the gains of the cascade: leave --method out")
+    if anti_windup is not AntiWindup.none and method is not Method.cascade:
+        raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
+    for path in (out, promise_file):
+        if path is not None:
+            check_free(path, force)
+    if plot is not None:
+        check_place(plot, force)
+    family = read_family(model).disturbed(gust, gust_time, q_noise)
+    asked = None if spec is None else read_specification(spec)
+    with progress() as report:
+        made = design_controller(
+            family,
+            crossover,
+            None if phase_margin is None else math.radians(phase_margin),
+            separation,
+            method.value,
+            asked,
+            math.radians(goal),
+            members,
+            seed,
+            report,
+            anti_windup.value,
+        )
+    sure, found = made.robustness, made.promise
+    if sure.robust:
+        save_diagram(made.diagram, out, overwrite=force)
+        if promise_file is not None:
+            _write(promise_file, found.to_json())
+        if plot is not None:
+            write_view(promise_view(found), plot, force)
+    if json:
+        written = {"diagram": out, "promise": promise_file, "plot": plot}
+        print_json(
+            {
+                **made.to_json(),
+                "written": {name: str(p) for name, p in written.items() if p is not None and sure.robust},
+            }
+        )
+    else:
+        if made.cascade is not None:
+            _say_cascade(made.cascade)
+        _say(sure, made.saturation, found, made.requirements)
+        for path in (out, promise_file, plot):
+            if path is not None and sure.robust:
+                say_line(f"written: {path}")
+    if not sure.robust:
+        say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
+    elif not made.ready:
+        say_line("note: the specification is not met; ask for less, or identify the model better")
+    if made.saturation.winds_up and anti_windup is AntiWindup.none and method is Method.cascade:
+        say_line("note: --anti-windup back-calculation keeps the integral from winding up")
+    if not made.ready:
+        raise typer.Exit(1)
+
+
+app.command()(rail)
+
+
+@app.command()
+def verdict(
+    promised: Annotated[
+        Path, typer.Argument(metavar="PROMISE", help="The file that `design controller` or `design rail` wrote.")
+    ],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of a flight with steps of the pitch.")],
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the steps over the promise (.png, .svg, .pdf, .html).")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Lay the steps that were flown beside what was promised, channel by channel and figure by figure.
+
+    Exit status 1: part of the promise was broken in more steps than chance explains.
+    """
+    if plot is not None:
+        check_place(plot, force)
+    document = _document(promised)
+    flight = read_log(log)
+    if isinstance(document, dict) and "rail_promise" in document:
+        if plot is not None:
+            raise typer.BadParameter("--plot draws promises of the pitch only: leave it out")
+        found = RailPromise.from_json(document, str(promised)).verdict_of(flight)
+    else:
+        made = Promise.from_json(document, str(promised))
+        found = made.verdict_of(flight)
+        if plot is not None:
+            write_view(promise_view(made, flight), plot, force)
+    if json:
+        print_json({**found.to_json(), "plot": None if plot is None else str(plot)})
+    else:
+        table_console().print(found.table())
+        if plot is not None:
+            say_line(f"written: {plot}")
+    if not found.stands:
+        raise typer.Exit(1)
+
+
+def read_family(source: str) -> PitchFamily:
+    """The family of a model's file, or of standard input. Raises ParameterError."""
+    if source == "-":
+        return PitchFamily.from_identified(_parsed(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input"), "-")
+    return PitchFamily.from_identified(_document(Path(source)), source)
+
+
+def _document(path: Path) -> Any:
+    try:
+        return _parsed(read_bytes(path, MAX_BYTES), str(path))
+    except LogError as reason:
+        raise ParameterError(reason.what, str(path), "name a JSON file") from reason
+
+
+def _parsed(text: bytes, where: str) -> Any:
+    if len(text) > MAX_BYTES:
+        raise ParameterError("it is larger than 16 MiB", where, "give what `twodof identify --json` printed")
+    try:
+        return json_text.loads(text)
+    except (ValueError, RecursionError) as reason:
+        raise ParameterError(
+            f"it is not JSON: {reason!s:.80}", where, "give what `twodof identify --json` printed"
+        ) from reason
+
+
+def _write(path: Path, document: Any) -> None:
+    with atomic_write(path, "w") as file:
+        json_text.dump(document, file, allow_nan=False)
+
+
+def _say_cascade(made: CascadeDesign) -> None:
+    console = table_console()
+    kp, ki, kd = made.gains.rate
+    console.print(f"rate PID: Kp {kp:.5g}, Ki {ki:.5g}, Kd {kd:.4g}; attitude P: Kp {made.gains.attitude:.4g}")
+    for name in ("rate", "attitude"):
+        crossover, margin = made.crossovers[name], math.degrees(made.phase_margins[name])
+        console.print(f"{name} loop: crossover {crossover:.3g} rad/s, phase margin {margin:.3g} deg")
+
+
+def _say(sure: Robustness, limited: SaturatedStep, found: Promise, checked: tuple[Requirement, ...]) -> None:
+    console = table_console()
+    console.print(sure.text)
+    console.print(limited.text)
+    console.print(found.table())
+    for one in checked:
+        console.print(one.text)

@@ -1,0 +1,90 @@
+"""The frequencies at which a transfer has a given size, or is real: eigenvalues of a pencil, then refined roots.
+
+G~ is conj(G): G(1 / z) on the unit circle, and G(-s) on the imaginary axis. So |G| = g where g^2 - G~ G has a zero, and
+G is real where G - G~ has one. Those zeros are generalised eigenvalues of matrices of 2 n + 1 rows (the Hamiltonian and
+symplectic pencils of Boyd, Balakrishnan and Kabamba 1989, and of Bruinsma and Steinbuch 1990).
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.design.loop_transfer import LoopTransfer
+
+Array = NDArray[np.float64]
+
+NEAR = 0.3
+"""How far from the axis, as a share of its frequency, an eigenvalue may lie to be looked at: more than roundings do."""
+
+SLOW = 1e-9
+"""A frequency below it, in turns a sample or rad/s, is 0 up to roundings."""
+
+_SAME = 1e-10  # share by which two roots differ at least: beside one, rounding changes signs more than once
+_ROUNDING = 4e-15
+
+
+def frequencies_of_size(g: LoopTransfer, size: float) -> Array:
+    """Candidates [rad/s], sorted, among which is every frequency at which |G| is `size`. A delay does not matter."""
+    square = size**2
+    last = np.hstack([g.d / square * g.c, g.b.T / square, np.full((1, 1), g.d**2 / square - 1.0)])
+    return _on_the_axis(g, last, g.d)
+
+
+def frequencies_of_the_real(g: LoopTransfer) -> Array:
+    """Sorted candidates [rad/s]. Every frequency at which G without its delay is real is among them."""
+    return _on_the_axis(g, np.hstack([g.c, -g.b.T, np.zeros((1, 1))]), None)
+
+
+def _on_the_axis(g: LoopTransfer, last: Array, through: float | None) -> Array:
+    """Frequencies of the eigenvalues near the axis, of the rows of G, of G~ driven by G's output, and `last`.
+
+    G~ is driven by G's input instead where `through` is None.
+    """
+    from scipy.linalg import eig  # imported late: most commands start without it
+
+    n = len(g.a)
+    if n == 0:
+        return np.zeros(0)
+    zero, column = np.zeros((n, n)), np.zeros((n, 1))
+    drive = g.c.T @ g.c if through is not None else zero
+    direct = g.c.T * through if through is not None else g.c.T
+    m, e = np.zeros((2 * n + 1, 2 * n + 1)), np.zeros((2 * n + 1, 2 * n + 1))
+    m[:n] = np.hstack([g.a, zero, g.b])
+    e[:n, :n] = np.eye(n)
+    m[-1] = last[0]
+    if g.dt is None:
+        m[n : 2 * n] = np.hstack([-drive, -g.a.T, -direct])
+        e[n : 2 * n, n : 2 * n] = np.eye(n)
+    else:
+        m[n : 2 * n] = np.hstack([zero, np.eye(n), column])
+        e[n : 2 * n] = np.hstack([drive, g.a.T, direct])
+    alpha, beta = eig(m, e, right=False, homogeneous_eigvals=True)
+    finite = np.abs(beta) > _ROUNDING * np.abs(alpha)
+    z = alpha[finite] / beta[finite]
+    z = z[np.abs(z) > 0.0]
+    s = z if g.dt is None else np.log(z.astype(np.complex128)) / g.dt
+    low = SLOW / g.dt if g.dt else SLOW
+    close = (np.abs(s.real) <= NEAR * np.abs(s.imag)) & (np.abs(s.imag) > low)
+    return np.unique(np.abs(s.imag[close]))
+
+
+def refined_roots(f: Callable[[float], float], grid: Array, values: Array) -> list[float]:
+    """The roots of `f` between neighbours of `grid`, to the last digits, where `values` change their sign."""
+    from scipy.optimize import brentq  # imported late: most commands start without it
+
+    signs = np.sign(values)
+    for k in np.flatnonzero(signs == 0.0):  # on a root: as its neighbour, so that it counts once
+        signs[k] = signs[k - 1] if k else -1.0
+    changes = np.flatnonzero(signs[:-1] * signs[1:] < 0.0)
+    found: list[float] = []
+    for k in changes:
+        low, high = float(grid[k]), float(grid[k + 1])
+        at_low, at_high = f(low), f(high)
+        if at_low * at_high < 0.0:
+            root = float(brentq(f, low, high, xtol=1e-300, rtol=1e-14, maxiter=200))
+        else:  # `values` were computed in another order: one end is the root, up to rounding
+            root = low if abs(at_low) < abs(at_high) else high
+        if not found or root > found[-1] * (1.0 + _SAME):
+            found.append(root)
+    return found

@@ -1,0 +1,184 @@
+"""LoopTransfer: what a signal has become once around the loop, L, as matrices, sampled or continuous with a delay."""
+
+import math
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.compile.linear.linear_model import LinearModel
+from twodof.errors import ParameterError, nearest, shown
+from twodof.models.lti import DelayedStateSpace, SampledStateSpace
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+MAX_STATES = 600
+"""Of a loop: beyond it the searches take minutes."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoopTransfer:
+    """L of a loop with negative feedback, of one input and one output: the closed loop is L / (1 + L).
+
+    `a` (n, n), `b` (n, 1), `c` (1, n), `d` a number. With `dt` None it is C (s - A)^-1 B + D behind `delay` [s]. With a
+    sample time `dt` [s] it is C (z - A)^-1 B + D, and delays are states. Raises ParameterError for shapes that do not
+    fit, numbers that are not finite and more than `MAX_STATES` states. It refuses `delay` in a sampled loop. It refuses
+    a delay around a direct path D too: such a loop has infinitely many poles that do not die out.
+    """
+
+    a: Array
+    b: Array
+    c: Array
+    d: float
+    dt: float | None = None
+    delay: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(isinstance(part, np.ndarray) and part.ndim == 2 for part in (self.a, self.b, self.c)):
+            raise _error("a, b and c are not all matrices", "give arrays, or a model to LoopTransfer.of")
+        n = len(self.a)
+        if (self.a.shape, self.b.shape, self.c.shape) != ((n, n), (n, 1), (1, n)):
+            raise _error(
+                f"shapes {self.a.shape}, {self.b.shape}, {self.c.shape} are not a loop of one input and one output",
+                "give a (n,n), b (n,1), c (1,n)",
+            )
+        if n > MAX_STATES:
+            raise _error(f"{n} states", f"at most {MAX_STATES}: shorten the delays, or sample more slowly")
+        if not (all(np.isfinite(part).all() for part in (self.a, self.b, self.c)) and math.isfinite(self.d)):
+            raise _error("a matrix holds NaN or infinity", "give finite numbers")
+        if self.dt is not None and not (math.isfinite(self.dt) and self.dt > 0.0):
+            raise _error(f"sample time {self.dt} s is not a finite time > 0", "give None for a continuous loop")
+        if not (math.isfinite(self.delay) and self.delay >= 0.0):
+            raise _error(f"delay {self.delay} s is not a finite time >= 0", "give seconds")
+        if self.delay and self.dt is not None:
+            raise _error("a sampled loop has its delays as states", "use DelayedStateSpace.zero_order_hold")
+        if self.delay and self.d:
+            raise _error("a delay around a direct path", "add a lag, however fast, or sample it with zero_order_hold")
+
+    @classmethod
+    def of(cls, model: Any, source: int | str = 0, to: int | str | None = None, negate: bool = False) -> Self:
+        """L of a model from its input `source` to its output `to` (default: of the same name or place).
+
+        `model` is a LinearModel, DelayedStateSpace, SampledStateSpace or another loop. With `negate` the sign is
+        turned: for a model that was cut in a closed loop, in which the feedback's minus is in it. Raises ParameterError
+        for another type and an unknown name.
+        """
+        target = source if to is None else to
+        if isinstance(model, LoopTransfer):
+            a, b, c, d, dt, delay = model.a, model.b, model.c, np.array([[model.d]]), model.dt, model.delay
+        elif isinstance(model, LinearModel):
+            a, b, c, d, dt, delay = model.a, model.b, model.c, model.d, model.dt, 0.0
+            source, target = _place(source, model.inputs, "input"), _place(target, model.outputs, "output")
+        elif isinstance(model, DelayedStateSpace):
+            a, b, c, d, dt, delay = model.a, model.b, model.c, model.d, None, model.delay
+        elif isinstance(model, SampledStateSpace):
+            (a, b, c, d), dt, delay = model.augmented(), model.dt, 0.0
+        else:
+            raise _error(f"{shown(model)} is not a linear model", "give a LinearModel or a state space")
+        i, j = _within(source, b.shape[1], "input"), _within(target, c.shape[0], "output")
+        sign = -1.0 if negate else 1.0
+        return cls(a, b[:, i : i + 1], sign * c[j : j + 1], sign * float(d[j, i]), dt, delay)
+
+    @classmethod
+    def of_gain(cls, gain: float, dt: float | None = None) -> Self:
+        """A number alone."""
+        return cls(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), float(gain), dt)
+
+    def times(self, other: "LoopTransfer") -> "LoopTransfer":
+        """The product of both, `other` first: a controller's `times` a plant's is their loop.
+
+        Raises ParameterError for different sample times.
+        """
+        if self.dt != other.dt:
+            raise _error(f"sample times {self.dt} and {other.dt} s differ", "sample both alike")
+        n, m = len(self.a), len(other.a)
+        a = np.block([[self.a, self.b @ other.c], [np.zeros((m, n)), other.a]])
+        b, c = np.vstack([self.b * other.d, other.b]), np.hstack([self.c, self.d * other.c])
+        return LoopTransfer(a, b, c, self.d * other.d, self.dt, self.delay + other.delay)
+
+    def scaled(self, factor: float) -> "LoopTransfer":
+        """The loop with `factor` times the gain."""
+        return LoopTransfer(self.a, self.b, factor * self.c, factor * self.d, self.dt, self.delay)
+
+    def balanced(self) -> "LoopTransfer":
+        """The same loop with states of like size, as the searches for eigenvalues like it."""
+        from scipy.linalg import matrix_balance  # imported late: most commands start without it
+
+        n = len(self.a)
+        whole = np.block([[self.a, self.b], [self.c, np.zeros((1, 1))]])
+        even, _ = matrix_balance(whole, permute=False)
+        return LoopTransfer(even[:n, :n], even[:n, n:], even[n:, :n], self.d, self.dt, self.delay)
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """L at the frequencies `omega` [rad/s], shape (k,)."""
+        w = np.atleast_1d(np.asarray(omega, dtype=float))
+        return self.at(1j * w if self.dt is None else np.exp(1j * w * self.dt))
+
+    def at(self, place: ArrayLike) -> Complex:
+        """L at points of the s plane, or of the z plane where it is sampled, shape (k,); infinite at its poles."""
+        s = np.atleast_1d(np.asarray(place, dtype=np.complex128))
+        if len(self.a):
+            n = len(self.a)
+            found = np.empty(s.size, np.complex128)
+            few = max(1, 2_000_000 // n**2)  # points at a time: 32 MB
+            for k in range(0, s.size, few):
+                part = s[k : k + few]
+                b = np.broadcast_to(self.b, (part.size, n, 1)).astype(np.complex128)
+                inner = _solved(part[:, None, None] * np.eye(n) - self.a, b)
+                pole = ~np.isfinite(inner).all(axis=(1, 2))
+                inner[pole] = 0.0
+                found[k : k + few] = np.where(pole, np.inf, (self.c @ inner)[:, 0, 0] + self.d)
+        else:
+            found = np.full(s.size, self.d, np.complex128)
+        if self.delay:
+            finite = np.isfinite(found)
+            found[finite] *= np.exp(-s[finite] * self.delay)
+        return found
+
+    def poles(self) -> Complex:
+        """The open loop's poles: in the z plane, or in rad/s, shape (n,)."""
+        return np.linalg.eigvals(self.a).astype(np.complex128)
+
+    def to_control(self) -> Any:
+        """The loop as python-control's StateSpace. Raises CompileError if that is not installed, ParameterError for a
+        continuous loop with a delay, which it does not have.
+        """
+        if self.delay:
+            raise _error("python-control has no delays in continuous time", "sample it with zero_order_hold first")
+        names = tuple(f"x{i}" for i in range(len(self.a)))
+        return LinearModel(
+            self.a, self.b, self.c, np.array([[self.d]]), self.dt, names, ("u",), ("y",), name="loop"
+        ).to_control()
+
+
+def _solved(matrices: Complex, b: Complex) -> Complex:
+    """The solutions for a stack of matrices, infinite for those that are singular to the last bit."""
+    try:
+        return np.array(np.linalg.solve(matrices, b))
+    except np.linalg.LinAlgError:
+        if len(matrices) == 1:
+            return np.full_like(b, np.inf)
+        half = len(matrices) // 2
+        return np.concatenate([_solved(matrices[:half], b[:half]), _solved(matrices[half:], b[half:])])
+
+
+def _place(name: int | str, names: tuple[str, ...], what: str) -> int:
+    if isinstance(name, str):
+        if name not in names:
+            raise _error(f"no {what} called {shown(name)}", f"there are: {nearest(name, names)}")
+        return names.index(name)
+    return name
+
+
+def _within(place: int | str, count: int, what: str) -> int:
+    if isinstance(place, str):
+        raise _error(f"the {what}s of this model have no names", f"give a number from 0 to {count - 1}")
+    if not 0 <= place < count:
+        raise _error(f"no {what} {place}", f"there are {count}, from 0 on")
+    return place
+
+
+def _error(what: str, remedy: str) -> ParameterError:
+    return ParameterError(what, "LoopTransfer", remedy)

@@ -1,0 +1,260 @@
+"""Margins of a loop (gain, phase, delay and disk), sensitivity peaks, crossovers, and whether it is stable."""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.design.closed_loop_poles import Motion, closed_loop_poles, logarithms, worst_motion
+from twodof.design.disk_margin import DiskMargin
+from twodof.design.frequency_grid import frequency_grid
+from twodof.design.level_frequencies import frequencies_of_size, frequencies_of_the_real, refined_roots
+from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.minimal import minimal
+from twodof.design.sensitivity import Sensitivity, complementary_sensitivity, largest, sensitivity
+from twodof.errors import ParameterError
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_ON_THE_POINT = 1e-6  # of an open-loop pole to z = 1 or z = -1, where L is then infinite
+_SMALL = 1e-4  # a gain margin of 80 dB is none
+_HALF_POWER = math.sqrt(0.5)
+
+
+@dataclass(frozen=True)
+class GainCrossing:
+    """At `omega` [rad/s] L is real and negative: with `factor` times the gain a closed-loop pole is on the border."""
+
+    factor: float
+    omega: float
+
+
+@dataclass(frozen=True)
+class PhaseCrossing:
+    """At `omega` [rad/s] |L| is 1 and the phase is `phase` [rad] above -pi, in (-pi, pi]: lag of that much is too much.
+
+    Where it is negative, lead of its size is too much.
+    """
+
+    phase: float
+    omega: float
+
+    @property
+    def delay(self) -> float:
+        """The delay [s] that turns L to -1 here."""
+        return (self.phase % (2.0 * math.pi)) / self.omega
+
+
+@dataclass(frozen=True, eq=False)
+class LoopMargins:
+    """The margins of `loop`; of an unstable one its crossings, which say what would make it stable, and `motion`.
+
+    `gains` and `phases` are all crossings by frequency. `poles` are the closed loop's, the least stable first; `motion`
+    is what the worst of them does. `ms` and `mt` are the largest |S| and |T|, at `ms_at` and `mt_at` [rad/s].
+    """
+
+    loop: LoopTransfer
+    gains: tuple[GainCrossing, ...]
+    phases: tuple[PhaseCrossing, ...]
+    poles: Complex
+    motion: Motion | None
+    ms: float
+    ms_at: float
+    mt: float
+    mt_at: float
+    disk: DiskMargin
+    bandwidth: float
+
+    @property
+    def stable(self) -> bool:
+        """Whether the closed loop is stable; a loop on the border is not."""
+        return self.motion is None or self.motion.growth < 0.0
+
+    @property
+    def increase(self) -> GainCrossing | None:
+        """The smallest factor above 1 that brings the loop to the border; None if there is none."""
+        return min((g for g in self.gains if g.factor > 1.0), key=lambda g: g.factor, default=None)
+
+    @property
+    def decrease(self) -> GainCrossing | None:
+        """The largest factor below 1 that brings the loop to the border; None if there is none."""
+        return max((g for g in self.gains if g.factor < 1.0), key=lambda g: g.factor, default=None)
+
+    @property
+    def gain_margin(self) -> float:
+        """The smaller of both gain margins as a factor above 1, up or down; infinity if there is none."""
+        factors = [g.factor if g.factor > 1.0 else 1.0 / g.factor for g in self.gains]
+        return min(factors, default=math.inf)
+
+    @property
+    def gain_margin_db(self) -> float:
+        """`gain_margin` [dB]."""
+        return 20.0 * math.log10(self.gain_margin)
+
+    @property
+    def _nearest_phase(self) -> PhaseCrossing | None:
+        return min(self.phases, key=lambda p: abs(p.phase), default=None)
+
+    @property
+    def phase_margin(self) -> float:
+        """Of the crossing nearest to -pi [rad], negative for lead; infinity if |L| is 1 nowhere."""
+        nearest = self._nearest_phase
+        return math.inf if nearest is None else nearest.phase
+
+    @property
+    def phase_margin_deg(self) -> float:
+        """`phase_margin` [deg]."""
+        return math.degrees(self.phase_margin)
+
+    @property
+    def crossover(self) -> float:
+        """The frequency [rad/s] of the phase margin; NaN if |L| is 1 nowhere."""
+        nearest = self._nearest_phase
+        return math.nan if nearest is None else nearest.omega
+
+    @property
+    def delay_margin(self) -> float:
+        """The shortest further delay [s] that brings the loop to the border; infinity if there is none."""
+        return min((p.delay for p in self.phases), default=math.inf)
+
+    @property
+    def modulus_margin(self) -> float:
+        """The smallest |1 + L|: the distance of the Nyquist curve from -1."""
+        return 1.0 / self.ms if self.ms > 0.0 else math.inf
+
+    @cached_property
+    def poles_rad(self) -> Complex:
+        """`poles` in rad/s, also of a sampled loop."""
+        return logarithms(self.poles, self.loop.dt)
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data in SI units: radians, factors and seconds; infinity stays infinity."""
+        return {
+            "stable": self.stable,
+            "motion": None if self.motion is None else {"omega": self.motion.omega, "growth": self.motion.growth},
+            "crossover": self.crossover,
+            "gain_margin": self.gain_margin,
+            "gain_increase": self.increase.factor if self.increase else math.inf,
+            "gain_decrease": self.decrease.factor if self.decrease else 0.0,
+            "phase_margin": self.phase_margin,
+            "delay_margin": self.delay_margin,
+            "disk_margin": self.disk.alpha,
+            "disk_gain": list(self.disk.gain),
+            "disk_phase": self.disk.phase,
+            "ms": self.ms,
+            "ms_at": self.ms_at,
+            "mt": self.mt,
+            "mt_at": self.mt_at,
+            "modulus_margin": self.modulus_margin,
+            "bandwidth": self.bandwidth,
+            "gain_crossings": [{"factor": g.factor, "omega": g.omega} for g in self.gains],
+            "phase_crossings": [{"phase": p.phase, "omega": p.omega} for p in self.phases],
+            "poles": [[float(p.real), float(p.imag)] for p in self.poles],
+        }
+
+
+def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
+    """The margins of `loop` with negative feedback, by `skew` of the disk margin.
+
+    `loop` is a LoopTransfer, or a model that `LoopTransfer.of` takes.
+
+    Every frequency is a root found to its last digits. Eigenvalues of matrices say which there are. So it does not miss
+    narrow resonances, or crossings that lie close together. It follows the phase of a continuous delay on a grid of 16
+    points a turn, to where |L| stays under 1e-3. Right for unstable open loops too: stability comes from the closed
+    loop's poles. Raises ParameterError for what is not a loop, a skew that is not finite, a loop whose 1 + D is 0, and
+    a delay that turns the loop too often.
+    """
+    if not math.isfinite(skew):
+        raise ParameterError(f"skew {skew} is not finite", "margins", "use 0 (balanced), 1 (S) or -1 (T)")
+    loop = LoopTransfer.of(loop)
+    even = loop.balanced()
+    poles = closed_loop_poles(even)
+    motion = worst_motion(even, poles)
+    even = minimal(even).balanced()
+    unit, real = frequencies_of_size(even, 1.0), frequencies_of_the_real(even)
+    grid = frequency_grid(even, poles, np.unique(np.concatenate([unit, real])))
+    values = even.response(grid)
+    grid, values = grid[np.isfinite(values)], values[np.isfinite(values)]
+    shift = (skew - 1.0) / 2.0
+    s, t = sensitivity(even), complementary_sensitivity(even)
+    ms, ms_at = largest(s, grid)
+    mt, mt_at = largest(t, grid)
+    reach, disk_at = largest(sensitivity(even, shift), grid)
+    stable = motion is None or motion.growth < 0.0
+    return LoopMargins(
+        loop,
+        tuple(_gains(even, grid, values)),
+        tuple(_phases(even, grid, values)),
+        poles,
+        motion,
+        ms if stable else math.inf,
+        ms_at,
+        mt if stable else math.inf,
+        mt_at,
+        DiskMargin(1.0 / reach if stable and reach > 0.0 else 0.0, skew, disk_at),
+        _bandwidth(t, grid),
+    )
+
+
+def _phases(loop: LoopTransfer, grid: Array, values: Complex) -> list[PhaseCrossing]:
+    def above(omega: float) -> float:
+        return math.log(abs(loop.response(omega)[0]) or 1e-300)
+
+    found = []
+    for omega in refined_roots(above, grid, np.log(np.maximum(np.abs(values), 1e-300))):
+        phase = math.remainder(float(np.angle(loop.response(omega)[0])) + math.pi, 2.0 * math.pi)
+        found.append(PhaseCrossing(math.pi if phase == -math.pi else phase, omega))
+    return found
+
+
+def _gains(loop: LoopTransfer, grid: Array, values: Complex) -> list[GainCrossing]:
+    def across(omega: float) -> float:
+        return float(loop.response(omega)[0].imag)
+
+    inside = grid < (math.inf if loop.dt is None else np.pi / loop.dt * (1.0 - 1e-12))
+    roots = refined_roots(across, grid[inside], values.imag[inside])
+    places = [(omega, complex(loop.response(omega)[0])) for omega in roots]
+    places += _ends(loop)
+    # Where the phase jumps (a pole on the axis) the imaginary part changes its sign without a root.
+    found = [
+        GainCrossing(-1.0 / at.real, omega)
+        for omega, at in places
+        if -math.inf < at.real < -_SMALL and abs(at.imag) <= 1e-6 * abs(at.real)
+    ]
+    return sorted(found, key=lambda g: g.omega)
+
+
+def _ends(loop: LoopTransfer) -> list[tuple[float, complex]]:
+    """L at frequency 0 and at the Nyquist frequency, where it is real, unless a pole is there."""
+    poles = loop.poles()
+    if loop.dt is None:
+        ends = [(0.0, 0.0, _ON_THE_POINT * max(1.0, float(np.abs(poles).max(initial=0.0))))]
+    else:
+        ends = [(0.0, 1.0, _ON_THE_POINT), (math.pi / loop.dt, -1.0, _ON_THE_POINT)]
+    found = []
+    for omega, place, near in ends:
+        if not poles.size or np.abs(poles - place).min() > near:
+            found.append((omega, complex(loop.at(place)[0].real)))
+    if loop.dt is None and loop.d:
+        found.append((math.inf, complex(loop.d)))
+    return found
+
+
+def _bandwidth(t: Sensitivity, grid: Array) -> float:
+    """The highest frequency at which |T| falls through 1 / sqrt(2): Skogestad and Postlethwaite, section 2.4.5.
+
+    Infinity where it does not fall, 0 where it is nowhere above.
+    """
+
+    def above(omega: float) -> float:
+        return float(np.abs(t.response(omega))[0]) - _HALF_POWER
+
+    sizes = np.abs(t.response(grid)) - _HALF_POWER
+    if sizes[-1] > 0.0:
+        return math.inf
+    roots = refined_roots(above, grid, sizes)
+    return roots[-1] if roots else 0.0

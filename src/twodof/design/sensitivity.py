@@ -1,0 +1,111 @@
+"""Sensitivity: S = 1 / (1 + L) and T = L / (1 + L) of a loop, and the largest size of a transfer."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.design.closed_loop_poles import feedback_gain
+from twodof.design.level_frequencies import frequencies_of_size
+from twodof.design.loop_transfer import LoopTransfer
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_ROUNDS = 8
+_NEAR = 1e-8  # by what share the largest value may be missed where two peaks are alike
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """`direct` + `share` S of a loop. `matrices` are its own, None for a continuous loop with a delay."""
+
+    loop: LoopTransfer
+    share: float
+    direct: float
+
+    @cached_property
+    def matrices(self) -> LoopTransfer | None:
+        """As a transfer by itself: finite also where L has a pole."""
+        if self.loop.delay:
+            return None
+        k, one = feedback_gain(self.loop), self.loop
+        return LoopTransfer(
+            one.a - k * one.b @ one.c, k * one.b, -self.share * k * one.c, self.direct + self.share * k, one.dt
+        )
+
+    @cached_property
+    def ends(self) -> list[tuple[float, float]]:
+        """(frequency, size) at 0 and at the Nyquist frequency, or infinity, where they are known."""
+        places = [(0.0, 0.0 if self.loop.dt is None else 1.0)]
+        if self.loop.dt is not None:
+            places.append((np.pi / self.loop.dt, -1.0))
+        of = self.loop if self.matrices is None else self.matrices
+        at = [(omega, complex(of.at(z)[0])) for omega, z in places]
+        if self.matrices is None:
+            at = [(omega, self.direct + self.share / (1.0 + l)) for omega, l in at]
+        if self.loop.dt is None:
+            at.append((np.inf, complex(self.direct + self.share * feedback_gain(self.loop))))
+        return [(omega, abs(value)) for omega, value in at if np.isfinite(value)]
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """The frequency response at `omega` [rad/s], shape (k,)."""
+        if self.matrices is not None:
+            return self.matrices.response(omega)
+        return np.asarray(self.direct + self.share / (1.0 + self.loop.response(omega)))
+
+
+def sensitivity(loop: LoopTransfer, shift: float = 0.0) -> Sensitivity:
+    """S + `shift`, S = 1 / (1 + L)."""
+    return Sensitivity(loop, 1.0, shift)
+
+
+def complementary_sensitivity(loop: LoopTransfer) -> Sensitivity:
+    """T = 1 - S."""
+    return Sensitivity(loop, -1.0, 1.0)
+
+
+def largest(of: Sensitivity, grid: Array) -> tuple[float, float]:
+    """(size, frequency [rad/s]) of the largest |of| over all frequencies; `grid` is where the search begins.
+
+    A peak found is refined. Where there are matrices, a higher one is not left out. If there were one, the size just
+    above the peak would be met at some frequency (Bruinsma, Steinbuch 1990).
+    """
+    best, place = _peak(of.response, grid)
+    for omega, size in of.ends:
+        if size > best:
+            best, place = size, omega
+    end = np.inf if of.loop.dt is None else np.pi / of.loop.dt
+    for _ in range(_ROUNDS if of.matrices is not None else 0):
+        assert of.matrices is not None
+        met = frequencies_of_size(of.matrices, best * (1.0 + _NEAR)) if best else np.zeros(0)
+        met = met[met < end]
+        if met.size < 2:
+            break
+        found, there = _peak(of.response, np.unique(np.concatenate([met, np.sqrt(met[1:] * met[:-1])])))
+        if found <= best * (1.0 + _NEAR):
+            break
+        best, place = found, there
+    return best, place
+
+
+def _peak(of: Callable[[Array], Complex], grid: Array) -> tuple[float, float]:
+    from scipy.optimize import minimize_scalar  # imported late: most commands start without it
+
+    sizes = np.abs(of(grid))
+    grid, sizes = grid[np.isfinite(sizes)], sizes[np.isfinite(sizes)]
+    top = float(sizes.max(initial=0.0))
+    best, place = top, float(grid[int(np.argmax(sizes))]) if grid.size else 0.0
+    inner = np.flatnonzero((sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] >= sizes[2:])) + 1
+    for k in inner[sizes[inner] > 0.8 * top]:
+        found = minimize_scalar(
+            lambda x: -float(np.abs(of(np.exp(np.atleast_1d(x))))[0]),
+            bounds=(float(np.log(grid[k - 1])), float(np.log(grid[k + 1]))),
+            method="bounded",
+            options={"xatol": 1e-12},
+        )
+        if -found.fun > best:
+            best, place = float(-found.fun), float(np.exp(found.x))
+    return best, place

@@ -1,0 +1,1 @@
+"""Controllers from a model and what is asked of them."""

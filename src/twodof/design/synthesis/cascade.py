@@ -1,0 +1,172 @@
+"""The cascade from the inside out: rate PID, attitude P, velocity PI, position P, each by its crossover."""
+
+import cmath
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.design.synthesis.pid import PidGains, pid_at, sampled_response, shaped_pid
+from twodof.errors import ParameterError
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.models.lti import DelayedStateSpace
+from twodof.models.plant import PitchRate, Velocity
+from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
+
+SEPARATION = 5.0
+"""Each outer loop crosses over at this part of the inner one's crossover."""
+
+LIFT = 0.4 * 6.3386
+"""T_bar eta_T of the platform's projection [N]: what a force along the rail is divided by."""
+
+_THETA, _Q = 0, 1
+
+
+@dataclass(frozen=True)
+class CascadeDesign:
+    """`gains` and what each loop was made for: its crossover [rad/s] and its phase margin [rad], by the loop's name.
+
+    The figures are those of the sampled loop, each with the loops inside it closed.
+    """
+
+    gains: Gains
+    crossovers: Mapping[str, float]
+    phase_margins: Mapping[str, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "gains": self.gains.to_json(),
+            "crossovers": dict(self.crossovers),
+            "phase_margins": dict(self.phase_margins),
+        }
+
+
+class CascadeLoops:
+    """The loops of the cascade over `pitch` (a dead time is in it) and, with `velocity`, the cart."""
+
+    def __init__(self, pitch: PitchRate, velocity: Velocity | None = None, lag: float = 0.0) -> None:
+        self.pitch, self.lag = pitch, lag
+        self.plant = _with_lag(pitch, lag)
+        self.cart = None if velocity is None else velocity.state_space()
+
+    def rate(self, gains: PidGains, omega: float) -> complex:
+        """L of the rate loop."""
+        return complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _Q)
+
+    def theta_by_q0(self, gains: PidGains, omega: float) -> complex:
+        """From the rate's set-point to the theta that is published, a sample old, with the rate loop closed."""
+        theta = complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _THETA)
+        return theta / (1.0 + self.rate(gains, omega)) * cmath.exp(-1j * omega * PERIOD)
+
+    def theta_by_theta0(self, gains: PidGains, attitude: float, omega: float) -> complex:
+        """From the set-point of theta to theta itself, both loops closed."""
+        around = attitude * self.theta_by_q0(gains, omega)
+        return around / (1.0 + around) * cmath.exp(1j * omega * PERIOD)
+
+    def v_by_force(self, gains: PidGains, attitude: float, omega: float) -> complex:
+        """From the force that the velocity loop asks for to v, for small angles."""
+        if self.cart is None:
+            raise ParameterError("there is no model of the cart", "cascade", "give the velocity's model")
+        tilt = self.theta_by_theta0(gains, attitude, omega)
+        return -tilt / LIFT * sampled_response(self.cart, omega, 1)
+
+    def x_by_v0(self, gains: PidGains, attitude: float, velocity: PidGains, omega: float) -> complex:
+        """From the velocity's set-point to x, the velocity loop closed."""
+        around = complex(velocity.response(omega)[0]) * self.v_by_force(gains, attitude, omega)
+        z = cmath.exp(1j * omega * PERIOD)
+        return around / (1.0 + around) * PERIOD * 0.5 * (z + 1.0) / (z - 1.0)
+
+
+def cascade_design(
+    pitch: PitchRate,
+    crossover: float,
+    velocity: Velocity | None = None,
+    *,
+    phase_margin: float | None = None,
+    lag: float = 0.0,
+    separation: float = SEPARATION,
+    kept: Gains = DEFAULT,
+) -> CascadeDesign:
+    """Gains for the cascade whose rate loop crosses over at `crossover` [rad/s].
+
+    With `phase_margin` [rad] the rate loop is a PID that has both exactly; without, it is the course's loop shaping,
+    `shaped_pid`, whose margin follows. Each outer loop crosses over at a `separation`-th of the inner one: attitude P,
+    velocity PI (60 degrees) and position P. `lag` [s] is that of the rotors, beside the delay of `pitch`. Without the
+    `velocity` model the outer gains are those of `kept`. Raises ParameterError for what no gains give, in the loop's
+    name, and for gains that the drone refuses.
+    """
+    if not 1.0 < separation < 1e3:
+        raise ParameterError(f"a separation of {separation!r}", "cascade", "give 3 to 10; 5 is usual")
+    loops = CascadeLoops(pitch, velocity, lag)
+    if phase_margin is None:
+        rate = shaped_pid(pitch.mu, crossover)
+    else:
+        rate = pid_at(sampled_response(loops.plant, crossover, _Q), crossover, phase_margin, "PID")
+    first = crossover / separation
+    attitude = pid_at(loops.theta_by_q0(rate, first), first, form="P").kp
+    at = {"rate": _crossing(lambda w: loops.rate(rate, w), crossover), "attitude": first}
+    around = {
+        "rate": loops.rate(rate, at["rate"]),
+        "attitude": attitude * loops.theta_by_q0(rate, first),
+    }
+    gains = replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude)
+    if velocity is not None:
+        second, third = first / separation, first / separation**2
+        speed = pid_at(loops.v_by_force(rate, attitude, second), second, math.radians(60.0), "PI")
+        place = pid_at(loops.x_by_v0(rate, attitude, speed, third), third, form="P").kp
+        gains = replace(gains, velocity=(speed.kp, speed.ki), position=place)
+        at |= {"velocity": second, "position": third}
+        around["velocity"] = complex(speed.response(second)[0]) * loops.v_by_force(rate, attitude, second)
+        around["position"] = place * loops.x_by_v0(rate, attitude, speed, third)
+    margins = {name: math.pi + float(np.angle(value)) for name, value in around.items()}
+    return CascadeDesign(gains, at, {name: (m + math.pi) % (2.0 * math.pi) - math.pi for name, m in margins.items()})
+
+
+def cascade_loops_of(pitch: PitchRate, gains: Gains, lag: float = 0.0) -> CascadeDesign:
+    """The rate and attitude loops of given `gains`: crossover [rad/s] and margin [rad], NaN where |L| is not 1."""
+    loops, rate = CascadeLoops(pitch, None, lag), PidGains(*gains.rate)
+
+    def rate_loop(w: float) -> complex:
+        return loops.rate(rate, w)
+
+    def attitude_loop(w: float) -> complex:
+        return gains.attitude * loops.theta_by_q0(rate, w)
+
+    at = {
+        "rate": _crossing(rate_loop, max(1.0, gains.rate[0] * pitch.mu)),
+        "attitude": _crossing(attitude_loop, max(0.2, gains.attitude)),
+    }
+    around = {name: of(at[name]) for name, of in (("rate", rate_loop), ("attitude", attitude_loop))}
+    margins = {name: math.pi + float(np.angle(value)) for name, value in around.items()}
+    return CascadeDesign(gains, at, margins)
+
+
+def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
+    """The pitch behind the rotors' first-order lag; outputs theta and q."""
+    plain = pitch.state_space()
+    if lag == 0.0:
+        return plain
+    if not 0.0 < lag < 10.0:
+        raise ParameterError(f"a lag of {lag!r} s", "cascade", "give 0 to 10 s")
+    a = np.zeros((3, 3))
+    a[:2, :2], a[:2, 2], a[2, 2] = plain.a, plain.b[:, 0], -1.0 / lag
+    return DelayedStateSpace.of(a, [0.0, 0.0, 1.0 / lag], np.eye(2, 3), [[0.0], [0.0]], pitch.tau)
+
+
+def _crossing(around: Any, near: float) -> float:
+    """The frequency [rad/s] where |L| is 1, the nearest to `near`; NaN where it is nowhere within a factor of 4."""
+    from scipy.optimize import brentq  # imported late: most commands start without it
+
+    grid = np.geomspace(near / 4.0, min(4.0 * near, 0.999 * math.pi / PERIOD), 200)
+    size = np.array([math.log(abs(around(float(w)))) for w in grid])
+    at = np.flatnonzero((size[:-1] >= 0.0) & (size[1:] < 0.0))
+    if not at.size:
+        return math.nan
+    k = int(at[np.argmin(np.abs(np.log(grid[at] / near)))])
+    return float(brentq(lambda w: math.log(abs(around(float(w)))), grid[k], grid[k + 1], xtol=1e-10))

@@ -1,0 +1,114 @@
+"""DesignedController: from an identified family to a diagram that flies, with its proof and its promise."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from twodof.blocks.diagram import Diagram
+from twodof.design.synthesis.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_loops_of
+from twodof.design.synthesis.cascade_hinf import cascade_hinf
+from twodof.design.synthesis.requirements import Requirement, check
+from twodof.design.synthesis.specification import Specification
+from twodof.design.synthesis.state_feedback import lqg_attitude
+from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.uncertain.promise import MEMBERS, Promise, promise
+from twodof.design.uncertain.robustness import Robustness, robustness
+from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.uncertain.saturated_step import SaturatedStep, saturated_step
+from twodof.errors import ParameterError, shown
+from twodof.flight.starters.attitude import pid_attitude
+from twodof.models.plant import PitchRate
+
+CROSSOVER = 20.0
+"""Of the rate loop [rad/s], where nobody says another."""
+
+METHODS = ("cascade", "lqg")
+"""The cascade of the drone, or LQG: state feedback with a Kalman filter."""
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedController:
+    """`diagram` is what flies; `cascade` says how its gains were found (None of another method).
+
+    `robustness` tells whether the whole family is stable with it, and `saturation` what the motors' limits make of a
+    step. `promise` says how it will fly, and `requirements` what a specification asks for. It is `ready` to fly where
+    it is stable and these are kept.
+    """
+
+    method: str
+    family: PitchFamily
+    diagram: Diagram
+    cascade: CascadeDesign | None
+    robustness: Robustness
+    saturation: SaturatedStep
+    promise: Promise
+    requirements: tuple[Requirement, ...]
+
+    @property
+    def ready(self) -> bool:
+        """Whether it keeps the family stable, and what was specified."""
+        return self.robustness.robust and all(one.met for one in self.requirements)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but the diagram, as plain data."""
+        return {
+            "family": self.family.to_json(),
+            "method": self.method,
+            "design": None if self.cascade is None else self.cascade.to_json(),
+            "robustness": self.robustness.to_json(),
+            "saturation": self.saturation.to_json(),
+            "promise": self.promise.to_json(),
+            "specification": [one.to_json() for one in self.requirements],
+        }
+
+
+def design_controller(
+    family: PitchFamily,
+    crossover: float = CROSSOVER,
+    phase_margin: float | None = None,
+    separation: float = SEPARATION,
+    method: str = "cascade",
+    specification: Specification | None = None,
+    goal: float = math.radians(10.0),
+    members: int = MEMBERS,
+    seed: int = 1,
+    said: Callable[[str, float], None] = lambda text, share: None,
+    anti_windup: str = "none",
+) -> DesignedController:
+    """Design by the course's rule for `crossover` [rad/s] and `phase_margin` [rad], or for a `specification`.
+
+    `goal` [rad] is the step of the pitch that is promised; a specification names its own. `said` is called with what is
+    done and the share that is. `anti_windup` is that of the cascade's PID (`pid_attitude`). Raises ParameterError for
+    numbers out of range and gains that the drone does not take.
+    """
+    if method not in METHODS:
+        raise ParameterError(f"no method {shown(method)}", "design", f"there are: {', '.join(METHODS)}")
+    if specification is not None and method != "cascade":
+        raise ParameterError("a specification optimises the gains of the cascade", f"method {method}", "leave it out")
+    if anti_windup != "none" and method != "cascade":
+        raise ParameterError("anti-windup is of the cascade's PID", f"method {method}", "leave it out")
+    v = family.values
+    plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
+    goal = goal if specification is None else math.radians(specification.step_deg)
+    if specification is None:
+        made = cascade_design(plant, crossover, phase_margin=phase_margin, lag=v["lag"], separation=separation)
+    else:
+        best = cascade_hinf(family, specification, seed=seed, said=lambda s: said("the best gains", 0.3 * s))
+        made = cascade_loops_of(plant, best.gains, lag=v["lag"])
+    diagram = pid_attitude(made.gains, anti_windup) if method == "cascade" else lqg_attitude(family)
+    flown = SampledController.of(diagram)
+    sure = robustness(flown, family, members, seed=seed, said=lambda s: said("the worst member", 0.3 + 0.1 * s))
+    found = promise(
+        flown,
+        family,
+        goal=goal,
+        members=members,
+        seed=seed,
+        name=diagram.name,
+        said=lambda s: said("flying the members", 0.4 + 0.5 * s),
+    )
+    limited = saturated_step(diagram, family, goal, said=lambda s: said("the motors' limits", 0.9 + 0.1 * s))
+    checked = () if specification is None else check(specification, flown, family, found)
+    cascade = made if method == "cascade" else None
+    return DesignedController(method, family, diagram, cascade, sure, limited, found, checked)

@@ -1,0 +1,171 @@
+"""P, PI, PD and PID by crossover and phase margin: closed forms, exact for the sampled loop with its delay."""
+
+import cmath
+import math
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.errors import ParameterError, shown
+from twodof.models.lti import DelayedStateSpace
+from twodof.signals import PERIOD
+
+Complex = NDArray[np.complex128]
+
+FORMS = MappingProxyType({"P": (), "PI": ("ki",), "PD": ("kd",), "PID": ("ki", "kd")})
+"""What each form has besides Kp."""
+
+INTEGRAL_SHARE = 0.1
+"""Of the crossover: where the zero of the integral is, unless it is told; it costs 6 degrees."""
+
+
+@dataclass(frozen=True)
+class PidGains:
+    """Kp e + Ki Ts z/(z - 1) e + Kd (z - 1)/((1/N + Ts) z - 1/N) e at 250 Hz, as the platform's: `n` is N [rad/s]."""
+
+    kp: float
+    ki: float = 0.0
+    kd: float = 0.0
+    n: float = 100.0
+
+    def response(self, omega: ArrayLike) -> Complex:
+        """The frequency response at `omega` [rad/s], shape (k,)."""
+        z = np.exp(1j * np.atleast_1d(np.asarray(omega, dtype=float)) * PERIOD)
+        integral, derivative = _parts(z, self.n)
+        return np.asarray(self.kp + self.ki * integral + self.kd * derivative, dtype=np.complex128)
+
+
+def shaped_pid(mu: float, crossover: float, n: float = 100.0) -> PidGains:
+    """The course's rate PID for mu / s, by loop shaping at `crossover` w [rad/s]:
+
+        C = w / mu (1 + w / (10 s)) (1 + s / (2 w)) / (1 + s / N)
+
+    A zero a tenth of w for the integral, one at twice w for the lead, the gain as of mu / s. Written as Kp, Ki, Kd with
+    filter N: with d = 1/(2 w) - 1/N, Ki = w^2 / (10 mu), Kp = (w + w^2 d / 10) / mu, Kd = w d (1 - w / (10 N)) / mu.
+    The phase margin follows from the delay. Raises ParameterError for numbers that are not positive, and for a
+    crossover above N / 2, where Kd would be negative.
+    """
+    for name, value in (("mu", mu), ("crossover", crossover), ("N", n)):
+        _positive(name, value)
+    lead = 1.0 / (2.0 * crossover) - 1.0 / n
+    if lead < 0.0:
+        raise ParameterError(
+            f"a crossover of {crossover:g} rad/s is above N / 2", "shaped_pid", f"give at most {0.5 * n:g} rad/s"
+        )
+    zero = 0.1 * crossover
+    gain = crossover / mu
+    return PidGains(gain * (1.0 + zero * lead), gain * zero, gain * lead * (1.0 - zero / n), n)
+
+
+def pid(
+    plant: DelayedStateSpace,
+    crossover: float,
+    phase_margin: float = math.radians(60.0),
+    form: str = "PID",
+    output: int = 0,
+    n: float = 100.0,
+    integral_share: float = INTEGRAL_SHARE,
+) -> PidGains:
+    """The gains with which the sampled loop of `plant` (one input, its `output`) crosses over at `crossover` [rad/s]
+    with `phase_margin` [rad]; see `pid_at`. The plant is held and delayed exactly as it flies at 250 Hz.
+    """
+    _positive("crossover", crossover)
+    if crossover >= math.pi / PERIOD:
+        raise ParameterError(
+            f"a crossover of {crossover:g} rad/s is above half the sample rate", "pid", "ask for a lower one"
+        )
+    return pid_at(sampled_response(plant, crossover, output), crossover, phase_margin, form, n, integral_share)
+
+
+def pid_at(
+    response: complex,
+    crossover: float,
+    phase_margin: float = math.radians(60.0),
+    form: str = "PID",
+    n: float = 100.0,
+    integral_share: float = INTEGRAL_SHARE,
+) -> PidGains:
+    """The gains of the `form` P, PI, PD or PID for a plant whose frequency response at `crossover` is `response`.
+
+    C G = exp(j (phase_margin - pi)) at the crossover is two equations. PI and PD have two gains. PID has its third by
+    Ki = `integral_share` crossover Kp (Astrom and Hagglund, Advanced PID Control, sec. 6.3). P only meets the
+    crossover. Raises ParameterError for an unknown form, numbers that cannot be, and where a gain would be negative:
+    the form cannot give that phase there.
+    """
+    if form not in FORMS:
+        raise ParameterError(f"there is no form {shown(form)}", "pid", f"use {', '.join(FORMS)}")
+    for name, value in (("crossover", crossover), ("N", n), ("integral_share", integral_share)):
+        _positive(name, value)
+    if not -math.pi < phase_margin < math.pi:
+        raise ParameterError(f"a phase margin of {phase_margin!r} rad", "pid", "give radians, 0.5 to 1.2 are usual")
+    if not (cmath.isfinite(response) and abs(response) > 0.0):
+        raise ParameterError(f"the plant's response is {response!r} there", "pid", "choose another crossover")
+    wanted = cmath.exp(1j * (phase_margin - math.pi)) / response
+    if form == "P":
+        return PidGains(float(abs(wanted)), n=n)
+    integral, derivative = (complex(v) for v in _parts(np.exp(1j * crossover * PERIOD), n))
+    if form == "PI":
+        gains = PidGains(*_solved(wanted, 1.0, integral), n=n)
+    elif form == "PD":
+        kp, kd = _solved(wanted, 1.0, derivative)
+        gains = PidGains(kp, 0.0, kd, n)
+    else:
+        zero = integral_share * crossover
+        kp, kd = _solved(wanted, 1.0 + zero * integral, derivative)
+        gains = PidGains(kp, zero * kp, kd, n)
+    _check_signs(gains, form, wanted, crossover)
+    return gains
+
+
+def sampled_response(plant: DelayedStateSpace, omega: float, output: int = 0) -> complex:
+    """G(z) of `plant` from its input to `output` at `omega` [rad/s], held and delayed at 250 Hz."""
+    if plant.b.shape[1] != 1 or not 0 <= output < plant.c.shape[0]:
+        raise ParameterError(
+            f"a plant with {plant.b.shape[1]} inputs and {plant.c.shape[0]} outputs, of which {output} is asked",
+            "pid",
+            "give a plant with one input, and the place of an output",
+        )
+    a, b, c, d = plant.zero_order_hold(PERIOD).augmented()
+    z = cmath.exp(1j * omega * PERIOD)
+    return complex((c[output] @ np.linalg.solve(z * np.eye(len(a)) - a, b.astype(np.complex128)) + d[output])[0])
+
+
+def _parts(z: NDArray[np.complex128] | complex, n: float) -> tuple[Complex, Complex]:
+    lag = 1.0 / n
+    return (
+        np.asarray(PERIOD * z / (z - 1.0), dtype=np.complex128),
+        np.asarray((z - 1.0) / ((lag + PERIOD) * z - lag), dtype=np.complex128),
+    )
+
+
+def _solved(wanted: complex, one: complex, other: complex) -> tuple[float, float]:
+    """(a, b) real with a one + b other = wanted."""
+    rows = np.array([[one.real, other.real], [one.imag, other.imag]])
+    a, b = np.linalg.solve(rows, [wanted.real, wanted.imag])
+    return float(a), float(b)
+
+
+def _check_signs(gains: PidGains, form: str, wanted: complex, crossover: float) -> None:
+    negative = [name for name in ("kp", "ki", "kd") if getattr(gains, name) < 0.0]
+    if not negative:
+        return
+    phase = math.degrees(cmath.phase(wanted))
+    way = "lead" if phase > 0.0 else "lag"
+    remedy = (
+        "ask for a lower crossover or a smaller phase margin"
+        if phase > 0.0
+        else "ask for a larger phase margin, a higher crossover, or a form with fewer parts"
+    )
+    raise ParameterError(
+        f"a {form} cannot give {abs(phase):.1f} degrees of {way} at {crossover:g} rad/s: "
+        f"{', '.join(negative)} would be negative",
+        "pid",
+        remedy,
+    )
+
+
+def _positive(name: str, value: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+        raise ParameterError(f"{name} = {shown(value)} is not a positive number", "pid", "give a finite number > 0")

@@ -1,0 +1,258 @@
+"""State feedback of the pitch: pole placement, LQI and LQG, with the moments under way as states.
+
+The feedback acts on the state as it will be when the moment of now arrives. The moments under way predict that state
+over the dead time (Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 4.4). So it is designed on the
+plant without the whole steps of its dead time, and those steps give poles at 0. A stationary Kalman filter estimates
+theta, q, the rotors and the gust of theta and q as they are measured.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.blocks import Diagram
+from twodof.blocks.library import DiscreteIntegrator, DiscreteStateSpace, Gain, Logic, Mux, Pid, Saturation, Sum, Switch
+from twodof.blocks.library.delays import UnitDelay
+from twodof.design.synthesis.cascade import cascade_design
+from twodof.design.uncertain.pitch_family import PARAMETERS, PitchFamily, PitchMembers
+from twodof.design.uncertain.pitch_loop import GUST, PitchLoop, Q
+from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.errors import ParameterError
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.templates import ATTITUDE
+from twodof.models.plant import PitchRate
+from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+THETA_NOISE = 0.002
+"""Standard deviation of the published theta that the Kalman filter supposes [rad]."""
+
+_LEAST_NOISE = 1e-3  # of q [rad/s] and of a gust's step: a filter that trusts a sensor wholly does not exist
+_NO_CONTROLLER = SampledController(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros((1, 0)), np.zeros((1, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class StateFeedback:
+    """M = `goal` theta_0 - `state` . x - `integral` * (sum of T (theta - theta_0)), x as the observer estimates it.
+
+    x are the states (m,) of `PitchLoop.plant`. They are theta, q, the rotors and the gust, then the moments under way
+    and the theta published. `poles` are those that the feedback was made for, without those at 0.
+    """
+
+    state: Array
+    integral: float
+    poles: Complex
+
+    @property
+    def goal(self) -> float:
+        """The gain on theta_0 [1/rad], with which its zero lies on the slowest real pole: that pole does not show."""
+        real = self.poles[np.abs(self.poles.imag) < 1e-9].real
+        if not real.size:
+            return float(self.state[0])
+        z = math.exp(float(real.max()) * PERIOD)
+        return self.integral * PERIOD * z / (1.0 - z)
+
+
+def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
+    """The feedback that gives the estimate of `family` these three poles [rad/s], of theta, q and the integral.
+
+    A pole in the left half plane comes with its conjugate; they are sampled at 250 Hz. The rotors keep their own pole.
+    Raises ParameterError for other poles, and for equal ones.
+    """
+    from scipy.signal import place_poles  # imported late: most commands start without it
+
+    wanted = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
+    real = wanted.shape == (3,) and bool(np.isfinite(wanted).all()) and abs(np.poly(wanted).imag).max() < 1e-9
+    if not real or not (wanted.real < 0.0).all() or abs(wanted).max() > 200.0:
+        raise _error(
+            f"the poles {poles!r:.80}", "give three in the left half plane, complex ones in pairs, to 200 rad/s"
+        )
+    if min(abs(wanted[i] - wanted[j]) for i, j in ((0, 1), (0, 2), (1, 2))) < 1e-6:
+        raise _error("two of the poles are equal", "set them apart")
+    a, b = _without_dead_time(family)
+    own = [math.exp(-PERIOD / max(family.values["lag"], 1e-3)), 0.0]
+    try:
+        gains = place_poles(a, b[:, None], [*np.exp(wanted * PERIOD), *own]).gain_matrix[0]
+    except ValueError as reason:
+        raise _error(f"the poles cannot be placed: {reason!s:.80}", "choose others") from reason
+    return _predicted(family, np.asarray(gains, dtype=float), wanted)
+
+
+def lqi(
+    family: PitchFamily,
+    largest_theta: float = math.radians(5.0),
+    largest_q: float = 2.0,
+    largest_integral: float = 0.3,
+    largest_moment: float = 0.1,
+) -> StateFeedback:
+    """The feedback that minimises a sum of squares, each over its largest size, for the family's estimate.
+
+    The sum is that of (theta / largest_theta)^2 + (q / largest_q)^2 + (integral / largest_integral)^2 + (M /
+    largest_moment)^2 (Bryson's rule). The units are rad, rad/s and rad s. Raises ParameterError for sizes that are not
+    positive.
+    """
+    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
+
+    sizes = (largest_theta, largest_q, largest_integral, largest_moment)
+    if not all(isinstance(v, int | float) and 0.0 < v < math.inf for v in sizes):
+        raise _error(f"sizes {sizes!r:.80}", "give finite numbers > 0")
+    a, b = _without_dead_time(family)
+    weights = np.diag([largest_theta**-2, largest_q**-2, 0.0, 0.0, largest_integral**-2])
+    effort = np.array([[largest_moment**-2]])
+    cost = solve_discrete_are(a, b[:, None], weights, effort)
+    gains = np.linalg.solve(effort + b @ cost @ b[:, None], (b @ cost @ a)[None])[0]
+    poles = np.linalg.eigvals(a - np.outer(b, gains)).astype(np.complex128)
+    moving = poles[np.abs(poles) > 1e-6]
+    return _predicted(family, gains, np.asarray(np.log(moving) / PERIOD, dtype=np.complex128))
+
+
+def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
+    """The plant of `PitchLoop` as (A, b, C), and the gain L (m, 2) of its stationary Kalman filter on theta and q.
+
+    The gust is the family's, taken as .3 rad/s2 at least, so that a constant load is found. Source: Astrom and
+    Wittenmark, sec. 11.3.
+    """
+    from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
+
+    a, b = (part[0] for part in PitchLoop(family.nominal(), _NO_CONTROLLER, family.gust_time).plant)
+    m = len(a)
+    c = np.zeros((2, m))
+    c[0, m - 1], c[1, Q] = 1.0, 1.0
+    gust = max(family.gust, 0.3)
+    disturbed = np.zeros((m, m))
+    disturbed[GUST, GUST] = gust**2 * (1.0 - math.exp(-2.0 * PERIOD / family.gust_time))
+    disturbed += 1e-12 * np.eye(m)
+    noise = np.diag([THETA_NOISE**2, max(family.q_noise, _LEAST_NOISE) ** 2])
+    p = solve_discrete_are(a.T, c.T, disturbed, noise)
+    gain = np.linalg.solve(c @ p @ c.T + noise, c @ p).T
+    return a, b, c, np.asarray(gain)
+
+
+def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, gains: Gains | None = None) -> Diagram:
+    """A diagram that flies: `feedback` of the observed state in attitude mode, the rate PID of `gains` in rate mode.
+
+    The observer is told the moment after its limit of +-1, so it does not count on what the motors cannot do. The
+    integral is bounded to +-.5 rad s. `gains` None: the course's rule at 20 rad/s.
+    """
+    a, b, c, gain = observer(family)
+    keep = np.eye(len(a)) - gain @ c
+    # The state is what was predicted without the moment of the step before, which comes through a delay of one step.
+    first = np.concatenate([(keep @ b)[:, None], gain], axis=1)
+    row = feedback.state[None]
+    used = (_course(family) if gains is None else gains).rate
+    d = Diagram(name, "state feedback of theta, q, rotors and gust as observed, with the integral of the pitch error")
+    for asked in ATTITUDE.inputs:
+        d.input(asked.name, asked.kind, unit=asked.unit)
+    d.param("k_integral", feedback.integral, unit="1/rad/s", low=-100.0, high=100.0, text="gain on the integral")
+    d.param("k_goal", feedback.goal, unit="1/rad", low=-100.0, high=100.0, text="gain on the pitch set-point")
+    bounds = (("q_kp", "s/rad", 1.0), ("q_ki", "1/rad", 5.0), ("q_kd", "s2/rad", 0.05))
+    for (parameter, unit, high), value in zip(bounds, used, strict=True):
+        d.param(parameter, value, unit=unit, low=0.0, high=high, text=f"rate mode: {parameter[-1].upper()}")
+    d.add("M_before", UnitDelay(0.0), u="limit", position=(200.0, 260.0))
+    mux = Mux(3)
+    d.add("seen", mux, position=(320.0, 200.0))
+    for port, source in zip(mux.inputs, ("M_before", "theta", "q"), strict=True):
+        d.connect(source, f"seen.{port.name}")
+    d.add(
+        "observed",
+        DiscreteStateSpace((a @ keep).tolist(), (a @ first).tolist(), (row @ keep).tolist(), (row @ first).tolist()),
+        u="seen",
+        position=(440.0, 200.0),
+    )
+    d.add("error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(200.0, 40.0))
+    d.add("in_rate_mode", Logic("not"), a="FLAG_ATTITUDE_ENABLED", position=(200.0, 360.0))
+    d.add("clear", Logic("or"), a="FLAG_RESET_INT", b="in_rate_mode", position=(320.0, 360.0))
+    d.add(
+        "integral",
+        DiscreteIntegrator("backward", limits=(-0.5, 0.5), reset=True, unit="rad*s"),
+        u="error",
+        clear="clear",
+        position=(320.0, 100.0),
+    )
+    d.add("on_integral", Gain(1.0), params={"k": "k_integral"}, u="integral", position=(560.0, 100.0))
+    d.add("on_goal", Gain(1.0), params={"k": "k_goal"}, u="theta_0", position=(560.0, 40.0))
+    d.add("pitch", Sum("++-"), a="on_goal", b="on_integral", c="observed", position=(700.0, 100.0))
+    d.add("rate_error", Sum("+-", unit="rad/s"), a="q_0", b="q", position=(440.0, 440.0))
+    d.add(
+        "rate",
+        Pid(*used, 100.0, reset="integral", unit="rad/s"),
+        params={"Kp": "q_kp", "Ki": "q_ki", "Kd": "q_kd"},
+        e="rate_error",
+        clear="FLAG_RESET_INT",
+        position=(560.0, 440.0),
+    )
+    d.add("mode", Switch(), condition="FLAG_ATTITUDE_ENABLED", a="pitch", b="rate", position=(820.0, 200.0))
+    d.add("limit", Saturation(-1.0, 1.0), u="mode", position=(940.0, 200.0))
+    d.output("M", "limit")
+    return d
+
+
+def lqg_attitude(family: PitchFamily, feedback: StateFeedback | None = None) -> Diagram:
+    """LQG: `lqi` of the family (or another `feedback`) on the state of its Kalman filter, as a diagram that flies."""
+    return observed_attitude(family, lqi(family) if feedback is None else feedback, "lqg_attitude")
+
+
+def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 + 5.0j, -9.0 - 5.0j)) -> Diagram:
+    """`pole_placement` of the family on the state of its Kalman filter, as a diagram that flies."""
+    return observed_attitude(family, pole_placement(family, poles), "placed_attitude")
+
+
+def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
+    """(A, b) of theta, q, the rotors, the moment before and the integral, without the whole steps of the dead time."""
+    whole = _whole(family)
+    members = {name: np.array([float(family.values[name])]) for name in PARAMETERS}
+    members["dead_time"] = np.maximum(0.0, members["dead_time"] - whole * PERIOD)
+    a, b = (part[0] for part in PitchLoop(PitchMembers(**members), _NO_CONTROLLER).plant)
+    return _with_integral(*_cut(a, b))
+
+
+def _predicted(family: PitchFamily, gains: Array, poles: Complex) -> StateFeedback:
+    """Gains on (theta, q, rotors, the moment before, the integral) then, as gains on the states of now."""
+    a, b = (part[0] for part in PitchLoop(family.nominal(), _NO_CONTROLLER).plant)
+    m = len(a)
+    full, _ = _with_integral(*_cut(a, b))
+    ahead = np.linalg.matrix_power(full, _whole(family))
+    n = len(full)
+    then = np.zeros((5, n))
+    then[:3], then[4] = ahead[:3], ahead[-1]
+    then[3, 3] = 1.0
+    row = gains @ then
+    state = np.zeros(m)
+    state[:3], state[4 : m - 1] = row[:3], row[3:-1]
+    # What the gust does to the rate like a moment is taken away by the moment itself.
+    state[GUST] = 1.0 / family.values["mu"]
+    return StateFeedback(state, float(row[-1]), np.asarray(poles, dtype=np.complex128))
+
+
+def _cut(a: Array, b: Array) -> tuple[Array, Array]:
+    """The plant without the gust and the published theta."""
+    kept = [i for i in range(len(a) - 1) if i != GUST]
+    return a[np.ix_(kept, kept)], b[kept]
+
+
+def _with_integral(a: Array, b: Array) -> tuple[Array, Array]:
+    """With the sum of T theta as the last state: that of the published theta, a sample later."""
+    n = len(a)
+    whole = np.zeros((n + 1, n + 1))
+    whole[:n, :n], whole[n, n], whole[n, 0] = a, 1.0, PERIOD
+    return whole, np.append(b, 0.0)
+
+
+def _whole(family: PitchFamily) -> int:
+    """The whole steps of the dead time, as `PitchLoop` counts them."""
+    return int(PitchLoop(family.nominal(), _NO_CONTROLLER).plant[0].shape[1]) - 6
+
+
+def _course(family: PitchFamily) -> Gains:
+    v = family.values
+    plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
+    return cascade_design(plant, 20.0, lag=v["lag"], kept=DEFAULT).gains
+
+
+def _error(what: str, remedy: str) -> ParameterError:
+    return ParameterError(what, "state feedback", remedy)

@@ -1,0 +1,283 @@
+"""PitchFamily: the pitch as a log shows it, an estimate with its covariance and what disturbs it; its members."""
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import ParameterError, listed, shown
+
+Array = NDArray[np.float64]
+
+PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
+    {"w_n": (1e-3, 100.0), "xi": (-1.0, 10.0), "mu": (1e-3, 1e5), "dead_time": (0.0, 0.25), "lag": (0.0, 1.0)}
+)
+"""What a member has, with the bounds outside of which a drawn one is drawn again."""
+
+NOISE_SEED = 1
+MOST_MEMBERS = 100_000
+_REFUSED = 0.5  # of the draws: the estimate then says hardly more than the bounds do
+
+
+@dataclass(frozen=True, eq=False)
+class PitchMembers:
+    """Members of a family, each array of shape (n,): w_n [rad/s], xi, mu [rad/s2], dead_time [s], lag [s]."""
+
+    w_n: Array
+    xi: Array
+    mu: Array
+    dead_time: Array
+    lag: Array
+
+    def __len__(self) -> int:
+        return int(self.mu.size)
+
+    def one(self, index: int) -> dict[str, float]:
+        """The member `index` by name."""
+        return {name: float(getattr(self, name)[index]) for name in PARAMETERS}
+
+
+@dataclass(frozen=True, eq=False)
+class PitchFamily:
+    """theta'' = -w_n^2 theta - 2 xi w_n theta' + mu m + gust; m follows M behind `dead_time` and the rotors' `lag`.
+
+    `values` has the names of `PARAMETERS`. `covariance` (k, k) is that of the `uncertain` ones, in their order. `gust`
+    [rad/s2] is the standard deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time`
+    [s]. `q_noise` [rad/s] is that of a sample of the measured rate. Raises ParameterError for a name or number that
+    cannot be.
+    """
+
+    values: Mapping[str, float]
+    uncertain: tuple[str, ...] = ()
+    covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    gust: float = 0.0
+    gust_time: float = 0.1
+    q_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        if set(self.values) != set(PARAMETERS):
+            raise _error(f"the values {listed(self.values)}", f"give {', '.join(PARAMETERS)}")
+        for name, (low, high) in PARAMETERS.items():
+            value = self.values[name]
+            if not (isinstance(value, int | float) and low <= value <= high):
+                raise _error(f"{name} = {shown(value)}", f"{low:g} to {high:g} is possible")
+        k = len(self.uncertain)
+        if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
+            raise _error(f"the uncertain {listed(self.uncertain)}", f"name some of {', '.join(PARAMETERS)}, each once")
+        p = np.asarray(self.covariance, dtype=float)
+        if p.shape != (k, k) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
+            raise _error(f"a covariance of shape {p.shape}", f"give finite numbers, symmetric, ({k}, {k})")
+        if k and float(np.linalg.eigvalsh(_scaled(p)).min()) < -1e-6:
+            raise _error("the covariance has a negative direction", "identify again, or give sigmas alone")
+        for name in ("gust", "q_noise"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise _error(f"{name} = {getattr(self, name)!r}", "give a finite standard deviation >= 0")
+        if not 0.0 < self.gust_time < math.inf:
+            raise _error(f"gust_time = {self.gust_time!r} s", "give a finite time > 0")
+
+    @classmethod
+    def of(
+        cls,
+        values: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        gust: float = 0.0,
+        gust_time: float = 0.1,
+        q_noise: float = 0.0,
+    ) -> Self:
+        """A family of the paper's parameters (`tau` in place of dead_time and lag is fine) with independent `sigmas`.
+
+        Raises ParameterError as the class does.
+        """
+        spread = {_own(name): sigma for name, sigma in (sigmas or {}).items()}
+        p = np.diag(np.square(np.array(list(spread.values()), dtype=float))) if spread else np.zeros((0, 0))
+        return cls(_complete(values), tuple(spread), p, gust, gust_time, q_noise)
+
+    @classmethod
+    def from_identified(cls, document: object, where: str = "model") -> Self:
+        """The family of what `twodof identify --json` prints, of one flight or of several.
+
+        Of one flight the larger of the two standard deviations counts, with the correlation. The noise of q is taken
+        for that of the sensor, unless gusts were identified too. Of several flights their spread counts, for what
+        differs between them also differs in the next one. Raises ParameterError for another document and where w_n,
+        xi, mu or tau is missing.
+        """
+        if not isinstance(document, Mapping):
+            raise _error(f"{shown(document)} is not a model", "give what `twodof identify --json` prints", where)
+        try:
+            if "repeated" in document:
+                return cls._of_several(document, where)
+            if "model" in document and "estimates" not in document:
+                return cls.of({k: float(v) for k, v in document["model"].items()})
+            return cls._of_one(document, where)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as reason:
+            raise _error(
+                f"it is not a model that was identified ({type(reason).__name__}: {reason!s:.80})",
+                "give what `twodof identify --json` prints",
+                where,
+            ) from reason
+
+    @classmethod
+    def _of_one(cls, document: Mapping[str, Any], where: str) -> Self:
+        estimates = document["estimates"]
+        labels = list(estimates)
+        given = {name: float(value) for name, value in document.get("fixed", {}).items()}
+        given |= {label: float(row["value"]) for label, row in estimates.items()}
+        values = {name: given[name] for name in (*PARAMETERS, "tau") if name in given}
+        _check_complete(values, where)
+        wanted = [label for label in _told_apart(labels) if _own(label) in PARAMETERS]
+        sigmas = np.array([max(_sigma(estimates[n], k) for k in ("sigma", "sigma_robust")) for n in wanted])
+        at = [labels.index(label) for label in wanted]
+        correlation = np.array(document["correlation"], dtype=float)[np.ix_(at, at)]
+        correlation = np.where(np.isfinite(correlation), correlation, np.eye(len(at)))
+        noise = float(document.get("noise", {}).get("q", 0.0))
+        covariance = correlation * np.outer(sigmas, sigmas)
+        covariance = 0.5 * (covariance + covariance.T)
+        found = cls(_complete(values), tuple(map(_own, wanted)), covariance, q_noise=noise)
+        gusts = (document.get("disturbance") or {}).get("gusts", {}).get("q")
+        if gusts is None:
+            return found
+        # A gust as the input that would push as hard; what is left of q is the sensor's noise and the vibration.
+        push, rest = float(gusts["std"]) * found.values["mu"], math.hypot(float(gusts["white"]), float(gusts["narrow"]))
+        return found.disturbed(push, float(gusts["correlation_time"]), rest)
+
+    @classmethod
+    def _of_several(cls, document: Mapping[str, Any], where: str) -> Self:
+        flights = [cls._of_one(one, where) for one in document["flights"].values()]
+        wanted = [name for name in map(_own, _told_apart(document["repeated"])) if name in PARAMETERS]
+        rows = np.array([[one.values[name] for name in wanted] for one in flights])
+        mean = dict(zip(wanted, rows.mean(axis=0).tolist(), strict=True))
+        # The next flight differs from this mean by its own part and by what the mean is off.
+        p = np.atleast_2d(np.cov(rows, rowvar=False, ddof=1)) * (1.0 + 1.0 / len(rows))
+        gust, noise = (
+            math.sqrt(float(np.mean([getattr(one, name) ** 2 for one in flights]))) for name in ("gust", "q_noise")
+        )
+        lasting = float(np.mean([one.gust_time for one in flights]))
+        return cls({**flights[0].values, **mean}, tuple(wanted), p, gust, lasting, noise)
+
+    def disturbed(
+        self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
+    ) -> Self:
+        """The same with another disturbance; None leaves a figure as it is."""
+        return replace(
+            self,
+            gust=self.gust if gust is None else gust,
+            gust_time=self.gust_time if gust_time is None else gust_time,
+            q_noise=self.q_noise if q_noise is None else q_noise,
+        )
+
+    def nominal(self) -> PitchMembers:
+        """The estimate itself, as the only member."""
+        return PitchMembers(**{name: np.array([float(self.values[name])]) for name in PARAMETERS})
+
+    def draw(self, count: int, seed: int = NOISE_SEED) -> PitchMembers:
+        """`count` members by the normal distribution of the estimate; those beyond `PARAMETERS` are drawn again.
+
+        Raises ParameterError for a count that is not 1 to `MOST_MEMBERS`, and where most draws are beyond the bounds.
+        """
+        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_MEMBERS:
+            raise _error(f"{shown(count)} members", f"give 1 to {MOST_MEMBERS}")
+        columns = {name: np.full(count, float(self.values[name])) for name in PARAMETERS}
+        if self.uncertain:
+            drawn = self._rows(count, np.random.default_rng(seed))
+            columns |= {name: drawn[:, i] for i, name in enumerate(self.uncertain)}
+        return PitchMembers(**columns)
+
+    def _rows(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, k) of the uncertain parameters."""
+        centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
+        bounds = np.array([PARAMETERS[name] for name in self.uncertain])
+        size = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(_scaled(self.covariance))
+        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        kept = np.zeros((0, len(centre)))
+        tried = 0
+        while len(kept) < count:
+            rows = centre + rng.standard_normal((2 * count + 16, len(centre))) @ root.T
+            fine = ((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)
+            tried += len(rows)
+            kept = np.concatenate([kept, rows[fine]])
+            if len(kept) < (1.0 - _REFUSED) * tried:
+                raise _error(
+                    "most members that are drawn cannot be: the data hardly tell the parameters",
+                    "identify again, with more excitation or with w_n and xi held",
+                )
+        return kept[:count]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, which `from_json` reads back."""
+        return {
+            "values": {name: float(value) for name, value in self.values.items()},
+            "uncertain": list(self.uncertain),
+            "covariance": np.asarray(self.covariance).tolist(),
+            "gust": self.gust,
+            "gust_time": self.gust_time,
+            "q_noise": self.q_noise,
+        }
+
+    @classmethod
+    def from_json(cls, data: object, where: str = "family") -> Self:
+        """What `to_json` gave. Raises ParameterError for anything else."""
+        try:
+            if not isinstance(data, Mapping):
+                raise TypeError(shown(data))
+            k = len(data["uncertain"])
+            return cls(
+                dict(data["values"]),
+                tuple(data["uncertain"]),
+                np.array(data["covariance"], dtype=float).reshape(k, k),
+                float(data["gust"]),
+                float(data["gust_time"]),
+                float(data["q_noise"]),
+            )
+        except (KeyError, TypeError, ValueError) as reason:
+            raise _error(f"it is not a family ({reason!s:.80})", "give what a promise holds", where) from reason
+
+
+def _told_apart(labels: Iterable[str]) -> list[str]:
+    """Without the sum tau where its parts are there: dead time and lag."""
+    every = list(labels)
+    return [label for label in every if label != "tau" or "dead_time" not in every]
+
+
+def _own(label: str) -> str:
+    """The paper's one delay is a dead time without lag."""
+    return "dead_time" if label == "tau" else label
+
+
+def _complete(values: Mapping[str, float]) -> dict[str, float]:
+    own = {name: value for name, value in values.items() if name in PARAMETERS}
+    if "dead_time" not in own and "tau" in values:
+        own["dead_time"] = values["tau"] - own.get("lag", 0.0)
+    return {"lag": 0.0, **own}
+
+
+def _check_complete(values: Mapping[str, float], where: str) -> None:
+    missing = [name for name in ("w_n", "xi", "mu") if name not in values]
+    if not {"tau", "dead_time"} & set(values):
+        missing.append("tau")
+    if missing:
+        raise _error(
+            f"the model has no {', '.join(missing)}",
+            "identify the pitch: twodof identify LOG --experiment doublet --impulse LOG --json",
+            where,
+        )
+
+
+def _sigma(row: Mapping[str, Any], name: str) -> float:
+    value = row.get(name)
+    return float(value) if value is not None and math.isfinite(value) else 0.0
+
+
+def _scaled(p: Array) -> Array:
+    """The correlation of a covariance; a parameter without variance is alone."""
+    size = np.sqrt(np.maximum(np.diag(p), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    return np.asarray(p / np.outer(size, size))
+
+
+def _error(what: str, remedy: str, where: str = "PitchFamily") -> ParameterError:
+    return ParameterError(what, where, remedy)

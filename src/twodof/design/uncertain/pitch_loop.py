@@ -1,0 +1,191 @@
+"""PitchLoop: many members of a family, each closed with one controller, as matrices side by side."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.uncertain.pitch_family import PitchMembers
+from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.errors import ParameterError
+from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+THETA, Q, ROTORS, GUST = range(4)
+NO_LAG = 1e-5
+"""A lag [s] that stands for none: the matrices then have the same shape for all members."""
+_CHUNK = 64  # steps between two calls of `said`
+
+
+@dataclass(frozen=True, eq=False)
+class PitchLoop:
+    """n members under one controller, sampled at 250 Hz as they fly: M held, the dead time exact, q of the sample
+    itself and theta of the sample before.
+
+    The states are theta, q, the rotors' moment and the gust. Then come the moments under way, the theta published, and
+    the states of the controller. The gust enters as a Gauss-Markov process with the correlation time `gust_time` [s].
+    """
+
+    members: PitchMembers
+    controller: SampledController
+    gust_time: float = 0.1
+
+    def under(self, controller: SampledController) -> "PitchLoop":
+        """The same members under another controller; their own matrices are not computed again."""
+        other = PitchLoop(self.members, controller, self.gust_time)
+        other.__dict__["plant"] = self.plant
+        return other
+
+    @cached_property
+    def plant(self) -> tuple[Array, Array]:
+        """(A, b) of the plant, the moments under way and the published theta: (n, m, m), (n, m)."""
+        from scipy.linalg import expm  # imported late: most commands start without it
+
+        g, n = self.members, len(self.members)
+        lag = np.maximum(g.lag, NO_LAG)
+        # The stand-in for no lag is taken off the dead time, so that the sum stays.
+        dead = np.maximum(0.0, g.dead_time - np.where(g.lag < NO_LAG, NO_LAG, 0.0))
+        block = np.zeros((n, 5, 5))
+        block[:, THETA, Q] = 1.0
+        block[:, Q, THETA], block[:, Q, Q] = -(g.w_n**2), -2.0 * g.xi * g.w_n
+        block[:, Q, ROTORS], block[:, Q, GUST] = g.mu, 1.0
+        block[:, ROTORS, ROTORS], block[:, ROTORS, 4] = -1.0 / lag, 1.0 / lag
+        block[:, GUST, GUST] = -1.0 / self.gust_time
+        whole = np.floor(dead / PERIOD + 1e-9).astype(int)
+        part = np.maximum(0.0, dead - whole * PERIOD)
+        new = expm(block * (PERIOD - part)[:, None, None])
+        old = expm(block * part[:, None, None])
+        depth = int(whole.max()) + 1
+        a, b = np.zeros((n, 5 + depth, 5 + depth)), np.zeros((n, 5 + depth))
+        a[:, :4, :4] = new[:, :4, :4] @ old[:, :4, :4]
+        each = np.arange(n)
+        # The column of the moment of j steps ago is 3 + j; that of now is b.
+        a[each, :4, 4 + whole] = (new[:, :4, :4] @ old[:, :4, 4:5])[..., 0]
+        direct = whole == 0
+        fresh = new[:, :4, 4]
+        b[direct, :4] = fresh[direct]
+        a[each[~direct], :4, 3 + whole[~direct]] = fresh[~direct]
+        b[:, 4] = 1.0
+        for j in range(1, depth):
+            a[:, 4 + j, 3 + j] = 1.0
+        a[:, 4 + depth, THETA] = 1.0
+        return a, b
+
+    @cached_property
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        """(A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
+
+        Inputs: theta_0 and the noise of q. Outputs: theta, the measured q, and M.
+        """
+        plant, b = self.plant
+        k, (n, m) = self.controller, b.shape
+        size = len(k.a)
+        read = np.zeros((2, m))
+        read[0, m - 1], read[1, Q] = 1.0, 1.0
+        a = np.zeros((n, m + size, m + size))
+        moment = np.concatenate([k.d[:, 1:] @ read, k.c], axis=1)[0]
+        given = np.array([k.d[0, 0], k.d[0, 2]])
+        a[:, :m, :m] = plant
+        a[:, :m] += b[:, :, None] * moment
+        a[:, m:, :m], a[:, m:, m:] = k.b[:, 1:] @ read, k.a
+        drive = np.zeros((n, m + size, 2))
+        drive[:, :m] = b[:, :, None] * given
+        drive[:, m:] = k.b[:, [0, 2]]
+        c = np.zeros((n, 3, m + size))
+        c[:, 0, THETA], c[:, 1, Q], c[:, 2] = 1.0, 1.0, moment
+        d = np.zeros((n, 3, 2))
+        d[:, 1, 1], d[:, 2] = 1.0, given
+        return a, drive, c, d
+
+    def poles(self) -> Complex:
+        """The poles of each member in the z plane, (n, m), that of the gust left out."""
+        a = np.delete(np.delete(self.matrices[0], GUST, axis=1), GUST, axis=2)
+        return np.linalg.eigvals(a).astype(np.complex128)
+
+    def radii(self) -> Array:
+        """The largest magnitude of a pole of each member, (n,), that of the gust left out: below 1 it is stable."""
+        return np.asarray(np.abs(self.poles()).max(axis=1))
+
+    def broken(self) -> tuple[Array, Array, Array, Array]:
+        """(A, B, C, D) of the first member's closed loop, without its gust.
+
+        From (theta_0, a moment added to M ahead of the delay) to (theta, the M of the controller).
+        """
+        _, b = self.plant
+        a, drive, c, d = (part[0] for part in self.matrices)
+        kept = np.delete(np.arange(len(a)), GUST)
+        added = np.concatenate([b[0], np.zeros(len(a) - len(b[0]))])
+        both = np.stack([drive[:, 0], added], axis=1)
+        through = np.array([[0.0, 0.0], [d[2, 0], 0.0]])
+        return a[np.ix_(kept, kept)], both[kept], c[[0, 2]][:, kept], through
+
+    def loop_transfer(self) -> LoopTransfer:
+        """L of the first member, broken at M."""
+        plant, b = self.plant
+        k, m = self.controller, b.shape[1]
+        size = len(k.a)
+        read = np.zeros((2, m))
+        read[0, m - 1], read[1, Q] = 1.0, 1.0
+        a, drive = np.zeros((m + size, m + size)), np.zeros((m + size, 1))
+        a[:m, :m], a[m:, :m], a[m:, m:] = plant[0], k.b[:, 1:] @ read, k.a
+        drive[:m, 0] = b[0]
+        out = -np.concatenate([k.d[:, 1:] @ read, k.c], axis=1)
+        kept = np.delete(np.arange(m + size), GUST)
+        return LoopTransfer(a[np.ix_(kept, kept)], drive[kept], out[:, kept], 0.0, PERIOD)
+
+    def theta_response(self, omega: Array) -> Complex:
+        """From theta_0 to theta at `omega` [rad/s], closed: (n, k)."""
+        a, drive, c, _ = self.matrices
+        z = np.exp(1j * np.atleast_1d(omega) * PERIOD)
+        whole = z[None, :, None, None] * np.eye(a.shape[1]) - a[:, None]
+        inner = np.linalg.solve(whole, drive[:, None, :, :1].astype(np.complex128))
+        return np.asarray((c[:, None, :1] @ inner)[..., 0, 0])
+
+    def moment_response(self, omega: Array) -> Complex:
+        """L, the loop broken at M, at `omega` [rad/s]: (n, k). With positive sign: the loop is 1 + L = 0."""
+        plant, b = self.plant
+        z = np.exp(1j * np.atleast_1d(omega) * PERIOD)
+        m = b.shape[1]
+        inner = np.linalg.solve(z[None, :, None, None] * np.eye(m) - plant[:, None], b[:, None, :, None] + 0j)[..., 0]
+        back = np.stack([self.controller.response(float(w)) for w in np.atleast_1d(omega)])
+        return np.asarray(-(back[:, 1] * inner[..., m - 1] + back[:, 2] * inner[..., Q]))
+
+    def simulate(
+        self,
+        theta_0: Array,
+        seed: int = 1,
+        gust: float = 0.0,
+        q_noise: float = 0.0,
+        said: Callable[[float], None] = lambda share: None,
+    ) -> tuple[Array, Array, Array]:
+        """The theta, q and M, each (steps, n), that follow the set-point `theta_0` (steps,) [rad].
+
+        Flights start from rest, the gust as ever. `gust` [rad/s2] and `q_noise` [rad/s] are standard deviations; q has
+        its noise in it. `said` is called with the share done. Raises ParameterError for a set-point that is empty or
+        not finite.
+        """
+        goal = np.asarray(theta_0, dtype=float)
+        if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
+            raise ParameterError(f"a set-point of shape {goal.shape}", "simulate", "give finite numbers, (steps,)")
+        a, b, c, d = self.matrices
+        n, steps = len(self.members), goal.size
+        rng = np.random.default_rng(seed)
+        x = np.zeros((n, a.shape[1], 1))
+        x[:, GUST, 0] = gust * rng.standard_normal(n)
+        fresh = gust * np.sqrt(1.0 - np.exp(-2.0 * PERIOD / self.gust_time))
+        out = np.empty((steps, n, 3))
+        given = np.empty((n, 2, 1))
+        for k in range(steps):
+            if k % _CHUNK == 0:
+                said(k / steps)
+            given[:, 0, 0] = goal[k]
+            given[:, 1, 0] = q_noise * rng.standard_normal(n)
+            out[k] = (c @ x + d @ given)[..., 0]
+            x = a @ x + b @ given
+            x[:, GUST, 0] += fresh * rng.standard_normal(n)
+        return out[..., 0], out[..., 1], out[..., 2]

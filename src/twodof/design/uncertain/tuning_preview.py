@@ -1,0 +1,164 @@
+"""TuningPreview: what gains will do on an identified family before they are sent, fast enough to follow a slider."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.margins import LoopMargins, margins
+from twodof.design.uncertain.pitch_cascade import PITCH_LOOPS, pitch_loops
+from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.uncertain.pitch_loop import PitchLoop
+from twodof.design.uncertain.promise import CHANNELS, GOAL, LEVEL, Promise, promise
+from twodof.design.uncertain.robustness import Robustness, robustness
+from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.uncertain.step_statistics import interval
+from twodof.flight.gains import Gains
+from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
+
+SETTLED = 0.05
+"""Of the step: a response that stays this near its set-point has settled."""
+
+SHOWN: Mapping[str, float] = {"theta": math.pi, "q": 50.0, "M": 5.0}
+"""Where a band is cut off [rad, rad/s, -]: beyond it an unstable loop draws nothing that a person could read."""
+
+_BOXES = 80_000  # some .5 s: a preview that has no time for a proof says so
+_FIGURES = ("rise_time", "overshoot", "settling_time", "peak_q", "peak_M")
+
+
+@dataclass(frozen=True, eq=False)
+class TuningPreview:
+    """What `gains` do on a family: `loops`, bands of a step of theta by `goal` [rad], its figures, and the verdict.
+
+    `gains` are None of a controller that is not the stock cascade. `loops` has the margins of each of `PITCH_LOOPS`, of
+    the estimate; of another controller those at the motors alone. `low`, `middle` and `high` are bands of
+    `CHANNELS`, (steps,) at the times `time` [s] from the step on: a share `level` of flights stays inside all the time.
+    `figures` are (low, middle, high) with as large a share: rise_time [s], overshoot (a share), settling_time [s],
+    peak_q [rad/s], peak_M. The settling time is that without gusts and noise; a time that is never reached is infinite.
+    """
+
+    gains: Gains | None
+    goal: float
+    level: float
+    members: int
+    loops: Mapping[str, LoopMargins]
+    time: Array
+    low: Mapping[str, Array]
+    middle: Mapping[str, Array]
+    high: Mapping[str, Array]
+    figures: Mapping[str, tuple[float, float, float]]
+    verdict: Robustness
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data with lists for arrays; what is infinite is null."""
+        return {
+            "gains": None if self.gains is None else self.gains.to_json(),
+            "goal": self.goal,
+            "level": self.level,
+            "members": self.members,
+            "loops": {name: _plain(_told(loop)) for name, loop in self.loops.items()},
+            "time": _rounded(self.time),
+            "bands": {
+                name: {side: _rounded(getattr(self, side)[name]) for side in ("low", "middle", "high")}
+                for name in CHANNELS
+            },
+            "figures": {
+                name: _plain(dict(zip(("low", "middle", "high"), row, strict=True)))
+                for name, row in self.figures.items()
+            },
+            "verdict": {**self.verdict.to_json(), "text": self.verdict.text},
+        }
+
+
+def tuning_preview(
+    family: PitchFamily,
+    gains: Gains,
+    *,
+    members: int = 200,
+    seed: int = 1,
+    goal: float = GOAL,
+    said: Callable[[float], None] = lambda share: None,
+) -> TuningPreview:
+    """Close the pitch loops of the stock cascade with `gains` over `family`, and say what will come.
+
+    `family` is that of a model's file: `PitchFamily.from_identified(json)`. The same `seed` draws the same members and
+    gusts, so two calls with other gains differ by the gains alone. `said` is called with the share done, some ten times
+    a second; an exception that it raises ends the work. Raises ParameterError for numbers out of range.
+    """
+    controller = SampledController.of_cascade(*gains.rate, gains.attitude)
+    return _preview(family, controller, gains, pitch_loops(family.nominal(), gains), members, seed, goal, said)
+
+
+def controller_preview(
+    family: PitchFamily,
+    controller: SampledController,
+    *,
+    members: int = 200,
+    seed: int = 1,
+    goal: float = GOAL,
+    said: Callable[[float], None] = lambda share: None,
+) -> TuningPreview:
+    """As `tuning_preview`, of any controller of the pitch; its margins are those at the motors."""
+    loops = {PITCH_LOOPS[0]: PitchLoop(family.nominal(), controller).loop_transfer()}
+    return _preview(family, controller, None, loops, members, seed, goal, said)
+
+
+def _preview(
+    family: PitchFamily,
+    controller: SampledController,
+    gains: Gains | None,
+    broken: Mapping[str, LoopTransfer],
+    members: int,
+    seed: int,
+    goal: float,
+    said: Callable[[float], None],
+) -> TuningPreview:
+    made = promise(
+        controller, family, goal=goal, members=members, seed=seed, name="preview", said=lambda s: said(0.5 * s)
+    )
+    settled = _settling(family, controller, made, lambda s: said(0.5 + 0.2 * s))
+    every = {**made.figures, "settling_time": interval(settled, LEVEL)}
+    loops = {}
+    for k, (name, loop) in enumerate(broken.items()):
+        said(0.7 + 0.1 * k / len(PITCH_LOOPS))
+        loops[name] = margins(loop)
+    sure = robustness(controller, family, members, seed=seed, said=lambda s: said(0.8 + 0.2 * s), most=_BOXES)
+    band = [_cut(side) for side in (made.low, made.middle, made.high)]
+    figures = {name: every[name] for name in _FIGURES}
+    return TuningPreview(gains, goal, LEVEL, members, loops, made.time, band[0], band[1], band[2], figures, sure)
+
+
+def _cut(side: Mapping[str, Array]) -> dict[str, Array]:
+    return {name: np.clip(side[name], -SHOWN[name], SHOWN[name]) for name in CHANNELS}
+
+
+def _settling(
+    family: PitchFamily, controller: SampledController, made: Promise, said: Callable[[float], None]
+) -> Array:
+    """The settling time [s] of each member without gust and noise; infinite where the time shown does not hold it."""
+    loop = PitchLoop(family.draw(made.members, made.seed), controller, family.gust_time)
+    with np.errstate(over="ignore", invalid="ignore"):
+        theta, _, _ = loop.simulate(np.full(len(made.time), made.goal), said=said)
+        outside = ~(np.abs(theta / made.goal - 1.0) <= SETTLED)
+    last = len(theta) - np.argmax(outside[::-1], axis=0)
+    return np.where(outside.any(axis=0), np.where(outside[-1], np.inf, last * PERIOD), 0.0)
+
+
+def _told(loop: LoopMargins) -> dict[str, Any]:
+    """Of `LoopMargins.to_json` what a page shows; the curves' details are left out."""
+    kept = loop.to_json()
+    return {name: value for name, value in kept.items() if name not in ("gain_crossings", "phase_crossings", "poles")}
+
+
+def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
+
+
+def _rounded(values: Array) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]

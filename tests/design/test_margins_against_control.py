@@ -1,0 +1,91 @@
+"""Margins against python-control's, on 50 random loops: ours by states, its by polynomials."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import control
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from bench.computing.random_loops import COUNT, Floats, RandomLoop, random_loop
+from twodof.design import LoopMargins, LoopTransfer, closed_loop_poles, margins
+
+
+def ours(loop: RandomLoop) -> LoopMargins:
+    a, b, c, d = signal.tf2ss(loop.numerator, loop.denominator)
+    return margins(LoopTransfer(a, b, c, float(d[0, 0]), loop.dt))
+
+
+def nyquist(loop: RandomLoop) -> float:
+    return np.inf if loop.dt is None else np.pi / loop.dt
+
+
+def inside(omega: NDArray[np.float64], loop: RandomLoop) -> NDArray[np.bool_]:
+    """Frequencies that both look at: it takes 0 and the Nyquist frequency by chance of a rounding, we always."""
+    return (omega > 1e-6) & (omega < nyquist(loop) * (1.0 - 1e-6))
+
+
+@pytest.mark.parametrize("seed", range(COUNT))
+def test_all_crossings_are_python_controls(seed: int) -> None:
+    loop = random_loop(seed)
+    system = control.tf(loop.numerator, loop.denominator, 0 if loop.dt is None else loop.dt)
+    found = ours(loop)
+    factors, phases, _, at_gain, at_phase, _ = control.stability_margins(system, returnall=True, method="poly")
+    keep = inside(at_gain, loop) & (factors < 1e4)
+    mine = [g for g in found.gains if inside(np.array([g.omega]), loop)[0]]
+    # Polynomials of up to 26 powers in w lose some ten of the sixteen digits.
+    np.testing.assert_allclose([g.omega for g in mine], at_gain[keep], rtol=1e-5)
+    np.testing.assert_allclose([g.factor for g in mine], factors[keep], rtol=1e-5)
+    keep = inside(at_phase, loop)
+    np.testing.assert_allclose([p.omega for p in found.phases], at_phase[keep], rtol=1e-5)
+    np.testing.assert_allclose(np.degrees([p.phase for p in found.phases]), phases[keep], rtol=1e-5, atol=1e-3)
+
+
+def peak(size: Callable[[Floats], Floats], top: float) -> float:
+    """The largest value on a grid, which is made finer about its best point until its steps are 1e-5."""
+    omega = np.geomspace(1e-5, top, 3000)
+    for _ in range(2):
+        values = size(omega)
+        k = int(np.argmax(values))
+        omega = np.geomspace(omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)], 500)
+    return float(size(omega).max())
+
+
+@pytest.mark.parametrize("seed", range(COUNT))
+def test_stability_peaks_and_disk_margin_are_python_controls(seed: int) -> None:
+    loop = random_loop(seed)
+    system = control.tf(loop.numerator, loop.denominator, 0 if loop.dt is None else loop.dt)
+    found = ours(loop)
+    closed = control.feedback(system, 1)
+    poles = closed.poles()
+    worst = float(poles.real.max() if loop.dt is None else np.log(np.abs(poles).max()) / loop.dt)
+    assert found.stable is (worst < 0.0)
+    if not found.stable:
+        return
+    top = min(1e5, nyquist(loop))
+
+    def response(omega: Floats) -> NDArray[np.complex128]:
+        return np.asarray(system(1j * omega if loop.dt is None else np.exp(1j * omega * loop.dt)))
+
+    for mine, theirs in (
+        (found.ms, peak(lambda w: np.abs(1.0 / (1.0 + response(w))), top)),
+        (found.mt, peak(lambda w: np.abs(response(w) / (1.0 + response(w))), top)),
+        (1.0 / found.disk.alpha, 1.0 / control.disk_margins(system, np.clip([found.disk.omega], 1e-5, top))[0]),
+        (1.0 / found.disk.alpha, peak(lambda w: np.abs(1.0 / (1.0 + response(w)) - 0.5), top)),
+    ):
+        assert mine == pytest.approx(theirs, rel=1e-6)  # the grid stops 1e-5 short of 0 and of infinity
+
+
+@pytest.mark.parametrize("seed", range(COUNT))
+def test_at_the_gain_margin_stability_ends(seed: int) -> None:
+    a, b, c, d = signal.tf2ss((loop := random_loop(seed)).numerator, loop.denominator)
+    one = LoopTransfer(a, b, c, float(d[0, 0]), loop.dt)
+    found = margins(one)
+    for crossing in (found.increase, found.decrease):
+        if found.stable and crossing is not None and one.d >= 0.0:
+            rims = [closed_loop_poles(one.scaled(crossing.factor ** (1.0 + s))) for s in (-1e-4, 1e-4)]
+            inside, beyond = (p.real.max() if loop.dt is None else np.abs(p).max() - 1.0 for p in rims)
+            assert inside < 0.0 < beyond

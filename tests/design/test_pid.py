@@ -1,0 +1,114 @@
+"""PID forms: the platform's printed gains and margins, and the closed forms against their loops."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from twodof.design import LoopTransfer, margins
+from twodof.design.synthesis.cascade import CascadeLoops, cascade_design
+from twodof.design.synthesis.pid import PidGains, pid, pid_at, shaped_pid
+from twodof.errors import ParameterError
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, Velocity
+from twodof.signals import PERIOD
+
+PRINTED = {10: (0.02901, 0.02789, 0.001105), 30: (0.08535, 0.25103, 0.000541), 40: (0.11269, 0.44628, 0.000268)}
+"""Crossover [rad/s] -> Kp, Ki, Kd of the course's rate PID on the paper's model."""
+
+
+@pytest.mark.parametrize("crossover", PRINTED)
+def test_course_gains_follow_their_rule(crossover: int) -> None:
+    # With a mu of 358.52, which the paper prints as 358.5, every printed digit comes out.
+    found = shaped_pid(358.52, crossover)
+    for own, printed, digits in zip((found.kp, found.ki, found.kd), PRINTED[crossover], (5, 5, 6), strict=True):
+        assert round(own, digits) == printed
+
+
+def test_platform_margins_at_30() -> None:
+    # 33.5 rad/s, 57.7 deg and 6.9 dB are printed for the plant discretised without the hold's half sample (bilinear)
+    # and a delay of five samples.
+    plain = PAPER_PITCH_RATE.state_space()
+    a, b, c, d, _ = cont2discrete((plain.a, plain.b, plain.c[1:], plain.d[1:]), PERIOD, "bilinear")
+    steps = 5
+    n = len(a) + steps
+    whole_a, whole_b, whole_c = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
+    whole_a[:2, :2], whole_a[:2, 2] = a, b[:, 0]
+    whole_a[2:-1, 3:] = np.eye(steps - 1)
+    whole_b[-1] = 1.0
+    whole_c[:, :2], whole_c[0, 2] = c, d[0, 0]
+    gains = PidGains(*PRINTED[30])
+    lag = 1.0 / gains.n
+    # u = Kp e + Ki Ts (s + e) + Kd (g e - slope): the integral's and the filter's states
+    pole, rise = lag / (lag + PERIOD), 1.0 / (lag + PERIOD)
+    ca = np.diag([1.0, pole])
+    cb = np.array([[1.0], [rise * (pole - 1.0)]])
+    cc = np.array([[gains.ki * PERIOD, gains.kd]])
+    cd = gains.kp + gains.ki * PERIOD + gains.kd * rise
+    both = np.block([[whole_a, whole_b @ cc], [np.zeros((2, n)), ca]])
+    loop = LoopTransfer(both, np.vstack([whole_b * cd, cb]), np.hstack([whole_c, np.zeros((1, 2))]), 0.0, PERIOD)
+    found = margins(loop)
+    at = min(found.phases, key=lambda crossing: abs(crossing.omega - 30.0))
+    assert found.increase is not None
+    assert at.omega == pytest.approx(33.5, abs=0.05)
+    assert math.degrees(at.phase) == pytest.approx(57.7, abs=0.1)
+    assert 20.0 * math.log10(found.increase.factor) == pytest.approx(6.9, abs=0.1)
+
+
+def test_platform_margins_of_the_outer_loops() -> None:
+    loops = CascadeLoops(PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX)
+    rate, speed = PidGains(*PRINTED[30]), PidGains(2.4, 2.81)
+    # (L at w, printed crossover, printed phase margin); ours has the sample that theta is old, and the hold
+    for around, crossover, margin in (
+        (lambda w: 11.0 * loops.theta_by_q0(rate, w), 11.7, 71.5),
+        (lambda w: complex(speed.response(w)[0]) * loops.v_by_force(rate, 11.0, w), 4.24, 68.9),
+        (lambda w: 1.5 * loops.x_by_v0(rate, 11.0, speed, w), 1.49, 70.9),
+    ):
+        value = around(crossover)
+        assert abs(value) == pytest.approx(1.0, rel=0.02)
+        assert 180.0 + math.degrees(float(np.angle(value))) == pytest.approx(margin, abs=5.0)
+
+
+@pytest.mark.parametrize(
+    ("form", "crossover", "margin"), [("PI", 12.0, 50.0), ("PD", 18.0, 115.0), ("PID", 30.0, 55.0), ("PID", 15.0, 95.0)]
+)
+def test_form_meets_crossover_and_margin(form: str, crossover: float, margin: float) -> None:
+    gains = pid(PAPER_PITCH_RATE.state_space(), crossover, math.radians(margin), form, output=1)
+    value = CascadeLoops(PAPER_PITCH_RATE).rate(gains, crossover)
+    assert abs(value) == pytest.approx(1.0, rel=1e-9)
+    assert 180.0 + math.degrees(float(np.angle(value))) == pytest.approx(margin, abs=1e-6)
+    assert (gains.ki == 0.0) == ("I" not in form)
+    assert (gains.kd == 0.0) == ("D" not in form)
+
+
+def test_p_meets_the_crossover() -> None:
+    gains = pid(PAPER_PITCH_RATE.state_space(), 20.0, form="P", output=1)
+    assert abs(CascadeLoops(PAPER_PITCH_RATE).rate(gains, 20.0)) == pytest.approx(1.0, rel=1e-9)
+
+
+def test_cascade_is_separated() -> None:
+    made = cascade_design(PAPER_PITCH_RATE, 30.0, PAPER_VELOCITY_GREYBOX, phase_margin=math.radians(55.0))
+    at = made.crossovers
+    assert at["rate"] == pytest.approx(30.0, rel=1e-6)
+    assert [at["attitude"], at["velocity"], at["position"]] == pytest.approx([6.0, 1.2, 0.24])
+    assert all(math.radians(50.0) < margin < math.radians(95.0) for margin in made.phase_margins.values())
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: shaped_pid(-1.0, 30.0),
+        lambda: shaped_pid(358.5, 60.0),
+        lambda: shaped_pid(358.5, math.nan),
+        lambda: pid_at(1.0 + 0.0j, 10.0, form="PIDD"),
+        lambda: pid_at(0.0j, 10.0),
+        lambda: pid_at(1.0j, 10.0, math.radians(170.0), "PI"),
+        lambda: pid(PAPER_PITCH_RATE.state_space(), 1e6),
+        lambda: pid(Velocity(4.0, 1.0).state_space(), 1.0, output=7),
+        lambda: cascade_design(PAPER_PITCH_RATE, 30.0, separation=0.5),
+    ],
+)
+def test_refuses_with_a_remedy(call: object) -> None:
+    with pytest.raises(ParameterError) as caught:
+        call()  # type: ignore[operator]
+    assert caught.value.remedy

@@ -1,0 +1,103 @@
+"""The preview of gains: its loops and figures against other ways to them, and what it says of gains that cannot be."""
+
+import functools
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from twodof.design.synthesis.cascade import cascade_loops_of
+from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.uncertain.pitch_loop import PitchLoop
+from twodof.design.uncertain.promise import promise
+from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.uncertain.tuning_preview import SETTLED, SHOWN, TuningPreview, tuning_preview
+from twodof.errors import ParameterError
+from twodof.flight.gains import DEFAULT, STUDENT, Gains
+from twodof.flight.starters.attitude import stock_attitude
+from twodof.models import step_figures
+from twodof.models.plant import PitchRate
+from twodof.signals import PERIOD
+
+VALUES = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "dead_time": 0.0113, "lag": 0.0087}
+FAMILY = PitchFamily.of(VALUES, {"mu": 12.0, "dead_time": 0.001}, gust=1.5, gust_time=0.15, q_noise=0.02)
+
+
+@functools.cache
+def previewed(gains: Gains) -> TuningPreview:
+    return tuning_preview(FAMILY, gains, members=100)
+
+
+@pytest.mark.parametrize("gains", [STUDENT, DEFAULT])
+def test_loops_are_those_of_the_closed_forms(gains: Gains) -> None:
+    """Crossover and phase margin against the frequency responses of `cascade_loops_of`, which has no state space."""
+    found = previewed(gains).loops
+    other = cascade_loops_of(PitchRate(3.437, 0.0836, 358.5, 0.0113), gains, lag=0.0087)
+    for name, crossover in other.crossovers.items():
+        assert found[name].crossover == pytest.approx(crossover, rel=1e-6)
+        assert found[name].phase_margin == pytest.approx(other.phase_margins[name], abs=1e-6)
+    # broken at M: the gain that the margin names brings a pole of the whole loop to the circle
+    increase = found["motors"].increase
+    assert increase is not None
+    once = SampledController.of(stock_attitude(gains))
+    louder = SampledController(once.a, once.b, increase.factor * once.c, increase.factor * once.d)
+    assert PitchLoop(FAMILY.nominal(), louder).radii()[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_bands_are_those_of_the_promise() -> None:
+    shown = previewed(STUDENT)
+    made = promise(SampledController.of(stock_attitude(STUDENT)), FAMILY, members=100)
+    for name in SHOWN:
+        assert shown.low[name] == pytest.approx(made.low[name], abs=1e-9)
+        assert shown.high[name] == pytest.approx(made.high[name], abs=1e-9)
+    assert shown.figures["rise_time"] == pytest.approx(made.figures["rise_time"], abs=1e-9)
+    assert shown.verdict.robust
+
+
+def test_settling_time_is_that_of_one_response() -> None:
+    sure = PitchFamily.of(VALUES, gust=0.4, q_noise=0.02)
+    low, middle, high = tuning_preview(sure, STUDENT, members=40).figures["settling_time"]
+    assert low == middle == high
+    theta, _, _ = PitchLoop(sure.nominal(), SampledController.of(stock_attitude(STUDENT))).simulate(np.full(400, 0.1))
+    one = step_figures(np.arange(400) * PERIOD, theta[:, 0], 0.0, 0.1, SETTLED)
+    # the preview counts whole samples, the other interpolates within one
+    assert one.settling_time <= middle <= one.settling_time + PERIOD
+
+
+def test_gains_that_are_too_loud_are_said_to_be_so() -> None:
+    wild = previewed(replace(DEFAULT, rate=(0.12, 0.4, 0.003), attitude=12.0))
+    assert not wild.verdict.robust
+    assert set(wild.verdict.worst) == set(VALUES)
+    late = PitchFamily.of({**VALUES, "dead_time": 0.05}, {"mu": 12.0})
+    lost = tuning_preview(late, DEFAULT, members=40)
+    assert not lost.loops["motors"].stable
+    assert lost.verdict.unstable == 1.0
+    assert all(np.abs(lost.high[name]).max() <= SHOWN[name] for name in SHOWN)
+    text = json.dumps(lost.to_json(), allow_nan=False)
+    assert json.loads(text)["figures"]["settling_time"]["middle"] is None
+
+
+def test_it_can_be_ended_at_any_share() -> None:
+    class Enough(Exception):
+        pass
+
+    shares: list[float] = []
+    tuning_preview(FAMILY, STUDENT, members=40, said=shares.append)
+    assert shares == sorted(shares)
+    assert max(np.diff([0.0, *shares, 1.0])) < 0.15
+
+    def said(share: float) -> None:
+        if share > 0.6:
+            raise Enough
+
+    with pytest.raises(Enough):
+        tuning_preview(FAMILY, STUDENT, members=40, said=said)
+
+
+@pytest.mark.parametrize("bad", [{"members": 3}, {"goal": math.nan}, {"members": True}])
+def test_refuses_with_a_remedy(bad: dict[str, float]) -> None:
+    with pytest.raises(ParameterError) as caught:
+        tuning_preview(FAMILY, STUDENT, **bad)  # type: ignore[arg-type]
+    assert caught.value.remedy
