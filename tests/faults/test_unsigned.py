@@ -9,6 +9,7 @@ from collections import deque
 from collections.abc import Hashable, Iterator, Mapping, Sequence, Set
 from contextlib import ExitStack, contextmanager
 from enum import Enum
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import pytest
@@ -189,6 +190,8 @@ def the_same_each_time() -> Iterator[None]:
         stack.enter_context(patch.object(Connection.__init__, "__defaults__", virtual))
         stack.enter_context(patch("secrets.randbelow", lambda _: 7))
         stack.enter_context(patch("time.time", lambda: 1.7e9))
+        # By it the server lets others have a turn: where, depends on how fast the computer is.
+        stack.enter_context(patch("twodof.fcu.server.time", SimpleNamespace(monotonic=lambda: 0.0)))
         stack.enter_context(patch("time.thread_time_ns", lambda: 0))
         stack.enter_context(patch.object(ComputerStatus, "status", lambda _: message("ONBOARD_COMPUTER_STATUS")))
         yield

@@ -4,6 +4,7 @@ from twodof.experiment.checks import FlightCheck
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.flight import Flight, Laboratory, simulate
 from twodof.experiment.fly import fly
+from twodof.experiment.prediction import PredictedMotion, predict
 
 __all__ = [
     "EXPERIMENTS",
@@ -12,7 +13,9 @@ __all__ = [
     "Flight",
     "FlightCheck",
     "Laboratory",
+    "PredictedMotion",
     "experiment",
     "fly",
+    "predict",
     "simulate",
 ]

@@ -26,6 +26,9 @@ LONGEST_GAP = 0.04
 _EXCITED = {"M_open": "q", "q0": "q", "theta0": "theta", "v0": "v", "x0": "x"}
 
 
+_SPEED = {"theta": "q", "x": "v"}
+
+
 @dataclass(frozen=True)
 class FlightCheck:
     """Whether a flight is good for its purpose in one respect, and what was seen."""
@@ -56,14 +59,24 @@ def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mappi
 
 
 def _farthest(out: Signals, name: str, flown: slice) -> tuple[float, str]:
-    """The largest magnitude of a signal, of the true one where it is known, and which of the two it is."""
-    estimate, true = out[name][flown], out.get(f"true_{name}")
+    """The largest magnitude that a signal reached, of the true one where it is known, and which of the two it is.
+
+    Each sample is followed to the next one at its own speed. What strikes a stop between two samples is on its way back
+    when the next one is taken. A fast swing would else bounce unseen, up to .01 rad from the stop.
+    """
+    estimate, true = _reached(out, name, "", flown), out.get(f"true_{name}")
     if true is None:
         return _largest(estimate), "estimated"
     known = np.isfinite(true[flown])
     unknown = int((~known).sum())
     by = f"true but for {unknown} of {len(known)} steps, estimated" if unknown else "true"
-    return _largest(np.where(known, true[flown], estimate)), by
+    return _largest(np.where(known, _reached(out, name, "true_", flown), estimate)), by
+
+
+def _reached(out: Signals, name: str, source: str, flown: slice) -> NDArray[Any]:
+    """The farther of each sample and where its speed takes it by the next one."""
+    place, speed = out[f"{source}{name}"][flown], out[f"{source}{_SPEED[name]}"][flown]
+    return np.where(np.isfinite(speed), np.maximum(np.abs(place), np.abs(place + PERIOD * speed)), np.abs(place))
 
 
 def _largest(values: NDArray[Any]) -> float:

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from multiprocessing.connection import Connection, wait
+from multiprocessing.resource_tracker import ensure_running
 
 from twodof.errors import ExperimentError, TwodofError
 from twodof.experiment.flight import Flight, Laboratory
@@ -66,6 +67,7 @@ def _no_interrupt_for_children() -> Iterator[None]:
 
     A Ctrl-C that comes inside the block waits for its end.
     """
+    ensure_running()  # it lets the signal through when it starts: not within the block, before the first child
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

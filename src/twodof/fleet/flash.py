@@ -16,7 +16,8 @@ from twodof.compile.program.check import check as check_diagram
 from twodof.compile.px4 import export
 from twodof.compile.px4.checkout.check import ERROR
 from twodof.compile.px4.checkout.check import check as check_module
-from twodof.errors import CompileError, DiagramError, LinkError, Rejected, shown
+from twodof.errors import CompileError, DiagramError, ExperimentError, LinkError, Rejected, shown
+from twodof.fleet.trial_flight import TrialFlight, trial_flight
 from twodof.flight.controller_store import STOCK, simulator_controllers
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import check_template
@@ -31,6 +32,9 @@ FLYING = "/etc/extras"
 """Where a drone shows the diagrams that fly, by template."""
 
 SIM, FCU, PX4 = "sim", "fcu", "px4-dir"
+
+FORCE = "--force-unstable"
+"""The command line's option for what is unstable on the virtual rig."""
 
 _STEPS = 250  # run on the emulated processor to count instructions: a second of flight
 
@@ -60,7 +64,10 @@ class ControllerCosts:
 
 @dataclass(frozen=True)
 class FlashReport:
-    """What was flashed, or would be: `changes` against `origin`, what is odd about it, and the `place`, for people."""
+    """What was flashed, or would be: `changes` against `origin`, what is odd about it, and the `place`, for people.
+
+    `trial` are its margins and its flight on the virtual rig.
+    """
 
     diagram: Diagram
     template: str
@@ -70,14 +77,15 @@ class FlashReport:
     remarks: tuple[str, ...]
     warnings: tuple[str, ...]
     place: str
+    trial: TrialFlight
 
 
-def controller_costs(diagram: Diagram, precision: str = "float32") -> ControllerCosts:
-    """What `diagram` costs at 250 Hz, compiled for this machine and for the Cortex-M7 where its tool chain is there.
+def controller_costs(diagram: Diagram, precision: str = "float32", target: str = "native") -> ControllerCosts:
+    """What `diagram` costs at 250 Hz, compiled for `target` and for the Cortex-M7 where its tool chain is there.
 
     Raises DiagramError and CompileError as `build` does, CompileError also without a C compiler.
     """
-    program = build(diagram, PERIOD, precision)
+    program = build(diagram, PERIOD, precision, target=target)
     if not isinstance(program, CompiledProgram):
         raise CompileError("there is no C compiler", diagram.name, "install gcc, or the wheel ziglang")
     p, s, u, y = (program.dtypes[struct].itemsize for struct in "PSUY")
@@ -98,25 +106,44 @@ def flash(
     precision: str = "float32",
     key: Path | None = None,
     dry_run: bool = False,
+    force: bool = False,
+    say: Callable[[str, float], None] | None = None,
 ) -> FlashReport:
     """Lets `diagram` fly at `to`: "sim", "px4-dir" (a module in the folder `out`), "fcu" or a drone's URL.
 
     A drone must be disarmed; it builds the controller itself, for its sandbox, and keeps it over restarts. The module
     is first compared with the PX4 in the folder `px4`, if one is given. `dry_run`: everything but the last step.
+    `force`: also what is unstable on the virtual rig. `say` is told what is being done and the share done.
 
-    Raises LinkError for another `to`, DiagramError for a diagram that fits no template, CompileError, and what
-    `open_target` and the drone raise.
+    Raises LinkError for another `to`, and DiagramError for a diagram that fits no template. Raises ExperimentError for
+    one that is unstable on the virtual rig (`trial_flight`). Raises CompileError, and what `open_target` and the drone
+    raise.
     """
+    say = say or _silent
     check_target(to)
     kind = check_template(diagram).name
+    say("compiling", 0.0)
     costs = controller_costs(diagram, precision)
+    say("flying on the virtual rig", 0.4)
+    trial = trial_flight(diagram, kind)
+    if trial.fault and not (force or dry_run):
+        raise ExperimentError(
+            f"it is unstable on the virtual rig: {trial.fault}",
+            diagram.name,
+            f"nothing was flashed; mend it with `twodof diagram margins`, or use {FORCE} (in Python force=True)",
+        )
+    say("flashing", 0.9)
     remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
     warnings = () if px4 is None else _checked(diagram, px4)
     with open_target(to, kind, out, key) as there:
         if not dry_run:
             there.put(diagram)
     changes = difference(there.before, diagram)
-    return FlashReport(diagram, kind, costs, there.origin, changes, remarks, warnings, there.place)
+    return FlashReport(diagram, kind, costs, there.origin, changes, remarks, warnings, there.place, trial)
+
+
+def _silent(text: str, share: float) -> None:
+    """Tells nobody."""
 
 
 def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
@@ -129,6 +156,44 @@ def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
         errors = "; ".join(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows if row.level == ERROR)
         raise CompileError(f"{found.module} does not fit it: {errors}", str(px4), "nothing was written")
     return tuple(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows)
+
+
+class Rehearsal(NamedTuple):
+    """What flashing a diagram would do: see `FlashReport`."""
+
+    template: str
+    costs: ControllerCosts
+    trial: TrialFlight
+    remarks: tuple[str, ...]
+    changes: Difference
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data."""
+        return {
+            "template": self.template,
+            "costs": self.costs.to_json(),
+            "trial": self.trial.to_json(),
+            "remarks": list(self.remarks),
+            "changes": self.changes.to_json(),
+        }
+
+
+def rehearse(
+    diagram: Diagram, before: Diagram | None, say: Callable[[str, float], None], target: str = "wasm"
+) -> Rehearsal:
+    """What `flash` does before its last step, for a diagram of somebody else's: it runs in the sandbox only.
+
+    `before` is what flies now, None the stock controller. Raises as `flash` does, but for what is unstable: `trial`
+    says that.
+    """
+    kind = check_template(diagram).name
+    say("compiling", 0.0)
+    costs = controller_costs(diagram, "float32", target)
+    say("flying on the virtual rig", 0.4)
+    trial = trial_flight(diagram, kind, target)
+    say("comparing", 0.9)
+    remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
+    return Rehearsal(kind, costs, trial, remarks, difference(before or starter(STOCK[kind]), diagram))
 
 
 class FlashTarget(NamedTuple):

@@ -1,10 +1,11 @@
 """Virtual drones on this computer, each with its flight controller and companion, supervised until they are ended."""
 
 import asyncio
+import os
 import signal
 import sys
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Any, Self
@@ -12,6 +13,7 @@ from typing import Any, Self
 from twodof.errors import LinkError
 from twodof.fleet.child_output import child_error, indented_lines
 from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_until_heard
+from twodof.fleet.priority import lower_priority
 from twodof.link.signing.key import Key
 
 MOST_RESTARTS = 3
@@ -32,15 +34,18 @@ _LAST_LINES = 8
 
 @dataclass
 class ChildProcess:
-    """One of a drone's programs, reached at `url`: its command line is `twodof ...` by this very Python.
+    """One program of a drone, or the page's, reached at `url`: its command line is `twodof ...` by this very Python.
 
-    `listening` is set once it has said that it does, and `said` is what it last said since.
+    `listening` is set once it has said that it does, and `said` is what it last said since. `environment` is added to
+    ours. With a `niceness` above 0 the drones' programs go before it.
     """
 
     name: str
     arguments: Sequence[str]
     url: str
-    drone: LocalDrone
+    drone: LocalDrone | None = None
+    environment: Mapping[str, str] = field(default_factory=dict)
+    niceness: int = 0
     process: asyncio.subprocess.Process | None = None
     ended: deque[float] = field(default_factory=lambda: deque(maxlen=MOST_RESTARTS + 1))
     said: deque[str] = field(default_factory=lambda: deque(maxlen=_LAST_LINES))
@@ -60,7 +65,10 @@ class ChildProcess:
             stderr=asyncio.subprocess.STDOUT,
             limit=1 << 20,
             start_new_session=True,  # Ctrl-C in the terminal is for us, who end them in order
+            env=os.environ | self.environment if self.environment else None,
         )
+        if self.niceness:
+            lower_priority(self.process.pid, self.niceness)
 
     async def wait(self) -> int:
         """Its exit status, once it has ended. Until then it takes in what the process says."""
@@ -133,6 +141,7 @@ class LocalFleet:
 
     async def _answers(self, child: ChildProcess) -> None:
         await child.listening.wait()  # else it might be another one at the same port that is heard
+        assert child.drone is not None
         found = await wait_until_heard(child.url, child.drone.system, ANSWER_S, self._key)
         if child.url == child.drone.fcu:
             self.reports[child.drone.index] = found

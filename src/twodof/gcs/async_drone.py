@@ -15,7 +15,7 @@ from twodof.gcs.discovery import open_link
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.flying_drone import FlyingDrone
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.identity import drawn, identity
+from twodof.gcs.mavlink.identity import drawn, give_back, identity
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
 from twodof.gcs.telemetry.recording import Recording, record
@@ -278,7 +278,8 @@ async def _differ(drone: DroneBase, deadline: Deadline) -> None:
         await _answers(drone, "TWODOF_LEASE", "asking who has the lease", deadline)
     connection, holder = drone.session.connection, drone.lease.holder
     if holder is not None and holder[0] == connection.system:
-        connection.system = drawn(besides=(connection.system,))
+        before, connection.system = connection.system, drawn(besides=(connection.system,))
+        give_back(before)
         drone.session.beat()
 
 

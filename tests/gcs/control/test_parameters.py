@@ -15,6 +15,7 @@ from twodof.errors import ParameterError, Rejected, Timeout
 from twodof.flight.starters import starter
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.control.parameters import DESCRIPTION, SILENCE_S
+from twodof.link.mavlink.messages import message
 from twodof.sim.virtual_drone import VirtualDrone
 
 OWN = {"name": "TMI_K_Q", "type": "Float", "default": 0.1, "min": 0.0, "max": 1.0, "units": "s/rad"}
@@ -213,3 +214,26 @@ def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_ke
     drone = VirtualDrone(lockstep=True, state=tmp_path)
     assert drone.controller.code.parameter("attitude_control.k_q") == 0.2
     drone.assembly.close()
+
+
+def test_the_reason_of_a_refusal_is_not_what_is_told_beside_it() -> None:
+    """That another's change was done may be told late: between a refusal's reason and the refusal."""
+
+    def refusing(_: int, sent: Any) -> list[Any]:
+        if not armed or sent.get_type() != "PARAM_VALUE":
+            return [sent]
+        return [
+            message("STATUSTEXT", severity=4, text="1/1 withholds tuning"),
+            message("STATUSTEXT", severity=6, text="RATE_KP = 0.06, by system 9"),
+            message("PARAM_ERROR", param_id=sent.param_id, param_index=-1, error=2),
+        ]
+
+    async def flight(_: Peer, drone: AsyncDrone) -> None:
+        await drone.parameters.read("ATT_KP")
+        armed.append(True)
+        with pytest.raises(Rejected, match="ATT_KP: 1/1 withholds tuning"):
+            await drone.parameters.set("ATT_KP", 7.0)
+
+    armed: list[bool] = []
+    peer = Peer(spoil=refusing)
+    fly(flight, peer=peer)

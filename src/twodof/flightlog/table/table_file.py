@@ -23,7 +23,7 @@ from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.table.cells import first_line
 from twodof.flightlog.table.long_table import COLUMNS, channels_of_long, long_table
 from twodof.flightlog.table.parquet_check import check_pages
-from twodof.flightlog.table.wide_table import channels_of_wide, headings, is_wide, wide_table
+from twodof.flightlog.table.wide_table import TIME_COLUMN, channels_of_wide, headings, is_wide, wide_table
 
 _META = "twodof.flightlog"
 _VERSION = 1
@@ -60,8 +60,11 @@ def write_csv(log: FlightLog, path: str | Path, wide: bool = False) -> None:
             raise LogError(f"a name cannot stand in CSV: {reason}", str(path), "rename the channel") from reason
 
 
-def read_parquet(path: str | Path) -> FlightLog:
-    """Reads a long or wide Parquet table. Raises LogError for a file that is not a log, is damaged or too large."""
+def read_parquet(path: str | Path, time: str = TIME_COLUMN) -> FlightLog:
+    """Reads a long or wide Parquet table; the column `time` of a wide one holds the time stamps [s].
+
+    Raises LogError for a file that is not a log, is damaged or too large.
+    """
     data = provenance.read_bytes(path)
     where = str(path)
     budget = MemoryBudget(len(data), where)
@@ -77,11 +80,14 @@ def read_parquet(path: str | Path) -> FlightLog:
     except (pa.ArrowException, OSError, UnicodeDecodeError) as reason:
         raise LogError(f"is no Parquet file or is damaged: {first_line(reason)}", where, "write it again") from reason
     meta = (table.schema.metadata or {}).get(_META.encode())
-    return _log(table, meta, provenance.of_file(path, data, "parquet"), where, budget)
+    return _log(table, meta, provenance.of_file(path, data, "parquet"), where, budget, time)
 
 
-def read_csv(path: str | Path) -> FlightLog:
-    """Reads a long or wide CSV table. Raises LogError for a file that is not a log, is damaged or too large."""
+def read_csv(path: str | Path, time: str = TIME_COLUMN) -> FlightLog:
+    """Reads a long or wide CSV table; the column `time` of a wide one holds the time stamps [s].
+
+    Raises LogError for a file that is not a log, is damaged or too large.
+    """
     data = provenance.read_bytes(path)
     where = str(path)
     budget = MemoryBudget(len(data), where)
@@ -116,7 +122,7 @@ def read_csv(path: str | Path) -> FlightLog:
     except (pa.ArrowException, UnicodeDecodeError) as reason:
         what = f"is not a table of numbers: {first_line(reason)}"
         raise LogError(what, where, "give a header line and numbers below it") from reason
-    return _log(table, meta, provenance.of_file(path, data, "csv"), where, budget)
+    return _log(table, meta, provenance.of_file(path, data, "csv"), where, budget, time)
 
 
 def _described_table(log: FlightLog, wide: bool) -> tuple[pa.Table, str]:
@@ -136,16 +142,18 @@ def _is_long(names: Sequence[str]) -> bool:
     return set(COLUMNS) <= set(names)
 
 
-def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, budget: MemoryBudget) -> FlightLog:
+def _log(
+    table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, budget: MemoryBudget, time: str
+) -> FlightLog:
     names = table.column_names
     described, kept = _described(meta, where, budget)
     if _is_long(names):
         channels = channels_of_long(table, described, where)
-    elif is_wide(names):
-        channels = channels_of_wide(table, described, where, budget)
+    elif is_wide(names, time):
+        channels = channels_of_wide(table, described, where, budget, time)
     else:
-        what = f"no column 'time' among: {', '.join(names)[:200]}"
-        raise LogError(what, where, "name the column of time stamps 'time'")
+        what = f"no column {time!r:.80} among: {', '.join(names)[:200]}"
+        raise LogError(what, where, "call the column of time stamps 'time', or name it: --time COLUMN")
     for name, row in described.items():
         count = len(channels[name]) if name in channels else 0
         if count != row["samples"]:

@@ -19,6 +19,9 @@ from twodof.flightlog.table.cells import numbers, stamps
 from twodof.signals import unit_of
 
 TIME = "time [s]"
+TIME_COLUMN = "time"
+"""What the column of time stamps is called, its unit left out, unless a reader is told another name."""
+
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
 
 
@@ -48,19 +51,23 @@ def wide_table(log: FlightLog) -> pa.Table:
     return pa.table(columns)
 
 
-def is_wide(names: list[str]) -> bool:
+def is_wide(names: list[str], time: str = TIME_COLUMN) -> bool:
     """Whether columns of these names are a wide table: one is called `time`."""
-    return any(_split(name)[0] == "time" for name in names)
+    return any(time in (name, _split(name)[0]) for name in names)
 
 
 def channels_of_wide(
-    table: pa.Table, described: Mapping[str, dict[str, Any]], where: str, budget: MemoryBudget
+    table: pa.Table,
+    described: Mapping[str, dict[str, Any]],
+    where: str,
+    budget: MemoryBudget,
+    time_column: str = TIME_COLUMN,
 ) -> dict[str, Channel]:
     """The channels of a wide table, by their `described` columns; each further column is a channel of its own.
 
     Raises LogError.
     """
-    stamp = next(column for column in table.column_names if _split(column)[0] == "time")
+    stamp = next(column for column in table.column_names if time_column in (column, _split(column)[0]))
     time = stamps(table, stamp, where)
     found = {}
     taken = {stamp}

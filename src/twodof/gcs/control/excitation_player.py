@@ -52,6 +52,11 @@ class ExcitationPlayer:
         self._playback: ExcitationPlayback | None = None
         session.on(self._told, *_STATUS)
 
+    @property
+    def playback(self) -> ExcitationPlayback | None:
+        """What was started last from here, None where nothing was."""
+        return self._playback
+
     async def start(
         self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
     ) -> ExcitationPlayback:

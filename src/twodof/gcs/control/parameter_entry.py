@@ -49,6 +49,12 @@ class ParameterEntry(NamedTuple):
         return self.described or BY_NAME.get(self.name)
 
 
+def same_as(name: str) -> str:
+    """Our name of a number that `name` is only the real drone's name of; "" for any other."""
+    row = BY_NAME.get(name)
+    return "" if row is None or row.name == name else row.name
+
+
 def entry_of(got: Any) -> ParameterEntry:
     """What a PARAM_VALUE tells."""
     value = float(int_of_float(got.param_value)) if got.param_type == INT32 else _decimal(got.param_value)

@@ -329,7 +329,7 @@ class AsyncParameters:
 
     def _why(self, name: str, error: int) -> str:
         """Why a change is refused: what the drone said last of it, or what its number says."""
-        said = self._texts.since(self._spoken)
+        said = self._texts.reasons_since(self._spoken)
         words = _ERRORS[error] if error < len(_ERRORS) else f"error {error}"
         return f"{name}: {said[-1].text if said else words}"
 

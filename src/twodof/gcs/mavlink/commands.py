@@ -135,7 +135,7 @@ class CommandSender:
         until = min(deadline.end, session.now + WORDS_S)
         with session.listen("STATUSTEXT") as heard:
             try:
-                while not (lines := self._texts.since(spoken)):
+                while not (lines := self._texts.reasons_since(spoken)):
                     if await heard.next(until) is None:
                         if session.taken > before or deadline.left <= 0.0:
                             return ""

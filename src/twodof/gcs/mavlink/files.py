@@ -108,7 +108,7 @@ class AsyncFiles:
         if found.op == FtpOperation.ACK:
             return found
         code = found.data[0] if found.size else 0
-        said = "; ".join(line.text for line in self._texts.since(spoken)[-3:])
+        said = "; ".join(line.text for line in self._texts.reasons_since(spoken)[-3:])
         if code == FtpError.END:
             said = ""  # that there is no more is no refusal to explain
         raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "see what the drone says")

@@ -1,12 +1,14 @@
 """What a client calls itself: a MAVLink system id of its own, and the time stamps that go with it where it signs.
 
 Who has the same ids has the same lease: one's leaving would disarm the other's drone in flight. So each client draws
-its own, and draws again where somebody has that one.
+its own, which no other on this computer has, and draws again where somebody elsewhere has that one.
 """
 
 from __future__ import annotations
 
 import secrets
+import socket
+import sys
 from collections.abc import Collection
 from pathlib import Path
 
@@ -21,10 +23,38 @@ OWN_SYSTEMS = (*range(200, 241), 242, 243, 244)
 _MOST_TRIES = 8
 
 
+_claims: dict[int, socket.socket] = {}
+
+
 def drawn(besides: Collection[int] = ()) -> int:
-    """A system id that is drawn, none of `besides`."""
-    found: int = secrets.choice([system for system in OWN_SYSTEMS if system not in besides])
-    return found
+    """A system id that is drawn, none of `besides`, ours on this computer until `give_back`.
+
+    Where all are taken, and on systems other than Linux, one is drawn that another may have.
+    """
+    order: list[int] = [system for system in OWN_SYSTEMS if system not in besides]
+    secrets.SystemRandom().shuffle(order)
+    return next((system for system in order if _claim(system)), order[0])
+
+
+def give_back(system: int) -> None:
+    """Let others draw an id; one that was not drawn here is left alone."""
+    claim = _claims.pop(system, None)
+    if claim is not None:
+        claim.close()
+
+
+def _claim(system: int) -> bool:
+    """Whether nobody on this computer has it. Linux frees such a name with its process, however that ends."""
+    if not sys.platform.startswith("linux"):
+        return False
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0twodof-client-{system}")
+    except OSError:
+        claim.close()
+        return False
+    _claims[system] = claim
+    return True
 
 
 def identity(system: int | None, on_board: bool, key: Key | str | Path | None) -> tuple[int, Signing | None]:

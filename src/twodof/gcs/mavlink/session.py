@@ -14,6 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.mavlink.identity import give_back
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.components import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
@@ -270,6 +271,7 @@ class DroneSession:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         self.end(LinkLost("the session was closed", self.url, "connect again"))
         await self.connection.close()
+        give_back(self.connection.system)
 
     def beat(self) -> None:
         """Say that we are there."""

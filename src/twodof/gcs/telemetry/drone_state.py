@@ -26,6 +26,17 @@ class SafetyState:
     tick: int = 0
     killed_by: tuple[int, int] | None = None
 
+    def in_words(self) -> str:
+        """What it does and why, as the dialect explains them; "" while it does nothing for a reason of its own.
+
+        As "descend (level, the thrust fades to 0, then off): nothing came over the link for a while".
+        """
+        if self.action == "none" or not self.reason:
+            return ""
+        explained = explanation_of("TWODOF_ACTION", self.action)
+        action = f"{self.action} ({explained})" if explained else self.action
+        return f"{action}: {explanation_of('TWODOF_CAUSE', self.reason) or self.reason}"
+
 
 @dataclass(frozen=True)
 class RigState:
@@ -150,6 +161,12 @@ def names_of(enum: str, mask: int) -> tuple[str, ...]:
 def word_of(enum: str, value: int) -> str:
     """A value in the words of the dialect's enumeration, its number where it lacks one."""
     return _word(enum, dialect.load().enums.get(enum, {}), value)
+
+
+def explanation_of(enum: str, word: str) -> str:
+    """What the dialect says about a value that it calls `word`; "" for one that it lacks."""
+    rows = dialect.load().enums.get(enum, {})
+    return next((str(row.description) for value, row in rows.items() if _word(enum, rows, value) == word), "")
 
 
 def _word(enum: str, rows: Any, value: int) -> str:

@@ -6,7 +6,7 @@ A slow consumer loses the oldest samples, which are counted, and holds up nobody
 from __future__ import annotations
 
 from collections.abc import AsyncIterator, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -117,12 +117,17 @@ class Telemetry:
 
     def __init__(self, session: DroneSession) -> None:
         self._signals = {row.name: AsyncSignal(session, row.name) for row in TOPICS}
+        self._listening = ExitStack()
         for name, decode in DECODERS.items():
-            session.on(partial(self._take, decode), name)
+            self._listening.enter_context(session.handling(partial(self._take, decode), name))
 
     def __call__(self, name: str) -> AsyncSignal:
         """The signal of that name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""
         return self._signals[topic(name).name]
+
+    def stop(self) -> None:
+        """Take in nothing more: for who gets all samples by `batch`, and looks at no signal."""
+        self._listening.close()
 
     def clear(self) -> None:
         """Forget what was said before the drone began anew."""

@@ -10,6 +10,7 @@ from twodof.signals import SEVERITIES
 KEPT = 1000
 MOST_PIECES = 20
 _PIECE_BYTES = 50
+_WARNING = SEVERITIES.index("warning")
 PIECES_S = 0.2
 """How long the next piece of a line is waited for [s]: they are sent together."""
 
@@ -41,6 +42,10 @@ class StatusTexts:
     def since(self, count: int) -> list[StatusText]:
         """Lines that came after the first `count`."""
         return [line for line in self.lines if line.number >= count]
+
+    def reasons_since(self, count: int) -> list[StatusText]:
+        """Those of them that may be the reason of a refusal: what is only told, such as another's change, is not."""
+        return [line for line in self.since(count) if SEVERITIES.index(line.severity) <= _WARNING]
 
     def note(self, severity: str, text: str) -> None:
         """A line of our own about the drone, among its own."""

@@ -11,6 +11,7 @@ import numpy as np
 from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
+from twodof.identify.from_flight.ready_made import TRAVEL
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.repeated import Spread
@@ -23,8 +24,6 @@ from twodof.report.content import Uncertain
 # Below this many repetitions a spread says nothing about a standard deviation.
 _REPETITIONS = 3
 _TRAVELS = 3
-# The range sensor's age beyond its stamp is estimated too: taken for zero it passes for less friction.
-TRAVEL = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,10 +118,11 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
     swinging = partial(fit, pitch_rate(), values=guess)
     free = identify(flights.impulses, () if dry is not None else ("w_n", "xi"), swinging)
     poles = {key: greybox[key].value for key in ("w_n", "xi") if key in greybox}
-    driven = partial(fit, pitch_rate(), estimate=FORCED, values=poles | gain)
+    # With the rotors' lag: without it the noise model would take the misfit at each edge for a gust.
+    driven = partial(fit, pitch_rate(lag=True), estimate=FORCED, values=poles | gain)
     forced = identify(flights.doublets, ("mu", "tau"), driven) if poles else None
     curve = _curve(dry or free, forced, refusals)
-    wanted = (*TRAVEL, "q_trim") if flights.gyro_bias else TRAVEL
+    wanted = (*TRAVEL, *["q_trim"] * flights.gyro_bias, *["coulomb"] * dry_friction)
     moving = partial(fit, rail(thrust=bool(curve)), estimate=wanted, values=curve)
     # One doublet tells p_v to a tenth: several identify, if one is left to validate.
     travel = identify(seen, ("k_v", "p_v"), moving, min(_TRAVELS, max(1, len(seen) - 1)))
@@ -141,8 +141,8 @@ def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> 
         return {}
 
 
-# What a doublet can tell; the poles show only after it is over.
-FORCED = ("mu", "tau", "M_trim", "q_0")
+# What a doublet can tell, tau being the sum of dead time and lag; the poles show only after it is over.
+FORCED = ("mu", "dead_time", "lag", "M_trim", "q_0")
 _Found = TypeVar("_Found")
 
 

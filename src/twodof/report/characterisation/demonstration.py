@@ -1,8 +1,12 @@
 """The whole walk: fly, cut, identify, compare. What `twodof demo` does, a machine at a time."""
 
 from collections.abc import Callable, Mapping, Sequence
+from html import escape
 from pathlib import Path
 
+import numpy as np
+
+from twodof.errors import ExperimentError
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.flight.gains import NAMED
@@ -42,46 +46,64 @@ def virtual(
 ) -> CharacterisedMachine:
     """Fly the paper's experiments by `fly` on the rig of `laboratory` ("paper" or "lab") and identify.
 
-    `fly` is `laboratory.fly`, or flies over MAVLink on a drone of that rig. Raises ExperimentError or
-    IdentificationError where the rig cannot be flown or the models be found at all.
+    `fly` is `laboratory.fly`, or flies over MAVLink on a drone of that rig. A flight that was broken off
+    is left out, and said. Raises ExperimentError or IdentificationError where the rig cannot be flown or the models be
+    found at all.
     """
     rig = laboratory.rig_name
     records: dict[str, list[Record]] = {}
-    surroundings, remarks = {}, []
+    surroundings, remarks, broken_off = {}, [], []
     for kind, name in _PAPER_EXPERIMENT.items():
         progress(f"{rig}: look at {name}, {repetitions} flights")
         records[kind] = []
         for seed in range(1, repetitions + 1):
             flight = fly(IDENTIFICATION[name], seed)
+            if flight.reason:
+                broken_off.append((name, seed, flight.reason))
+                continue
             record = cut(flight.log, KINDS[kind], name=f"{name} {seed}")
             records[kind].append(record)
             surroundings[record.name] = around(flight.log, record)
             remarks += [f"{name} {seed}: {check.name}, {check.seen}." for check in flight.checks if not check.passed]
     progress(f"{rig}: identify")
+    if lacking := [kind for kind, found in records.items() if not found]:
+        raise ExperimentError(
+            f"every {lacking[0]} was broken off", f"rig '{rig}'", f"the last: {broken_off[-1][2]}; fly it gentler"
+        )
     flights = ExperimentRecords(records["impulse"], records["doublet"], records["velocity"], surroundings=surroundings)
     found = characterise(flights, dry_friction=laboratory.parameters["coulomb_idle"] > 0.0)
     truth = truth_of(laboratory.parameters.snapshot())
-    return CharacterisedMachine(f"virtual rig “{rig}”", _TEXTS["machines"][rig], found, truth, remarks)
+    text = _TEXTS["machines"][rig]
+    if broken_off:
+        told = "; ".join(f"{name} {seed}: {escape(reason)}" for name, seed, reason in broken_off)
+        text = f"{text} {_TEXTS['broken_off']['text']} {told}."
+    return CharacterisedMachine(f"virtual rig “{rig}”", text, found, truth, remarks)
 
 
 def planned(machines: Mapping[str, CharacterisedMachine]) -> ReportTable:
     """What the doublet was bound to tell, by Fisher information before flying, beside what it told; by rig name."""
     rows: list[tuple[str, ...]] = []
+    structure = pitch_rate(lag=True)
     for name, machine in machines.items():
         found, doublet = machine.found, machine.found.flights.doublets[0]
         if found.forced is None:
             continue
         rig = load_rig(name)
+        lag = max(rig["lag"], structure.unknowns["lag"].lower)
         information = predict(
-            pitch_rate(),
+            structure,
             {"M": doublet.inputs["M"]},
             doublet.dt,
             {"q": rig["gyro_hover"]},
-            values={key: machine.truth[key] for key in ("w_n", "xi", "mu", "tau")},
+            values={key: machine.truth[key] for key in ("w_n", "xi", "mu")}
+            | {"lag": lag, "dead_time": machine.truth["tau"] - lag},
             estimate=FORCED,
+            disturbance=found.forced.disturbance,
         )
+        spreads = np.linalg.inv(information.matrix)
         for key, unit, scale in (("mu", "rad/s²", 1.0), ("tau", "ms", 1e3)):
-            predicted = scale * float(information.sigma[information.labels.index(key)])
+            parts = [information.labels.index(part) for part in structure.sums.get(key, (key,))]
+            predicted = scale * float(np.sqrt(spreads[np.ix_(parts, parts)].sum()))
             spread = found.spreads.get(key)
             rows.append(
                 (

@@ -31,6 +31,8 @@ _DPI = 150
 _LETTER_IN = 0.082
 """Width of a letter at the size of the bands' names."""
 
+_LEGEND_PT = 16.0
+
 _LINE = 120
 """Letters in a line of the heading."""
 _LOOK: MappingProxyType[str, dict[str, Any]] = MappingProxyType(
@@ -97,19 +99,20 @@ def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
     for ax, one in zip(axes[bool(strips) :], view.views, strict=True):
         _draw_view(ax, one, colours)
         _draw_background(ax, view, colours)
-    axes[-1].set_xlabel("the drone's time [s]")
+    axes[-1].set_xlabel(f"{view.clock} [s]")
     canvas.align_ylabels()
     if heading:
-        _head(axes[0], view, colours)
+        _head(axes[0], view, colours, _LEGEND_PT * (not strips))
     return canvas
 
 
-def _head(ax: Axes, view: FlightView, colours: Colours) -> None:
+def _head(ax: Axes, view: FlightView, colours: Colours, legend: float) -> None:
+    """Title and notes above the uppermost axes, and above their legend of this height [points]."""
     lines = [line for part in (view.about, *view.notes) for line in wrap(part, _LINE)]
-    under = 7.0 + 13.0 * len(lines)
+    under = 7.0 + 13.0 * len(lines) + legend
     ax.set_title(view.title, loc="left", fontsize=12.5, fontweight="bold", pad=under)
     above: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "va": "bottom"}
-    ax.annotate("\n".join(lines), (0.0, 1.0), (0.0, 6.0), **above, fontsize=9.5, color=colours["soft"])
+    ax.annotate("\n".join(lines), (0.0, 1.0), (0.0, 6.0 + legend), **above, fontsize=9.5, color=colours["soft"])
 
 
 def _draw_strips(
@@ -154,13 +157,20 @@ def _draw_view(ax: Axes, view: View, colours: Colours) -> None:
     quiet(ax)
     ax.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 2.5, 5, 10]))
     ax.set_ylabel(view.label)
-    for number, curve in enumerate(view.curves):
+    others = [curve for curve in view.curves if curve.label not in _LOOK]
+    if view.band is not None:
+        band = view.band
+        ax.fill_between(
+            band.time, band.low, band.high, color=colours["set-point"], alpha=0.2, linewidth=0, label=band.label
+        )
+    for curve in view.curves:
+        number = others.index(curve) if curve in others else 0
         _draw_curve(ax, curve, _OTHERS[number % len(_OTHERS)], colours)
     if not any(np.isfinite(curve.value).any() for curve in view.curves):
         ax.text(0.5, 0.5, "no sample", ha="center", va="center", transform=ax.transAxes, color=colours["soft"])
         ax.set_yticks([])
     elif any(curve.label for curve in view.curves):
-        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(view.curves))
+        ax.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(view.curves) + (view.band is not None))
 
 
 def _draw_curve(ax: Axes, curve: Curve, other: str, colours: Colours) -> None:

@@ -16,6 +16,7 @@ from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.thinning import thinned
 from twodof.report.content import Span
 from twodof.signals import BY_MAT, BY_NAME
 
@@ -35,7 +36,7 @@ STILL = 0.02
 
 _DEGREES = 180.0 / math.pi
 
-_PANELS = MappingProxyType(
+PANELS = MappingProxyType(
     {
         "pitch": (_DEGREES, "deg", (("theta_true", "true"), ("theta", "estimated"), ("theta0", "set-point"))),
         "pitch rate": (_DEGREES, "deg/s", (("q_true", "true"), ("q", "estimated"), ("q0", "set-point"))),
@@ -46,7 +47,7 @@ _PANELS = MappingProxyType(
 )
 """Panel -> scale, unit, and its channels with what the legend calls them."""
 
-_SYMBOL = MappingProxyType({"pitch": "θ", "pitch rate": "q", "position": "x", "velocity": "v", "motors": "M, T"})
+SYMBOL = MappingProxyType({"pitch": "θ", "pitch rate": "q", "position": "x", "velocity": "v", "motors": "M, T"})
 
 # A set-point is drawn where its loop is closed; elsewhere it says nothing.
 _INNER = ("rate", "attitude", "velocity", "position")
@@ -64,17 +65,28 @@ class Curve:
     held: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class ExpectedBand:
+    """Where a signal is expected: from `low` to `high`, each (n,), at `time` (n,) [s]."""
+
+    label: str
+    time: Array
+    low: Array
+    high: Array
+
+
 @dataclass(frozen=True)
 class View:
-    """One pair of axes: quantity and unit, and its curves."""
+    """One pair of axes: quantity and unit, its curves, and the band that they should stay in, if there is one."""
 
     label: str
     curves: tuple[Curve, ...]
+    band: ExpectedBand | None = None
 
 
 @dataclass(frozen=True)
 class FlightView:
-    """Everything a plot shows, over `span` [s] of the drone's time.
+    """Everything a plot shows, over `span` [s] of the time that `clock` names.
 
     `notes` say what is not in it, and why.
     """
@@ -87,6 +99,7 @@ class FlightView:
     failsafe: tuple[Span, ...]
     excitations: tuple[Span, ...]
     notes: tuple[str, ...]
+    clock: str = "the drone's time"
 
 
 def check_place(path: str | Path, overwrite: bool = False) -> None:
@@ -141,7 +154,7 @@ def _usual(log: FlightLog, flown: Sequence[Span], span: tuple[float, float], not
     cart = [name for name in ("x_true", "x") if name in log and len(log[name].slice(*span))]
     moved = any(float(np.ptp(log[name].slice(*span).value)) > STILL for name in cart[:1])
     views = []
-    for name in _PANELS:
+    for name in PANELS:
         if name in ("position", "velocity") and cart and not moved:
             continue
         view = _panel(log, name, flown, span)
@@ -158,7 +171,7 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
     channel = row.mat if row else name
     if channel not in log:
         raise LogError("the log does not have this signal", f"{log.source}: {name}", f"there are: {', '.join(log)}")
-    for panel, (_, _, channels) in _PANELS.items():
+    for panel, (_, _, channels) in PANELS.items():
         if channel in (one for one, _ in channels):
             return _panel(log, panel, flown, span)
     there = log[channel]
@@ -167,7 +180,7 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
     labels = there.fields or alone
     held = row is not None and row.rate_hz == 0.0
     curves = tuple(
-        Curve(printable(label), channel, *_cut(log, channel, there.time, values[:, k], span), held)
+        Curve(printable(label), channel, *cut_curve(log, channel, there.time, values[:, k], span), held)
         for k, label in enumerate(labels)
     )
     unit = f" [{'–' if there.unit == '-' else there.unit}]" if there.unit else ""
@@ -175,7 +188,7 @@ def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, fl
 
 
 def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:
-    scale, unit, channels = _PANELS[name]
+    scale, unit, channels = PANELS[name]
     curves = []
     for channel, label in channels:
         if channel not in log or not len(log[channel]):
@@ -184,10 +197,10 @@ def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, 
         followed = channel in _FOLLOWED
         if followed and flown:
             value = _where(time, value, [band for band in flown if band.label in _FOLLOWED[channel]])
-        time, value = _cut(log, channel, time, value, span)
+        time, value = cut_curve(log, channel, time, value, span)
         if np.isfinite(value).any():
             curves.append(Curve(label, channel, time, value, held=followed or name == "motors"))
-    return View(f"{name} {_SYMBOL[name]} [{unit}]", tuple(curves))
+    return View(f"{name} {SYMBOL[name]} [{unit}]", tuple(curves))
 
 
 def _where(time: Array, value: Array, bands: Sequence[Span]) -> Array:
@@ -199,7 +212,9 @@ def _where(time: Array, value: Array, bands: Sequence[Span]) -> Array:
     return np.where(inside, value, np.nan)
 
 
-def _cut(log: FlightLog, channel: str, time: Array, value: Array, span: tuple[float, float]) -> tuple[Array, Array]:
+def cut_curve(
+    log: FlightLog, channel: str, time: Array, value: Array, span: tuple[float, float]
+) -> tuple[Array, Array]:
     """Within the span, interrupted where samples were lost, thinned where there are very many."""
     # A sample beyond each end, so that a line reaches the edge.
     first, last = np.searchsorted(time, span[0]) - 1, np.searchsorted(time, span[1], side="right") + 1
@@ -211,23 +226,7 @@ def _cut(log: FlightLog, channel: str, time: Array, value: Array, span: tuple[fl
         at = np.searchsorted(time, after[inside])
         time = np.insert(time, at, 0.5 * (before[inside] + after[inside]))
         value = np.insert(value, at, np.nan)
-    return _thinned(time, value)
-
-
-def _thinned(time: Array, value: Array) -> tuple[Array, Array]:
-    """At most about `MOST_POINTS` points that look alike: the lowest, the highest and a hole, if any, of each part."""
-    count = len(time)
-    if count <= MOST_POINTS:
-        return time, value
-    size = -(-count // (MOST_POINTS // 2))
-    low, high = np.where(np.isnan(value), np.inf, value), np.where(np.isnan(value), -np.inf, value)
-    kept = [0, count - 1]
-    for start in range(0, count, size):
-        part = slice(start, start + size)
-        kept += [start + int(np.argmin(low[part])), start + int(np.argmax(high[part]))]
-        kept += [start + int(hole) for hole in np.flatnonzero(np.isnan(value[part]))[:1]]
-    index = np.unique(kept)
-    return time[index], value[index]
+    return thinned(time, value, MOST_POINTS)
 
 
 def _few(what: str, bands: tuple[Span, ...], notes: list[str]) -> tuple[Span, ...]:

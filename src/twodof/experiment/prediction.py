@@ -1,0 +1,181 @@
+"""What an excitation would do before it is flown: the motion that the closed loop predicts, and what it uses up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import ExperimentError
+from twodof.excitation import Excitation, from_dict
+from twodof.experiment.experiments import SETPOINT, UNIT
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.signals import HOVER, MODES, OFF, PERIOD
+from twodof.sim.closed_loop import ARMING, ClosedLoop
+from twodof.sim.identified_rig import estimates_in, identified_rig, load_rig_or_model
+from twodof.sim.initial_state import InitialState
+
+LONGEST_S = 120.0
+"""A longer excitation is predicted for its first part: what it uses shows in it, and the answer stays quick."""
+
+BEFORE_S = 0.2
+AFTER_S = 1.0
+"""Hovering before, and what comes after [s]."""
+
+LOOP_MODES: Mapping[str, str] = {"M": "open-loop", "q": "rate", "theta": "attitude", "v": "velocity", "x": "position"}
+"""The mode in which each loop of `Drone.excite` is the outermost."""
+
+_EACH = 5
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedMotion:
+    """The motion in an excitation, with the rig's own noise of one seed.
+
+    Each is (n,) at 250 Hz: `time` [s since its start], pitch `theta` [rad], place `x` [m], moment `M`.
+    `pitch_stop` [rad] and `rail_stop` [m] are where the rig ends. `failsafe` says in words what the failsafe would do,
+    "" for nothing, and `failsafe_at` [s] when first. What comes after that is not what was asked for.
+    """
+
+    time: Array
+    theta: Array
+    x: Array
+    M: Array
+    pitch_stop: float
+    rail_stop: float
+    failsafe: str
+    failsafe_at: float | None
+
+    @property
+    def pitch(self) -> float:
+        """The largest pitch [rad]."""
+        return float(np.abs(self.theta).max())
+
+    @property
+    def rail(self) -> float:
+        """The farthest place from the rail's middle [m]."""
+        return float(np.abs(self.x).max())
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, at 50 Hz."""
+        curves = {"time": self.time, "theta": self.theta, "x": self.x, "M": self.M}
+        return {
+            **{name: [float(f"{value:.5g}") for value in values[::_EACH]] for name, values in curves.items()},
+            "pitch": self.pitch,
+            "pitch_stop": self.pitch_stop,
+            "rail": self.rail,
+            "rail_stop": self.rail_stop,
+            "failsafe": self.failsafe,
+            "failsafe_at": self.failsafe_at,
+        }
+
+
+def predict(
+    excitation: Excitation,
+    loop: str,
+    rig: str | Mapping[str, float] = "lab",
+    thrust: float = HOVER,
+    x: float = 0.0,
+    rings: bool = False,
+    gains: Gains = DEFAULT,
+) -> PredictedMotion:
+    """What `excitation` does when `loop` ("M", "q", "theta", "v", "x") follows it, from a hover at `x` [m].
+
+    `rig` is "lab", "paper", a file of a rig or of an identified model, or the rig's parameters (`sim.identified_rig`).
+    At `thrust` 0 the rig stands before. `rings` lock the cart. Raises ExperimentError for a loop that is none, of
+    another unit, or that moves a locked cart. So it does for a thrust that is not 0 to 1 and an `x` beyond the rail.
+    """
+    mode = _mode(excitation, loop, thrust, rings)
+    values = dict(rig) if isinstance(rig, Mapping) else load_rig_or_model(rig)
+    begin = round(BEFORE_S / PERIOD) + (0 if thrust > 0.0 else ARMING)
+    lasts = min(excitation.duration, LONGEST_S) + AFTER_S
+    steps = begin + round(lasts / PERIOD)
+    closed = ClosedLoop(gains, conditions=values | {"rings": rings, "ring_place": x}, failsafe=True)
+    closed.start(InitialState(x=x, hover=thrust > 0.0))
+    since: Array = (np.arange(steps, dtype=np.float64) - begin) * np.float64(PERIOD)
+    setpoints = {
+        "mode": np.where(np.arange(steps) < begin, _before(thrust, rings), MODES.index(mode)).astype(np.int32),
+        "thrust": thrust,
+        "use_trim": mode == "open-loop" and thrust > 0.0,
+        "x0": np.full(steps, x),
+    }
+    name = SETPOINT[mode]
+    base = x if name == "x0" else 0.0
+    out = closed.fly(
+        steps, setpoints | {name: base + np.where(since >= 0.0, excitation.at(np.maximum(since, 0.0)), 0.0)}
+    )
+    said, at = _failsafe(np.asarray(out["action"]), np.asarray(out["reason"]), since, begin)
+    return PredictedMotion(
+        since[begin:],
+        np.asarray(out["true_theta"][begin:], dtype=np.float64),
+        np.asarray(out["true_x"][begin:], dtype=np.float64),
+        np.asarray(out["M"][begin:], dtype=np.float64),
+        float(closed.machine.get("rig.pitch_stop")),
+        float(closed.machine.get("rig.rail_stop")),
+        said,
+        at,
+    )
+
+
+def predicted(
+    excitation: Mapping[str, Any],
+    loop: str,
+    rig: str,
+    thrust: float,
+    x: float,
+    rings: bool,
+    gains: Gains,
+    model: tuple[str, Mapping[str, Any]] | None = None,
+) -> dict[str, Any]:
+    """`predict` on plain data: an excitation's `to_dict`; a motion's `to_json`, and what it is predicted `by`.
+
+    `model` is the name and the document of an identified model. It takes the place of the `rig` where it has the
+    figures for that. What it does not say is the rig's.
+    """
+    given: str | Mapping[str, float] = rig
+    by = f"the virtual rig '{rig}'"
+    estimates = None if model is None else estimates_in(model[1])
+    if model is not None and estimates is not None:
+        given, by = identified_rig(estimates, rig), f"the identified model '{model[0]}'"
+    motion = predict(from_dict(excitation), loop, given, thrust, x, rings, gains)
+    return {**motion.to_json(), "by": f"{by} with the gains that fly"}
+
+
+def _before(thrust: float, rings: bool) -> int:
+    if thrust == 0.0:
+        return OFF
+    return MODES.index("attitude" if rings else "position")
+
+
+def _mode(excitation: Excitation, loop: str, thrust: float, rings: bool) -> str:
+    if loop not in LOOP_MODES:
+        raise ExperimentError(f"no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
+    mode = LOOP_MODES[loop]
+    if excitation.unit != UNIT[mode]:
+        raise ExperimentError(
+            f"an excitation in {excitation.unit!r} for the loop of {loop}", "loop", f"give it in {UNIT[mode]!r}"
+        )
+    if not 0.0 <= thrust <= 1.0:
+        raise ExperimentError(f"thrust {thrust:g}", "thrust", "give 0 to 1; the drone hovers at 0.4")
+    if thrust == 0.0 and mode != "open-loop":
+        raise ExperimentError("a closed loop without thrust", "thrust", "give thrust, or excite the moment")
+    if rings and mode in ("velocity", "position"):
+        raise ExperimentError(f"the loop of {loop} with the cart locked", "rings", "free the rings")
+    return mode
+
+
+def _failsafe(
+    action: NDArray[np.int32], reason: NDArray[np.int32], since: Array, begin: int
+) -> tuple[str, float | None]:
+    """What it does first from the excitation's start on, in words, and when."""
+    acts = np.flatnonzero(action[begin:] != NONE)
+    if not acts.size:
+        return "", None
+    step = begin + int(acts[0])
+    causes = [cause.text for place, cause in enumerate(CAUSES) if int(reason[step]) & 1 << place]
+    return f"{ACTIONS[int(action[step])]}: {'; '.join(causes) or 'it names no cause'}", float(since[step])

@@ -1,0 +1,116 @@
+"""ParameterFile: a drone's parameters in the file that QGroundControl saves and loads (.params).
+
+A line has the vehicle's id, the component's, name, value and MAV_PARAM_TYPE, with tabs between them; lines that begin
+with # are remarks. Source: QGroundControl's developer guide, "Parameters File Format".
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Self
+
+from twodof.errors import ParameterError, printable, shown
+from twodof.gcs.control.parameter_entry import INT32, MOST, REAL32, ParameterEntry, same_as
+
+MAX_BYTES = 1 << 20
+"""Of a file: a PX4 with a thousand parameters makes 40 KB."""
+
+_HEAD = "Vehicle-Id Component-Id Name Value Type"
+_WHOLE = range(1, 9)  # MAV_PARAM_TYPE_UINT8 to INT64
+_TYPES = range(1, 11)
+
+
+@dataclass(frozen=True)
+class ParameterFile:
+    """`values` by name, with the MAV_PARAM_TYPE of each in `kinds`; `about` are the remarks "Name: text" at its top."""
+
+    values: Mapping[str, float]
+    kinds: Mapping[str, int]
+    system: int = 1
+    component: int = 1
+    about: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, entries: Iterable[ParameterEntry], system: int, component: int = 1, about: Mapping[str, str] | None = None
+    ) -> Self:
+        """What a drone told."""
+        rows = list(entries)
+        values, kinds = {row.name: row.value for row in rows}, {row.name: row.kind for row in rows}
+        return cls(values, kinds, system, component, about or {})
+
+    @classmethod
+    def read(cls, content: str | bytes, where: str = "parameter file", component: int | None = None) -> Self:
+        """The parameters of one component: of `component`, or (None) of the first in the file.
+
+        Raises ParameterError with the line's number for a file that is none. Other components' lines are left out.
+        """
+        if len(content) > MAX_BYTES:
+            raise ParameterError(f"it has more than {MAX_BYTES >> 10} KiB", where, "give a .params file")
+        try:
+            text = content if isinstance(content, str) else content.decode()
+        except UnicodeDecodeError as reason:
+            raise ParameterError("it is not text", where, "give a .params file of QGroundControl") from reason
+        values: dict[str, float] = {}
+        kinds: dict[str, int] = {}
+        about: dict[str, str] = {}
+        system = 0
+        for number, line in enumerate(text.splitlines(), 1):
+            if line.startswith("#"):
+                name, colon, said = line.lstrip("# ").partition(":")
+                if colon and not values and len(about) < 20:
+                    about[name.strip()[:40]] = said.strip()[:200]
+            elif line.strip():
+                vehicle, own, name, value, kind = _row(line, f"{where}, line {number}")
+                if component in (None, own):
+                    component, system = own, system or vehicle
+                    if name in values:
+                        raise ParameterError(f"{name} is given twice", f"{where}, line {number}", "leave one out")
+                    values[name], kinds[name] = value, kind
+                if len(values) > MOST:
+                    raise ParameterError(f"it has more than {MOST} parameters", where, "give one drone's file")
+        if not values:
+            raise ParameterError("it holds no parameter", where, "give a .params file of QGroundControl")
+        return cls(values, kinds, system, component or 1, about)
+
+    def text(self) -> str:
+        """The file: numbers in the shortest form that is read back to the same float32."""
+        remarks = [f"# {printable(name)}: {' '.join(printable(said).split())}" for name, said in self.about.items()]
+        lines = [f"# Onboard parameters for Vehicle {self.system}", "#", *remarks, *["#"] * bool(remarks), f"# {_HEAD}"]
+        for name, value in self.values.items():
+            kind = self.kinds.get(name, REAL32)
+            number = str(int(value)) if kind in _WHOLE else repr(float(value))
+            lines.append(f"{self.system}\t{self.component}\t{name}\t{number}\t{kind}")
+        return "\n".join(lines) + "\n"
+
+    def against(self, known: Mapping[str, ParameterEntry]) -> tuple[dict[str, float], tuple[str, ...]]:
+        """What differs on a drone that has `known`, name -> the file's value, and the names that the drone lacks.
+
+        A number that the drone has under two names, ours and the real drone's, is told once, as ours.
+        """
+        missing = tuple(name for name in self.values if name not in known)
+        changes = {
+            name: value
+            for name, value in self.values.items()
+            if name in known and not _same(value, known[name]) and same_as(name) not in {*self.values} & known.keys()
+        }
+        return changes, missing
+
+
+def _same(value: float, entry: ParameterEntry) -> bool:
+    """Whether it is the same number where it is kept: to six figures, as other programs write a float32."""
+    return value == entry.value if entry.kind == INT32 else f"{value:.6g}" == f"{entry.value:.6g}"
+
+
+def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
+    fields = line.split()
+    try:
+        vehicle, component, name, text, kind = fields
+        value, numbers = float(text), (int(vehicle), int(component), int(kind))
+    except ValueError as reason:
+        raise ParameterError(f"{shown(line)} is not a parameter", where, f"a line has: {_HEAD}") from reason
+    if not (0 <= numbers[0] <= 255 and 0 <= numbers[1] <= 255 and numbers[2] in _TYPES):
+        raise ParameterError(f"{shown(line)} has an id or a type that cannot be", where, f"a line has: {_HEAD}")
+    if not (name.isascii() and name.isprintable() and 1 <= len(name) <= 16 and isfinite(value)):
+        raise ParameterError(f"{shown(line)} has a name or a value that cannot be", where, "names have 16 characters")
+    return numbers[0], numbers[1], name, value, numbers[2]

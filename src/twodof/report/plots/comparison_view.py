@@ -1,0 +1,155 @@
+"""What a plot of several flights shows: the same channels one over the other, aligned where the set-point steps."""
+
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from statistics import median
+
+import numpy as np
+
+from twodof.errors import LogError, printable
+from twodof.flightlog.events import SETPOINTS
+from twodof.flightlog.log import FlightLog
+from twodof.report.plots.flight_view import PANELS, SYMBOL, Curve, FlightView, View, cut_curve
+from twodof.report.step_responses import FOLLOWING, FlownStep, most_stepped, step_responses
+
+MOST_FLIGHTS = 6
+"""In one picture: more lines than colours cannot be told apart."""
+
+_BEFORE_S, _AFTER_S = 0.5, 3.0
+_PANEL_OF = {"rate": "pitch rate", "attitude": "pitch", "velocity": "velocity", "position": "position"}
+_UNIT = {"rate": "deg/s", "attitude": "deg", "velocity": "m/s", "position": "m"}
+
+
+class Align(StrEnum):
+    """Where the clocks of several flights are set to 0: at the first step of a set-point, or at their starts."""
+
+    step = "step"
+    start = "start"
+
+
+def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ...]]:
+    """The steps of each flight's loop that was stepped most often, by the flight's name.
+
+    Raises LogError for a flight without a step, and for flights that stepped different loops.
+    """
+    found = {name: most_stepped(step_responses(log)) for name, log in logs.items()}
+    for name, steps in found.items():
+        if not steps:
+            raise LogError("no set-point of it steps", name, "give flights with steps, or align them at their start")
+    loops = {name: steps[0].loop for name, steps in found.items()}
+    if len(set(loops.values())) > 1:
+        told = ", ".join(f"{name}: {loop}" for name, loop in loops.items())
+        raise LogError("their steps are of different loops", told, "compare flights of one kind")
+    return found
+
+
+def comparison_view(
+    logs: Mapping[str, FlightLog], align: Align = Align.step, window: tuple[float, float] | None = None
+) -> FlightView:
+    """The flights `logs`, by the names that the legend gives them, one over the other.
+
+    `window` [s] counts from where they are aligned. The default is from half a second before the first step to three
+    seconds after the last, or the whole flights. Raises LogError for fewer than two flights or more than
+    `MOST_FLIGHTS`, and as `flight_steps` does. Raises it also for a window in which nothing was logged.
+    """
+    if not 2 <= len(logs) <= MOST_FLIGHTS:
+        raise LogError(f"{len(logs)} flights", "comparison", f"give 2 to {MOST_FLIGHTS}, each with a name of its own")
+    notes = []
+    if align is Align.step:
+        steps = flight_steps(logs)
+        loop = next(iter(steps.values()))[0].loop
+        zero = {name: found[0].time for name, found in steps.items()}
+        last = max(found[-1].time - found[0].time for found in steps.values())
+        span = (-_BEFORE_S, last + _AFTER_S)
+        panels = list(dict.fromkeys((_PANEL_OF[loop], "pitch" if loop != "rate" else "pitch rate", "motors")))
+        notes = [_figures(name, found) for name, found in steps.items()]
+        clock = "time from the first step"
+    else:
+        zero = {name: log.span[0] for name, log in logs.items()}
+        span = (0.0, max(log.span[1] - log.span[0] for log in logs.values()))
+        panels, clock = ["position", "velocity", "pitch", "pitch rate", "motors"], "time from the start"
+    if window is not None:
+        if not window[0] < window[1]:
+            raise LogError(f"window {window[0]:g} to {window[1]:g} s is empty", "comparison", "give T0 < T1")
+        span = window
+    views = [view for panel in panels if (view := _panel(panel, logs, zero, span)).curves]
+    # A sample beyond each end is cut along, so that a line reaches the edge.
+    seen = [(curve.time >= span[0]) & (curve.time <= span[1]) for view in views for curve in view.curves]
+    if not any(inside.any() for inside in seen):
+        raise LogError(f"nothing was logged from {span[0]:g} to {span[1]:g} s", "comparison", f"that is {clock}")
+    return FlightView(
+        title=printable(", ".join(logs)),
+        about="",
+        span=span,
+        views=tuple(views),
+        modes=(),
+        failsafe=(),
+        excitations=(),
+        notes=tuple(map(printable, notes)),
+        clock=clock,
+    )
+
+
+def _panel(name: str, logs: Mapping[str, FlightLog], zero: Mapping[str, float], span: tuple[float, float]) -> View:
+    """The followed channel of every flight, and the first flight's set-point; of the motors the moment."""
+    scale, unit, _ = PANELS[name]
+    loop = next((loop for loop, panel in _PANEL_OF.items() if panel == name), "")
+    channel = FOLLOWING.get(loop, "M")
+    curves = []
+    if loop:
+        first = next(iter(logs))
+        curves += _curve(logs[first], SETPOINTS[loop], "set-point", scale, zero[first], span, held=True)
+    for flight, log in logs.items():
+        curves += _curve(log, channel, printable(flight), scale, zero[flight], span, held=not loop)
+    return View(f"{name} {SYMBOL[name]} [{unit}]" if loop else "moment M [–]", tuple(curves))
+
+
+def _curve(
+    log: FlightLog, channel: str, label: str, scale: float, zero: float, span: tuple[float, float], held: bool
+) -> list[Curve]:
+    if channel not in log or not len(log[channel]):
+        return []
+    there = log[channel]
+    time, value = cut_curve(log, channel, there.time, scale * there.value, (span[0] + zero, span[1] + zero))
+    return [Curve(label, channel, time - zero, value, held)]
+
+
+def _figures(name: str, steps: Sequence[FlownStep]) -> str:
+    """The medians over a flight's steps, in a line."""
+    rise, settling, over = (
+        _median([getattr(step.figures, figure) for step in steps])
+        for figure in ("rise_time", "settling_time", "overshoot")
+    )
+    moment = _median([step.peak_moment for step in steps])
+    return (
+        f"{name}, median of {len(steps)} steps: rise {_said(rise, 's')}, overshoot {_said(100.0 * over, '%')}, "
+        f"settling {_said(settling, 's')}, peak |M| {_said(moment, '')}"
+    )
+
+
+def _median(values: Sequence[float]) -> float:
+    return median(values) if np.isfinite(values).all() else float("nan")
+
+
+def _said(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}".strip() if np.isfinite(value) else "not reached"
+
+
+def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]:
+    """A table of all steps: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|, as text."""
+    rows: list[tuple[str, ...]] = []
+    for name, found in steps.items():
+        for step in found:
+            scale, unit, figures = PANELS[_PANEL_OF[step.loop]][0], _UNIT[step.loop], step.figures
+            # A set-point of 0 may be logged as 1e-16.
+            before, after = (round(scale * level, 9) + 0.0 for level in (step.before, step.after))
+            change = f"{before:.3g} to {after:.3g} {unit}"
+            shown = (
+                _said(figures.rise_time, ""),
+                _said(100.0 * figures.overshoot, ""),
+                _said(figures.settling_time, ""),
+                f"{scale * figures.peak:.3g}",
+                _said(step.peak_moment, ""),
+            )
+            rows.append((printable(name), f"{step.time:.2f}", change, *shown))
+    return rows

@@ -1,0 +1,189 @@
+"""Loops as pictures: Bode, Nyquist, Nichols, both sensitivities and the step response, one colour a loop."""
+
+import io
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FuncFormatter
+from numpy.typing import NDArray
+
+from twodof.design import LoopMargins, LoopTransfer, margins
+from twodof.design.bode import bode_at
+from twodof.flightlog.atomic import atomic_write
+from twodof.models.lti import DelayedStateSpace
+from twodof.report.plots.canvas import Colours, on_paper, settings
+from twodof.report.plots.pictures import check_picture
+from twodof.report.plots.root_locus_plot import draw_root_locus
+
+Array = NDArray[np.float64]
+
+_ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
+
+_COLOURS = ("ink", "grey-box", "input", "simple", "paper", "measured", "bad")
+_POINTS = 1500
+_DPI = 130
+_STEP_S, _STEPS = 12.0, 4000  # of the step response: the longest time, and the most samples
+
+
+def write_loop_plot(
+    loops: Mapping[str, LoopTransfer], path: str | Path, title: str = "", overwrite: bool = False
+) -> None:
+    """Draws the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `check_picture`."""
+    check_picture(path, overwrite)
+    suffix = Path(path).suffix.lower()
+    colours = on_paper()
+    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
+    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
+        canvas = _drawn(loops, title, colours)
+        _ALONE[suffix](canvas)
+        out = io.BytesIO()
+        dated: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
+        canvas.savefig(out, format=suffix[1:], dpi=_DPI, metadata=dated)
+    with atomic_write(path, "wb") as file:
+        file.write(out.getvalue())
+
+
+def _drawn(loops: Mapping[str, LoopTransfer], title: str, colours: Colours) -> Canvas:
+    # One loop alone has room for its root locus: of several nobody could tell the branches apart.
+    alone = len(loops) == 1 and not next(iter(loops.values())).delay
+    canvas = Canvas(figsize=(18.0 if alone else 13.0, 8.2), layout="constrained")
+    kinds = [["gain", "nyquist", "sensitivity"], ["phase", "nichols", "step"]]
+    mosaic: list[Any] = [[*row, "locus"] for row in kinds] if alone else list(kinds)
+    panels = canvas.subplot_mosaic(mosaic)
+    axes = [[panels[kind] for kind in row] for row in kinds]
+    gain, nyquist, sensitivity = axes[0]
+    phase, nichols, step = axes[1]
+    found = {name: margins(loop) for name, loop in loops.items()}
+    low, high = _span(found)
+    for (name, m), colour in zip(found.items(), (colours[c] for c in _COLOURS * len(found)), strict=False):
+        end = high if m.loop.dt is None else min(high, math.pi / m.loop.dt)
+        omega, size, angle = bode_at(m, np.geomspace(low, end, _POINTS))
+        response = m.loop.response(omega)
+        angle = np.degrees(angle)
+        label = name if m.stable else f"{name} (unstable)"
+        gain.semilogx(omega, size, color=colour, label=label)
+        phase.semilogx(omega, angle, color=colour)
+        nyquist.plot(response.real, response.imag, color=colour)
+        nichols.plot(angle, size, color=colour)
+        one = 1.0 / (1.0 + response)
+        sensitivity.loglog(omega, np.abs(one), color=colour)
+        sensitivity.loglog(omega, np.abs(1.0 - one), color=colour, linestyle=(0, (4, 2)))
+        if m.phases:
+            for ax, x, y in ((gain, m.crossover, 0.0), (phase, m.crossover, -180.0 + m.phase_margin_deg)):
+                ax.plot([x], [y], "o", color=colour, markersize=4.5)
+            nichols.plot([-180.0 + m.phase_margin_deg], [0.0], "o", color=colour, markersize=4.5)
+        if m.stable:
+            time, values = step_response(m)
+            step.semilogx(time[1:], values[1:], color=colour)
+    _finish(axes, colours, low, high)
+    if alone:
+        draw_root_locus(panels["locus"], next(iter(found.values())), colours)
+    gain.legend(loc="lower left")
+    if title:
+        canvas.suptitle(title, x=0.01, ha="left", fontsize=12, color=colours["ink"])
+    return canvas
+
+
+def _span(found: Mapping[str, LoopMargins]) -> tuple[float, float]:
+    places = [m.crossover for m in found.values() if m.phases] or [1.0]
+    return 0.05 * min(places), max(30.0 * max(places), 100.0)
+
+
+def step_response(m: LoopMargins) -> tuple[Array, Array]:
+    """(time [s], value) of T after a unit step: how the loop follows its set-point.
+
+    A continuous loop is sampled at a hundredth of its crossover's period.
+    """
+    loop = m.loop
+    speed = m.crossover if m.phases else 1.0
+    end = min(_STEP_S, 25.0 / speed)
+    if loop.dt is None:
+        dt = max(0.06 / speed, end / _STEPS)
+        from_continuous = _sampled(loop, dt)
+    else:
+        dt, from_continuous = loop.dt, loop
+    steps = max(2, min(_STEPS, round(end / dt)))
+    x, values = np.zeros(len(from_continuous.a)), np.empty(steps)
+    b, c, d = from_continuous.b[:, 0], from_continuous.c[0], from_continuous.d
+    for k in range(steps):
+        values[k] = (c @ x + d) / (1.0 + d)
+        x = from_continuous.a @ x + b * (1.0 - values[k])
+    return np.asarray(dt * np.arange(steps)), values
+
+
+def _sampled(loop: LoopTransfer, dt: float) -> LoopTransfer:
+    model = DelayedStateSpace.of(loop.a, loop.b, loop.c, [[loop.d]], loop.delay)
+    return LoopTransfer.of(model.zero_order_hold(dt))
+
+
+def _finish(axes: Any, colours: Colours, low: float, high: float) -> None:
+    gain, nyquist, sensitivity = axes[0]
+    phase, nichols, step = axes[1]
+    soft: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8}
+    texts = (
+        (gain, "Bode: |L| [dB]", "frequency [rad/s]"),
+        (phase, "Bode: phase of L [deg]", "frequency [rad/s]"),
+        (nyquist, "Nyquist: imaginary part of L", "real part of L"),
+        (nichols, "Nichols: |L| [dB]", "phase of L [deg]"),
+        (sensitivity, "|S| solid, |T| dashed", "frequency [rad/s]"),
+        (step, "step response of T", "time after the step [s]"),
+    )
+    for ax, title, x in texts:
+        ax.set_title(title, loc="left", fontsize=10)
+        ax.set_xlabel(x)
+        ax.grid(visible=True)
+    for ax in (gain, phase, sensitivity):
+        ax.set_xlim(low, high)
+    for axis in (gain.xaxis, phase.xaxis, sensitivity.xaxis, sensitivity.yaxis, step.xaxis):
+        axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    gain.set_ylim(-60.0, 60.0)
+    gain.axhline(0.0, **soft)
+    phase.set_ylim(-400.0, 30.0)
+    phase.set_yticks(range(-360, 31, 90))
+    phase.axhline(-180.0, **soft)
+    _circle(nyquist, 0.0, 1.0, soft)
+    nyquist.plot([-1.0], [0.0], "+", color=colours["bad"], markersize=11, markeredgewidth=1.6)
+    nyquist.set_xlim(-2.9, 1.8)
+    nyquist.set_ylim(-2.0, 2.0)
+    nyquist.set_aspect("equal", adjustable="box")
+    nichols.plot([-180.0], [0.0], "+", color=colours["bad"], markersize=11, markeredgewidth=1.6)
+    for peak, below in ((3.0, True), (6.0, False)):
+        _sensitivity_contour(nichols, peak, below, soft)
+    nichols.set_xlim(-360.0, 0.0)
+    nichols.set_xticks(range(-360, 1, 90))
+    nichols.set_ylim(-40.0, 40.0)
+    sensitivity.set_ylim(0.01, 10.0)
+    sensitivity.axhline(1.0, **soft)
+    step.axhline(1.0, **soft)
+
+
+def _circle(ax: Axes, centre: float, radius: float, look: Mapping[str, Any]) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    ax.plot(centre + radius * np.cos(angle), radius * np.sin(angle), linestyle=(0, (2, 2)), **look)
+
+
+def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, Any]) -> None:
+    """Where |S| is `peak` [dB]: a circle about -1 with the radius 1 / |S|; named at its lower or upper end."""
+    l = -1.0 + np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400)) / 10.0 ** (peak / 20.0)
+    angle = np.degrees(np.angle(l)) % 360.0 - 360.0
+    size = 20.0 * np.log10(np.abs(l))
+    ax.plot(angle, size, linestyle=(0, (2, 2)), **look)
+    end = int(np.argmin(size) if below else np.argmax(size))
+    ax.annotate(
+        f"|S| {peak:g} dB",
+        (float(angle[end]), float(size[end])),
+        fontsize=8,
+        color=look["color"],
+        ha="center",
+        va="top" if below else "bottom",
+    )

@@ -1,0 +1,21 @@
+"""The checks of a flight's data, on flights of which it is known what happened."""
+
+import numpy as np
+import pytest
+
+from twodof.experiment.checks import STOP_MARGIN
+from twodof.experiment.experiments import experiment
+from twodof.experiment.flight import Laboratory
+from twodof.experiment.script import script
+
+
+@pytest.mark.parametrize("seed", [27, 43])
+def test_a_stop_that_is_struck_between_two_samples_is_seen(seed: int) -> None:
+    # The gusts of these seeds swing the drone to its stop at 2.5 rad/s: no sample is nearer to it than .002 rad.
+    laboratory, flown = Laboratory("lab"), experiment("doublet")
+    plan = script(flown)
+    theta = laboratory.signals(flown, plan, 0.0, seed)["true_theta"][plan.begin : plan.end]
+    stop = laboratory.parameters["pitch_stop"]
+    assert stop - 0.01 < np.abs(theta).max() < stop - STOP_MARGIN
+    (pitch,) = (check for check in laboratory.fly(flown, seed).checks if check.name == "pitch free")
+    assert not pitch.passed

@@ -1,0 +1,66 @@
+"""What a planned flight is expected to tell, beside what the same flight told."""
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from twodof.errors import ExperimentError
+from twodof.excitation import Doublet
+from twodof.experiment.expected_accuracy import expected_accuracy
+from twodof.experiment.experiments import experiment
+from twodof.experiment.flight import Laboratory
+from twodof.identify.from_flight.identified_flight import identify_flight
+
+
+@pytest.fixture(scope="module")
+def still() -> Laboratory:
+    return Laboratory("paper", noise=0.0)
+
+
+def test_the_bound_is_what_output_error_attains(still: Laboratory) -> None:
+    """On a rig with white noise only, the fit's covariance is the Cramer-Rao bound at the same noise: within a tenth.
+
+    The difference is of the estimate itself and of the noise that was found in it.
+    """
+    impulse = Laboratory("paper").fly("impulse").log
+    flown = identify_flight(impulse).greybox
+    planned = expected_accuracy("impulse", still, values={"mu": flown["mu"]}, noise={"q": flown.noise["q"]})
+    assert planned.information is not None
+    for name in ("w_n", "xi"):
+        bound = float(planned.information.sigma[planned.information.labels.index(name)])
+        assert bound == pytest.approx(flown.cramer_rao(name), rel=0.1)
+
+
+def test_twice_the_doublet_tells_twice_as_much(still: Laboratory) -> None:
+    """The rotors' thrust curve bends a little: 5 %."""
+    one = experiment("doublet")
+    small = replace(one, excitation=replace(one.excitation, amplitude=0.015))  # type: ignore[arg-type]
+    full, half = (expected_accuracy(flown, still).information for flown in (one, small))
+    assert full is not None
+    assert half is not None
+    at = full.labels.index("mu")
+    assert half.sigma[at] / full.sigma[at] == pytest.approx(2.0, rel=0.05)
+
+
+def test_the_motion_says_how_much_room_it_takes(still: Laboratory) -> None:
+    told = expected_accuracy("velocity-doublet", still).to_json()
+    assert 0.2 < told["rail_share"] < 1.0
+    assert max(map(abs, told["motion"]["x"])) == pytest.approx(
+        told["rail_share"] * still.parameters["rail_stop"], rel=1e-3
+    )
+    assert {row["name"] for row in told["unknowns"] if row["wanted"]} == {"k_v", "p_v"}
+    json.dumps(told, allow_nan=False)
+
+
+def test_what_tells_no_model_still_shows_its_motion(still: Laboratory) -> None:
+    told = expected_accuracy("attitude-steps", still).to_json()
+    assert told["unknowns"] == []
+    assert "not known before" in told["remark"]
+    assert 0.1 < told["pitch_share"] < 0.5
+
+
+def test_an_excitation_that_meets_a_stop_is_refused(still: Laboratory) -> None:
+    wild = replace(experiment("doublet"), excitation=Doublet(0.2, 1.0, lead=0.2))
+    with pytest.raises(ExperimentError, match="smaller or shorter"):
+        expected_accuracy(wild, still)

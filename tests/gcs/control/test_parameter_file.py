@@ -1,0 +1,100 @@
+"""Parameter files: what QGroundControl writes is read, what is written reads back to the same float32."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from twodof.errors import ParameterError
+from twodof.gcs.control.parameter_entry import INT32, REAL32, ParameterEntry
+from twodof.gcs.control.parameter_file import ParameterFile
+from twodof.gcs.control.snapshots import Snapshots
+
+# As QGroundControl 4 writes it, with 18 digits; the layout is that of its developer guide.
+FROM_QGC = """# Onboard parameters for Vehicle 1
+#
+# Stack: PX4 Pro
+# Vehicle: Multi-Rotor
+# Version: 1.16.0
+# Git Revision: 6ea3539157f3cd70
+#
+# Vehicle-Id Component-Id Name Value Type
+1\t1\tRATE_KP\t0.085400000214576721\t9
+1\t1\tSAFE_WATCH_BITS\t1\t6
+1\t100\tCAM_MODE\t2\t6
+"""
+
+
+def entry(name: str, value: float, kind: int = REAL32) -> ParameterEntry:
+    return ParameterEntry(name, value, kind, 0)
+
+
+def test_a_file_of_qgroundcontrol_is_read() -> None:
+    file = ParameterFile.read(FROM_QGC)
+    assert file.values == {"RATE_KP": 0.085400000214576721, "SAFE_WATCH_BITS": 1.0}
+    assert (file.system, file.component, file.about["Version"]) == (1, 1, "1.16.0")
+    assert ParameterFile.read(FROM_QGC, component=100).values == {"CAM_MODE": 2.0}
+
+
+def test_what_it_holds_is_no_change_on_a_drone_that_has_it() -> None:
+    """QGroundControl's 18 digits and our shortest ones are one float32."""
+    known = {"RATE_KP": entry("RATE_KP", 0.0854), "SAFE_WATCH_BITS": entry("SAFE_WATCH_BITS", 0.0, INT32)}
+    assert ParameterFile.read(FROM_QGC).against(known) == ({"SAFE_WATCH_BITS": 1.0}, ())
+    assert ParameterFile.read(FROM_QGC).against({}) == ({}, ("RATE_KP", "SAFE_WATCH_BITS"))
+
+
+@given(
+    st.dictionaries(
+        st.text("ABCXYZ_09", min_size=1, max_size=16),
+        st.floats(width=32, allow_nan=False, allow_infinity=False),
+        min_size=1,
+        max_size=20,
+    )
+)
+def test_every_float32_survives(values: dict[str, float]) -> None:
+    # A drone's entry holds the shortest decimal of its float32.
+    rows = [entry(name, float(str(np.float32(value)))) for name, value in values.items()]
+    back = ParameterFile.read(ParameterFile.of(rows, 7, about={"Version": "0.1"}).text())
+    assert {name: np.float32(v) for name, v in back.values.items()} == {
+        name: np.float32(v) for name, v in values.items()
+    }
+    assert (back.system, back.about["Version"]) == (7, "0.1")
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "it holds no parameter"),
+        ("1\t1\tRATE_KP\tnan\t9\n", "line 1"),
+        ("1\t1\tRATE_KP\t0.1\n", "line 1"),
+        ("# x\n1\t1\tRATE_KP\t0.1\t9\n1\t1\tRATE_KP\t0.2\t9\n", "line 3"),
+        ("1\t999\tRATE_KP\t0.1\t9\n", "cannot be"),
+        ("1\t1\tA_NAME_THAT_IS_TOO_LONG\t0.1\t9\n", "16 characters"),
+        ("x" * (1 << 21), "KiB"),
+    ],
+)
+def test_a_file_that_is_none_says_the_line(text: str, says: str) -> None:
+    with pytest.raises(ParameterError, match=says):
+        ParameterFile.read(text)
+
+
+def test_snapshots_are_kept_listed_and_deleted(tmp_path: Path) -> None:
+    kept = Snapshots(tmp_path / "snapshots")
+    assert list(kept) == []
+    kept.save("before the flight", ParameterFile.of([entry("RATE_KP", 0.07)], 1))
+    assert list(kept) == ["before the flight"]
+    assert kept["before the flight"].values == {"RATE_KP": 0.07}
+    with pytest.raises(ParameterError, match="there is a snapshot"):
+        kept.save("before the flight", ParameterFile.of([entry("RATE_KP", 0.08)], 1))
+    kept.delete("before the flight")
+    assert len(kept) == 0
+    with pytest.raises(KeyError):
+        kept.delete("before the flight")
+
+
+@pytest.mark.parametrize("name", ["", "../up", "a/b", ".hidden", "x" * 61, "a\0b", "n.params"])
+def test_a_name_stays_in_its_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ParameterError, match="cannot be a snapshot's name"):
+        Snapshots(tmp_path).save(name, ParameterFile.of([entry("RATE_KP", 0.07)], 1))
