@@ -1,6 +1,8 @@
 # Everything sets itself up in .venv; what is needed beforehand is Python >= 3.11, make and a network.
 #
-#   make demo    fly, identify, compare with the paper, write out/demo/report.html
+#   make demo    fly, identify, compare with the paper, write out/demo/report.html; build the browser page first
+#   make web     build the browser page of web/ into the package
+#   make play    the page in out/play that flies the virtual rig in a browser, without a server
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make quick   what is cheap of every room, under a minute: at each change
 #   make test    every test but the long versions          make soak   the long versions
@@ -10,8 +12,8 @@
 #   make shake   every test while their processes are stopped at random: what fails is flaky (SEED=2: others)
 #   make lock    pin the requirements again                make clean  remove what the above made, .venv apart
 #   make sbom    list every pinned part, as CycloneDX, in out/sbom
-#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node and npm for the tests (Debian, as root) or
-#                name them, and node-mavlink into .venv/node
+#   make tools   install gcc, g++, arm-none-eabi-gcc, qemu-system-arm, node, npm and chromium for the tests (Debian, as
+#                root) or name them, and node-mavlink into .venv/node
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -24,25 +26,39 @@ RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,com
 TEST_JOBS ?= 3
 # The tests start our programs more than a hundred times: without the byte code of the last start each costs twice.
 unexport PYTHONDONTWRITEBYTECODE
+# The matrices here are small: threads of BLAS that wait for each other cost more than they save.
+export OPENBLAS_NUM_THREADS ?= 1
 # A worker that has nothing left takes from the other: the long tests stand side by side in the order of files.
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo sandbox quick test shake check bench soak docs tools lock sbom clean fuzz
+.PHONY: help demo web play sandbox quick test shake check bench soak docs tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
 	@sed -n '/^#   /s/^#   //p' Makefile
 
+# Quick and silent when nothing in web/ has changed. Its absolute path is wanted: the build goes into web/.
+# The sandbox is a part of it: there the page's diagrams are compiled, and the drones fly them.
+web: $(VENV)/ready-sandbox
+	@tools/web.sh $(CURDIR)/$(BIN)/python build
+
+# The demonstration needs no page: where the npm registry is not reached, it goes on without.
 demo: $(VENV)/ready-run
+	@tools/web.sh $(CURDIR)/$(BIN)/python build || \
+		echo "web: the browser page is not built, for the reason above; 'make web' tries again"
 	$(BIN)/twodof demo --force
+
+play: $(VENV)/ready-sandbox
+	@tools/web.sh $(CURDIR)/$(BIN)/python play
+	@$(BIN)/python tools/play.py
 
 sandbox: $(VENV)/ready-sandbox
 
 quick: $(VENV)/ready-dev
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick
 
-test: $(VENV)/ready-dev tools
+test: $(VENV)/ready-dev tools web
 	$(PYTEST)
 
 check: $(VENV)/ready-dev
@@ -50,11 +66,14 @@ check: $(VENV)/ready-dev
 	$(BIN)/ruff check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_layers.py
+	@tools/web.sh $(CURDIR)/$(BIN)/python check
 
 bench: $(VENV)/ready-bench tools
 	$(BIN)/python -m bench
 
+# The site carries the page Play; where the npm registry is not reached, it goes on without.
 docs: $(VENV)/ready-docs
+	@$(MAKE) --no-print-directory play || echo "play: not built, for the reason above; the site goes on without it"
 	$(BIN)/python tools/site.py
 
 SECONDS ?= 60
@@ -128,6 +147,7 @@ lock: $(MAINTAIN)/ready
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra docs -o requirements/docs.txt pyproject.toml
 	$(LOCK) -c requirements/dev.txt -o requirements/bench.txt requirements/bench.in
+	$(LOCK) -o requirements/node.txt requirements/node.in
 	$(LOCK) -o requirements/pip.txt requirements/pip.in
 	$(LOCK) -o requirements/maintain.txt requirements/maintain.in
 

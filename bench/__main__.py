@@ -14,9 +14,20 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench.computing import closed_loop, copies, cortex_m7, greybox, lanes, matrices, start_up, targets
+from bench.computing import (
+    closed_loop,
+    copies,
+    cortex_m7,
+    greybox,
+    lanes,
+    linear_fit,
+    loop_margins,
+    matrices,
+    start_up,
+    targets,
+)
 from bench.measure import Figure, machine
-from bench.stack import companion, flight_stack, kill_latency, link
+from bench.stack import companion, flight_stack, kill_latency, lab_clients, link
 from twodof.flightlog.atomic import atomic_write
 
 BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
@@ -27,8 +38,11 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "flight_stack": flight_stack.run,
     "greybox": greybox.run,
     "kill_latency": kill_latency.run,
+    "lab_clients": lab_clients.run,
     "lanes": lanes.run,
+    "linear_fit": linear_fit.run,
     "link": link.run,
+    "loop_margins": loop_margins.run,
     "matrices": matrices.run,
     "start_up": start_up.run,
     "targets": targets.run,

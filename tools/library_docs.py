@@ -15,8 +15,8 @@ from twodof.blocks.declarations import Param, Port
 from twodof.blocks.library.custom import function_block
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "blocks.md"
-ROOMS = ("sources", "waveforms", "random", "playback", "math", "functions", "nonlinear", "logic", "routing", "delays")
-MORE_ROOMS = ("discrete", "filters", "control", "continuous")
+ROOMS = ("sources", "waveforms", "playback", "math", "functions", "nonlinear", "logic", "routing", "delays")
+MORE_ROOMS = ("discrete", "filters", "control", "estimation", "continuous")
 
 INTRODUCTION = """# The library of blocks
 

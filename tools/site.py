@@ -19,6 +19,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 DOCS = PROJECT / "docs"
 SOURCE = PROJECT / "src"
 CONFIGURATION = PROJECT / "mkdocs.yml"
+PLAY = PROJECT / "out" / "play"
 API = "reference/api"
 # docs/reference/blocks.md is its page.
 ELSEWHERE = {"twodof.blocks.library"}
@@ -140,6 +141,8 @@ def main() -> None:
         raise SystemExit("error: the site would fetch\n" + "\n".join(elsewhere))
     shutil.rmtree(out / "docs", ignore_errors=True)
     site.rename(out / "docs")
+    if PLAY.is_dir():
+        shutil.copytree(PLAY, out / "docs" / "play")
     shutil.rmtree(out / "site")
     sys.stdout.write("written: out/docs; read it with: python3 -m http.server --directory out/docs\n")
 

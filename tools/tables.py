@@ -75,7 +75,8 @@ def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
     known = model_parameters(rig)
     pulse = rotor_moment(rig, PULSE, 0.0) / (PULSE * rig["inertia"])
     return {
-        "w_n": (known["w_n"], "rad/s", "(31)"),
+        "w_n, rotors at rest": (known["w_n"], "rad/s", "(31)"),
+        "w_n, rotors running": (known["w_n_run"], "rad/s", "(31)"),
         "xi, rotors at rest": (known["xi"], "", "(32)"),
         "xi, rotors running": (known["xi_run"], "", "(32)"),
         f"mu at T = 0, M = {PULSE}": (pulse, "rad/s2", "(34)"),
@@ -86,7 +87,7 @@ def models(rig: Mapping[str, float]) -> dict[str, tuple[float, str, str]]:
         "bearing's dry friction, rotors at rest": (known["coulomb"], "rad/s2", "(15)"),
         "bearing's dry friction, rotors running": (known["coulomb_run"], "rad/s2", "(15)"),
         "rail's dry friction": (known["rail_coulomb"], "m/s2", "(15)"),
-        "hardening k_3 / J": (known["hardening"], "rad/s2 per rad3", "(2)"),
+        "hardening k_3 / J, rotors at rest": (known["hardening"], "rad/s2 per rad3", "(2)"),
     }
 
 

@@ -11,7 +11,7 @@ from twodof.cli.output import table_console
 from twodof.experiment.flight import Flight
 from twodof.flightlog.files import check_place, write_log
 from twodof.flightlog.log import FlightLog
-from twodof.report.plots.flight_view import SUFFIXES, flight_view
+from twodof.report.plots.flight_view import SUFFIXES, FlightView, flight_view
 from twodof.report.plots.flight_view import check_place as check_plot
 
 Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")]
@@ -65,10 +65,15 @@ def draw(
     title: str = "",
     force: bool = False,
 ) -> tuple[str, ...]:
-    """Draws a log, and returns what the picture leaves out. What draws is loaded here and not before.
+    """Draws a log, and returns what the picture leaves out.
 
     Raises LogError, as `flight_view` and `write_plot`.
     """
     view = flight_view(log, topics, window, title)
-    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path, force)
+    write_view(view, path, force)
     return view.notes
+
+
+def write_view(view: FlightView, path: Path, force: bool = False) -> None:
+    """Draws a view; what draws is loaded here and not before. Raises LogError as `write_plot`."""
+    importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path, force)

@@ -26,6 +26,9 @@ Lockstep = Annotated[
 ]
 Seed = Annotated[int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the noise.")]
 Noise = Annotated[float, typer.Option(min=0.0, max=100.0, help="Gain of all noise; 0: none.")]
+Charge = Annotated[
+    float, typer.Option(min=0.0, max=1.0, help="State of charge of the battery at the start; thrust sags with it.")
+]
 Rings = Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")]
 SafetySwitch = Annotated[
     bool, typer.Option("--safety-switch/--no-safety-switch", help="Whether it was pressed, so that motors may turn.")

@@ -98,23 +98,28 @@ def table_console() -> Console:
 
 
 @contextmanager
-def progress() -> Iterator[Callable[[str, float], None]]:
+def progress(values: Callable[[], str] | None = None) -> Iterator[Callable[[str, float], None]]:
     """A progress bar on stderr; the function given is called with what is being done and the share done, 0 to 1.
 
-    Without a terminal nothing is drawn.
+    "" is what was done before. `values`, asked at each call, is what stands behind the bar. Without a terminal nothing
+    is drawn.
     """
+    narrow = values is not None
     bar = Progress(
-        TextColumn("{task.description:<44}", markup=False),
-        BarColumn(),
+        TextColumn("{task.description:<22}" if narrow else "{task.description:<44}", markup=False),
+        BarColumn(20 if narrow else 40),
         TimeElapsedColumn(),
+        TextColumn("{task.fields[values]}", markup=False),
         console=_PlainConsole(stderr=True),
         transient=True,
         disable=not sys.stderr.isatty(),
     )
     with bar:
-        task = bar.add_task("", total=1.0)
+        task = bar.add_task("", total=1.0, values="")
 
         def report(text: str, share: float) -> None:
-            bar.update(task, description=printable(text), completed=share)
+            bar.update(task, description=printable(text) or None, completed=share)
+            if values is not None and not bar.disable:
+                bar.update(task, values=printable(values()))
 
         yield report

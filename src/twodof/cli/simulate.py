@@ -1,5 +1,7 @@
 """`twodof simulate`: fly a ready-made experiment, or a log's set-points, on a virtual rig."""
 
+import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from twodof.blocks import Diagram
+from twodof.calibrate import estimate_charge
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
 from twodof.cli.output import Force, Json, print_json, say_line, table_console
 from twodof.errors import ParameterError
@@ -21,7 +24,7 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.rig.parameters import load_rig
-from twodof.sim.resimulation import resimulate
+from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -57,6 +60,14 @@ def simulate(
     seed: Annotated[
         int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
     ] = 1,
+    charge: Annotated[
+        str,
+        typer.Option(
+            metavar="0..1",
+            help="State of charge of the battery at the start; thrust sags with it. With --like also: estimate, from "
+            "the flight itself.",
+        ),
+    ] = "1",
     out: Out = None,
     plot: Plot = None,
     force: Force = False,
@@ -73,14 +84,20 @@ def simulate(
             raise typer.BadParameter(
                 "--out, --plot, --controller, --tune, --precision go with an experiment, not --like"
             )
-        _fly_like(like, rig, gains, window, json)
+        _fly_like(like, rig, gains, window, charge, json)
     elif window is not None:
         raise typer.BadParameter("--window goes with --like")
     elif experiment is not None:
+        share = _charge(charge)
         check_places(out, plot, force)
         diagrams = _controllers(controller or [])
         laboratory = Laboratory(
-            rig, load_gains(gains or "default"), controllers=diagrams, tuning=_tuning(tune or []), precision=precision
+            rig,
+            load_gains(gains or "default"),
+            conditions={"charge_start": share},
+            controllers=diagrams,
+            tuning=_tuning(tune or []),
+            precision=precision,
         )
         _fly(laboratory, experiment, seed, out, plot, force, json)
 
@@ -91,7 +108,20 @@ def _registered(log: FlightLog) -> PublicLog | None:
     return next((row for row in PUBLIC_LOGS.values() if row.sha256 == seen), None)
 
 
-def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, float] | None, json: bool) -> None:
+def _charge(text: str) -> float:
+    try:
+        share = float(text)
+    except ValueError:
+        share = math.nan
+    if not 0.0 <= share <= 1.0:
+        raise ParameterError(f"{text!r:.80} is not a state of charge", "--charge", "give 0 (empty) to 1 (full)")
+    return share
+
+
+def _fly_like(
+    like: Path, rig: str, gains: str | None, window: tuple[float, float] | None, charge: str, json: bool
+) -> None:
+    given = None if charge == "estimate" else _charge(charge)
     log = read_log(like)
     known = _registered(log)
     if known is not None and (gains is None or window is None):
@@ -99,9 +129,13 @@ def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, floa
         taken += [f"its window ({known.window[0]:g} to {known.window[1]:g} s)"] if window is None else []
         say_line(f"note: this is the public log {known.name}: {' and '.join(taken)} taken")
         gains, window = gains or known.gains, window or known.window
-    result = resimulate(log, load_rig(rig), load_gains(gains or "default"), window)
+    values, loop = load_rig(rig).snapshot(), resimulation_loop()
+    flight = LoggedFlight(log, load_gains(gains or "default"), window)
+    found = estimate_charge(flight, loop, values) if given is None else None
+    share = given if found is None else found.charge
+    result = flight.compare(loop, values, {"charge_start": share})
     if json:
-        print_json(result.to_json())
+        print_json(result.to_json() | ({} if found is None else {"charge": asdict(found)}))
         return
     console = table_console()
     table = Table("channel", "FIT, %", box=None, pad_edge=False)
@@ -113,6 +147,9 @@ def _fly_like(like: Path, rig: str, gains: str | None, window: tuple[float, floa
     console.print(table)
     stretches = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
     console.print(f"rig {rig}, without noise; compared: {stretches}")
+    if found is not None:
+        sure = "at its bound" if found.at_bound else f"+- {found.deviation:.2f} (1 sigma)"
+        console.print(f"charge, from the compared flight itself: {found.charge:.2f} {sure}")
 
 
 def _controllers(named: list[str]) -> list[Diagram]:

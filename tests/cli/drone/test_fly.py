@@ -1,6 +1,8 @@
 """`twodof fly`: an experiment over MAVLink from the command line, and what is identified from its log."""
 
 import json
+import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -61,3 +63,23 @@ def test_a_log_that_cannot_be_written_is_refused_before_anything_flies(
     (tmp_path / "folder.mat").mkdir()
     assert run([*command, "--out", str(tmp_path / name)]) == 2
     assert word in capfd.readouterr().err
+
+
+def test_progress_goes_to_a_terminal_only(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is done and where the drone is, on stderr; a pipe gets none of it, and JSON stays alone on stdout."""
+    flown = ["fly", "impulse", "--rig", "paper", "--json"]
+    assert run(flown) == 0
+    told = capfd.readouterr()
+    assert (json.loads(told.out)["good"], told.err) == (True, "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    assert run(flown) == 0
+    seen = capfd.readouterr()
+    assert json.loads(seen.out)["good"] is True
+    for word in ("starting the drone", "done"):
+        assert word in seen.err
+    assert re.search(
+        r"theta +[+-]\d+\.\d deg +x [+-]0\.\d{3} m +M [+-]0\.\d{3}", re.sub(r"\x1b\[[\d;?]*\w", "", seen.err)
+    )

@@ -46,6 +46,7 @@ def fcu(
     lockstep: options.Lockstep = False,
     seed: options.Seed = 1,
     noise: options.Noise = 1.0,
+    charge: options.Charge = 1.0,
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     rate: Annotated[
@@ -74,7 +75,7 @@ def fcu(
         signing = Signing(read_key(key), Stamps(folder / "stamps.json"))
     drone = VirtualDrone(
         rig,
-        {"seed": seed, "noise": noise, "rings": rings},
+        {"seed": seed, "noise": noise, "charge_start": charge, "rings": rings},
         controller or [],
         trust,
         precision,

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from twodof.cli.drone.connect import connect
+from twodof.cli.drone.flight_values import IN_WORDS, FlightValues
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.errors import LinkLost
@@ -63,11 +64,14 @@ def fly(
         raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
     check_places(out, plot, force)
     with ExitStack() as stack:
+        shown = FlightValues()
+        report = stack.enter_context(progress(shown))
+        report("connecting" if rig is None else "starting the drone", 0.0)
         at = (
             url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, controllers=controller or ()))
         )
-        report = stack.enter_context(progress())
-        there = stack.enter_context(connected(at, key, drone))
+        there = shown.drone = stack.enter_context(connected(at, key, drone))
+        report("goes to its start", 0.0)
         if withhold_tuning:
             there.withhold_tuning()
         stands = there.state.rig
@@ -88,7 +92,7 @@ def fly(
             seed=seed,
             x_start=start,
             laboratory=laboratory,
-            progress=report,
+            progress=lambda text, share: report(IN_WORDS.get(text, text), share),
             interrupted=interrupted,
         )
         machine = there.state.rig

@@ -1,8 +1,10 @@
-"""`twodof up`: virtual drones with flight controller and companion each, on ports of their own, until Ctrl-C."""
+"""`twodof up`: virtual drones with flight controller and companion each, and a page for all, until Ctrl-C."""
 
 import asyncio
 import sys
-from collections.abc import Mapping
+import webbrowser
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -17,8 +19,12 @@ from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json, say_line
 from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in_words
 from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
+from twodof.fleet.local_page import LocalPage
+from twodof.fleet.local_page import page_port as page_port_of
 from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
 from twodof.flight.controller_store import data_folder
+from twodof.lab.links import drawn_tokens, links
+from twodof.lab.settings import LOOPBACK, PORT, WATCH_TOKEN, LabSettings
 from twodof.link.signing.key import read_key
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -44,6 +50,7 @@ def up(
         int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the first one's noise; each further one has the next.")
     ] = 1,
     noise: options.Noise = 1.0,
+    charge: options.Charge = 1.0,
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     state: Annotated[
@@ -52,19 +59,27 @@ def up(
     ] = None,
     fresh: options.Fresh = False,
     key: options.KeyFile = None,
+    page: Annotated[
+        bool, typer.Option("--page/--no-page", help="Serve the page in the browser; never with --lockstep.")
+    ] = True,
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port of the page; a free one where somebody has it.")
+    ] = PORT,
+    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     json: Json = False,
 ) -> None:
     """Start virtual drones, each with its flight controller and companion; say where to connect; run until Ctrl-C.
 
-    A program that ends is started again (the drone then stands disarmed at its start), up to three times a minute;
-    after that all end. With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by
-    Ctrl-C or SIGTERM, 130 by that before all answered, 1 a program could not be kept running, 2 one did not start.
+    With them it serves the page in which they are flown, to this computer only. A program that ends is started again
+    up to three times a minute, and its drone then stands disarmed at its start. After that all end but the page.
+    With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
+    that before all answered, 1 a program could not be kept running, 2 one did not start.
     """
     if first + drones > MOST_DRONES:
         raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}", param_hint="--first, --drones")
     known = None if key is None else read_key(key)
     check_ports_free(first, drones)
-    given = ["--rig", rig, "--noise", str(noise), "--precision", precision]
+    given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
     given += [
         option
         for option, wanted in (
@@ -80,20 +95,56 @@ def up(
         for number in range(drones)
     ]
     fleet = LocalFleet(places, given, known, _tell)
-    raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json)))
+    served = _served(places, key, page_port_of(page_port)) if page and not lockstep else None
+    raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json, served, open_page)))
 
 
-async def _run(fleet: LocalFleet, places: list[LocalDrone], lockstep: bool, json: bool) -> int:
+def _served(places: list[LocalDrone], key: Path | None, port: int) -> tuple[LocalPage, LabSettings]:
+    """The server of the page of these drones, and what it is told."""
+    settings = LabSettings(data_folder(), port=port, key=key, watch_token=drawn_tokens(LOOPBACK).watch)
+    urls = [str(place.described(False)["drone"]) for place in places]
+    options = [] if key is None else ["--key", str(key.absolute())]
+    return LocalPage(urls, port, options, {WATCH_TOKEN: settings.watch_token}, _tell), settings
+
+
+@asynccontextmanager
+async def _serving(served: tuple[LocalPage, LabSettings] | None) -> AsyncIterator[None]:
+    """Meanwhile the page is served, if it is to be."""
+    if served is None:
+        yield
+        return
+    async with served[0]:
+        yield
+
+
+async def _links(served: tuple[LocalPage, LabSettings] | None) -> dict[str, str] | None:
+    """Where the page is, once it is served; None where it is not."""
+    if served is None or not await served[0].listens():
+        return None
+    return links(served[1], served[1].port)
+
+
+async def _run(
+    fleet: LocalFleet,
+    places: list[LocalDrone],
+    lockstep: bool,
+    json: bool,
+    served: tuple[LocalPage, LabSettings] | None = None,
+    open_page: bool = False,
+) -> int:
     """The exit status, once all have ended."""
     all_up = False
 
     async def keep() -> int:
         nonlocal all_up
-        async with fleet:
+        async with fleet, _serving(served):
             try:
                 await fleet.start()
                 all_up = True
-                say(places, lockstep, json, fleet.reports)
+                found = await _links(served)
+                say(places, lockstep, json, fleet.reports, found)
+                if open_page and found is not None:
+                    await asyncio.to_thread(webbrowser.open, found["command"])
                 await fleet.run()
             except asyncio.CancelledError:
                 if not json:
@@ -114,13 +165,19 @@ def _tell(line: str) -> None:
 
 
 def say(
-    places: list[LocalDrone], lockstep: bool, json: bool, flown: Mapping[int, ControllerReport] = NOTHING_KNOWN
+    places: list[LocalDrone],
+    lockstep: bool,
+    json: bool,
+    flown: Mapping[int, ControllerReport] = NOTHING_KNOWN,
+    page: Mapping[str, str] | None = None,
 ) -> None:
-    """Say where the drones are: to people, or as one line of JSON."""
+    """Say where the drones are, and where their `page` is: to people, or as one line of JSON."""
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
     if json:
-        print_json({"drones": rows, "lockstep": lockstep}, indent=None)
+        print_json({"drones": rows, "lockstep": lockstep, "page": page}, indent=None)
         return
+    if page is not None:
+        sys.stdout.write(f"the page         {page['command']}\n  only to watch  {page['watch']}\n")
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""
         what = controller_in_words(row["controller"], row["changed"])

@@ -1,0 +1,1 @@
+"""`twodof watch`: drones in a terminal, as they fly."""

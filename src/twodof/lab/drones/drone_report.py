@@ -1,0 +1,105 @@
+"""What clients are told of how a drone stands, in plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any
+
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.link.control_period import TICK_S
+from twodof.link.mavlink import dialect
+
+_LINK_LOST = "lost"
+_HEARD = "heard"
+
+
+def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dict[str, Any]:
+    """The state of drone `number`, which is not heard: as it stood `last`, if it ever was, and `why` it is lost."""
+    return {**_unknown(number), **last, "url": url, "link": _LINK_LOST, "why_lost": why, "ours_leases": False}
+
+
+def report(drone: AsyncDrone) -> dict[str, Any]:
+    """The state of a connected drone.
+
+    `time` is the drone's [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
+    """
+    state, safety, rig = drone.state, drone.state.safety, drone.state.rig
+    holder = drone.lease.holder
+    fails = safety.action != "none" and (state.armed or bool(safety.reason))
+    return {
+        "system": drone.session.system,
+        "name": rig.name or f"drone {drone.session.system}",
+        "url": drone.url,
+        "link": _HEARD,
+        "why_lost": "",
+        "ours": drone.ours,
+        "autopilot": state.autopilot,
+        "virtual": rig.virtual,
+        "lockstep": rig.lockstep,
+        "armed": state.armed,
+        "mode": state.mode,
+        "safety_switch": "off" if rig.safety_off else "on",
+        "killed": state.killed,
+        "killed_by": None if safety.killed_by is None else list(safety.killed_by),
+        "failsafe": safety.action if fails else "none",
+        "failsafe_reason": in_words(safety.reason) if fails else "",
+        "warnings": [in_words(cause) for cause in safety.causes],
+        "lease_holder": None if holder is None else list(holder),
+        "ours_leases": drone.lease.ours,
+        "tuning_withheld": drone.lease.tuning_withheld,
+        "controller": rig.controller,
+        "changed_parameters": rig.changed,
+        "rings_locked": rig.rings_locked,
+        "seed": rig.seed,
+        "battery": {"voltage": _known(state.battery.voltage), "charge": _known(state.battery.charge)},
+        "time": round(drone.tick * TICK_S, 3),
+        "rig": rig.name,
+    }
+
+
+def in_words(causes: str) -> str:
+    """Causes of the failsafe as sentences: what the dialect says of each."""
+    rows = {row.name.removeprefix("TWODOF_CAUSE_").lower(): row for row in _causes()}
+    named = [one.strip() for one in causes.split(",") if one.strip()]
+    return "; ".join(rows[one].description.rstrip(".") if one in rows else one for one in named)
+
+
+def _causes() -> list[Any]:
+    return [*dialect.load().enums.get("TWODOF_CAUSE", {}).values()]
+
+
+def _known(value: float) -> float | None:
+    return round(value, 4) if isfinite(value) else None
+
+
+def _unknown(number: int) -> dict[str, Any]:
+    """Of a drone that was never heard."""
+    return {
+        "system": number,
+        "name": f"drone {number}",
+        "ours": False,
+        "autopilot": "unknown",
+        "virtual": False,
+        "lockstep": False,
+        "armed": False,
+        "mode": "unknown",
+        "safety_switch": "on",
+        "killed": False,
+        "killed_by": None,
+        "failsafe": "none",
+        "failsafe_reason": "",
+        "warnings": [],
+        "lease_holder": None,
+        "tuning_withheld": False,
+        "controller": "",
+        "changed_parameters": 0,
+        "rings_locked": False,
+        "seed": 0,
+        "battery": {"voltage": None, "charge": None},
+        "time": 0.0,
+        "rig": "",
+        "setpoint": None,
+        "excitation": None,
+        "recording": "",
+    }

@@ -1,0 +1,85 @@
+"""ParameterTable: all parameters of one drone, asked for once and kept up by what the drone tells of changes."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from twodof.errors import Rejected, Timeout
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.control.active_controller import ActiveController
+from twodof.gcs.control.parameter_entry import MOST, ParameterDescription, ParameterEntry, entry_of
+
+LOOK_S = 0.1
+SETTLES_S = 1.0
+"""So long no parameter changes before what flies is asked for again."""
+HASH = "_HASH_CHECK"
+
+
+class ParameterTable:
+    """`entries` gives all parameters, `active` what flies; `changed` is told the names of those that change."""
+
+    def __init__(self, drone: AsyncDrone, changed: Callable[[list[str]], None]) -> None:
+        self._drone, self._tell = drone, changed
+        self._values: dict[str, float] = {}
+        self._changed: set[str] = set()
+        self._listed: frozenset[str] = frozenset()
+        self._described: dict[str, ParameterDescription] = {}
+        self._asking = asyncio.Lock()
+        self._active: ActiveController | None = None
+        self._stale_since: float | None = drone.session.now
+        self._flown = drone.state.rig.diagram
+        drone.session.on(self._told, "PARAM_VALUE")
+
+    async def entries(self) -> list[ParameterEntry]:
+        """All parameters with what the drone says of each. Raises LinkLost, Timeout."""
+        parameters = self._drone.parameters
+        async with self._asking:
+            if not self._listed or not self._listed <= parameters.known.keys():
+                if self._drone.ours:
+                    self._described = await parameters.describe()
+                self._listed = frozenset(await parameters.all())
+            known = [parameters.known[name] for name in sorted(self._listed)]
+        return [entry._replace(described=self._described.get(entry.name)) for entry in known]
+
+    async def active(self) -> ActiveController:
+        """What flies: as it was read lately, or asked for now. Raises LinkLost, Timeout."""
+        if self._active is None or self._stale_since is not None:
+            await self._read()
+        return self._active or ActiveController(known=False)
+
+    async def run(self) -> None:
+        """Tell of changes, and know what flies before somebody arms. Raises LinkLost."""
+        session, state = self._drone.session, self._drone.state
+        while True:
+            session.check(session.now)
+            state = self._drone.state
+            if self._changed:
+                names, self._changed = sorted(self._changed), set()
+                self._tell(names)
+            if state.rig.diagram != self._flown:
+                self._flown, self._stale_since = state.rig.diagram, session.now
+            since = self._stale_since
+            if since is not None and session.now - since > SETTLES_S and not state.armed:
+                try:
+                    await self._read()
+                except (Rejected, Timeout):
+                    self._stale_since = session.now
+            await asyncio.sleep(LOOK_S)
+
+    async def _read(self) -> None:
+        async with self._asking:
+            before = self._stale_since
+            self._active = await self._drone.active_controller()
+            if self._stale_since == before:  # nothing has changed meanwhile
+                self._stale_since = None
+
+    def _told(self, got: object) -> None:
+        entry = entry_of(got)
+        before = self._values.get(entry.name)
+        if entry.name == HASH or (before is None and len(self._values) >= MOST):
+            return
+        self._values[entry.name] = entry.value
+        if before is not None and before != entry.value:
+            self._changed.add(entry.name)
+            self._stale_since = self._drone.session.now

@@ -1,0 +1,126 @@
+"""Identification: experiments to choose, what they will tell, flying them, and the fit of what was flown."""
+
+from __future__ import annotations
+
+import multiprocessing
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path
+from pydantic import BaseModel, ConfigDict, Field
+
+from twodof.errors import ParameterError, Rejected, listed, shown
+from twodof.identify.experiments import KINDS
+from twodof.identify.from_flight.ready_made import AUTO, STRUCTURES
+from twodof.lab.access import computes
+from twodof.lab.current_lab import CurrentLab
+from twodof.lab.flights.asked_experiment import AskedExperiment, offered
+from twodof.lab.flights.flying import fly_experiment
+from twodof.lab.flights.identifying import identify, plan
+
+router = APIRouter(prefix="/api/identification", tags=["identification"])
+LogName = Annotated[str, Field(min_length=1, max_length=160)]
+Second = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+DroneNumber = Annotated[int, Field(ge=1, le=255)]
+
+
+class AskedPlan(BaseModel):
+    """An experiment, and the drone that would fly it; `rehearse`: with noise and gusts, and a fit of that."""
+
+    model_config = ConfigDict(extra="forbid")
+    experiment: AskedExperiment
+    drone: DroneNumber | None = None
+    model: Annotated[str, Field(max_length=60)] | None = None
+    rehearse: bool = False
+
+
+class AskedFlight(BaseModel):
+    """An experiment, and the drone that flies it; `seed` is that of a virtual rig's noise."""
+
+    model_config = ConfigDict(extra="forbid")
+    experiment: AskedExperiment
+    drone: DroneNumber
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
+
+
+class AskedFit(BaseModel):
+    """The log that is identified from, by its name among the flights.
+
+    `kind` is what it holds; left out, it is what the log says or looks like. `impulse` is a free response, from which
+    a doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+    log: LogName
+    kind: Annotated[str, Field(max_length=40)] | None = None
+    structure: Annotated[str, Field(max_length=40)] = AUTO
+    impulse: LogName | None = None
+    others: Annotated[list[LogName], Field(max_length=8)] = []
+    window: tuple[Second, Second] | None = None
+    disturbance: Literal["auto", "white", "ar", "input"] = "auto"
+
+
+@router.get("")
+async def choices(lab: CurrentLab) -> dict[str, Any]:
+    """The experiments, the kinds of excitation, the structures, and the logs that can be read, the newest first."""
+    written = lab.drones.recordings
+    logs = [row["name"] for row in lab.logs.listed() if row["name"] not in written]
+    return {**offered(), "structures": [AUTO, *STRUCTURES], "flights": logs}
+
+
+@router.post("/plan", status_code=202)
+@computes
+async def planned(lab: CurrentLab, asked: AskedPlan) -> dict[str, Any]:
+    """What an experiment will tell, and how far it will move the drone; answers the job. Nothing is flown."""
+    rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
+    values = {} if asked.model is None else _values(lab.models.read(asked.model))
+    return lab.jobs.start("plan", plan, asked.experiment.experiment(), rig, values, asked.rehearse).told()
+
+
+@router.post("/fly", status_code=202)
+async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
+    """Fly an experiment, as `twodof fly` does: arm, hold, excite on board, disarm; answers the job.
+
+    The server gives its lease up for it. A virtual drone is put to its start first. 409 while the drone is armed.
+    """
+    one = lab.drones[asked.drone]
+    made = asked.experiment.experiment()
+    if one.drone.state.armed:
+        raise Rejected("it is armed", f"drone {asked.drone}", "disarm it first")
+    await one.connection.pilot.give_up()
+    stop = multiprocessing.get_context("forkserver").Event()
+    key = None if lab.settings.key is None else str(lab.settings.key)
+    folder = str(lab.logs.folder)
+    job = lab.jobs.start("flight", fly_experiment, stop, one.url, asked.drone, key, made, asked.seed, folder)
+    lab.stops = {name: kept for name, kept in lab.stops.items() if not lab.jobs[name].over} | {job.id: stop}
+    return job.told()
+
+
+@router.post("/fly/{job}/stop")
+async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> dict[str, Any]:
+    """End a flight: it disarms at once, and what was flown is kept."""
+    found = lab.jobs[job]
+    if (stop := lab.stops.get(job)) is not None:
+        stop.set()
+    return found.told()
+
+
+@router.post("/fit", status_code=202)
+@computes
+async def fitted(lab: CurrentLab, asked: AskedFit) -> dict[str, Any]:
+    """Identify from a log, by output error and by hand; answers the job, whose result has `view` and `model`."""
+    if asked.kind is not None and asked.kind not in KINDS:
+        raise ParameterError(f"nothing is identified from {shown(asked.kind)}", "kind", listed(KINDS))
+    impulse = None if asked.impulse is None else str(lab.logs.place(asked.impulse).path)
+    others = [str(lab.logs.place(name).path) for name in asked.others]
+    given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
+    return lab.jobs.start("fit", identify, str(lab.logs.place(asked.log).path), *given).told()
+
+
+def _values(document: dict[str, Any]) -> dict[str, float]:
+    """The values of a kept model, by unknown."""
+    estimates = document.get("estimates")
+    rows = estimates if isinstance(estimates, dict) else {}
+    fixed = document.get("fixed")
+    given = {name: row.get("value") for name, row in rows.items() if isinstance(row, dict)}
+    given |= fixed if isinstance(fixed, dict) else {}
+    return {name: float(value) for name, value in given.items() if isinstance(value, int | float)}

@@ -1,0 +1,201 @@
+"""Logs: what was flown is listed, shown and replayed, and may be noted about, downloaded, added and deleted.
+
+Logs are read in a process of their own, each question within its time.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable
+from math import isfinite
+from pathlib import Path as FilePath
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request
+from fastapi.responses import FileResponse, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.background import BackgroundTask
+
+from twodof.errors import LogError, RecordingError, Rejected
+from twodof.flightlog.provenance import MAX_FILE_BYTES
+from twodof.lab.access import takes
+from twodof.lab.current_lab import CurrentLab
+from twodof.lab.lab import Lab
+from twodof.lab.logbook import log_work
+from twodof.lab.logbook.log_folder import MOST_NOTES
+from twodof.lab.logbook.log_summary import summary as log_summary
+from twodof.lab.logbook.log_trash import KEPT_DAYS
+from twodof.report.plots.comparison_view import MOST_FLIGHTS
+
+router = APIRouter(prefix="/api/logs", tags=["logs"])
+MOST_UPLOADED = MAX_FILE_BYTES // 2
+READ_S, CONVERT_S = 30.0, 90.0
+Name = Annotated[str, Path(min_length=1, max_length=260, description="Of a log, as the list tells it.")]
+Moment = Annotated[float | None, Query(description="Of the log's time [s]; left out: the whole of it.")]
+Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Of each curve, about.")]
+Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
+_RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
+
+
+class LogNotes(BaseModel):
+    """What is noted about a log."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: str = Field(max_length=MOST_NOTES)
+
+
+@router.get("")
+async def logs(lab: CurrentLab) -> dict[str, Any]:
+    """The logs, the latest first, and those that were deleted and can be brought back for `kept_days`."""
+    written = lab.drones.recordings
+    rows = [row | {"recording": row["name"] in written} for row in lab.logs.listed()]
+    return {"logs": rows, "trash": lab.logs.trash.listed(), "kept_days": KEPT_DAYS}
+
+
+@router.get("/compare")
+async def compare(
+    lab: CurrentLab,
+    name: Annotated[list[str], Query(min_length=2, max_length=MOST_FLIGHTS, description="Of each log.")],
+    align: Literal["step", "start"] = "step",
+    begin: Moment = None,
+    end: Moment = None,
+    points: Points = 2000,
+) -> dict[str, Any]:
+    """Logs over each other, their clocks 0 at the first step of a set-point or at their start, and their steps."""
+    if len(set(name)) < len(name):
+        raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each once")
+    paths = {one: str(lab.logs.place(one).path) for one in name}
+    return await _work(lab, log_work.compare, paths, align, _window(begin, end), points)
+
+
+@router.get("/{name}")
+async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """What is known of a log: its summary, channels, parameters, words of the drone, changes of parameters, notes."""
+    found = await _work(lab, log_work.facts, str(lab.logs.place(name).path))
+    return found | {"notes": lab.logs.notes(name), "ours": lab.logs.place(name).ours}
+
+
+@router.get("/{name}/summary")
+async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """What the list says of a log, with the lowest and highest values of a small curve."""
+    path = lab.logs.place(name).path
+    found = path.stat()
+    key = (str(path), found.st_mtime_ns, found.st_size)
+    return await lab.summaries.get(key, lambda: _work(lab, log_summary, str(path)))
+
+
+@router.get("/{name}/view")
+async def view(
+    lab: CurrentLab,
+    name: Name,
+    begin: Moment = None,
+    end: Moment = None,
+    points: Points = 2000,
+    topic: Annotated[list[str] | None, Query(max_length=20, description="Signals; left out: the usual ones.")] = None,
+) -> dict[str, Any]:
+    """Curves of a part of a log, thinned to lowest and highest values; modes, acts of the failsafe, excitations."""
+    path = str(lab.logs.place(name).path)
+    return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points)
+
+
+@router.get("/{name}/steps")
+async def steps(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """The steps of set-points with rise, overshoot, settling, peak and largest moment."""
+    return await _work(lab, log_work.steps, str(lab.logs.place(name).path))
+
+
+@router.get("/{name}/replay")
+async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """Where the drone was at equal times, for the 3-D view."""
+    return await _work(lab, log_work.replay, str(lab.logs.place(name).path))
+
+
+@router.get("/{name}/file", response_class=Response)
+async def file(
+    lab: CurrentLab, name: Name, form: Annotated[Format | None, Query(description="Left out: as it is.")] = None
+) -> Response:
+    """The log as a file, in its own format or in another."""
+    path = lab.logs.place(name).path
+    suffix = path.suffix.lower() if form is None else f".{form}"
+    if suffix == path.suffix.lower():
+        return FileResponse(path, filename=path.name, media_type="application/octet-stream")
+    made = lab.logs.scratch() / f"{secrets.token_hex(8)}{suffix}"
+    try:
+        await _work(lab, log_work.converted, str(path), str(made), seconds=CONVERT_S)
+    except BaseException:
+        made.unlink(missing_ok=True)
+        raise
+    return FileResponse(
+        made,
+        filename=path.with_suffix(suffix).name,
+        media_type="application/octet-stream",
+        background=BackgroundTask(made.unlink, missing_ok=True),
+    )
+
+
+@router.put("/{name}/notes")
+async def note(lab: CurrentLab, name: Name, notes: LogNotes) -> dict[str, str]:
+    """Keep notes beside a log; an empty text removes them."""
+    lab.logs.write_notes(name, notes.text)
+    return {"text": notes.text}
+
+
+@router.post("/trash/{entry}/restore")
+async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) -> dict[str, str]:
+    """Bring a deleted log back; answers its name."""
+    return {"name": lab.logs.trash.restore(entry)}
+
+
+@router.delete("/{name}")
+async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
+    """Delete a log: it is kept for some days more, and `restore` brings it back until then."""
+    path = lab.logs.ours(name)
+    if path.name in lab.drones.recordings:
+        raise Rejected("it is being recorded", path.name, "disarm the drone first")
+    return lab.logs.trash.put(path)
+
+
+@router.post("/{name}", openapi_extra=_RAW)
+@takes(MOST_UPLOADED)
+async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
+    """Take a log in: the file's bytes as they are. It is read first; what cannot be read is refused and not kept."""
+    lab.logs.check_new(name)
+    path = lab.logs.scratch() / f"{secrets.token_hex(8)}{FilePath(name).suffix.lower()}"
+    try:
+        await _receive(request, path)
+        found = await _work(lab, log_summary, str(path), seconds=CONVERT_S)
+        return {"name": lab.logs.take_in(path, name), "summary": found}
+    except LogError as refusal:
+        # The name that it has meanwhile says nothing to who sent it.
+        what, where = (text.replace(str(path), name).replace(path.name, name) for text in (refusal.what, refusal.where))
+        raise LogError(what, where, refusal.remedy.replace(str(path), name)) from refusal
+    finally:
+        path.unlink(missing_ok=True)
+
+
+async def _receive(request: Request, path: FilePath) -> None:
+    """Write what is sent into a new file. The gate ends what is too long."""
+    try:
+        with path.open("xb") as stream:
+            async for piece in request.stream():
+                stream.write(piece)
+    except OSError as refusal:
+        raise RecordingError(f"cannot be kept: {os.strerror(refusal.errno or 0)}", "logs") from refusal
+
+
+def _window(begin: float | None, end: float | None) -> tuple[float, float] | None:
+    if begin is None or end is None:
+        if begin is not None or end is not None:
+            raise LogError("one end of the window is missing", "begin, end", "give both, or none")
+        return None
+    if not isfinite(begin) or not isfinite(end):
+        raise LogError("the window is not finite", "begin, end", "give seconds")
+    return begin, end
+
+
+async def _work(
+    lab: Lab, work: Callable[..., dict[str, Any]], *arguments: Any, seconds: float = READ_S
+) -> dict[str, Any]:
+    found: dict[str, Any] = await lab.log_bench.do(work, *arguments, seconds=seconds)
+    return found

@@ -1,0 +1,86 @@
+"""Tuning: which model guards a drone's gains, and what changed gains would do on it before they are sent."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Body
+from pydantic import BaseModel, ConfigDict, Field
+
+from twodof.lab.access import computes
+from twodof.lab.current_lab import CurrentLab
+from twodof.lab.models.measured_steps import measured_steps
+from twodof.lab.refusals import NotThere
+from twodof.lab.routes.drones import Number
+
+router = APIRouter(prefix="/api/tuning", tags=["tuning"])
+READING_S = 30.0
+"""What reading a log may take."""
+ModelName = Annotated[str, Field(min_length=1, max_length=60)]
+
+
+class AskedModel(BaseModel):
+    """A model by its name; null for none."""
+
+    model: ModelName | None
+
+
+class AskedChanges(BaseModel):
+    """Changed parameters by name, and the step of theta [rad] to be shown. `model` left out: the one that guards."""
+
+    model_config = ConfigDict(extra="forbid")
+    changes: dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(allow_inf_nan=False)]] = Field(
+        default_factory=dict, max_length=200
+    )
+    goal: Annotated[float, Field(ge=0.001, le=0.8, allow_inf_nan=False)] = math.radians(10.0)
+    model: ModelName | None = None
+
+
+@router.get("/{number}")
+async def guarded(lab: CurrentLab, number: Number) -> dict[str, Any]:
+    """The model that guards the drone's gains, null for none, and whose law of the pitch flies ("": the stock one)."""
+    return {"model": lab.models.chosen(number), "controller": lab.drones[number].state["controller"]}
+
+
+@router.put("/{number}/model")
+async def choose(lab: CurrentLab, number: Number, asked: AskedModel) -> dict[str, Any]:
+    """Let a model guard the drone's gains: what its uncertainty does not keep stable then needs confirming."""
+    lab.drones[number]
+    lab.models.choose(number, asked.model)
+    return await guarded(lab, number)
+
+
+@router.post("/{number}/preview")
+@computes
+async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[str, Any]:
+    """Margins, the band of step responses, figures and the verdict of the law as it would be with `changes`.
+
+    `touches` tells whether they change the law of the pitch at all, `parameters` what does. `confirm` is the token
+    that a change takes which is not kept stable. 422 where the law that flies has no linear model.
+    """
+    name = asked.model or lab.models.chosen(number)
+    if name is None:
+        raise NotThere("no model guards this drone", f"drone {number}", "identify one, or choose one")
+    told = await lab.guard.judge(lab.drones[number], asked.changes, name, asked.goal)
+    return {
+        **told["preview"],
+        "model": name,
+        **{key: told[key] for key in ("controller", "touches", "parameters", "unstable")},
+        "confirm": lab.guard.token(name, told),
+    }
+
+
+@router.post("/{number}/measured")
+@computes
+async def measured(
+    lab: CurrentLab,
+    number: Number,
+    log: Annotated[str, Body(min_length=1, max_length=200)],
+    goal: Annotated[float, Body(ge=0.001, le=0.8, allow_inf_nan=False)] = math.radians(10.0),
+) -> dict[str, Any]:
+    """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0."""
+    lab.drones[number]
+    path = str(lab.logs.place(log).path)
+    steps = await lab.log_bench.do(measured_steps, path, goal, seconds=READING_S)
+    return {"log": log, "steps": steps}

@@ -1,0 +1,121 @@
+"""TelemetryClient: one web socket: what it subscribed to, and what it is still to be sent."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Self
+
+from fastapi import WebSocket
+from starlette.websockets import WebSocketDisconnect
+
+from twodof.errors import TwodofError
+from twodof.lab.access.role import Role
+from twodof.lab.finite_json import dumps
+from twodof.lab.lab import Lab
+from twodof.lab.telemetry.feeds import FeedKey
+from twodof.lab.telemetry.frame import header
+from twodof.lab.telemetry.outbox import Outbox, StreamState
+from twodof.lab.telemetry.request import Asked, MalformedRequest, Subscribe, read_request
+
+MOST_CLIENTS = 100
+MOST_STREAMS = 32
+ALIVE_S = 2.0
+SEND_S = 30.0
+"""A client that takes in nothing for so long [s] is let go; until then it costs its outbox."""
+
+
+class MostClients(Exception):
+    """As many clients are connected as the server serves."""
+
+
+class TelemetryClient:
+    """A connected client; for `async with`, which joins the audience and at the end ends its subscriptions."""
+
+    def __init__(self, websocket: WebSocket, role: Role, lab: Lab) -> None:
+        self._websocket, self._role, self._lab = websocket, role, lab
+        self._outbox = Outbox()
+        self._streams: dict[int, tuple[StreamState, int]] = {}
+
+    async def __aenter__(self) -> Self:
+        if len(self._lab.audience) >= MOST_CLIENTS:
+            raise MostClients(f"{MOST_CLIENTS} clients are connected already")
+        self._lab.audience.join(self._outbox, self._role)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._lab.audience.leave(self._outbox)
+        for number in [*self._streams]:
+            self._end(number)
+
+    async def serve(self) -> None:
+        """Say how all stands, then serve until it leaves.
+
+        Raises WebSocketDisconnect, MalformedRequest, and TimeoutError where it takes in nothing.
+        """
+        self._say({"event": "session", "role": self._role})
+        for state in self._lab.drones.states:
+            self._say({"event": "drone", "drone": state["system"], "state": state})
+        for job in self._lab.jobs.all:
+            if not job.over:
+                self._say({"event": "job", "job": job.told(with_result=False)})
+        tasks = [asyncio.create_task(work) for work in (self._send(), self._receive(), self._beat())]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _beat(self) -> None:
+        """Say now and then that the server is there: a page cannot see a socket's own pings."""
+        while True:
+            await asyncio.sleep(ALIVE_S)
+            self._say({"event": "alive"})
+
+    async def _send(self) -> None:
+        while True:
+            what = await self._outbox.next()
+            async with asyncio.timeout(SEND_S):
+                if isinstance(what, str):
+                    await self._websocket.send_text(what)
+                else:
+                    head = header(what.stream.number, what.count, what.stream.dropped)
+                    await self._websocket.send_bytes(head + what.body)
+
+    async def _receive(self) -> None:
+        while True:
+            message = await self._websocket.receive()
+            if message["type"] == "websocket.disconnect":
+                raise WebSocketDisconnect(message.get("code") or 1000)
+            text = message.get("text")
+            if text is None:
+                raise MalformedRequest("is binary; send JSON text")
+            asked = read_request(text)
+            try:
+                self._do(asked)
+            except TwodofError as error:
+                said = {"what": error.what, "where": error.where, "remedy": error.remedy}
+                self._say({"event": "refused", "id": asked.id, **said})
+
+    def _do(self, asked: Asked) -> None:
+        self._end(asked.id)
+        if not isinstance(asked, Subscribe):
+            return
+        if len(self._streams) >= MOST_STREAMS:
+            raise TwodofError(f"{MOST_STREAMS} subscriptions are there already", "telemetry", "end one first")
+        key = FeedKey(asked.known_columns(), asked.rate)
+        feeds = self._lab.drones[asked.drone].feeds
+        stream = StreamState(asked.id)
+        feeds.add(key, stream, self._outbox)
+        self._streams[asked.id] = (stream, asked.drone)
+
+    def _end(self, number: int) -> None:
+        stream, drone = self._streams.pop(number, (None, 0))
+        if stream is not None:
+            stream.ended = True
+            self._lab.drones[drone].feeds.remove(stream)
+
+    def _say(self, event: dict[str, object]) -> None:
+        self._outbox.tell(dumps(event))

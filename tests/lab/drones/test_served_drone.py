@@ -1,0 +1,221 @@
+"""A drone as the page has it: its rows to the bit, commanded, watched while another flies, recorded, let down."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.gcs.virtual import OnBoard, on_board
+from tests.lab.served import Served, served, wait_for_drone
+from tests.patience import patiently
+from twodof.flightlog.files import read_log
+from twodof.gcs.drone import Drone
+from twodof.lab.drones import pilot
+
+FLIES = {"loop": "theta", "value": 0.05, "thrust": 0.4}
+
+
+@contextmanager
+def flying(folder: Path, **options: Any) -> Iterator[tuple[Served, OnBoard]]:
+    """A server with one virtual drone, whose rings are locked unless `options` say otherwise."""
+    with on_board(conditions={"rings": True}, **options) as there, served(folder, there.url) as server:
+        wait_for_drone(server)
+        yield server, there
+
+
+@pytest.fixture(scope="module")
+def drone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, OnBoard]]:
+    """One for all that leave it as it was: disarmed, with its parameters, without a lease."""
+    with flying(tmp_path_factory.mktemp("lab")) as found:
+        yield found
+
+
+def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extremes(
+    drone: tuple[Served, OnBoard],
+) -> None:
+    server, there = drone
+    columns = ["estimate.theta", "imu.gyro_y", "truth.theta", "command.M"]
+    with server.socket() as client:
+        client.subscribe(columns, number=7)
+        client.subscribe(columns[:1], rate=25.0, number=8)
+        full: list[np.ndarray[Any, Any]] = []
+        few: list[np.ndarray[Any, Any]] = []
+        while sum(piece.shape[1] for piece in full) < 300 or sum(piece.shape[1] for piece in few) < 20:
+            frame = client.frame()
+            assert frame.dropped == 0
+            (full if frame.id == 7 else few).append(np.vstack([frame.times, frame.columns]))
+    rows, decimated = np.concatenate(full, axis=1), np.concatenate(few, axis=1)
+    ticks = np.rint(rows[0] / 0.004).astype(int)
+    assert np.array_equal(ticks, np.arange(ticks[0], ticks[0] + len(ticks)))  # each tick, once, in order
+    steps = {step.tick: step for step in there.steps}
+    theta = np.array([steps[tick].theta for tick in ticks], dtype=np.float32)
+    gyro = np.array([steps[tick].sample.gyro_y for tick in ticks], dtype=np.float32)
+    assert np.array_equal(rows[1].astype(np.float32), theta)
+    assert np.array_equal(rows[2].astype(np.float32), gyro)
+    # The truth begins a moment later, as it is asked for apart.
+    assert np.isfinite(rows[3][-100:]).all()
+    for k in range(0, decimated.shape[1], 2):
+        first, last = (round(time / 0.004) for time in decimated[0, k : k + 2])
+        assert k == 0 or last - first == 19  # the first bucket had begun when it was asked for
+        bucket = np.array([steps[tick].theta for tick in range(first, last + 1)], dtype=np.float32)
+        assert set(decimated[1, k : k + 2].astype(np.float32)) == {bucket.min(), bucket.max()}
+
+
+def test_the_page_flies_it_and_what_it_is_told_is_what_it_does(drone: tuple[Served, OnBoard]) -> None:
+    server, there = drone
+    with server.socket() as client:
+        assert server.ask("POST", "/api/drones/1/arm").json["armed"]
+        state = server.ask("PUT", "/api/drones/1/setpoint", FLIES).json
+        assert (state["mode"], state["setpoint"]) == ("offboard", {**FLIES, "acceleration": None})
+        client.event("drone", armed=True, mode="offboard", ours_leases=True)
+        played = {"excitation": {"kind": "doublet", "amplitude": 0.02, "period": 0.2, "unit": "rad"}, "loop": "theta"}
+        excited = server.ask("POST", "/api/drones/1/excitation", played)
+        assert excited.status == 200, excited.content
+        assert server.ask("GET", "/api/drones/1").json["excitation"] == {
+            "start_tick": excited.json["start_tick"],
+            "end_tick": excited.json["end_tick"],
+        }
+        for _ in patiently():
+            if there.steps[-1].tick > excited.json["end_tick"]:
+                break
+        asked = {step.tick: step.theta0 for step in there.steps}
+        assert asked[excited.json["start_tick"] + 5] == pytest.approx(0.07, abs=1e-3)
+        assert server.ask("POST", "/api/drones/1/mode", {"mode": "hold"}).json["setpoint"] is None
+        given_up = server.ask("DELETE", "/api/drones/1/lease")
+        assert (given_up.status, given_up.json["what"]) == (409, "it is armed")
+        assert not server.ask("POST", "/api/drones/1/disarm").json["armed"]
+        assert not server.ask("DELETE", "/api/drones/1/lease").json["ours_leases"]
+
+
+def test_a_script_flies_while_the_page_watches_tunes_and_may_always_stop_it(drone: tuple[Served, OnBoard]) -> None:
+    server, there = drone
+    with server.socket() as client, Drone.connect(there.url) as script:
+        script.arm()
+        script.set_pitch(0.02, thrust=0.4)
+        client.event("drone", armed=True, mode="offboard", ours_leases=False)
+        refused = server.ask("PUT", "/api/drones/1/setpoint", FLIES)
+        assert refused.status == 409
+        assert "holds the lease" in refused.json["what"]
+        told = server.ask("PATCH", "/api/drones/1/parameters", {"RATE_KP": 0.08, "ATT_KP": 10.0}).json["changed"]
+        assert [(row["name"], row["before"], row["value"]) for row in told] == [
+            ("RATE_KP", 0.0854, 0.08),
+            ("ATT_KP", 11.0, 10.0),
+        ]
+        assert {"RATE_KP", "ATT_KP"} <= set(client.event("parameters")["names"])
+        assert script.parameters["RATE_KP"] == pytest.approx(0.08)
+        assert server.ask("POST", "/api/drones/1/parameters/undo").status == 200
+        client.event("parameters")
+        script.parameters["ATT_KP"] = 9.0  # whoever changes it
+        assert "ATT_KP" in client.event("parameters")["names"]
+        script.parameters["ATT_KP"] = 11.0
+        assert script.state.armed
+        killed = server.ask("POST", "/api/drones/1/kill")
+        assert killed.status == 200
+        assert (killed.json["armed"], killed.json["killed"]) == (False, True)
+        client.event("drone", killed=True)
+        for _ in patiently():
+            if script.state.killed:
+                break
+    assert server.ask("POST", "/api/drones/1/release").json["killed"] is False
+    assert server.ask("DELETE", "/api/drones/1/lease").status == 200
+
+
+def test_a_refusal_says_why_in_the_drones_words(drone: tuple[Served, OnBoard]) -> None:
+    server, _ = drone
+    for method, path, body, status, word in (
+        ("PUT", "setpoint", {"loop": "x", "value": 0.1}, 409, "rings"),
+        ("PUT", "setpoint", {"loop": "theta", "value": 30.0}, 422, "radians"),
+        ("PUT", "setpoint", {"loop": "theta", "value": 0.1, "thrust": 1.5}, 422, "less than or equal to 1"),
+        ("PATCH", "parameters", {"RATE_KP": 50.0}, 422, "outside"),
+        ("PATCH", "parameters", {"RATE_KQ": 0.1}, 422, "no such parameter"),
+        ("POST", "excitation", {"excitation": {"kind": "doublet", "amplitude": 90.0, "period": 1.0}}, 422, "peak 90"),
+        ("POST", "excitation", {"excitation": {"kind": "wobble"}}, 422, "wobble"),
+        ("POST", "mode", {"mode": "acro"}, 422, "acro"),
+    ):
+        answer = server.ask(method, f"/api/drones/1/{path}", body)
+        assert answer.status == status, (path, body, answer.content)
+        said = answer.json
+        assert word in said["what"] + said["where"] + said["remedy"], said
+    assert server.ask("DELETE", "/api/drones/1/lease").status == 200
+
+
+def test_parameters_are_told_with_what_a_person_needs(drone: tuple[Served, OnBoard]) -> None:
+    server, _ = drone
+    rows = {row["name"]: row for row in server.ask("GET", "/api/drones/1/parameters").json}
+    gain = rows["RATE_KP"]
+    assert (gain["value"], gain["default"], gain["low"], gain["high"]) == (0.0854, 0.0854, 0.0, 0.12)
+    assert gain["unit"] == "s/rad"
+    assert "proportional" in gain["text"]
+    assert gain["tuning"]
+    assert not rows["SAFE_LINK_T"]["tuning"]
+
+
+def test_a_flight_is_recorded_from_arming_to_rest_whoever_flies_it(drone: tuple[Served, OnBoard]) -> None:
+    server, there = drone
+    with server.socket() as client:
+        client.event("drone", armed=False, recording="")  # of the flight before
+        with Drone.connect(there.url) as script:
+            script.arm()
+            began = script.tick
+            script.set_pitch(0.05, thrust=0.4)
+            script.parameters["RATE_KP"] = 0.08
+            script.run(0.6)
+            script.disarm()
+            ended = script.tick
+            script.parameters["RATE_KP"] = 0.0854
+        name = client.event("log")["name"]
+    log = read_log(server.folder / "flights" / name)
+    theta = log["theta"]
+    assert theta.time[-1] - theta.time[0] >= (ended - began) * 0.004
+    assert [row[1] for row in log.provenance["changes"]] == ["RATE_KP"]
+    assert log.provenance["recorded"]["by"] == "lab"
+
+
+def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pilot, "LEVEL_S", 0.4)
+    monkeypatch.setattr(pilot, "LEAVE_S", 1.2)
+    with flying(tmp_path, safety_off=True) as (server, there):
+        with server.socket():
+            server.ask("POST", "/api/drones/1/arm")
+            server.ask("PUT", "/api/drones/1/setpoint", FLIES)
+            with server.socket():
+                pass  # another one comes and goes
+            for _ in patiently():  # as long as somebody is there it flies on
+                if there.steps[-1].tick > 2.0 / 0.004:
+                    break
+            assert server.ask("GET", "/api/drones/1").json["mode"] == "offboard"
+        for _ in patiently():
+            state = server.ask("GET", "/api/drones/1").json
+            if not state["armed"]:
+                break
+        said = [line["text"] for line in server.ask("GET", "/api/drones/1/texts").json]
+        assert any("it is levelled" in line for line in said)
+        assert any("it is disarmed" in line for line in said)
+        levelled = [step for step in there.steps if step.theta0 == 0.0]
+        assert levelled
+        with Drone.connect(there.url) as script:  # it is free for others
+            script.arm()
+
+
+def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:
+    with ExitStack() as first, ExitStack() as second:
+        there = first.enter_context(on_board(conditions={"rings": True}))
+        server = second.enter_context(served(tmp_path, there.url))
+        wait_for_drone(server)
+        client = second.enter_context(server.socket())
+        client.subscribe(["estimate.theta"])
+        while client.frame().times[-1] < 0.4:
+            pass
+        first.close()
+        assert client.event("drone", link="lost")["state"]["why_lost"]
+        assert server.ask("POST", "/api/drones/1/arm").status == 504
+        second.enter_context(on_board(there.url.replace("tcp:", "tcpin:"), conditions={"rings": True}))
+        client.event("drone", link="heard")
+        assert client.frame().times[0] < 0.4

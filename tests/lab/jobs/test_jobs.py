@@ -1,0 +1,143 @@
+"""Jobs run beside the server, say how far they are, end when they are told to, and fail without harming it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import time
+from collections.abc import Awaitable, Callable, Mapping
+from typing import Any
+
+import pytest
+
+from tests.patience import PATIENCE_S
+from tests.processes import alive
+from twodof.errors import IdentificationError, Rejected
+from twodof.lab.jobs.job import Job
+from twodof.lab.jobs.jobs import AT_ONCE, MOST_WAITING, Jobs
+from twodof.lab.jobs.worker import Progress, in_real_time
+from twodof.lab.refusals import NotThere
+
+
+def counts(progress: Progress, number: int) -> dict[str, object]:
+    """Counts to `number`; returns what JSON has no form of, too."""
+    for k in range(number):
+        progress(k / number, f"step {k}")
+        time.sleep(0.06)
+    return {"counted": number, "nan": float("nan"), "niceness": os.nice(0)}
+
+
+def refuses(progress: Progress) -> None:
+    """Fails as the library does."""
+    raise IdentificationError("too few samples", "the log", "fly longer")
+
+
+def breaks(progress: Progress) -> None:
+    """Fails as a program does that has a fault."""
+    raise ZeroDivisionError("by zero")
+
+
+def dies(progress: Progress) -> None:
+    """Ends without a word, as one that ran out of memory."""
+    os._exit(9)
+
+
+def sleeps(progress: Progress) -> None:
+    """Goes on for ever; tells its process."""
+    progress(1.0, str(os.getpid()))
+    time.sleep(1e6)
+
+
+@in_real_time
+def flies(progress: Progress) -> int:
+    """Keeps up with a drone; tells its niceness."""
+    return os.nice(0)
+
+
+def with_jobs(work: Callable[[Jobs, list[Mapping[str, Any]]], Awaitable[None]]) -> None:
+    """Run `work` with jobs, and the events that they tell."""
+
+    async def run() -> None:
+        told: list[Mapping[str, Any]] = []
+        jobs = Jobs(told.append)
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                await work(jobs, told)
+        finally:
+            await jobs.close()
+
+    asyncio.run(run())
+
+
+async def until(condition: Callable[[], object]) -> None:
+    while not condition():
+        await asyncio.sleep(0.005)
+
+
+def test_a_job_tells_how_far_it_is_and_gives_its_result() -> None:
+    async def work(jobs: Jobs, told: list[Mapping[str, Any]]) -> None:
+        job = jobs.start("count", counts, 5)
+        assert job.told()["state"] == "running"
+        await until(lambda: job.over)
+        assert job.result == {"counted": 5, "nan": None, "niceness": min(19, os.nice(0) + 10)}
+        await until(lambda: told[-1]["job"]["state"] == "done")
+        fractions = [event["job"]["fraction"] for event in told]
+        assert fractions == sorted(fractions)
+        assert {"step 1", "step 4"} <= {event["job"]["text"] for event in told}
+        assert all("result" not in event["job"] for event in told)
+        assert jobs[job.id] is job
+
+    with_jobs(work)
+
+
+@pytest.mark.parametrize(
+    ("fails", "what", "remedy"),
+    [
+        (refuses, "too few samples", "fly longer"),
+        (breaks, "a fault of the program: ZeroDivisionError: by zero", "report it"),
+        (dies, "its process ended in mid-work: it may have run out of memory", "ask for less"),
+    ],
+)
+def test_a_job_that_fails_says_why_and_the_next_one_runs(
+    fails: Callable[[Progress], None], what: str, remedy: str
+) -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        job, after = jobs.start("fail", fails), jobs.start("count", counts, 0)
+        await until(lambda: job.over and after.over)
+        assert job.state == "failed"
+        assert job.error is not None
+        assert (job.error["what"], job.error["remedy"]) == (what, remedy)
+        assert after.state == "done"
+
+    with_jobs(work)
+
+
+def test_a_job_that_is_cancelled_ends_with_its_process() -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        job = jobs.start("sleep", sleeps)
+        await until(lambda: job.text.isdigit())
+        process = int(job.text)
+        assert alive(process)
+        assert (await jobs.cancel(job.id)).state == "cancelled"
+        await until(lambda: not alive(process))
+        with pytest.raises(NotThere):
+            await jobs.cancel("another")
+
+    with_jobs(work)
+
+
+def test_more_than_can_run_wait_for_their_turn_and_more_than_can_wait_are_refused() -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        started: list[Job] = [jobs.start("sleep", sleeps) for _ in range(AT_ONCE + MOST_WAITING)]
+        with pytest.raises(Rejected, match="too many jobs"):
+            jobs.start("sleep", sleeps)
+        await until(lambda: all(job.text.isdigit() for job in started[:AT_ONCE]))
+        assert {job.text for job in started[AT_ONCE:]} == {"waits for its turn"}
+        flight = jobs.start("flight", flies)  # what flies waits for none of them
+        await until(lambda: flight.over)
+        assert flight.result == os.nice(0)
+        assert (await jobs.cancel(started[-1].id)).state == "cancelled"  # before its turn
+        await jobs.cancel(started[0].id)
+        await until(lambda: started[AT_ONCE].text.isdigit())
+
+    with_jobs(work)

@@ -1,0 +1,274 @@
+"""The routes of logs: what was flown is told, hostile names and files change nothing, deleting can be undone."""
+
+from __future__ import annotations
+
+import base64
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+import pytest
+
+from tests.flightlog.synthetic import attitude_steps
+from tests.lab.served import COMMAND, WATCH, Served, served
+from tests.patience import patiently
+from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.provenance import MAX_FILE_BYTES
+from twodof.lab.logbook import log_trash
+from twodof.lab.logbook.log_trash import KEPT_DAYS
+from twodof.lab.routes.logs import MOST_UPLOADED
+from twodof.report.step_responses import step_responses
+
+
+def noted(log: FlightLog, **told: object) -> FlightLog:
+    return FlightLog(log.channels, {**log.provenance, **told})
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    folder, other = tmp_path_factory.mktemp("data"), tmp_path_factory.mktemp("other")
+    (folder / "flights").mkdir()
+    told = {
+        "experiment": "attitude-steps",
+        "rig": "lab",
+        "flown": {"virtual": True, "controller": "stock", "reason": ""},
+        "texts": [[1.5, "warning", "the battery is low"], ["nonsense"], [1, 2, 3]],
+        "changes": [[2.0, "K_P", 3.5], [2.0, "K_P"]],
+        "parameters": {"K_P": 3.0, "NOTE": "text"},
+    }
+    write_log(noted(attitude_steps(), **told), folder / "flights" / "a.mcap")
+    write_log(attitude_steps(), folder / "flights" / "b.mat")
+    write_log(attitude_steps(), other / "theirs.parquet")
+    (folder / "flights" / "damaged.ulg").write_bytes(b"ULog\x01\x12\x35" + bytes(100))
+    (folder / "secret.mat").write_bytes(b"not to be read")
+    (folder / "flights" / ".hidden.mat").write_bytes(b"neither")
+    with served(folder, token=COMMAND, command_token=COMMAND, watch_token=WATCH, logs=(other,)) as there:
+        yield there
+
+
+def unpacked(text: str, kind: str) -> np.ndarray[Any, Any]:
+    return np.frombuffer(base64.b64decode(text), kind)
+
+
+def names(server: Served) -> list[str]:
+    return [row["name"] for row in server.ask("GET", "/api/logs").json["logs"]]
+
+
+def files(server: Served) -> set[str]:
+    return {path.name for path in (server.folder / "flights").iterdir() if not path.name.startswith(".")}
+
+
+def nothing_is_left_over(server: Served) -> None:
+    """Files on their way in or out are gone once the answer is."""
+    for _ in patiently():
+        if not any((server.folder / "flights").glob(".scratch/*")):
+            return
+
+
+def test_the_list_and_what_a_log_tells(server: Served) -> None:
+    assert set(names(server)) == {"a.mcap", "b.mat", "damaged.ulg", "1:theirs.parquet"}
+    found = server.ask("GET", "/api/logs/a.mcap").json
+    log = attitude_steps()
+    assert found["span"] == list(log.span)
+    assert (found["experiment"], found["rig"], found["controller"], found["virtual"]) == (
+        "attitude-steps",
+        "lab",
+        "stock",
+        True,
+    )
+    assert found["texts"] == [[1.5, "warning", "the battery is low"]]
+    assert found["changes"] == [[2.0, "K_P", 3.5]]
+    assert found["parameters"] == [["K_P", 3.0]]
+    spark = server.ask("GET", "/api/logs/a.mcap/summary").json["spark"]
+    assert spark["channel"] == "theta"
+    theta = log["theta"].value
+    known = [value for value in spark["high"] if value is not None]
+    assert (max(known), min(value for value in spark["low"] if value is not None)) == (theta.max(), theta.min())
+
+
+def test_a_view_keeps_every_extreme_however_few_points(server: Served) -> None:
+    """Ten points of thousands: the largest sample of the window is one of them, to the bit of a float32."""
+    log = attitude_steps()
+    start, end = log.span
+    middle = 0.5 * (start + end)
+    for window, query in (((start, end), ""), ((start, middle), f"&begin={start}&end={middle}")):
+        found = server.ask("GET", f"/api/logs/a.mcap/view?points=10{query}").json
+        curves = {curve["channel"]: curve for view in found["views"] for curve in view["curves"]}
+        value, time = unpacked(curves["theta"]["value"], "<f4"), unpacked(curves["theta"]["time"], "<f8")
+        whole = np.degrees(log["theta"].slice(*window).value).astype(np.float32)
+        assert len(value) <= 14
+        assert (np.nanmax(value), np.nanmin(value)) == (whole.max(), whole.min())
+        assert (np.diff(time) > 0.0).all()
+
+
+def test_steps_and_a_comparison_are_the_librarys(server: Served) -> None:
+    expected = [step.to_json() for step in step_responses(attitude_steps())]
+    assert expected
+    assert server.ask("GET", "/api/logs/a.mcap/steps").json == {"steps": expected, "unclear": ""}
+    found = server.ask("GET", "/api/logs/compare?name=a.mcap&name=b.mat").json
+    assert found["steps"] == {"a.mcap": expected, "b.mat": expected}
+    assert found["zero"] == dict.fromkeys(("a.mcap", "b.mat"), expected[0]["time"])
+    labels = {curve["label"] for view in found["views"] for curve in view["curves"]}
+    assert {"a.mcap", "b.mat"} <= labels
+    assert server.ask("GET", "/api/logs/compare?name=a.mcap&name=a.mcap").status == 422
+    assert server.ask("GET", "/api/logs/compare?name=a.mcap&name=nowhere.mat").status == 404
+    assert server.ask("GET", "/api/logs/compare?name=a.mcap").status == 422
+
+
+def test_a_replay_holds_the_samples(server: Served) -> None:
+    found = server.ask("GET", "/api/logs/a.mcap/replay").json
+    log = attitude_steps()
+    times = found["start"] + np.arange(found["count"]) / found["rate"]
+    theta = unpacked(found["columns"]["theta"], "<f4")
+    known = np.isfinite(theta)
+    np.testing.assert_array_equal(theta[known], log.resample("theta", times[known]).astype("<f4"))
+    assert known.mean() > 0.9
+
+
+@pytest.mark.parametrize("form", ["mcap", "mat", "parquet", "csv", "ulg"])
+def test_a_download_in_any_format_is_the_same_flight(server: Served, form: str, tmp_path: Path) -> None:
+    got = server.ask("GET", f"/api/logs/a.mcap/file?form={form}")
+    assert got.status == 200
+    assert f'filename="a.{form}"' in got.headers["content-disposition"]
+    path = tmp_path / f"got.{form}"
+    path.write_bytes(got.content)
+    log, kept = attitude_steps(), read_log(path)
+    for name in ("theta", "q", "theta0", "M", "T"):
+        # ULog counts microseconds; a value goes through unchanged.
+        np.testing.assert_allclose(kept[name].time, log[name].time, rtol=0.0, atol=0.5e-6 if form == "ulg" else 0.0)
+        np.testing.assert_array_equal(kept[name].value, log[name].value)
+    nothing_is_left_over(server)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("../secret.mat", "..%2fsecret.mat", "%2e%2e/secret.mat", "..\\secret.mat", "/etc/passwd", ".hidden.mat"),
+        *("1:../secret.mat", "2:theirs.parquet", "-1:a.mcap", "9999999999:a.mcap", "a.mcap/..", "a.mcap%00.mat"),
+        *(
+            "%ff.mat",
+            "nowhere.mat",
+            "a" * 300 + ".mat",
+            "con:a.mcap",
+            "٣:theirs.parquet",
+            "a.mcap\u202e.mat",
+            ".",
+            "..",
+            "~",
+        ),
+    ],
+)
+def test_a_hostile_name_finds_nothing(server: Served, name: str) -> None:
+    before = files(server)
+    path = name if "%" in name else quote(name, safe="")
+    for method, end in (("GET", ""), ("GET", "/file"), ("GET", "/view"), ("DELETE", ""), ("PUT", "/notes")):
+        got = server.ask(method, f"/api/logs/{path}{end}", {"text": "x"} if method == "PUT" else None)
+        assert got.status in (404, 405, 422), (method, got)
+        assert b"not to be read" not in got.content
+    assert server.ask("POST", f"/api/logs/{path}", b"x" * 10).status in (404, 405, 422)
+    assert server.ask("POST", f"/api/logs/trash/{path}/restore").status in (404, 405, 422)
+    assert files(server) == before
+    assert (server.folder / "secret.mat").read_bytes() == b"not to be read"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("empty.mat", b""),
+        ("noise.mcap", os.urandom(5000)),
+        ("noise.parquet", b"PAR1" + bytes(200) + b"PAR1"),
+        ("text.csv", b"a,b\n1,2\n"),
+        ("cut.ulg", b"ULog\x01\x12\x35"),
+        ("page.mat", b"<script>alert(1)</script>" * 100),
+    ],
+)
+def test_a_file_that_is_no_log_is_refused_with_a_reason_and_not_kept(server: Served, name: str, content: bytes) -> None:
+    before = files(server)
+    got = server.ask("POST", f"/api/logs/{name}", content)
+    assert got.status == 422
+    assert got.json["what"]
+    assert str(server.folder) not in got.content.decode()
+    assert files(server) == before
+    nothing_is_left_over(server)
+
+
+def test_a_huge_file_is_refused_before_it_is_sent_and_while_it_is(server: Served) -> None:
+    assert MOST_UPLOADED < MAX_FILE_BYTES
+    got = server.ask("POST", "/api/logs/big.mat", None, {"Content-Length": str(MOST_UPLOADED + 1)})
+    assert (got.status, str(MOST_UPLOADED) in got.json["what"]) == (413, True)
+    assert "big.mat" not in names(server)
+
+
+def test_a_log_that_is_dropped_is_kept_whole_and_never_over_another(server: Served, tmp_path: Path) -> None:
+    write_log(attitude_steps(), tmp_path / "x.mat")
+    content = (tmp_path / "x.mat").read_bytes()
+    first, second = (server.ask("POST", "/api/logs/dropped.mat", content) for _ in range(2))
+    assert (first.status, first.json["name"], second.json["name"]) == (200, "dropped.mat", "dropped-2.mat")
+    assert first.json["summary"]["span"] == list(attitude_steps().span)
+    assert server.ask("GET", "/api/logs/dropped.mat/file").content == content
+    for name in ("dropped.mat", "dropped-2.mat"):
+        assert server.ask("DELETE", f"/api/logs/{name}").status == 200
+
+
+def test_deleting_is_undone_with_the_notes_and_ends_after_its_days(
+    server: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_log(attitude_steps(), tmp_path / "x.mat")
+    content = (tmp_path / "x.mat").read_bytes()
+    server.ask("POST", "/api/logs/gone.mat", content)
+    text = "Gusts from the window.\n"
+    assert server.ask("PUT", "/api/logs/gone.mat/notes", {"text": text}).json == {"text": text}
+    gone = server.ask("DELETE", "/api/logs/gone.mat").json
+    assert "gone.mat" not in names(server)
+    listed = server.ask("GET", "/api/logs").json
+    assert (gone["entry"] in [row["entry"] for row in listed["trash"]], listed["kept_days"]) == (True, KEPT_DAYS)
+    assert server.ask("POST", f"/api/logs/trash/{gone['entry']}/restore").json == {"name": "gone.mat"}
+    assert server.ask("GET", "/api/logs/gone.mat").json["notes"] == text
+    assert server.ask("GET", "/api/logs/gone.mat/file").content == content, "notes are never inside a log"
+    entry = server.ask("DELETE", "/api/logs/gone.mat").json["entry"]
+    now = log_trash.time.time()
+    monkeypatch.setattr(log_trash.time, "time", lambda: now + KEPT_DAYS * 86_400.0 + 10.0)
+    assert server.ask("GET", "/api/logs").json["trash"] == []
+    monkeypatch.undo()
+    assert server.ask("POST", f"/api/logs/trash/{entry}/restore").status == 404
+    assert not list((server.folder / "flights" / ".trash").iterdir())
+
+
+def test_another_folder_is_only_read_and_a_watcher_changes_nothing(server: Served) -> None:
+    assert server.ask("GET", "/api/logs/1%3Atheirs.parquet").json["ours"] is False
+    assert server.ask("DELETE", "/api/logs/1%3Atheirs.parquet").status == 409
+    assert server.ask("PUT", "/api/logs/1%3Atheirs.parquet/notes", {"text": "x"}).status == 409
+    for method, path in (
+        ("DELETE", "/api/logs/a.mcap"),
+        ("PUT", "/api/logs/a.mcap/notes"),
+        ("POST", "/api/logs/new.mat"),
+        ("POST", "/api/logs/trash/x/restore"),
+    ):
+        assert server.ask(method, path, {"text": ""}, token=WATCH).status == 403
+    assert server.ask("GET", "/api/logs/a.mcap/view", token=WATCH).status == 200
+
+
+def test_what_cannot_be_read_says_so_and_harms_no_other(server: Served) -> None:
+    got = server.ask("GET", "/api/logs/damaged.ulg")
+    assert (got.status, bool(got.json["what"])) == (422, True)
+    assert server.ask("GET", "/api/logs/a.mcap").status == 200
+    for query in ("begin=1", "begin=nan&end=2", "begin=5&end=1", "begin=1e9&end=2e9", "topic=none"):
+        assert server.ask("GET", f"/api/logs/a.mcap/view?{query}").status == 422
+
+
+def test_a_log_of_others_is_shown_too(server: Served) -> None:
+    """No channel of ours in it: the first ones that it has."""
+    time = np.arange(1000) * 0.01
+    with tempfile.TemporaryDirectory() as folder:
+        write_log(FlightLog({"temperature": Channel(time, np.sin(time), "K")}), Path(folder) / "t.parquet")
+        content = (Path(folder) / "t.parquet").read_bytes()
+    name = server.ask("POST", "/api/logs/temperature.parquet", content).json["name"]
+    found = server.ask("GET", f"/api/logs/{name}/view").json
+    assert [view["label"] for view in found["views"]] == ["temperature [K]"]
+    assert server.ask("GET", f"/api/logs/{name}/steps").json["unclear"]
+    assert server.ask("DELETE", f"/api/logs/{name}").status == 200

@@ -1,0 +1,183 @@
+"""A server of the lab on a free port, in a thread of its own, with clients for it: HTTP, and web sockets."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import json
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import ClientConnection, connect
+
+from tests.patience import PATIENCE_S
+from twodof.gcs.loop_thread import LoopThread
+from twodof.lab.serve import serve
+from twodof.lab.settings import LabSettings
+
+COMMAND, WATCH = "command-token-of-a-test", "watch-token-of-a-test"
+_HEADER = struct.Struct("<BBHIIId")
+
+
+class Answer(NamedTuple):
+    """Status, headers (lower case) and body of an answer."""
+
+    status: int
+    headers: dict[str, str]
+    content: bytes
+
+    @property
+    def json(self) -> Any:
+        """The body as JSON has it."""
+        return json.loads(self.content)
+
+
+class Frame(NamedTuple):
+    """Rows as they came: subscription, rows dropped so far, the server's time [s], times (n,) [s], columns (k, n)."""
+
+    id: int
+    dropped: int
+    sent: float
+    times: NDArray[np.float64]
+    columns: NDArray[np.float32]
+
+
+def read_frame(message: bytes) -> Frame:
+    """A binary message, read by the description in docs/reference alone."""
+    kind, zero, number, count, dropped, reserved, sent = _HEADER.unpack_from(message)
+    assert (kind, zero, reserved) == (1, 0, 0)
+    times = np.frombuffer(message, "<f8", count, _HEADER.size)
+    values = np.frombuffer(message, "<f4", -1, _HEADER.size + 8 * count)
+    return Frame(number, dropped, sent, times, values.reshape(-1, count))
+
+
+@dataclass
+class Served:
+    """A server at `port` of the loopback, which keeps its files in `folder`."""
+
+    port: int
+    folder: Path
+    token: str = ""
+
+    @property
+    def host(self) -> str:
+        """What `Host` says of it."""
+        return f"127.0.0.1:{self.port}"
+
+    def ask(
+        self,
+        method: str,
+        path: str,
+        body: object = None,
+        headers: dict[str, str] | None = None,
+        token: str | None = None,
+    ) -> Answer:
+        """One request. A body of bytes is sent as it is, anything else as JSON."""
+        token = self.token if token is None else token
+        sent = {"Authorization": f"Bearer {token}"} if token else {}
+        content = body if isinstance(body, bytes) else None if body is None else json.dumps(body).encode()
+        if content is not None:
+            sent["Content-Type"] = "application/json"
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        try:
+            connection.request(method, path, content, sent | (headers or {}))
+            got = connection.getresponse()
+            return Answer(got.status, {key.lower(): value for key, value in got.getheaders()}, got.read())
+        finally:
+            connection.close()
+
+    @contextmanager
+    def socket(self, token: str | None = None, **options: Any) -> Iterator[Client]:
+        """A web socket for telemetry."""
+        token = self.token if token is None else token
+        url = f"ws://{self.host}/api/telemetry" + (f"?token={token}" if token else "")
+        with connect(url, open_timeout=PATIENCE_S, **options) as websocket:
+            yield Client(websocket)
+
+
+class Client:
+    """One web socket: what it asks for and what it hears."""
+
+    def __init__(self, websocket: ClientConnection) -> None:
+        self.websocket = websocket
+
+    def send(self, **asked: object) -> None:
+        """Ask for something."""
+        self.websocket.send(json.dumps(asked))
+
+    def subscribe(self, columns: list[str], rate: float = 250.0, drone: int = 1, number: int = 1) -> None:
+        """Ask for rows."""
+        self.send(do="subscribe", id=number, drone=drone, columns=columns, rate=rate)
+
+    def next(self) -> str | bytes:
+        """The next message."""
+        return self.websocket.recv(PATIENCE_S)
+
+    def event(self, kind: str, **fields: object) -> dict[str, Any]:
+        """The next event of that kind whose fields are so; others, and rows, are passed over."""
+        while True:
+            got = self.next()
+            if isinstance(got, str):
+                found: dict[str, Any] = json.loads(got)
+                said = {**found, **found.get("state", {})}
+                if found["event"] == kind and all(said.get(name) == value for name, value in fields.items()):
+                    return found
+
+    def closed(self) -> tuple[int, str]:
+        """Code and reason with which the server closes it."""
+        try:
+            while True:
+                self.next()
+        except ConnectionClosed as end:
+            return (1006, "") if end.rcvd is None else (end.rcvd.code, end.rcvd.reason)
+
+    def frame(self) -> Frame:
+        """The next rows; events are passed over."""
+        while True:
+            got = self.next()
+            if isinstance(got, bytes):
+                return read_frame(got)
+
+
+@contextmanager
+def served(folder: Path, *urls: str, token: str = "", **settings: Any) -> Iterator[Served]:
+    """A server of the drones at `urls` while the block runs; `token` is that of our own requests."""
+    given = LabSettings(folder, port=0, connect=urls or ("udp://127.0.0.1:9",), **settings)
+    runner = LoopThread("lab")
+    listening = threading.Event()
+    ports: list[int] = []
+
+    def ready(port: int) -> None:
+        ports.append(port)
+        listening.set()
+
+    async def begin() -> asyncio.Task[None]:
+        return asyncio.create_task(serve(given, ready))
+
+    async def end() -> None:
+        serving.cancel()
+        with suppress(asyncio.CancelledError):
+            await serving
+
+    serving = runner.run(begin())
+    try:
+        assert listening.wait(PATIENCE_S)
+        yield Served(ports[0], folder, token)
+    finally:
+        runner.run(end())
+        runner.close()
+
+
+def wait_for_drone(server: Served, number: int = 1) -> dict[str, Any]:
+    """The state of a drone, once the server hears it."""
+    with server.socket() as client:
+        state: dict[str, Any] = client.event("drone", drone=number, link="heard")["state"]
+        return state

@@ -1,0 +1,94 @@
+"""The API as its own description says it can be asked: whatever comes, the server does not break.
+
+A drone on a virtual rig is there, so that a route gets as far as it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from typing import Any
+
+import pytest
+import schemathesis
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+
+from tests.gcs.virtual import on_board
+from tests.lab.served import Served, served, wait_for_drone
+from tests.patience import PATIENCE_S
+from twodof.lab.access.route_table import RouteTable
+from twodof.lab.server import ROUTERS
+from twodof.lab.telemetry.request import MalformedRequest, Subscribe, Unsubscribe, read_request
+
+QUICK, LONG = 4, 100
+"""Requests of each kind, right ones and wrong ones, for each route."""
+ROUTES = [(row.method, row.path) for row in RouteTable(ROUTERS).rows() if row.method != "WEBSOCKET"]
+# What is malformed is drawn too: it is to be refused, not to be believed.
+MODES = [schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE]
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    """A server with a drone, and a folder of its own to fill."""
+    folder = tmp_path_factory.mktemp("lab")
+    with on_board(conditions={"rings": True}) as there, served(folder, there.url) as found:
+        wait_for_drone(found)
+        yield found
+
+
+@pytest.fixture(scope="module")
+def schema(server: Served) -> Any:
+    """What the server says of itself."""
+    return schemathesis.openapi.from_url(f"http://{server.host}/api/openapi.json")
+
+
+def modes(schema: Any, method: str, path: str) -> list[Any]:
+    """Requests as they should be; and, where anything about them can be wrong, such as they should not."""
+    told = schema.raw_schema["paths"][path][method.lower()]
+    return MODES if told.get("parameters") or told.get("requestBody") else MODES[:1]
+
+
+def ask(operation: Any, mode: Any, examples: int) -> None:
+    """Send `examples` requests of one kind to one route; none is to be answered by a fault of the server's."""
+
+    @settings(
+        max_examples=examples,
+        deadline=None,
+        database=None,
+        derandomize=examples == QUICK,
+        phases=[Phase.generate],
+        suppress_health_check=[*HealthCheck],
+    )
+    @given(case=operation.as_strategy(generation_mode=mode))
+    def run(case: Any) -> None:
+        if mode is MODES[0] and "number" in (case.path_parameters or {}):
+            case.path_parameters["number"] = 1  # the drone that there is
+        got = case.call(timeout=PATIENCE_S)
+        assert got.status_code < 500, f"{case.as_curl_command()}\n{got.status_code}: {got.text[:500]}"
+        if got.status_code >= 400:
+            assert set(got.json()) == {"what", "where", "remedy"}, got.text[:500]
+            assert got.json()["what"]
+
+    run()
+
+
+@pytest.mark.parametrize(("method", "path"), ROUTES, ids=lambda one: str(one))
+def test_no_request_breaks_the_server(server: Served, schema: Any, method: str, path: str) -> None:
+    for mode in modes(schema, method, path):
+        ask(schema[path][method], mode, QUICK)
+    assert server.ask("GET", "/api/session").status == 200
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize(("method", "path"), ROUTES, ids=lambda one: str(one))
+def test_no_request_of_very_many_breaks_the_server(server: Served, schema: Any, method: str, path: str) -> None:
+    for mode in modes(schema, method, path):
+        ask(schema[path][method], mode, LONG)
+
+
+@settings(deadline=None)
+@given(st.one_of(st.text(), st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists).map(repr)))
+def test_a_message_of_a_web_socket_is_a_request_or_is_refused(text: str) -> None:
+    with suppress(MalformedRequest):  # and nothing else
+        assert isinstance(read_request(text), Subscribe | Unsubscribe)

@@ -1,0 +1,51 @@
+"""Flashing over the API: rehearsed for this drone and confirmed, or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from tests.lab.served_lab import ServedLab, served_lab
+from tests.patience import patiently
+from twodof.blocks.schema.json_form import to_json
+from twodof.flight.starters import starter
+
+OWN = to_json(starter("notch-attitude"))
+WILD = to_json(starter("pid-attitude")).replace('"value": 0.0854', '"value": 0.9')
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
+    with served_lab(tmp_path_factory.mktemp("lab")) as found:
+        yield found
+
+
+def rehearsed(lab: ServedLab, text: str) -> tuple[str, dict[str, Any]]:
+    status, job = lab.call("POST", "diagrams/rehearsal", {"text": text, "drone": 1})
+    assert status == 202
+    for _ in patiently():
+        told = lab.call("GET", f"jobs/{job['id']}")[1]
+        if told["state"] != "running":
+            break
+    assert told["state"] == "done", told
+    return job["id"], told["result"]
+
+
+def test_only_what_was_rehearsed_flies_and_what_is_unstable_only_if_confirmed(lab: ServedLab) -> None:
+    job, found = rehearsed(lab, OWN)
+    assert found["template"] == "attitude_control"
+    assert found["trial"]["fault"] is None
+    assert found["against"] == "the stock controller"
+    assert any(change["path"] == "notch" and change["kind"] == "added" for change in found["changes"])
+    status, refused = lab.call("POST", "diagrams/flash", {"text": WILD, "drone": 1, "rehearsal": job})
+    assert (status, refused["what"]) == (409, "this diagram was not rehearsed for this drone")
+    assert lab.call("POST", "diagrams/flash", {"text": OWN, "drone": 1, "rehearsal": job})[0] == 200
+    wild, found = rehearsed(lab, WILD)
+    assert found["against"] == "what flies on drone 1"
+    assert any(change["path"] == "notch" and change["kind"] == "removed" for change in found["changes"])
+    assert found["trial"]["fault"]
+    status, refused = lab.call("POST", "diagrams/flash", {"text": WILD, "drone": 1, "rehearsal": wild})
+    assert status == 409
+    assert "unstable" in refused["what"]

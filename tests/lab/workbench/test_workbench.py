@@ -1,0 +1,117 @@
+"""The workbench: what it is asked is done in its turn, and ended when it takes too long or nobody waits for it."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import time
+from collections.abc import Callable, Coroutine
+from contextlib import suppress
+from typing import Any
+
+import pytest
+
+from tests.patience import PATIENCE_S, patiently
+from twodof.blocks import Diagram
+from twodof.blocks.library import Gain, UnitDelay
+from twodof.blocks.schema.json_form import to_json
+from twodof.errors import DiagramError, Rejected, Timeout
+from twodof.flight.starters import starter
+from twodof.lab.workbench import diagram_work
+from twodof.lab.workbench.workbench import Workbench
+
+
+def on_a_bench(use: Callable[[Workbench], Coroutine[Any, Any, Any]]) -> Any:
+    async def run() -> Any:
+        bench = Workbench()
+        try:
+            return await use(bench)
+        finally:
+            await bench.close()
+
+    return asyncio.run(run())
+
+
+def _pid() -> int:
+    return os.getpid()
+
+
+def _compile_for_ever(place: str) -> None:
+    """A process of our own, as a compiler is, that does not end by itself."""
+    with subprocess.Popen(["sleep", "600"], start_new_session=True) as compiler:
+        try:
+            with open(place, "w", encoding="ascii") as file:  # noqa: PTH123
+                file.write(str(compiler.pid))
+            compiler.wait()
+        except BaseException:
+            compiler.kill()
+            raise
+
+
+def _runs(process: int) -> bool:
+    with suppress(OSError):
+        os.kill(process, 0)
+        return True
+    return False
+
+
+def test_it_stays_warm_and_says_what_is_wrong() -> None:
+    async def use(bench: Workbench) -> None:
+        first = await bench.do(_pid, seconds=PATIENCE_S)
+        with pytest.raises(DiagramError, match="not a diagram"):
+            await bench.do(diagram_work.canonical, "[]", seconds=PATIENCE_S)
+        assert await bench.do(_pid, seconds=PATIENCE_S) == first != os.getpid()
+
+    on_a_bench(use)
+
+
+@pytest.mark.parametrize("why", ["late", "left"])
+def test_what_takes_too_long_or_is_asked_for_no_more_ends_with_its_compiler(why: str, tmp_path: Any) -> None:
+    place = tmp_path / "pid"
+
+    async def use(bench: Workbench) -> None:
+        first = await bench.do(_pid, seconds=PATIENCE_S)
+
+        async def gone() -> bool:
+            return why == "left" and place.exists()
+
+        began = time.monotonic()
+        with pytest.raises((Timeout, Rejected)):
+            await bench.do(_compile_for_ever, str(place), seconds=2.0 if why == "late" else PATIENCE_S, gone=gone)
+        assert time.monotonic() - began < PATIENCE_S / 2
+        assert await bench.do(_pid, seconds=PATIENCE_S) != first
+
+    on_a_bench(use)
+    for _ in patiently():
+        if not _runs(int(place.read_text())):
+            return
+
+
+def test_a_loop_is_told_by_its_signals() -> None:
+    d = starter("pid-attitude")
+    del d.connections["error", "b"]
+    d.connect("pid", "error.b")
+    (problem,) = diagram_work.check(to_json(d))["problems"]
+    assert sorted(set(problem["loop"])) == ["error.y", "pid.M"]
+
+
+def test_shapes_say_which_changes_leave_a_program_as_it_is() -> None:
+    forms = [{"type": "gain", "config": {"k": k}} for k in (1.0, 2.0)]
+    forms += [{"type": "gain", "config": {"k": 1.0, "width": 3}}, {"type": "sum", "config": {"signs": "x"}}]
+    one, other, wide, refused = diagram_work.shapes(forms)
+    assert one["structure"] == other["structure"] != wide["structure"]
+    assert [p["value"] for p in other["params"]] == [2.0]
+    assert refused["what"] == "signs='x'"
+    assert refused["remedy"]
+
+
+def test_a_diagram_that_fits_no_template_is_not_compiled() -> None:
+    d = Diagram("other")
+    d.input("u")
+    d.add("late", UnitDelay(), u="u")
+    d.add("gain", Gain(2.0), u="late")
+    d.output("y", "gain")
+    assert diagram_work.check(to_json(d))["fine"]
+    with pytest.raises(DiagramError, match="no template"):
+        diagram_work.compiled(to_json(d), "lab")

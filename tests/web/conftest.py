@@ -1,0 +1,155 @@
+"""A browser, a laboratory with a drone on a virtual rig, and axe: what the tests of the page share.
+
+The browser is Debian's Chromium without a graphics card: three.js draws by software, as it does in continuous
+integration. Screenshots go to `out/web`, to be looked at.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
+
+from tests import toolchains
+from tests.patience import PATIENCE_S
+from tests.web.lab_server import LabServer, served
+
+PROJECT = Path(__file__).resolve().parents[2]
+PICTURES = PROJECT / "out" / "web"
+ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--no-first-run",
+)
+SIZES = {"wide": (1280, 720), "tablet": (1024, 768)}
+Theme = Literal["light", "dark"]
+THEMES: tuple[Theme, ...] = ("light", "dark")
+expect.set_options(timeout=PATIENCE_S * 1000 / 4)
+
+OpenPage = Callable[..., Page]
+
+
+@pytest.fixture(scope="session")
+def built_page() -> Path:
+    """The folder of the built page, as the server serves it; built anew where web/ has changed."""
+    with (Path(tempfile.gettempdir()) / "twodof-tests-web-build.lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)  # the tests of several processes come here at once
+        done = subprocess.run(
+            [PROJECT / "tools" / "web.sh", sys.executable, "build"],
+            capture_output=True,
+            text=True,
+            timeout=2 * PATIENCE_S,
+            check=False,
+        )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return PROJECT / "src" / "twodof" / "lab" / "page"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One Chromium for the tests of a file; each test has a context, as a person's own window, of its own.
+
+    Playwright's event loop runs in this thread for as long, and no test of another file could run one of its own.
+    """
+    toolchains.need("chromium")
+    with sync_playwright() as playwright:
+        chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser: Browser) -> Iterator[OpenPage]:
+    """Opens a link in a window of its own: `open_page(link, "tablet", "dark")`.
+
+    What the page writes to the console as an error, and what it raises, fails the test at its end. `expects` names
+    words of the faults that the test makes itself.
+    """
+    contexts: list[BrowserContext] = []
+    errors: list[str] = []
+    expected: list[str] = []
+
+    def open_one(link: str, size: str = "wide", theme: Theme = "light", expects: tuple[str, ...] = ()) -> Page:
+        width, height = SIZES[size]
+        context = browser.new_context(
+            viewport={"width": width, "height": height},
+            color_scheme=theme,
+            has_touch=size == "tablet",
+            reduced_motion="reduce",
+        )
+        context.set_default_timeout(PATIENCE_S * 1000 / 4)
+        contexts.append(context)
+        expected.extend(expects)
+        page = context.new_page()
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.on(
+            "console",
+            lambda said: errors.append(f"{said.text} ({said.location['url']})") if said.type == "error" else None,
+        )
+        page.goto(link)
+        return page
+
+    yield open_one
+    for context in contexts:
+        context.close()
+    unexpected = [error for error in errors if not any(words in error for words in expected)]
+    assert not unexpected, unexpected
+
+
+@pytest.fixture(scope="session")
+def shared_server(built_page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabServer]:
+    """One for all tests of a process, as it takes seconds to start: ask for `lab_server`."""
+    assert built_page.is_dir()
+    with served(tmp_path_factory.mktemp("lab")) as server:
+        yield server
+
+
+@pytest.fixture
+def lab_server(shared_server: LabServer) -> LabServer:
+    """A page and a drone on a virtual rig, which stands at its start."""
+    shared_server.calm()
+    return shared_server
+
+
+AXE = PROJECT / "web" / "node_modules" / "axe-core" / "axe.min.js"
+
+
+def axe(page: Page, within: str = "body") -> list[str]:
+    """The serious and critical faults that axe finds, one line each: the rule, what it says, where."""
+    page.evaluate(
+        AXE.read_text(encoding="utf-8") + ";0"
+    )  # not as a script element, which the page's own policy forbids
+    found = page.evaluate("(within) => axe.run(within, { resultTypes: ['violations'] })", within)
+    return [
+        f"{fault['id']}: {fault['help']} at {', '.join(' '.join(map(str, node['target'])) for node in fault['nodes'])}"
+        for fault in found["violations"]
+        if fault["impact"] in ("serious", "critical")
+    ]
+
+
+def picture(page: Page, name: str) -> Path:
+    """Keeps a screenshot in out/web, for people to look at."""
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    path = PICTURES / f"{name}.png"
+    page.screenshot(path=path)
+    return path
+
+
+def scrolls_sideways(page: Page) -> bool:
+    """Whether the page is wider than its window."""
+    wider: bool = page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
+    return wider

@@ -1,0 +1,131 @@
+"""LabServer: `twodof up` with one drone and its page, as a test drives both, and breaks them."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.fleet.drone_numbers import free_numbers
+from tests.patience import PATIENCE_S, patiently
+
+
+@dataclass(frozen=True)
+class LabServer:
+    """`link` opens the page that commands, `watch_link` the one that watches.
+
+    `drone` is the number in calls, `url` where a client of our own connects, `folder` the user's data folder.
+    """
+
+    link: str
+    watch_link: str
+    drone: int
+    url: str
+    folder: Path
+    process: subprocess.Popen[str]
+
+    def call(self, method: str, path: str, body: Any = None) -> Any:
+        """What a call of the API answers: `call("POST", "drones/1/arm")`. Raises HTTPError."""
+        base = self.link.split("?")[0]
+        data = None if body is None else json.dumps(body).encode()
+        request = urllib.request.Request(f"{base}api/{path}", data, {"Content-Type": "application/json"}, method=method)
+        with urllib.request.urlopen(request, timeout=PATIENCE_S / 4) as answer:
+            text = answer.read()
+        return json.loads(text) if text else None
+
+    def tell(self, what: str, body: Any = None, method: str = "POST") -> Any:
+        """A call about the drone: `tell("arm")`."""
+        return self.call(method, f"drones/{self.drone}/{what}", body)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """How the drone stands."""
+        found: dict[str, Any] = self.call("GET", f"drones/{self.drone}")
+        return found
+
+    def until(self, **wanted: Any) -> dict[str, Any]:
+        """The drone's state, once it has these values."""
+        state: dict[str, Any] = {}
+        for _ in patiently():
+            with suppress(OSError):
+                state = self.state
+            if all(state.get(name) == value for name, value in wanted.items()):
+                return state
+            time.sleep(0.02)
+        raise AssertionError(f"{wanted} did not come: {state}")
+
+    def calm(self, rings: bool = False) -> None:
+        """The drone as at its start: disarmed, released, at the middle of the rail, commanded by nobody."""
+        self.until(link="heard")
+        self.tell("disarm")
+        if self.state["killed"]:
+            self.tell("release")
+        self.tell("reset", {"seed": 1, "x": 0.0, "noise": 1.0, "rings": rings})
+        self.tell("lease", method="DELETE")
+        # The estimator needs some tenths of a second from the reset on until it may be armed.
+        for _ in patiently():
+            if not self.state["warnings"] and self.state["lease_holder"] is None:
+                return
+            time.sleep(0.02)
+
+    def child(self, program: str) -> int:
+        """The process of one of its programs: "lab", "fcu", "companion"."""
+        for _ in patiently():
+            for number in _children(self.process.pid):
+                with suppress(OSError):
+                    words = Path(f"/proc/{number}/cmdline").read_bytes().decode().split("\0")
+                    if program in words[:4]:
+                        return number
+        raise AssertionError(f"no {program} runs")
+
+    @contextmanager
+    def stopped(self, program: str) -> Iterator[None]:
+        """One of its programs stands still in the block, as if its computer or its link did."""
+        number = self.child(program)
+        os.kill(number, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            os.kill(number, signal.SIGCONT)
+
+
+def _children(parent: int) -> list[int]:
+    return [int(one) for one in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+@contextmanager
+def served(folder: Path, *options: str) -> Iterator[LabServer]:
+    """`twodof up` with one drone on free ports, whose data are kept in `folder`, until the end of the block."""
+    with free_numbers(1) as first:
+        command = [sys.executable, "-m", "twodof.cli", "up", "--json", "--first", str(first), "--page-port", "0"]
+        environment = {**os.environ, "TWODOF_DATA": str(folder)}
+        with (folder / "said").open("w+") as said:
+            process = subprocess.Popen(
+                [*command, *options], stdout=subprocess.PIPE, stderr=said, text=True, env=environment, bufsize=1
+            )
+            assert process.stdout is not None
+            try:
+                line = process.stdout.readline()  # it comes once all answer, or ends
+                assert line, (folder / "said").read_text()
+                told = json.loads(line)
+                (drone,), page = told["drones"], told["page"]
+                server = LabServer(page["command"], page["watch"], drone["system"], drone["drone"], folder, process)
+                server.until(link="heard")
+                yield server
+            finally:
+                process.terminate()
+                try:
+                    process.wait(PATIENCE_S / 4)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    process.wait()
+                process.stdout.close()

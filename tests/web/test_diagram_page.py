@@ -1,0 +1,288 @@
+"""The Diagram page: draw by mouse and by keys, see what is wrong, simulate at once, keep, and flash."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.lab.served import COMMAND, Served, served
+from tests.web.conftest import SIZES, THEMES, OpenPage, Theme, axe, picture, scrolls_sideways
+from tests.web.written_diagrams import odd_diagram, wide_diagram
+from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.flight.starters import starter
+
+FLOWN = re.compile(r"lown in \d+ ms")
+IMMEDIATELY_MS = 1000.0
+LONGEST_TASK_MS = 100.0
+COVERED = """() => {
+  const all = [...document.querySelectorAll(".svelte-flow__node")];
+  const nodes = all.map((n) => [n.dataset.id, n.getBoundingClientRect()]);
+  const found = [];
+  for (const [one, a] of nodes)
+    for (const [other, b] of nodes)
+      if (one < other && a.left < b.right && b.left < a.right && a.top < b.bottom && b.top < a.bottom)
+        found.push(`${one} over ${other}`);
+  for (const wire of document.querySelectorAll(".svelte-flow__edge-path"))
+    for (let s = 0; s < wire.getTotalLength(); s += 4) {
+      const { x, y } = wire.getPointAtLength(s).matrixTransform(wire.getScreenCTM());
+      for (const [id, r] of nodes)
+        if (x > r.left + 3 && x < r.right - 3 && y > r.top + 1 && y < r.bottom - 1) found.push(`a wire through ${id}`);
+    }
+  return found;
+}"""
+"""What stands over what; a wire's last 3 pixels are its arrow, at the block's own port."""
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory, built_page: Path) -> Iterator[Served]:
+    assert built_page.is_dir()
+    with served(tmp_path_factory.mktemp("data"), token=COMMAND, command_token=COMMAND) as there:
+        yield there
+
+
+def link(server: Served, rest: str = "") -> str:
+    return f"http://{server.host}/?token={COMMAND}#/diagram{rest}"
+
+
+def kept(server: Served, name: str) -> str:
+    """The bytes of a kept diagram."""
+    return (server.folder / "diagrams" / f"{name}.json").read_text(encoding="utf-8")
+
+
+def keep(server: Served, name: str, text: str) -> None:
+    folder = server.folder / "diagrams"
+    folder.mkdir(exist_ok=True)
+    (folder / f"{name}.json").write_text(text, encoding="utf-8")
+
+
+def block(page: Page, name: str) -> Locator:
+    return page.locator(f".svelte-flow__node[data-id='p:{name}']")
+
+
+def sheet(page: Page) -> Locator:
+    return page.locator(".sheet")
+
+
+def drawn(page: Page) -> Page:
+    expect(sheet(page)).to_be_visible()
+    expect(page.get_by_text(FLOWN)).to_be_visible()
+    return page
+
+
+def took(page: Page) -> float:
+    """How long the last change took until it was simulated [ms]."""
+    return float(page.locator("section[data-took]").get_attribute("data-took") or "nan")
+
+
+@pytest.mark.parametrize("theme", THEMES)
+@pytest.mark.parametrize("size", SIZES)
+def test_a_starter_is_drawn_checked_and_flown(server: Served, open_page: OpenPage, size: str, theme: Theme) -> None:
+    page = drawn(open_page(link(server, "?starter=notch-attitude"), size, theme))
+    expect(block(page, "notch")).to_be_visible()
+    expect(page.get_by_text("It compiles")).to_be_visible()
+    block(page, "pid").click()
+    expect(page.get_by_label("anti_windup")).to_have_value("back-calculation")
+    picture(page, f"diagram-{size}-{theme}")
+    assert not scrolls_sideways(page)
+    assert axe(page) == []
+
+
+def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=pid-attitude")))
+    said = page.locator("#diagram-said")
+    sheet(page).focus()
+    page.keyboard.press("a")
+    page.keyboard.type("gain")
+    page.keyboard.press("Enter")
+    expect(said).to_have_text(re.compile("add gain"))
+    expect(block(page, "gain")).to_be_visible()
+    expect(page.get_by_text("1 problem", exact=True)).to_be_visible()
+    page.keyboard.press("c")
+    page.get_by_label("From", exact=True).select_option("gain")
+    page.get_by_label("To", exact=True).select_option("error.b")
+    page.get_by_role("button", name="Connect", exact=True).press("Enter")
+    expect(said).to_have_text(re.compile("connect gain to error.b"))
+    page.keyboard.press("c")
+    page.get_by_label("From", exact=True).select_option("q")
+    page.get_by_label("To", exact=True).select_option("gain.u")
+    page.get_by_role("button", name="Connect", exact=True).press("Enter")
+    expect(page.get_by_text("It compiles")).to_be_visible()
+    before = block(page, "gain").bounding_box()
+    page.keyboard.press("ArrowRight")
+    assert before is not None
+    expect(said).to_have_text(re.compile(r"^gain at "))
+    page.keyboard.press("Enter")
+    expect(page.get_by_label("Name", exact=True)).to_be_focused()
+    page.keyboard.press("Tab")
+    page.keyboard.press("Tab")
+    expect(page.get_by_label("k", exact=True)).to_be_focused()
+    page.keyboard.type("1.1")
+    page.keyboard.press("Enter")
+    expect(said).to_have_text("k of gain")
+    sheet(page).focus()
+    page.keyboard.press("n")
+    expect(said).to_have_text(re.compile("input|from"))
+    for _ in range(5):
+        page.keyboard.press("Control+z")
+    expect(block(page, "gain")).to_have_count(0)
+    page.keyboard.press("Control+y")
+    expect(block(page, "gain")).to_be_visible()
+
+
+@pytest.mark.parametrize("name", ["pid-attitude", "lqr-attitude", "stock-position", "pid-position", "direct-motor"])
+def test_no_block_of_a_starter_stands_over_another_nor_over_a_wire(
+    server: Served, open_page: OpenPage, name: str
+) -> None:
+    page = open_page(link(server, f"?starter={name}"))
+    expect(page.locator(".svelte-flow__node[data-id^='p:']")).to_have_count(len(starter(name).parts))
+    expect(page.locator(".svelte-flow__edge-path").first).to_be_attached()
+    assert page.evaluate(COVERED) == []
+
+
+def test_an_algebraic_loop_is_shown_where_it_is(server: Served, open_page: OpenPage) -> None:
+    d = starter("pid-attitude")
+    del d.connections["error", "b"]
+    d.connect("pid", "error.b")
+    keep(server, "loop", to_json(d))
+    page = open_page(link(server, "/loop"))
+    expect(page.get_by_text("1 problem", exact=True)).to_be_visible()
+    for name in ("error", "pid"):
+        expect(block(page, name).locator(".loop")).to_be_visible()
+        expect(block(page, name).locator("[title*='algebraic loop']")).to_be_visible()
+    expect(page.locator(".svelte-flow__edge.loop")).to_have_count(2)
+    expect(block(page, "pitch_gain").locator(".loop")).to_have_count(0)
+    page.get_by_role("tab", name="Problems (1)").click()
+    expect(page.get_by_text("put a delay or a continuous state into the loop").first).to_be_visible()
+    picture(page, "diagram-loop")
+
+
+@pytest.mark.parametrize("text", [to_json(starter("lqr-attitude")), to_json(from_json(to_json(odd_diagram())))])
+def test_what_is_opened_and_saved_keeps_its_bytes(server: Served, open_page: OpenPage, text: str) -> None:
+    keep(server, "bytes", text)
+    page = open_page(link(server, "/bytes"))
+    expect(sheet(page)).to_be_visible()
+    sheet(page).focus()
+    (server.folder / "diagrams" / "bytes.json").unlink()
+    page.keyboard.press("Control+s")
+    expect(page.get_by_text("bytes is saved")).to_be_visible()
+    assert kept(server, "bytes") == text
+
+
+def test_a_change_is_simulated_within_a_second(server: Served, open_page: OpenPage) -> None:
+    page = drawn(open_page(link(server, "?starter=pid-attitude")))
+    flown = page.locator("section[data-flights]")
+
+    def after(change: Callable[[], object]) -> float:
+        before = flown.get_attribute("data-flights") or "0"
+        change()
+        expect(flown).not_to_have_attribute("data-flights", before)
+        return took(page)
+
+    value, structure = [], []
+    for n in range(3):  # the quickest counts: other tests may use the processors meanwhile
+        block(page, "rate_limit").click()
+        field = page.get_by_label("high", exact=True)
+        field.fill(f"{0.4 + n / 10}")
+        value.append(after(lambda typed=field: typed.press("Enter")))  # type: ignore[misc]
+        block(page, "pid").click()
+        rule = page.get_by_label("derivative", exact=True)
+        chosen = ("forward", "trapezoidal", "backward")[n]
+        structure.append(after(lambda one=rule, to=chosen: one.select_option(to)))  # type: ignore[misc]
+    logging.info("simulated after a change of a value: %s ms, of the structure: %s ms", value, structure)
+    assert min(value) < IMMEDIATELY_MS
+    assert min(structure) < IMMEDIATELY_MS
+
+
+def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_page: OpenPage) -> None:
+    keep(server, "wide", to_json(wide_diagram(300)))
+    page = drawn(open_page(link(server, "/wide")))
+    expect(page.locator(".svelte-flow__node-part")).to_have_count(300)
+    names = ["g50", "g61"]
+    figures: dict[str, float] = {}
+
+    def measured(name: str, *keys: str) -> None:
+        figures[name] = _longest(page, lambda: [page.keyboard.press(key) for key in keys])
+
+    def drag() -> None:
+        box = block(page, names[0]).bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 40, y + 30, steps=10)
+        page.mouse.up()
+
+    def wire() -> None:
+        start = block(page, names[0]).locator(".source").bounding_box()
+        end = block(page, names[1]).locator(".target").first.bounding_box()
+        assert start is not None
+        assert end is not None
+        page.mouse.move(start["x"] + start["width"] / 2, start["y"] + start["height"] / 2)
+        page.mouse.down()
+        page.mouse.move(end["x"] + end["width"] / 2, end["y"] + end["height"] / 2, steps=10)
+        page.mouse.up()
+
+    figures["select"] = _longest(page, block(page, names[0]).click)
+    figures["drag"] = _longest(page, drag)
+    sheet(page).focus()
+    measured("undo", "Control+z")
+    measured("move", "ArrowDown")
+    measured("all", "Control+a")
+    block(page, names[0]).click()
+    measured("copy and paste", "Control+c", "Control+v")
+    measured("undo a paste", "Control+z")
+    figures["connect"] = _longest(page, wire)
+    block(page, names[1]).click()
+    field = page.get_by_label("k", exact=True)
+    field.fill("1.25")
+    figures["type"] = _longest(page, lambda: field.press("Enter"))
+    logging.info("longest task of each action [ms]: %s", figures)
+    assert max(figures.values()) < LONGEST_TASK_MS, figures
+
+
+def _longest(page: Page, action: Callable[[], object]) -> float:
+    """The longest task of the page's thread in an action, in its own processor time [ms].
+
+    Not by the clock: the long-task observer would count what the other tests take of the processors.
+    """
+    browser = page.context.browser
+    assert browser is not None
+    browser.start_tracing(page=page, categories=["toplevel"])
+    action()
+    page.wait_for_timeout(300)
+    events = json.loads(browser.stop_tracing())["traceEvents"]
+    names = (one for one in events if one.get("name") == "thread_name")
+    threads = {(one["pid"], one["tid"]) for one in names if one["args"]["name"] == "CrRendererMain"}
+    tasks = [
+        one["tdur"] / 1000.0
+        for one in events
+        if one.get("name") == "ThreadControllerImpl::RunTask" and (one["pid"], one["tid"]) in threads and "tdur" in one
+    ]
+    assert tasks, "the trace holds no task"
+    return max(tasks)
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "status"),
+    [
+        ("check", '{"schema": "twodof/diagram", "version": 1, "diagram": ' + "[" * 5000, 200),
+        ("compile", "not a diagram", 422),
+        ("read", "{}", 422),
+        ("margins", "[]", 202),
+        ("flash", "[]", 422),
+    ],
+)
+def test_what_a_stranger_sends_is_refused_in_words(server: Served, path: str, text: str, status: int) -> None:
+    answer = server.ask("POST", f"/api/diagrams/{path}", {"text": text})
+    assert answer.status == status
+    if status == 422:
+        assert answer.json["remedy"]
+    elif path == "check":
+        assert not answer.json["fine"]
+        assert answer.json["problems"][0]["remedy"]

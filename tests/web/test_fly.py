@@ -1,0 +1,204 @@
+"""The Fly page: a person arms, flies by every means there is, excites, stops and disarms, and sees what happens."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.patience import patiently
+from tests.web.conftest import SIZES, THEMES, OpenPage, axe, picture, scrolls_sideways
+from tests.web.lab_server import LabServer
+from twodof.flightlog.files import read_log
+
+STOP = re.compile("^STOP")
+
+
+def armed(page: Page) -> None:
+    """Arms by the button, and sees that it is."""
+    page.get_by_role("button", name="Arm", exact=True).click()
+    expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
+
+
+def flying(page: Page) -> None:
+    """Armed and hovering in the middle of the rail."""
+    armed(page)
+    page.get_by_role("tab", name="Position").click()
+    page.get_by_role("button", name="0.00", exact=True).click()
+    expect(page.get_by_text("follows position")).to_be_visible()
+
+
+def shown(page: Page, label: str) -> float:
+    """A live value as the page shows it, in the unit of the screen."""
+    text = page.locator("dl[aria-label=Now] div", has_text=label).locator("dd").inner_text().split()[0]
+    return float(text.replace("\u2212", "-").replace("–", "nan"))
+
+
+def reaches(page: Page, label: str, value: float, within: float) -> None:
+    """Waits until a live value is there."""
+    seen = float("nan")
+    for _ in patiently():
+        seen = shown(page, label)
+        if abs(seen - value) < within:
+            return
+    raise AssertionError(f"{label} is {seen}, not {value}")
+
+
+def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    armed(page)
+    page.get_by_role("tab", name="Position").click()
+    page.get_by_role("button", name="0.10", exact=True).click()
+    reaches(page, "Position x", 0.1, 0.02)
+    number = page.get_by_label("Position x, number")
+    number.fill("-0,05")  # as a German keyboard writes it
+    number.press("Enter")
+    reaches(page, "Position x", -0.05, 0.02)
+    slider = page.get_by_role("slider", name="Position x", exact=True)
+    slider.focus()
+    slider.press("Home")  # its least: what the keyboard gives at once
+    assert lab_server.state["mode"] == "offboard"
+    slider.press("End")
+    page.get_by_role("button", name="0.00", exact=True).click()
+    reaches(page, "Position x", 0.0, 0.02)
+    number.fill("0.9")
+    number.press("Enter")
+    expect(page.get_by_text("From -0.4 to 0.4 m.")).to_be_visible()
+    number.press("Escape")
+    page.get_by_role("button", name="Disarm").click()
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()
+    assert not lab_server.state["armed"]
+
+
+def test_a_pitch_is_asked_in_degrees_and_flown_in_radians(lab_server: LabServer, open_page: OpenPage) -> None:
+    lab_server.calm(rings=True)
+    page = open_page(lab_server.link)
+    expect(page.get_by_text("locked, the cart stands")).to_be_visible()
+    armed(page)
+    page.get_by_label("Pitch θ, number").fill("8")
+    page.get_by_label("Pitch θ, number").press("Enter")
+    reaches(page, "Pitch θ", 8.0, 1.5)
+    page.get_by_role("tab", name="Velocity").click()
+    expect(page.get_by_text("The rings lock the cart")).to_be_visible()
+    page.get_by_role("button", name="Hold level").click()
+    expect(page.get_by_label("Mode")).to_have_value("hold")
+    reaches(page, "Pitch θ", 0.0, 1.5)
+
+
+def test_the_stop_works_by_button_by_key_over_a_dialog_and_from_every_page(
+    lab_server: LabServer, open_page: OpenPage
+) -> None:
+    page = open_page(lab_server.link)
+    armed(page)
+    page.get_by_role("button", name="Build one").click()
+    page.get_by_role("dialog").get_by_role("button", name=STOP).click()
+    lab_server.until(killed=True, armed=False)
+    page.keyboard.press("Escape")
+    expect(page.get_by_text("the motors stay off until it is released")).to_be_visible()
+    page.get_by_role("button", name="Release the stop").click()
+    for name in ("Tune", "Diagram", "Identify", "Logs", "Fly"):
+        page.get_by_role("link", name=name, exact=True).click()
+        expect(page.get_by_role("button", name=STOP)).to_be_enabled()
+    armed(page)
+    page.get_by_label("Thrust, number").focus()  # also while something is typed
+    page.get_by_role("link", name="Logs", exact=True).click()
+    page.keyboard.press("F8")
+    lab_server.until(killed=True, armed=False)
+
+
+def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    page.get_by_role("button", name="Build one").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_text("of 50 deg")).to_be_visible()
+    small = dialog.get_by_text("of 50 deg").inner_text()
+    dialog.get_by_label("Amplitude").fill("25")
+    dialog.get_by_label("Period").fill("3")
+    dialog.get_by_label("Period").press("Enter")
+    expect(dialog.get_by_text("the failsafe would act")).to_be_visible()
+    assert dialog.get_by_text("of 50 deg").inner_text() != small
+    dialog.get_by_label("Amplitude").fill("70")
+    dialog.get_by_label("Amplitude").press("Enter")
+    expect(dialog.get_by_text("From -50 to 50 deg.")).to_be_visible()
+    for kind in ("impulse", "3-2-1-1", "steps", "sweep", "prbs", "multisine"):
+        with page.expect_response("**/api/excitations/preview") as answer:
+            dialog.get_by_label("Kind").select_option(kind)
+        assert answer.value.status == 200, (kind, answer.value.text())
+        assert answer.value.json()["motion"], (kind, answer.value.json()["why"])
+    assert axe(page, "dialog") == []
+    dialog.get_by_label("Added to the set-point of").select_option("x")
+    dialog.get_by_label("Kind").select_option("impulse")
+    dialog.get_by_label("Amplitude").fill("0.1")
+    dialog.get_by_label("Width").fill("20")  # long enough to be seen, however much else runs; it is stopped before
+    dialog.get_by_label("Rest before").fill("0")
+    dialog.get_by_label("Rest before").press("Enter")
+    use = dialog.get_by_role("button", name="Use this one")
+    expect(dialog.get_by_text("of 0.40 m")).to_be_visible()
+    use.click()
+    armed(page)
+    page.get_by_role("tab", name="Position").click()
+    page.get_by_role("button", name="0.00", exact=True).click()
+    page.get_by_role("button", name="Start", exact=True).click()
+    reaches(page, "Position x", 0.1, 0.02)
+    page.get_by_role("button", name="Stop it").click()
+    reaches(page, "Position x", 0.0, 0.02)
+
+
+def test_who_only_watches_sees_and_cannot_touch(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.watch_link)
+    expect(page.get_by_text("Watching only")).to_be_visible()
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_disabled()
+    expect(page.get_by_role("button", name=STOP)).to_be_disabled()
+    reaches(page, "Position x", 0.0, 0.05)
+    assert "token" not in page.url
+
+
+def test_the_rig_is_reset_to_where_it_is_asked(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    page.get_by_role("button", name="Reset…").click()
+    dialog = page.get_by_role("dialog")
+    dialog.get_by_label("Place on the rail x").fill("0.2")
+    dialog.get_by_label("Place on the rail x").press("Enter")
+    dialog.get_by_role("switch", name="Rings").click()
+    dialog.get_by_role("button", name="Reset").click()
+    expect(dialog).to_be_hidden()
+    reaches(page, "Position x", 0.2, 0.03)
+    expect(page.get_by_text("locked, the cart stands")).to_be_visible()
+
+
+def test_what_is_seen_is_saved_for_matlab(lab_server: LabServer, open_page: OpenPage, tmp_path: Path) -> None:
+    page = open_page(lab_server.link)
+    reaches(page, "Position x", 0.0, 0.05)
+    with page.expect_download() as saved:
+        page.get_by_role("button", name=".mat").click()
+    saved.value.save_as(tmp_path / "seen.mat")
+    log = read_log(tmp_path / "seen.mat")
+    assert {"theta", "x", "M", "x_true"} <= log.channels.keys()
+    assert len(log["theta"]) > 20
+    assert log["theta"].period() == pytest.approx(0.004, rel=0.05)
+    assert np.abs(log["x_true"].value).max() < 0.01
+
+
+def test_it_fits_both_sizes_and_themes_and_axe_finds_no_serious_fault(
+    lab_server: LabServer, open_page: OpenPage
+) -> None:
+    page = open_page(lab_server.link)
+    flying(page)
+    page.get_by_role("button", name="0.10", exact=True).click()
+    reaches(page, "Position x", 0.1, 0.02)
+    for size, theme in product(SIZES, THEMES):
+        width, height = SIZES[size]
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=theme)
+        assert not scrolls_sideways(page), size
+        picture(page, f"fly-{size}-{theme}")
+        if size == "wide":  # what axe looks for does not hang on the size
+            assert axe(page) == [], theme
+        stop = page.get_by_role("button", name=STOP).bounding_box()
+        assert stop is not None
+        assert stop["height"] >= 36  # for a finger
+        assert stop["y"] < 120  # in the first lines, never scrolled away

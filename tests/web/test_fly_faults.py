@@ -1,0 +1,122 @@
+"""What goes wrong while somebody flies: each is said in words where it is seen, and recovers by itself."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.web.conftest import OpenPage
+from tests.web.lab_server import LabServer
+from tests.web.test_fly import armed, flying, reaches, shown
+from twodof.gcs import Drone
+
+GONE = ("WebSocket", "ERR_", "502", "504")
+REFUSED = ("409",)
+
+
+def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=GONE)
+    flying(page)
+    os.kill(lab_server.child("lab"), signal.SIGKILL)
+    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_visible()
+    expect(page.get_by_text("its own failsafe levels it")).to_be_visible()
+    # `up` starts it again, and the page finds it by itself, at the same link.
+    expect(page.get_by_text("The server is reached again.")).to_be_visible()
+    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_hidden()
+    # Nobody renewed the set-point or the lease meanwhile: what the failsafe has done is said.
+    expect(page.locator("[aria-label='The drone']").get_by_text("Failsafe")).to_be_visible()
+    lab_server.calm()
+    flying(page)
+    reaches(page, "Position x", 0.0, 0.03)
+
+
+def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=GONE)
+    flying(page)
+    with lab_server.stopped("companion"):
+        expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_visible()
+        expect(page.get_by_role("button", name="Disarm")).to_be_disabled()
+        expect(page.get_by_text("The link is lost.", exact=True).first).to_be_visible()
+    expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_hidden()
+    # It stayed lost for longer than the failsafe waits: what that did is in the drone's own words, and it flies again.
+    expect(page.get_by_label("What the drone says")).to_contain_text("link_lost")
+    flying(page)
+    reaches(page, "Position x", 0.0, 0.05)
+
+
+def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link, expects=REFUSED)
+    with Drone.connect(lab_server.url):
+        expect(page.get_by_text("commands").first).to_be_visible()
+        expect(page.get_by_role("button", name="Take command")).to_be_visible()
+        page.get_by_role("button", name="Arm", exact=True).click()
+        expect(page.get_by_label("Messages").get_by_text("holds the lease")).to_be_visible()
+    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    page.get_by_role("button", name="Take command").click()
+    expect(page.get_by_text("You command").first).to_be_visible()
+    page.get_by_role("button", name="Give it back").click()
+    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    with Drone.connect(lab_server.url) as other:  # given back is given back
+        other.arm()
+        expect(page.get_by_role("button", name="Disarm")).to_be_visible()
+        page.get_by_role("button", name="STOP F8").click()  # needs no lease
+        lab_server.until(killed=True)
+
+
+def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    armed(page)
+    number = page.get_by_label("Pitch θ, number")
+    number.fill("15")  # with the cart free it runs to the rail's end
+    number.press("Enter")
+    expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_visible()
+    expect(page.get_by_label("What the drone says")).not_to_contain_text("Nothing yet")
+    number.fill("0")
+    number.press("Enter")
+    page.get_by_role("tab", name="Position").click()
+    page.get_by_role("button", name="0.00", exact=True).click()
+    expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
+    reaches(page, "Position x", 0.0, 0.03)
+
+
+def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page("about:blank")
+    page.clock.install()
+    page.goto(lab_server.link)
+    reaches(page, "Position x", 0.0, 0.05)
+    page.clock.fast_forward(60_000)  # as a browser does: timers that were due fire once, after it
+    expect(page.get_by_text("This page stood still for 6")).to_be_visible()
+    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_hidden()
+    lab_server.tell("reset", {"x": 0.1})
+    reaches(page, "Position x", 0.1, 0.03)
+    page.get_by_role("button", name="Close").click()
+    expect(page.get_by_text("This page stood still")).to_be_hidden()
+
+
+def test_a_clock_that_is_set_changes_no_plot(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page("about:blank")
+    page.clock.install(time=1_700_000_000)
+    page.goto(lab_server.link)
+    reaches(page, "Position x", 0.0, 0.05)
+    page.clock.set_system_time(1_700_000_000 - 3600)
+    expect(page.get_by_text("The clock of this computer was set by")).to_be_visible()
+    lab_server.tell("reset", {"x": -0.1})
+    reaches(page, "Position x", -0.1, 0.03)
+
+
+@pytest.mark.soak
+def test_a_tab_that_is_frozen_for_a_minute_catches_up(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    flying(page)
+    chrome = page.context.new_cdp_session(page)
+    chrome.send("Page.setWebLifecycleState", {"state": "frozen"})
+    for _ in range(60):
+        signal.sigtimedwait([], 1.0)
+    chrome.send("Page.setWebLifecycleState", {"state": "active"})
+    expect(page.get_by_text("This page stood still for")).to_be_visible()
+    lab_server.tell("setpoint", {"loop": "x", "value": 0.1}, "PUT")
+    reaches(page, "Position x", 0.1, 0.03)
+    assert abs(shown(page, "Pitch")) < 20

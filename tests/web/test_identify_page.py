@@ -1,0 +1,98 @@
+"""The Identify page on a real virtual drone: from a choice to a controller, by clicks alone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.lab.served_lab import ServedLab, served_lab
+from tests.patience import PATIENCE_S
+from tests.web.conftest import SIZES, OpenPage, Theme, axe, picture, scrolls_sideways
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.files import write_log
+
+LONG_MS = PATIENCE_S * 1000
+
+
+@pytest.fixture(scope="module")
+def lab(built_page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
+    assert (built_page / "index.html").is_file()
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "flights").mkdir()
+    laboratory = Laboratory("paper")
+    for name in ("impulse", "doublet"):
+        write_log(laboratory.fly(name).log, folder / "flights" / f"2026-01-01-10-00-00-{name}.mcap")
+    with served_lab(folder) as found:
+        yield found
+
+
+def link(lab: ServedLab, query: str = "") -> str:
+    return f"http://127.0.0.1:{lab.port}/#/identify{query}"
+
+
+def fitted(page: Page) -> None:
+    """Identify from the log that is chosen, and wait for what it tells."""
+    page.get_by_role("button", name="Identify", exact=True).click()
+    expect(page.get_by_text("informative enough: it tells")).to_be_visible(timeout=LONG_MS)
+
+
+def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?log=2026-01-01-10-00-00-doublet.mcap"))
+    expect(page.get_by_label("Poles from the impulse in")).to_have_value("2026-01-01-10-00-00-impulse.mcap")
+    page.get_by_text("More", exact=True).click()
+    page.get_by_label("Structure").select_option("pitch-rate")
+    fitted(page)
+    expect(page.get_by_role("row", name=re.compile(r"^mu 358\.6"))).to_be_visible()
+    expect(page.get_by_role("heading", name="Correlation of the estimates")).to_be_visible()
+    expect(page.get_by_text("By hand, step by step")).to_be_visible()
+    assert axe(page) == []
+    page.get_by_label("Keep the model as").fill("from the page")
+    page.get_by_role("button", name="Keep it").click()
+    expect(page.get_by_role("row", name=re.compile("^from the page"))).to_be_visible()
+    page.get_by_role("button", name="Design it").click()
+    expect(page.get_by_text("Keeps the whole family stable")).to_be_visible(timeout=LONG_MS)
+    opened = page.get_by_role("link", name="in the diagram editor")
+    assert "#/diagram?" in str(opened.get_attribute("href"))
+    assert (lab.folder / "diagrams" / "for from the page.json").is_file()
+    assert axe(page) == []
+    picture(page, "identify-designed")
+    page.get_by_role("button", name="Tune on it").click()
+    expect(page.get_by_label("Model", exact=True)).to_have_value("from the page")
+
+
+def test_the_drone_flies_what_was_previewed(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?experiment=velocity-doublet"))
+    page.get_by_role("button", name="Preview the accuracy").click()
+    expect(page.get_by_role("row", name="k_v")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("of the rail")).to_be_visible()
+    page.get_by_role("button", name="Fly velocity-doublet").click()
+    expect(page.get_by_text("the data are good")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_role("combobox", name="Log", exact=True)).to_have_value(re.compile(r"-velocity-doublet\.mcap$"))
+
+
+def test_a_flight_that_is_stopped_says_so(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?experiment=attitude-prbs"))
+    page.get_by_role("button", name="Fly attitude-prbs").click()
+    page.get_by_role("button", name="Stop the flight").click()
+    expect(page.get_by_text("interrupted").or_(page.get_by_text("stopped before")).first).to_be_visible(timeout=LONG_MS)
+
+
+def test_what_is_refused_is_said_where_it_was_asked(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap"))
+    page.get_by_label("It holds").select_option("velocity")
+    page.get_by_role("button", name="Identify", exact=True).click()
+    expect(page.get_by_role("alert").filter(has_text="holds no excitation")).to_be_visible(timeout=LONG_MS)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_it_fits_and_can_be_read(lab: ServedLab, open_page: OpenPage, size: str, theme: Theme) -> None:
+    page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap&experiment=impulse"), size, theme)
+    fitted(page)
+    assert axe(page) == []
+    assert not scrolls_sideways(page)
+    picture(page, f"identify-{size}-{theme}")

@@ -1,0 +1,172 @@
+"""The Logs page: what was flown is listed, opened, replayed, laid over each other, noted, added, deleted and undone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.lab.served import COMMAND, WATCH, Served, served
+from tests.patience import patiently
+from tests.web.conftest import SIZES, OpenPage, Theme, axe, picture, scrolls_sideways
+from twodof.experiment.flight import Laboratory
+from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.log import FlightLog
+from twodof.report.step_responses import step_responses
+
+FIRST, SECOND = "2026-03-01-10-00-00-drone-1.mcap", "2026-03-01-10-05-00-drone-1.mcap"
+
+
+@pytest.fixture(scope="module")
+def flights(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two flights of steps in pitch on the virtual rig, one of them with words and a change; and a file cut short."""
+    data = tmp_path_factory.mktemp("data")
+    folder = data / "flights"
+    folder.mkdir()
+    laboratory = Laboratory("lab")
+    said = {"texts": [[14.0, "warning", "the pitch is near its stop"]], "changes": [[13.0, "RATE_P", 0.2]]}
+    for name, seed, told in ((FIRST, 1, said), (SECOND, 2, {})):
+        log = laboratory.fly("attitude-steps", seed=seed).log
+        write_log(FlightLog(log.channels, {**log.provenance, **told}), folder / name)
+    (folder / "cut.mcap").write_bytes((folder / FIRST).read_bytes()[:3000])
+    return data
+
+
+@pytest.fixture(scope="module")
+def logs_server(flights: Path, built_page: Path) -> Iterator[Served]:
+    with served(flights, token=COMMAND, command_token=COMMAND, watch_token=WATCH) as there:
+        yield there
+
+
+def link(server: Served, rest: str = "", token: str = COMMAND) -> str:
+    return f"http://{server.host}/?token={token}#/logs{rest}"
+
+
+def opened(page: Page) -> None:
+    """The log has been read, its replay too."""
+    expect(page.get_by_role("button", name="Play")).to_be_enabled()
+
+
+@pytest.mark.parametrize(("size", "theme"), [("wide", "light"), ("tablet", "dark")])
+def test_every_view_can_be_read_and_used(logs_server: Served, open_page: OpenPage, size: str, theme: Theme) -> None:
+    """axe finds no serious fault, nothing scrolls sideways, at each size and in each theme."""
+    assert size in SIZES
+    page = open_page(link(logs_server), size, theme, ("422",))  # the file that was cut short
+    expect(page.get_by_role("img", name="estimated pitch")).to_have_count(2)
+    expect(page.get_by_text("cannot be read")).to_be_visible()
+    for rest, name in (("", "list"), (f"/{FIRST}?at=20.4", "open"), (f"/{FIRST}?with={SECOND}", "compared")):
+        page.goto(link(logs_server, rest))
+        if name == "open":
+            opened(page)
+        elif name == "compared":
+            expect(page.get_by_role("cell", name=SECOND).first).to_be_visible()
+        assert axe(page) == []
+        assert not scrolls_sideways(page)
+        picture(page, f"logs-{name}-{size}-{theme}")
+
+
+def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+    """By link, by a step of the table, by the keyboard, and by playing it to its end."""
+    log = read_log(flights / "flights" / FIRST)
+    page = open_page(link(logs_server, f"/{FIRST}?at=20.40"))
+    opened(page)
+
+    def seen(time: float) -> None:
+        expect(page.locator("output.time")).to_have_text(f"{time:.2f} s")
+        pitch = round(float(np.degrees(log.resample("theta", [time])[0])))
+        expect(page.get_by_role("application")).to_have_attribute(
+            "aria-label", re.compile(rf"pitch ({pitch}|{pitch - 1}|{pitch + 1}) degrees")
+        )
+
+    seen(20.40)
+    scrub = page.get_by_role("slider", name="Time in the log")
+    scrub.focus()
+    page.keyboard.press("l")
+    seen(21.40)
+    page.keyboard.press("j")
+    page.keyboard.press(",")
+    seen(20.38)
+    first = step_responses(log)[0]
+    page.get_by_role("button", name=f"Go to {first.time:.2f} s").first.click()
+    expect(page.locator("output.time")).to_have_text(f"{first.time:.2f} s")
+    expect(page).to_have_url(re.compile(rf"at={first.time:.2f}"))
+    page.get_by_role("button", name="Go to 14.00 s: the pitch is near its stop").click()
+    seen(14.00)
+    expect(page.get_by_role("button", name="Go to 13.00 s: RATE_P set to 0.2")).to_be_visible()
+    page.get_by_label("Speed").select_option("10")
+    page.get_by_role("button", name="Play").click()
+    expect(page.get_by_role("button", name="Pause")).to_be_visible()
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+    expect(page.locator("output.time")).to_have_text(f"{log.span[1]:.2f} s")
+
+
+def test_steps_are_those_of_the_library_and_flights_lie_over_each_other(
+    logs_server: Served, flights: Path, open_page: OpenPage
+) -> None:
+    page = open_page(link(logs_server), expects=("422",))
+    for name in (FIRST, SECOND):
+        page.get_by_label(f"Lay {name} over others").check()
+    page.get_by_role("link", name="Lay 2 over each other").click()
+    for name in (FIRST, SECOND):
+        found = step_responses(read_log(flights / "flights" / name))
+        row = page.get_by_role("row").filter(has_text=name).first
+        rise, overshoot = found[0].figures.rise_time, 100.0 * found[0].figures.overshoot
+        expect(row).to_contain_text(f"{rise:.3f}")
+        expect(row).to_contain_text(f"{overshoot:.1f}")
+    page.get_by_label("Aligned at").select_option("start")
+    expect(page.get_by_text("position x").first).to_be_visible()
+
+
+def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
+    logs_server: Served, flights: Path, open_page: OpenPage, tmp_path: Path
+) -> None:
+    source = flights / "flights" / FIRST
+    dropped = tmp_path / "my flight (new).mat"
+    write_log(read_log(source), dropped)
+    page = open_page(link(logs_server), expects=("422",))
+    page.get_by_label("A log file").set_input_files(dropped)
+    opened(page)
+    name = "my flight -new-.mat"
+    expect(page.get_by_text(f"{name} is added")).to_be_visible()
+    page.get_by_label("Notes").fill("Gusts from the window.")
+    page.get_by_role("button", name="Keep notes").click()
+    expect(page.get_by_text("Kept beside the log")).to_be_visible()
+    notes = flights / "flights" / f"{name}.notes.txt"
+    assert notes.read_text(encoding="utf-8") == "Gusts from the window."
+    with page.expect_download() as got:
+        page.get_by_role("button", name="Download as .parquet").click()
+    assert got.value.suggested_filename == "my flight -new-.parquet"
+    got.value.save_as(tmp_path / "got.parquet")
+    np.testing.assert_array_equal(read_log(tmp_path / "got.parquet")["q"].value, read_log(source)["q"].value)
+    page.get_by_role("button", name="Delete", exact=True).click()
+    expect(page.get_by_text(f"{name} is deleted")).to_be_visible()
+    expect(page.get_by_label(f"Lay {name} over others")).to_have_count(0)
+    page.get_by_role("button", name="Undo").click()
+    expect(page.get_by_label(f"Lay {name} over others")).to_be_visible()
+    for _ in patiently():
+        if notes.exists():
+            break
+
+
+def test_what_is_no_log_is_refused_where_it_was_dropped(
+    logs_server: Served, open_page: OpenPage, tmp_path: Path
+) -> None:
+    page = open_page(link(logs_server), expects=("422",))
+    for name, words in (("page.html", "page.html is not a log"), ("noise.ulg", "noise.ulg")):
+        (tmp_path / name).write_bytes(b"<script>alert(1)</script>" * 40)
+        page.get_by_label("A log file").set_input_files(tmp_path / name)
+        expect(page.locator("main").get_by_role("alert")).to_contain_text(words)
+
+
+def test_who_watches_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:
+    page = open_page(link(logs_server, token=WATCH), expects=("422",))
+    expect(page.get_by_role("link", name="attitude-steps").first).to_be_visible()
+    expect(page.get_by_role("button", name=re.compile("^Delete"))).to_have_count(0)
+    expect(page.get_by_role("button", name="Open a file")).to_have_count(0)
+    page.goto(link(logs_server, f"/{FIRST}", WATCH))
+    opened(page)
+    expect(page.get_by_label("Notes")).to_have_attribute("readonly", "")

@@ -1,0 +1,170 @@
+"""How fast the page is, measured in the browser without a graphics card: `make soak` prints the figures.
+
+Each is of this machine as it is just then; what else runs on its cores counts too.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import platform
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from http.server import ThreadingHTTPServer
+from typing import Any
+
+import pytest
+from playwright.sync_api import Browser, Page
+
+from tests import toolchains
+from tests.patience import PATIENCE_S
+from tests.web.conftest import PROJECT, OpenPage
+from tests.web.lab_server import LabServer
+from tests.web.test_shell import QuietHandler
+
+pytestmark = pytest.mark.soak
+
+MEDIAN_MS, P99_MS = 50.0, 120.0
+"""From the server's clock in a frame to the end of drawing it."""
+
+FRAMES_S = 30.0
+FIRST_VIEW_MS = 2000.0
+FLAT = 1.03
+"""Live memory may differ by this after ten more minutes of rows: the collector counts to a percent or two, and the
+first minutes fill the list of steps."""
+
+PAN_AND_ZOOM = """(seconds) => new Promise((done) => {
+  const { view, history } = bench, frames = [];
+  const whole = history.newest - history.oldest;
+  const began = performance.now();
+  const step = (now) => {
+    frames.push(now);
+    const t = (now - began) / 1000;
+    if (t > seconds) {
+      frames.sort((a, b) => a - b);
+      const gaps = frames.slice(1).map((one, k) => one - frames[k]).sort((a, b) => a - b);
+      const mean = gaps.reduce((a, b) => a + b) / gaps.length;
+      return done({ count: gaps.length, rate: 1000 / mean, p95: gaps[Math.floor(.95 * gaps.length)] });
+    }
+    // All 60 s, down to 2 s and back, while it pans from end to end.
+    const span = 2 + (whole - 2) * (.5 + .5 * Math.cos(1.3 * t));
+    const low = history.oldest + (whole - span) * (.5 + .5 * Math.sin(2.1 * t));
+    view.setRange(low, low + span - 1e-6);
+    requestAnimationFrame(step);
+  };
+  requestAnimationFrame(step);
+})"""
+
+
+def tell(figures: str) -> None:
+    """Print them, with the machine that they were measured on."""
+    load = ", ".join(f"{one:.1f}" for one in os.getloadavg())
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, load {load}, Chromium in software"
+    sys.stdout.write(f"\n{figures} ({machine})\n")
+
+
+@pytest.fixture(scope="module")
+def charts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The page of web/bench with 15 channels at 250 Hz on five strip charts."""
+    toolchains.need("node")
+    folder = tmp_path_factory.mktemp("charts")
+    vite = PROJECT / "web" / "node_modules" / "vite" / "bin" / "vite.js"
+    command = ["node", str(vite), "build", "--config", "bench/vite.config.ts", "--outDir", str(folder)]
+    done = subprocess.run(command, cwd=PROJECT / "web", capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    handler = functools.partial(QuietHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/charts.html"
+        server.shutdown()
+        thread.join()
+
+
+def until(page: Page, condition: str) -> None:
+    """Waits in the page, frame by frame, since its policy forbids the strings that Playwright would evaluate."""
+    page.evaluate(
+        "() => new Promise((done) => { const look = () => ("
+        + condition
+        + ") ? done() : requestAnimationFrame(look); look(); })"
+    )
+
+
+def waits(page: Page, frames: int) -> dict[str, float]:
+    """Median and 99 % of the waits of the next `frames` frames that are drawn [ms]."""
+    page.evaluate("twodofLatency.clear()")
+    until(page, f"twodofLatency.drawn >= {frames}")
+    found: dict[str, float] = page.evaluate(
+        "({ median: twodofLatency.quantile(.5), p99: twodofLatency.quantile(.99), drawn: twodofLatency.drawn })"
+    )
+    return found
+
+
+def processor_time(browser: Browser) -> float:
+    """What all processes of the browser have used of the processor so far [s]: others on the machine do not count."""
+    session = browser.new_browser_cdp_session()
+    processes = session.send("SystemInfo.getProcessInfo")["processInfo"]
+    session.detach()
+    return sum(float(one["cpuTime"]) for one in processes)
+
+
+def test_telemetry_is_on_the_plot_at_once(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(lab_server.link)
+    until(page, "globalThis.twodofLatency?.drawn > 100")
+    found = waits(page, 1500)
+    tell(f"telemetry to plot: median {found['median']:.1f} ms, 99 % {found['p99']:.1f} ms of {found['drawn']} frames")
+    assert found["median"] < MEDIAN_MS
+    assert found["p99"] < P99_MS
+
+
+def test_the_first_view_comes_soon(lab_server: LabServer, open_page: OpenPage, browser: Browser) -> None:
+    # A window of its own fetches everything anew; the clock is the page's, from the click on.
+    seen = """() => new Promise((done) => {
+      const look = () => (globalThis.twodofLatency?.drawn > 0 ? done(performance.now()) : requestAnimationFrame(look));
+      look();
+    })"""
+    before = processor_time(browser)
+    times = []
+    for _ in range(5):
+        page = open_page(lab_server.link)
+        times.append(float(page.evaluate(seen)))
+        page.context.close()  # the next one has the processor for itself
+    used = 1000.0 * (processor_time(browser) - before) / len(times)
+    times.sort()
+    listed = ", ".join(f"{time:.0f}" for time in times)
+    tell(f"first rows drawn {times[2]:.0f} ms after the link was opened (of {listed}), {used:.0f} ms of processor")
+    assert times[2] < FIRST_VIEW_MS
+
+
+def test_a_minute_of_fifteen_channels_pans_and_zooms(charts: str, open_page: OpenPage, browser: Browser) -> None:
+    page = open_page(f"{charts}?seconds=60")
+    page.evaluate(PAN_AND_ZOOM, 1)  # the compiler has seen it
+    before = processor_time(browser)
+    found = page.evaluate(PAN_AND_ZOOM, 8)
+    used = 1000.0 * (processor_time(browser) - before) / found["count"]
+    what = f"60 s of 15 channels at 250 Hz, panned and zoomed: {found['rate']:.1f} frames/s"
+    tell(f"{what}, 95 % in {found['p95']:.0f} ms, {used:.1f} ms of processor a frame")
+    assert used < 1000.0 / FRAMES_S  # what a busy machine leaves as it is
+    assert found["rate"] >= FRAMES_S
+
+
+def live_memory(page: Page) -> int:
+    """Bytes that live after a collection: objects, and the arrays behind them."""
+    session = page.context.new_cdp_session(page)
+    session.send("HeapProfiler.collectGarbage")
+    usage: dict[str, Any] = session.send("Runtime.getHeapUsage")
+    session.detach()
+    return int(usage["usedSize"] + usage["backingStorageSize"] + usage["embedderHeapUsedSize"])
+
+
+def test_memory_is_flat_over_half_an_hour(charts: str, open_page: OpenPage) -> None:
+    """Two minutes at fifteen times the rate: the rows of half an hour, and the ring goes round."""
+    page = open_page(f"{charts}?seconds=60&live=15")
+    at = []
+    for minutes in (10, 20, 30):
+        until(page, f"bench.history.newest > {60.0 * minutes}")
+        at.append(live_memory(page))
+    tell("live memory after 10, 20, 30 minutes: " + ", ".join(f"{one / 1e6:.2f} MB" for one in at))
+    assert max(at[1:]) < FLAT * at[0]

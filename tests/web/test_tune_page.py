@@ -1,0 +1,155 @@
+"""The Tune page on a real virtual drone: edits, one transaction, undo, the guard, snapshots, files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from tests.lab.served_lab import ServedLab, served_lab
+from tests.lab.test_tuning_routes import MODEL
+from tests.patience import PATIENCE_S
+from tests.web.conftest import SIZES, OpenPage, Theme, axe, picture, scrolls_sideways
+
+LONG_MS = PATIENCE_S * 1000
+
+
+@pytest.fixture(scope="module")
+def lab(built_page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
+    assert (built_page / "index.html").is_file()
+    with served_lab(tmp_path_factory.mktemp("lab"), watch_token="only-to-look") as found:
+        assert found.call("PUT", "models/careful", MODEL)[0] == 201
+        yield found
+
+
+@pytest.fixture(autouse=True)
+def as_at_first(lab: ServedLab) -> Iterator[None]:
+    yield
+    lab.call("PUT", "tuning/1/model", {"model": None})
+    rows = {row["name"]: row for row in lab.call("GET", "drones/1/parameters")[1]}
+    gains = {name: rows[name]["default"] for name in ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP")}
+    assert lab.call("PATCH", "drones/1/parameters", gains)[0] == 200
+
+
+def link(lab: ServedLab, query: str = "", token: str = "") -> str:
+    return f"http://127.0.0.1:{lab.port}/{f'?token={token}' if token else ''}#/tune{query}"
+
+
+def field(page: Page, name: str) -> Locator:
+    """The field of a parameter; its label ends in the unit."""
+    return page.get_by_role("textbox", name=re.compile(rf"^{name}( \[|$)"))
+
+
+def edit(page: Page, name: str, value: str) -> None:
+    field(page, name).fill(value)
+    field(page, name).press("Enter")
+
+
+def on_board(lab: ServedLab, name: str) -> float:
+    rows = lab.call("GET", "drones/1/parameters")[1]
+    return float(next(row["value"] for row in rows if row["name"] == name))
+
+
+def test_several_are_edited_sent_together_and_taken_back(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab))
+    expect(page.get_by_text("0 to 0.12 s/rad, default 0.0854")).to_be_visible()
+    edit(page, "RATE_KP", "0.07")
+    edit(page, "ATT_KP", "9")
+    bar = page.get_by_label("What will be sent")
+    expect(bar).to_contain_text("0.0854 → 0.07")
+    expect(bar).to_contain_text("11 → 9")
+    assert on_board(lab, "RATE_KP") == 0.0854, "nothing is sent yet"
+    page.get_by_role("button", name="Send 2 changes").click()
+    expect(page.get_by_text("Sent: ")).to_be_visible()
+    assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.07, 9.0)
+    page.get_by_role("button", name="Undo last send").click()
+    expect(field(page, "RATE_KP")).to_have_value("0.0854")
+    assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.0854, 11.0)
+
+
+def test_a_value_out_of_bounds_is_refused_where_it_is_typed(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?search=RATE_KP"))
+    edit(page, "RATE_KP", "7")
+    expect(page.get_by_text("From 0 to 0.12")).to_be_visible()
+    expect(page.get_by_role("button", name="Send changes")).to_be_disabled()
+    assert axe(page) == []
+
+
+def test_a_search_finds_by_help_and_stands_in_the_link(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab))
+    search = page.get_by_role("searchbox")
+    search.press_sequentially("rail limit")
+    expect(field(page, "SAFE_RAIL_MARG")).to_be_visible()
+    expect(search).to_be_focused()
+    assert "search=rail+limit" in page.url
+    page.reload()
+    expect(field(page, "SAFE_RAIL_MARG")).to_be_visible()
+
+
+def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab))
+    page.get_by_label("Model", exact=True).select_option("careful")
+    expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
+    for name, value in (("RATE_KP", "0.12"), ("RATE_KD", "0.003"), ("ATT_KP", "15")):
+        edit(page, name, value)
+    expect(page.get_by_text("Not kept stable")).to_be_visible(timeout=LONG_MS)
+    picture(page, "tune-unstable")
+    page.get_by_role("button", name="Send 3 changes").click()
+    dialog = page.get_by_role("dialog")
+    send = dialog.get_by_role("button", name="Send them all the same")
+    expect(send).to_be_disabled()
+    assert axe(page) == []
+    dialog.get_by_role("button", name="Do not send").click()
+    assert on_board(lab, "RATE_KP") == 0.0854
+    page.get_by_role("button", name="Send 3 changes").click()
+    dialog.get_by_role("checkbox").check()
+    send.click()
+    expect(page.get_by_text("Sent: ")).to_be_visible(timeout=LONG_MS)
+    assert on_board(lab, "RATE_KD") == 0.003
+
+
+def test_a_snapshot_is_kept_compared_and_restored(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, "?tab=snapshots"))
+    page.get_by_label("Keep all parameters as").fill("by hand")
+    page.get_by_role("button", name="Keep", exact=True).click()
+    expect(page.get_by_text("Kept as by hand")).to_be_visible()
+    assert lab.call("PATCH", "drones/1/parameters", {"ATT_KP": 7.0})[0] == 200
+    page.get_by_role("button", name="Compare").click()
+    expect(page.get_by_role("row", name="ATT_KP")).to_contain_text("7")
+    page.get_by_role("button", name="Take 1 into the edits").click()
+    page.get_by_role("button", name="Send 1 change").click()
+    expect(page.get_by_text("Sent: ATT_KP")).to_be_visible()
+    assert on_board(lab, "ATT_KP") == 11.0
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Save the drone's parameters").click()
+    content = download.value.path().read_text()
+    assert "\tRATE_KP\t0.0854\t9\n" in content
+    other = content.replace("\tRATE_KP\t0.0854\t", "\tRATE_KP\t0.07\t").encode()
+    page.get_by_label("Open a .params file").set_input_files(
+        {"name": "other.params", "mimeType": "text/plain", "buffer": other}
+    )
+    expect(page.get_by_role("row", name="RATE_KP")).to_contain_text("0.07")
+    assert axe(page) == []
+    picture(page, "tune-snapshots")
+
+
+def test_a_watcher_sees_all_and_sends_nothing(lab: ServedLab, open_page: OpenPage) -> None:
+    page = open_page(link(lab, token="only-to-look"))
+    edit(page, "RATE_KP", "0.07")
+    expect(page.get_by_text("This link can only watch.")).to_be_visible()
+    expect(page.get_by_role("button", name="Send 1 change")).to_be_disabled()
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+@pytest.mark.parametrize("size", SIZES)
+def test_it_fits_and_can_be_read(lab: ServedLab, open_page: OpenPage, size: str, theme: Theme) -> None:
+    assert lab.call("PUT", "tuning/1/model", {"model": "careful"})[0] == 200
+    page = open_page(link(lab), size, theme)
+    expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
+    edit(page, "ATT_KP", "9")
+    assert axe(page) == []
+    assert not scrolls_sideways(page)
+    picture(page, f"tune-{size}-{theme}")

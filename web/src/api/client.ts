@@ -1,0 +1,82 @@
+// Calls of the server's API. A refusal carries what the server says: what is wrong, where, and what to do about it.
+
+/** What went wrong, as the server tells it; status 0 where it was not reached. */
+export class ApiError extends Error {
+  constructor(
+    readonly status: number,
+    readonly what: string,
+    readonly where = "",
+    readonly remedy = "",
+  ) {
+    super([what, where && `(${where})`, remedy && `: ${remedy}`].filter(Boolean).join(" "));
+  }
+}
+
+const TOKEN = "twodof-token";
+
+/** Keeps the token of a link `?token=...` for this tab, and takes it out of the address. */
+export function takeToken(): void {
+  const here = new URL(location.href);
+  const given = here.searchParams.get("token");
+  if (given === null) return;
+  sessionStorage.setItem(TOKEN, given);
+  here.searchParams.delete("token");
+  history.replaceState(null, "", here);
+}
+
+/** The token of this tab, or "" where the server wants none. */
+export function token(): string {
+  return sessionStorage.getItem(TOKEN) ?? "";
+}
+
+/** Where the API is, seen from the page. */
+export function apiUrl(path: string): URL {
+  return new URL(`api/${path.replace(/^\//, "")}`, document.baseURI.split("#")[0]);
+}
+
+/** Sends a request; answers the raw response. Raises ApiError for a refusal, a silence of `timeout` [s], or where `end` ends it. */
+export async function request(
+  method: string,
+  path: string,
+  body?: unknown,
+  timeout = 30,
+  end?: AbortSignal,
+): Promise<Response> {
+  const headers = new Headers();
+  if (token()) headers.set("Authorization", `Bearer ${token()}`);
+  const raw = body instanceof Blob || body instanceof ArrayBuffer;
+  if (body !== undefined && !raw) headers.set("Content-Type", "application/json");
+  const init: RequestInit = { method, headers, signal: ended(timeout, end) };
+  if (body !== undefined) init.body = raw ? body : JSON.stringify(body);
+  let response: Response;
+  try {
+    response = await fetch(apiUrl(path), init);
+  } catch (failure) {
+    const silent = failure instanceof DOMException && failure.name === "TimeoutError";
+    throw new ApiError(
+      0,
+      silent ? `the server did not answer within ${timeout} s` : "the server is not reached",
+      path,
+      "see that `twodof up` runs",
+    );
+  }
+  if (response.ok) return response;
+  const said = (await response.json().catch(() => ({}))) as { what?: string; where?: string; remedy?: string };
+  throw new ApiError(response.status, said.what ?? `the server refuses (${response.status})`, said.where, said.remedy);
+}
+
+function ended(timeout: number, end: AbortSignal | undefined): AbortSignal {
+  const late = AbortSignal.timeout(timeout * 1000);
+  return end === undefined ? late : AbortSignal.any([late, end]);
+}
+
+/** Asks for JSON. */
+export async function get<T>(path: string): Promise<T> {
+  return (await (await request("GET", path)).json()) as T;
+}
+
+/** Sends JSON and reads the JSON of the answer. */
+export async function send<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
+  const response = await request(method, path, body);
+  return (response.status === 204 ? undefined : await response.json()) as T;
+}

@@ -1,0 +1,58 @@
+import { get, send } from "./client";
+import type { Job } from "./jobs";
+import type { Interval } from "./tuning";
+
+export interface ModelValue {
+  name: string;
+  value: number;
+  sigma: number | null;
+  unit: string;
+}
+
+/** A model that is kept; `pitch`: tuning and design can use it, else `why` says what it lacks. */
+export interface ModelRow {
+  name: string;
+  /** Unix time [s]. */
+  kept: number;
+  experiment?: string;
+  structure?: string;
+  values: ModelValue[];
+  pitch: boolean;
+  why: string;
+  informative?: { enough: boolean; trusted: boolean; text: string } | null;
+}
+
+export interface DesignAsked {
+  name: string;
+  /** Of the rate loop [rad/s]. */
+  crossover: number;
+  /** [rad]; left out: what the course's rule gives. */
+  phase_margin?: number;
+  method: "cascade" | "lqg";
+  overwrite: boolean;
+}
+
+export interface Designed {
+  /** The diagram's file among the user's diagrams; null where it would not keep the model's family stable. */
+  file: string | null;
+  name: string;
+  method: string;
+  design: { gains: { rate: [number, number, number]; attitude: number } } | null;
+  robustness: { robust: boolean; text: string };
+  figures: Record<string, Interval>;
+  goal: number;
+  level: number;
+  /** [s] between the bands' samples. */
+  period: number;
+  bands: Record<"theta" | "M", { low: number[]; middle: number[]; high: number[] }>;
+}
+
+const at = (name: string) => `models/${encodeURIComponent(name)}`;
+
+export const listModels = () => get<ModelRow[]>("models");
+export const keepModel = (job: string, name: string, overwrite = false) =>
+  send<ModelRow>("POST", "models", { job, name, overwrite });
+export const bringModel = (name: string, document: unknown) => send<ModelRow>("PUT", at(name), document);
+export const deleteModel = (name: string) => send<undefined>("DELETE", at(name));
+export const designController = (model: string, asked: DesignAsked) =>
+  send<Job<Designed>>("POST", `${at(model)}/controller`, asked);

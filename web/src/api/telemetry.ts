@@ -1,0 +1,172 @@
+// One web socket for everything that the server tells by itself: rows of telemetry, and events. It comes back by
+// itself after a loss, and asks again for what was subscribed.
+import { apiUrl, token } from "./client";
+import type { DroneState, DroneText } from "./drones";
+import { readRows, type Rows } from "./rows";
+
+/** What the server tells beside rows. */
+export type LabEvent =
+  | { event: "drone"; drone: number; state: DroneState }
+  | ({ event: "text" } & DroneText)
+  | { event: "parameters"; drone: number; names: string[] }
+  | { event: "job"; id: string; [field: string]: unknown }
+  | { event: "log"; name: string };
+
+/** The part of a WebSocket that is used; a test gives its own. */
+export interface Socket {
+  binaryType: BinaryType;
+  onopen: ((event: Event) => unknown) | null;
+  onclose: ((event: CloseEvent) => unknown) | null;
+  onmessage: ((event: MessageEvent) => unknown) | null;
+  send(data: string): void;
+  close(): void;
+}
+
+interface Subscription {
+  drone: number;
+  columns: readonly string[];
+  rate: number;
+  onRows: (rows: Rows) => void;
+}
+
+const FIRST_WAIT_MS = 250;
+const LONGEST_WAIT_MS = 4000;
+/** An open socket on which nothing comes for so long has lost its server, whatever the network says. */
+const SILENCE_MS = 6000;
+
+export class Telemetry {
+  private readonly subscriptions = new Map<number, Subscription>();
+  private readonly listeners = new Set<(event: LabEvent) => void>();
+  private readonly watchers = new Set<(connected: boolean, retryAt: number) => void>();
+  private socket: Socket | undefined;
+  private connected = false;
+  private attempts = 0;
+  private lastId = 0;
+  private retry: ReturnType<typeof setTimeout> | undefined;
+  private silence: ReturnType<typeof setTimeout> | undefined;
+
+  constructor(private readonly connect: () => Socket) {}
+
+  /** Opens the socket; from then on it is kept open. */
+  start(): void {
+    if (this.socket === undefined) this.open();
+  }
+
+  /** Closes the socket for good. */
+  stop(): void {
+    clearTimeout(this.retry);
+    this.drop();
+    this.say(false, 0);
+  }
+
+  /** Tries at once where a next try is waited for: the network or the tab has come back. */
+  hurry(): void {
+    if (this.socket !== undefined) return;
+    this.attempts = 0;
+    this.start();
+  }
+
+  /**
+   * Has `onRows` called with the rows of these columns of signals.TOPICS, at most `rate` [Hz] a second, until the
+   * answered function is called. Below the full rate each bucket keeps its minimum and its maximum.
+   */
+  subscribe(drone: number, columns: readonly string[], rate: number, onRows: (rows: Rows) => void): () => void {
+    do this.lastId = (this.lastId % 0xffff) + 1;
+    while (this.subscriptions.has(this.lastId));
+    const id = this.lastId;
+    this.subscriptions.set(id, { drone, columns, rate, onRows });
+    if (this.connected) this.ask(id);
+    return () => {
+      if (this.subscriptions.delete(id) && this.connected) this.socket?.send(JSON.stringify({ do: "unsubscribe", id }));
+    };
+  }
+
+  /** Has `listener` called with each event, until the answered function is called. */
+  onEvent(listener: (event: LabEvent) => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  /** Tells of each change of the connection; `retryAt` is when the next try begins, by `Date.now()` [ms], 0: none. */
+  onConnection(watcher: (connected: boolean, retryAt: number) => void): () => void {
+    this.watchers.add(watcher);
+    return () => this.watchers.delete(watcher);
+  }
+
+  private open(): void {
+    clearTimeout(this.retry);
+    const socket = this.connect();
+    this.socket = socket;
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      this.attempts = 0;
+      this.connected = true;
+      this.heard();
+      for (const id of this.subscriptions.keys()) this.ask(id);
+      this.say(true, 0);
+    };
+    socket.onmessage = (message: MessageEvent) => {
+      this.heard();
+      if (message.data instanceof ArrayBuffer) this.rows(message.data);
+      else this.event(String(message.data));
+    };
+    socket.onclose = () => this.lost();
+    // A server that accepts and then says nothing, before the socket is open, is lost as well.
+    this.heard();
+  }
+
+  private ask(id: number): void {
+    const one = this.subscriptions.get(id);
+    if (one === undefined) return;
+    const { drone, columns, rate } = one;
+    this.socket?.send(JSON.stringify({ do: "subscribe", id, drone, columns, rate }));
+  }
+
+  private rows(data: ArrayBuffer): void {
+    const rows = readRows(data, performance.now());
+    if (rows !== undefined) this.subscriptions.get(rows.id)?.onRows(rows);
+  }
+
+  private event(text: string): void {
+    const event = JSON.parse(text) as LabEvent;
+    for (const listener of this.listeners) listener(event);
+  }
+
+  private heard(): void {
+    clearTimeout(this.silence);
+    this.silence = setTimeout(() => this.lost(), SILENCE_MS);
+  }
+
+  private drop(): void {
+    clearTimeout(this.silence);
+    const { socket } = this;
+    this.socket = undefined;
+    this.connected = false;
+    if (socket === undefined) return;
+    socket.onopen = socket.onclose = socket.onmessage = null;
+    socket.close();
+  }
+
+  private lost(): void {
+    this.drop();
+    const wait = Math.min(LONGEST_WAIT_MS, FIRST_WAIT_MS * 2 ** this.attempts++);
+    clearTimeout(this.retry);
+    this.retry = setTimeout(() => this.open(), wait);
+    this.say(false, Date.now() + wait);
+  }
+
+  private say(connected: boolean, retryAt: number): void {
+    for (const watcher of this.watchers) watcher(connected, retryAt);
+  }
+}
+
+/** The socket of this page's server. */
+export function openSocket(): Socket {
+  const url = apiUrl("telemetry");
+  url.protocol = url.protocol.replace("http", "ws");
+  if (token()) url.searchParams.set("token", token());
+  return new WebSocket(url);
+}
+
+/** The page's one socket; `session` starts it. */
+export const telemetry = new Telemetry(openSocket);

@@ -1,0 +1,34 @@
+// A canvas needs colours as numbers; the tokens hold `light-dark(...)`, which only an element resolves.
+
+const found = new Map<string, string>();
+const listeners = new Set<() => void>();
+let probe: HTMLElement | undefined;
+
+function changed(): void {
+  found.clear();
+  for (const tell of listeners) tell();
+}
+
+/** The colour of a token of design/tokens.css, as it is now: `colour("set-point")`. */
+export function colour(token: string): string {
+  const known = found.get(token);
+  if (known !== undefined) return known;
+  if (probe === undefined) {
+    probe = document.createElement("span");
+    probe.hidden = true;
+    document.body.append(probe);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", changed);
+    new MutationObserver(changed).observe(document.documentElement, { attributeFilter: ["data-theme", "style"] });
+  }
+  probe.style.color = `var(--${token})`;
+  const now = getComputedStyle(probe).color;
+  found.set(token, now);
+  return now;
+}
+
+/** Calls `tell` when light turns to dark or back; returns what ends that. */
+export function onTheme(tell: () => void): () => void {
+  colour("ink");
+  listeners.add(tell);
+  return () => listeners.delete(tell);
+}

@@ -1,0 +1,134 @@
+import { Pyramid } from "./draw/pyramid";
+
+/** Rows that came together: their times [s] and one array a column. */
+export interface Rows {
+  time: ArrayLike<number>;
+  columns: readonly ArrayLike<number>[];
+}
+
+const ROWS = 1 << 18; // 17 minutes at 250 Hz; 15 columns take 20 MB
+
+/** The slowest signal comes every 14 rows of 250 Hz; some may be lost. */
+const HELD_ROWS = 100;
+
+/** A time that goes back by more than this [s] is another flight: the drone was started again. */
+const RESTARTED = 0.5;
+
+/**
+ * The last rows of some columns of a drone, for charts: a ring, so that its memory stays as it is from the first row.
+ *
+ *     const history = new History(["estimate.theta", "setpoint.theta"]);
+ *     subscribe(drone, history.names, 250, (rows) => history.append(rows));
+ *
+ * Rows are numbered from 0 as they come; `first` to `last` - 1 are there. Charts ask `listen` to learn of new ones.
+ */
+export class History {
+  readonly names: readonly string[];
+  readonly capacity: number;
+  readonly columns: readonly Pyramid[];
+  /** Rows [s] by number % capacity, rising. */
+  private readonly times: Float64Array;
+  private readonly byName = new Map<string, Pyramid>();
+  private readonly listeners = new Set<() => void>();
+  private next = 0;
+  private begin = 0;
+  /** When the server sent the newest rows, unix time [s]; NaN where that is not known. */
+  sent = NaN;
+  /** How often the time went back: a drone that was started again. What was there before is gone. */
+  restarts = 0;
+
+  constructor(names: readonly string[], capacity = ROWS) {
+    this.names = names;
+    this.capacity = capacity;
+    this.times = new Float64Array(capacity);
+    this.columns = names.map(() => new Pyramid(capacity));
+    names.forEach((name, k) => this.byName.set(name, this.columns[k]!));
+  }
+
+  get first(): number {
+    return Math.max(this.begin, this.next - this.capacity);
+  }
+
+  get last(): number {
+    return this.next;
+  }
+
+  get length(): number {
+    return this.next - this.first;
+  }
+
+  /** The newest time [s]; NaN before the first row. */
+  get newest(): number {
+    return this.length ? this.time(this.next - 1) : NaN;
+  }
+
+  /** The oldest time that is still there [s]; NaN before the first row. */
+  get oldest(): number {
+    return this.length ? this.time(this.first) : NaN;
+  }
+
+  /** The time of a row [s]. */
+  time(row: number): number {
+    return this.times[row % this.capacity]!;
+  }
+
+  /** The column `name`, or undefined where it is not kept. */
+  column(name: string): Pyramid | undefined {
+    return this.byName.get(name);
+  }
+
+  /** Takes rows in, at most `capacity` of them kept. A row that is not newer than the last one is passed over. */
+  append(rows: Rows, sent = NaN): void {
+    const { time, columns } = rows;
+    for (let k = 0; k < time.length; k += 1) {
+      const now = time[k]!;
+      if (this.length && !(now > this.newest)) {
+        if (!(now < this.newest - RESTARTED)) continue;
+        this.begin = this.next;
+        this.restarts += 1;
+      }
+      this.times[this.next % this.capacity] = now;
+      for (let c = 0; c < this.columns.length; c += 1) this.columns[c]!.put(this.next, columns[c]?.[k] ?? NaN);
+      this.next += 1;
+    }
+    this.sent = sent;
+    for (const tell of this.listeners) tell();
+  }
+
+  /** The first row at or after `time` [s]; `last` where none is. */
+  rowAt(time: number): number {
+    let low = this.first;
+    let high = this.next;
+    while (low < high) {
+      const middle = (low + high) >>> 1;
+      if (this.time(middle) < time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /** The row nearest to `time` [s], or -1 without rows. */
+  nearest(time: number): number {
+    if (!this.length) return -1;
+    const row = this.rowAt(time);
+    if (row >= this.next) return this.next - 1;
+    if (row === this.first) return row;
+    return time - this.time(row - 1) < this.time(row) - time ? row - 1 : row;
+  }
+
+  /** The value of a column at `row`, else the one before it: a slow signal is not in every row. NaN without one. */
+  held(name: string, row = this.next - 1): number {
+    const column = this.byName.get(name);
+    for (let at = row; column && at >= Math.max(this.first, row - HELD_ROWS); at -= 1) {
+      const value = column.at(at);
+      if (!Number.isNaN(value)) return value;
+    }
+    return NaN;
+  }
+
+  /** Calls `tell` after each `append`; returns what ends that. */
+  listen(tell: () => void): () => void {
+    this.listeners.add(tell);
+    return () => this.listeners.delete(tell);
+  }
+}

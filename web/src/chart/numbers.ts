@@ -1,0 +1,13 @@
+/** A number for reading: four digits, no more than the axis shows; "none" where it is not one. */
+export function figure(value: number, digits = 4): string {
+  if (!Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 1e-3 || size >= 1e5)) return value.toExponential(2);
+  const whole = size < 1 ? 1 : Math.floor(Math.log10(size)) + 1;
+  return value.toFixed(Math.max(0, Math.min(4, digits - whole)));
+}
+
+/** A number with its unit. */
+export function quantity(value: number, unit: string): string {
+  return unit ? `${figure(value)} ${unit}` : figure(value);
+}

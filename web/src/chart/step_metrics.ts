@@ -1,0 +1,98 @@
+// What one reads off a step response. The definitions are those of twodof.models.lti.step_figures and
+// twodof.report.step_responses, and a test holds these against what they give.
+
+/** A response has settled within this share of the step. */
+export const SETTLED = 0.05;
+
+/** A step counts when both its levels were held for this long [s]. */
+export const HELD = 0.25;
+
+/** M answers at once to a set-point, and is stamped a little before it: by at most half a period [s]. */
+const EARLY = 0.002;
+
+/** Times [s] from the step, overshoot as a share of it; NaN for what the response never reached. */
+export interface StepFigures {
+  rise: number;
+  settling: number;
+  overshoot: number;
+  peak: number;
+  peakTime: number;
+}
+
+/** A step of a set-point at `time` [s], from `before` to `after`; over at `end` [s]. */
+export interface Step {
+  time: number;
+  before: number;
+  after: number;
+  end: number;
+}
+
+function firstCrossing(t: ArrayLike<number>, z: Float64Array, level: number): number {
+  const k = z.findIndex((value) => value >= level);
+  if (k < 0) return NaN;
+  if (k === 0) return t[0]!;
+  return t[k - 1]! + ((level - z[k - 1]!) / (z[k]! - z[k - 1]!)) * (t[k]! - t[k - 1]!);
+}
+
+/**
+ * Figures of a response `y` sampled at `t` [s] (0 at the step) to a step from `start` to `final`, which differ: rise
+ * from 10 to 90 %, settling the last time outside +- `band` of the step, both interpolated between samples.
+ */
+export function stepFigures(
+  t: ArrayLike<number>,
+  y: ArrayLike<number>,
+  start: number,
+  final: number,
+  band = SETTLED,
+): StepFigures {
+  const z = Float64Array.from(y, (value) => (value - start) / (final - start));
+  let top = 0;
+  let out = -1;
+  z.forEach((value, k) => {
+    if (value > z[top]!) top = k;
+    if (Math.abs(value - 1) > band) out = k;
+  });
+  let settling = t[0] ?? NaN;
+  if (out === z.length - 1) settling = NaN;
+  else if (out >= 0) {
+    const edge = 1 + (z[out]! > 1 ? band : -band);
+    settling = t[out]! + ((edge - z[out]!) / (z[out + 1]! - z[out]!)) * (t[out + 1]! - t[out]!);
+  }
+  return {
+    rise: firstCrossing(t, z, 0.9) - firstCrossing(t, z, 0.1),
+    settling,
+    overshoot: Math.max(0, (z[top] ?? NaN) - 1),
+    peak: y[top] ?? NaN,
+    peakTime: t[top] ?? NaN,
+  };
+}
+
+/** The steps of a set-point between levels that were each held for `held` [s]. */
+export function findSteps(time: ArrayLike<number>, value: ArrayLike<number>, held = HELD): Step[] {
+  const count = time.length;
+  const levels: { from: number; value: number }[] = [];
+  for (let from = 0, k = 1; k <= count; k += 1) {
+    if (k < count && value[k] === value[from]) continue;
+    const ends = k < count ? time[k]! : time[count - 1]!;
+    if (ends - time[from]! >= held) levels.push({ from, value: value[from]! });
+    from = k;
+  }
+  const last = count ? time[count - 1]! : NaN;
+  const steps: Step[] = [];
+  for (let k = 1; k < levels.length; k += 1) {
+    const [before, after] = [levels[k - 1]!.value, levels[k]!.value];
+    if (before !== after) steps.push({ time: time[levels[k]!.from]!, before, after, end: last });
+  }
+  steps.forEach((step, k) => (step.end = steps[k + 1]?.time ?? last));
+  return steps;
+}
+
+/** The largest |M| of a step; NaN without samples. */
+export function peakMoment(time: ArrayLike<number>, moment: ArrayLike<number>, step: Step): number {
+  let peak = NaN;
+  for (let k = 0; k < time.length; k += 1) {
+    const inside = time[k]! >= step.time - EARLY && time[k]! <= step.end - EARLY;
+    if (inside && !(peak >= Math.abs(moment[k]!))) peak = Math.abs(moment[k]!);
+  }
+  return peak;
+}

@@ -1,0 +1,128 @@
+import type { History } from "./history";
+import { HELD, peakMoment, stepFigures, type Step, type StepFigures } from "./step_metrics";
+
+/** Loops from the innermost, with the column of the set-point, of what follows it, and their place in signals.MODES. */
+export const LOOPS = [
+  { loop: "rate", label: "q", wanted: "setpoint.q", follows: "estimate.q", mode: 2, angle: true, unit: "deg/s" },
+  {
+    loop: "attitude",
+    label: "θ",
+    wanted: "setpoint.theta",
+    follows: "estimate.theta",
+    mode: 3,
+    angle: true,
+    unit: "deg",
+  },
+  { loop: "velocity", label: "v", wanted: "setpoint.v", follows: "estimate.v", mode: 4, angle: false, unit: "m/s" },
+  { loop: "position", label: "x", wanted: "setpoint.x", follows: "estimate.x", mode: 5, angle: false, unit: "m" },
+] as const;
+export type Loop = (typeof LOOPS)[number];
+
+/** The columns that `StepWatch` reads where they are kept. */
+export const STEP_COLUMNS = ["state.mode", "command.M", ...LOOPS.flatMap((one) => [one.wanted, one.follows])];
+
+/** A step that was flown, or that is being answered now (`over` is false). */
+export interface FlownStep extends Step {
+  loop: Loop;
+  figures: StepFigures;
+  peakMoment: number;
+  over: boolean;
+}
+
+/** Rows [s] that are read for one step at most. */
+const LONGEST = 60;
+
+interface Level {
+  value: number;
+  /** The row at which it began, and its time. */
+  row: number;
+  time: number;
+}
+
+/** Finds the steps of the set-points in a history as they happen: call `update` some times a second. */
+export class StepWatch {
+  private steps: FlownStep[] = [];
+  private read = 0;
+  private restarts = 0;
+  private run = new Map<Loop, Level>();
+  private held = new Map<Loop, Level>();
+
+  constructor(
+    private readonly history: History,
+    private readonly kept = 50,
+  ) {}
+
+  /** The steps so far, the newest last; the same array while nothing has changed. */
+  update(): readonly FlownStep[] {
+    const { history } = this;
+    if (history.restarts !== this.restarts) this.clear();
+    for (let row = Math.max(this.read, history.first); row < history.last; row += 1) {
+      for (const loop of LOOPS) this.level(loop, row);
+    }
+    const fresh = this.read !== history.last;
+    this.read = history.last;
+    if (fresh && this.steps.some((step) => !step.over))
+      this.steps = this.steps.map((step) => (step.over ? step : this.measured(step, step.end)));
+    return this.steps;
+  }
+
+  /** Forgets all steps, and begins at the newest row. */
+  clear(): void {
+    this.steps = [];
+    this.run.clear();
+    this.held.clear();
+    this.read = this.history.first;
+    this.restarts = this.history.restarts;
+  }
+
+  private level(loop: Loop, row: number): void {
+    const value = this.history.column(loop.wanted)?.at(row) ?? NaN;
+    const time = this.history.time(row);
+    let run = this.run.get(loop);
+    if (run === undefined || run.value !== value) {
+      run = { value, row, time };
+      this.run.set(loop, run);
+    }
+    if (!this.follows(loop, row)) this.end(loop, time);
+    const before = this.held.get(loop);
+    if (before === run || time - run.time < HELD || !Number.isFinite(value)) return;
+    this.held.set(loop, run);
+    if (before === undefined || before.value === value) return;
+    // The mode counts as it was at the step, and for as long as it takes to know that it is one.
+    if (!this.follows(loop, run.row) || !this.follows(loop, run.row - 1) || !this.follows(loop, row)) return;
+    this.end(loop, run.time);
+    const figures = stepFigures([], [], before.value, value);
+    const found = { loop, time: run.time, before: before.value, after: value, end: Infinity };
+    this.steps = [...this.steps, { ...found, figures, peakMoment: NaN, over: false }].slice(-this.kept);
+  }
+
+  private follows(loop: Loop, row: number): boolean {
+    const mode = this.history.column("state.mode");
+    return mode === undefined || (row >= this.history.first && mode.at(row) === loop.mode);
+  }
+
+  /** The next step has come, or the loop was opened: what is being answered is over. */
+  private end(loop: Loop, time: number): void {
+    const open = (step: FlownStep): boolean => step.loop === loop && !step.over;
+    if (this.steps.some(open))
+      this.steps = this.steps.map((step) => (open(step) ? { ...this.measured(step, time), over: true } : step));
+  }
+
+  private measured(step: FlownStep, end: number): FlownStep {
+    const { history } = this;
+    const until = Math.min(end, step.time + LONGEST);
+    const [times, values, moments]: [number[], number[], number[]] = [[], [], []];
+    const follows = history.column(step.loop.follows);
+    const moment = history.column("command.M");
+    for (let row = history.rowAt(step.time); row < history.last && history.time(row) <= until; row += 1) {
+      times.push(history.time(row));
+      values.push(follows?.at(row) ?? NaN);
+      moments.push(moment?.at(row) ?? NaN);
+    }
+    if (times.length < 2) return { ...step, end };
+    const since = times.map((time) => time - step.time);
+    const figures = stepFigures(since, values, step.before, step.after);
+    const over = step.time + LONGEST < history.newest;
+    return { ...step, end, figures, peakMoment: peakMoment(times, moments, { ...step, end }), over };
+  }
+}

@@ -1,0 +1,30 @@
+import type { History } from "./history";
+import type { Channel } from "./kinds";
+import { figure, quantity } from "./numbers";
+import { StripPainter } from "./draw/strip_painter";
+
+const painter = new StripPainter();
+
+/** The value of a channel at a time, in the unit of the screen; NaN where there is none. */
+export function valueAt(history: History, channel: Channel, time: number): number {
+  return history.held(channel.column, history.nearest(time)) * (channel.factor ?? 1);
+}
+
+/** What a chart shows, in words: the values at a time, for who moves a cursor without seeing it. */
+export function spoken(history: History, channels: readonly Channel[], time: number): string {
+  if (!history.length) return "no data yet";
+  const values = channels.map((one) => `${one.label} ${quantity(valueAt(history, one, time), one.unit)}`);
+  return `at ${figure(time)} s: ${values.join(", ")}`;
+}
+
+/** The whole chart in words: each channel's least, greatest and last value of what is seen. */
+export function summary(history: History, channels: readonly Channel[], low: number, high: number): string {
+  if (!history.length) return "No data yet.";
+  const parts = channels.map((one) => {
+    const [least, greatest] = painter.extent(history, [one], low, high);
+    if (!Number.isFinite(least)) return `${one.label}: nothing.`;
+    const last = valueAt(history, one, Math.min(high, history.newest));
+    return `${one.label}: from ${figure(least)} to ${figure(greatest)}, at the end ${quantity(last, one.unit)}.`;
+  });
+  return `${figure(high - low)} s. ${parts.join(" ")}`;
+}

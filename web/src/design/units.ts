@@ -1,0 +1,79 @@
+// Radians and SI inside, degrees on the screen.
+
+/** How a unit is shown: its name, what a value is multiplied with, and how many decimals make sense. */
+export interface ScreenUnit {
+  name: string;
+  factor: number;
+  decimals: number;
+}
+
+const DEGREES = 180 / Math.PI;
+const SHOWN: Record<string, ScreenUnit> = {
+  rad: { name: "deg", factor: DEGREES, decimals: 2 },
+  "rad/s": { name: "deg/s", factor: DEGREES, decimals: 1 },
+  "rad/s^2": { name: "deg/s²", factor: DEGREES, decimals: 0 },
+  "m/s^2": { name: "m/s²", factor: 1, decimals: 3 },
+  m: { name: "m", factor: 1, decimals: 3 },
+  "m/s": { name: "m/s", factor: 1, decimals: 3 },
+  s: { name: "s", factor: 1, decimals: 3 },
+  Hz: { name: "Hz", factor: 1, decimals: 2 },
+  V: { name: "V", factor: 1, decimals: 2 },
+  "%": { name: "%", factor: 100, decimals: 0 },
+  "-": { name: "", factor: 1, decimals: 4 },
+  "": { name: "", factor: 1, decimals: 4 },
+};
+
+/** How values of an SI unit are shown; one that is not known stays as it is. */
+export function screenUnit(unit: string): ScreenUnit {
+  return SHOWN[unit] ?? { name: unit, factor: 1, decimals: 4 };
+}
+
+const MINUS = "\u2212";
+
+/** A value in SI as its number on the screen, without its unit; a dash for what is not a number. */
+export function shownNumber(value: number | null | undefined, unit = "", decimals?: number): string {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const { factor, decimals: usual } = screenUnit(unit);
+  const text = (value * factor).toFixed(decimals ?? usual);
+  // No "-0.00": a sign that flickers about zero says nothing.
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
+}
+
+/** A value in SI with the unit of the screen. */
+export function shownValue(value: number | null | undefined, unit = "", decimals?: number): string {
+  const { name } = screenUnit(unit);
+  return shownNumber(value, unit, decimals) + (name && (name === "%" ? "%" : `\u00a0${name}`));
+}
+
+/** A value as it stands in a field to be edited: no trailing zeros, an ordinary minus. */
+export function editableNumber(value: number, unit = "", decimals?: number): string {
+  if (!Number.isFinite(value)) return "";
+  const { factor, decimals: usual } = screenUnit(unit);
+  const shown = value * factor;
+  // A small number keeps its digits: 0.0004 must not become 0.
+  const digits = Math.max(
+    decimals ?? usual,
+    shown === 0 ? 0 : Math.min(12, 2 - Math.floor(Math.log10(Math.abs(shown)))),
+  );
+  return String(Number(shown.toFixed(digits)));
+}
+
+/** What a person has typed, in SI: a decimal comma and the typographic minus are read too; NaN for what is not one. */
+export function readNumber(text: string, unit = ""): number {
+  const plain = text.trim().replace(",", ".").replace(MINUS, "-");
+  return plain === "" ? NaN : Number(plain) / screenUnit(unit).factor;
+}
+
+/** Why a value is not taken, "" where it is; the bounds are in SI. */
+export function boundsMistake(value: number, unit: string, low: number, high: number): string {
+  if (!Number.isFinite(value)) return "Give a number.";
+  // A bound typed as it is shown, such as 50 deg, must not fail by the last digit of pi.
+  const slack = 1e-9 * Math.max(1, ...[low, high].filter(Number.isFinite).map(Math.abs));
+  if (value >= low - slack && value <= high + slack) return "";
+  const { name } = screenUnit(unit);
+  const [least, most] = [low, high].map((bound) => editableNumber(bound, unit));
+  const suffix = name ? ` ${name}` : "";
+  if (low === -Infinity) return `At most ${most}${suffix}.`;
+  if (high === Infinity) return `At least ${least}${suffix}.`;
+  return `From ${least} to ${most}${suffix}.`;
+}

@@ -1,0 +1,127 @@
+// What stands on a block, and how large it is.
+import type { Block, Diagram, Part } from "../model/diagram";
+import { isObject, Num, type Json, type JsonObject } from "../model/json_text";
+import { tops, type Shape } from "../model/shapes";
+
+const PITCH = 20; // between two ports
+const GRID = 10;
+
+/** The arguments of a library block. */
+export function configOf(item: Block | Diagram): JsonObject {
+  const config = item.is === "block" ? item.json["config"] : undefined;
+  return isObject(config) ? config : {};
+}
+
+const FIXED: Readonly<Record<string, string>> = {
+  sum: "Σ",
+  divide: "÷",
+  abs: "|u|",
+  sign: "sgn",
+  unit_delay: "z⁻¹",
+  integrator: "1/s",
+  discrete_integrator: "T Σ",
+  discrete_derivative: "Δ/T",
+  transfer_function: "B(s)/A(s)",
+  discrete_transfer_function: "B(z)/A(z)",
+  state_space: "A B C D",
+  discrete_state_space: "A B C D",
+  switch: "a | b",
+  pid: "PID",
+  minimum: "min",
+  maximum: "max",
+  saturation: "limit",
+  dead_zone: "dead zone",
+  mux: "mux",
+  demux: "demux",
+  matrix_gain: "K u",
+  hypot: "√(a²+b²)",
+  power: "aᵇ",
+  bias: "u + b",
+};
+
+/** The words or signs within a block. */
+export function symbol(part: Part): string {
+  const { item } = part;
+  if (item.is === "diagram") return item.name;
+  if (item.type === "custom" || item.type === "state_machine") {
+    return typeof item.json["name"] === "string" ? item.json["name"] : item.type;
+  }
+  const config = configOf(item);
+  const of = (key: string): string => part.params[key] ?? shown(config[key]);
+  switch (item.type) {
+    case "gain":
+      return of("k");
+    case "constant":
+      return of("value");
+    case "product":
+      return of("operations") === "*/" ? "×÷" : "×";
+    case "trigonometry":
+    case "elementary":
+    case "rounding":
+      return of("function");
+    case "logic":
+    case "bitwise":
+    case "compare":
+      return of("operation");
+    case "compare_to_constant":
+      return `${of("operation")} ${of("constant")}`;
+    case "delay":
+      return `z⁻${superscript(of("samples"))}`;
+  }
+  return FIXED[item.type] ?? item.type.replace(/^models\./, "").replace(/_/g, " ");
+}
+
+/** A value in few characters. */
+export function shown(value: Json | undefined): string {
+  if (value === undefined || value === null) return "";
+  if (value instanceof Num) return String(Number(value.value.toPrecision(4)));
+  if (typeof value === "object") return "[…]";
+  return String(value);
+}
+
+function superscript(text: string): string {
+  return [...text].map((c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"["0123456789".indexOf(c)] ?? c).join("");
+}
+
+/** The sign before an input of a sum or product, "" where there is none. */
+export function portSign(part: Part, index: number): string {
+  const signs = configOf(part.item)[part.item.is === "block" && part.item.type === "sum" ? "signs" : "operations"];
+  if (part.item.is !== "block" || typeof signs !== "string") return "";
+  const sign = signs[index] ?? "";
+  return part.item.type === "sum"
+    ? sign.replace("-", "−")
+    : part.item.type === "product"
+      ? sign === "/"
+        ? "÷"
+        : "×"
+      : "";
+}
+
+export interface Size {
+  readonly width: number;
+  readonly height: number;
+}
+
+function fromLibraryType(type: string): boolean {
+  return type !== "custom" && type !== "state_machine";
+}
+
+/** How large a part is drawn, in steps of the grid. */
+export function partSize(part: Part, shape: Shape): Size {
+  const inputs = tops(shape.inputs);
+  const outputs = tops(shape.outputs);
+  const named = (names: string[]): number => (names.length > 1 ? Math.max(...names.map((n) => n.length)) : 0);
+  const signed = portSign(part, 0) !== "";
+  const sides = (signed ? 1 : 5.4 * named(inputs)) + 5.4 * named(outputs);
+  const own = part.item.is === "diagram" || !fromLibraryType(part.item.type);
+  const wanted = symbol(part).length * 7 + (own ? 2 : 1) * sides + 22;
+  const width = Math.min(own ? 200 : 100, Math.max(50, GRID * Math.ceil(wanted / GRID)));
+  const height = Math.max(40, PITCH * Math.max(inputs.length, outputs.length) + PITCH);
+  return { width, height };
+}
+
+/** Where the port `index` of `count` is on a side of this height. */
+export function portPlace(index: number, count: number, height: number): number {
+  const first = GRID * Math.round((height - PITCH * (count - 1)) / 2 / GRID);
+  return first + PITCH * index;
+}

@@ -1,0 +1,176 @@
+// The editor: which diagram is open, where in it one is, what is selected, what was done. All edits go through `apply`.
+import * as api from "../../api/diagrams";
+import { toastError } from "../../state/toasts.svelte";
+import { diagramAt, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
+import { edited, EditFault } from "./model/edits";
+import { History } from "./model/history";
+import { writeJson } from "./model/json_text";
+import { Shapes } from "./model/shapes";
+
+/** Ids on the sheet: a part, an input, an output, the wire to a destination. */
+export const partId = (name: string): string => `p:${name}`;
+export const inputId = (name: string): string => `i:${name}`;
+export const outputId = (name: string): string => `o:${name}`;
+export const wireId = (destination: string): string => `w:${destination}`;
+
+export const EMPTY: Diagram = {
+  is: "diagram",
+  name: "untitled",
+  text: "",
+  inputs: [],
+  params: [],
+  parts: [],
+  connections: [],
+  outputs: [],
+};
+
+class Editor {
+  root = $state.raw<Diagram>(EMPTY);
+  path = $state.raw<readonly string[]>([]);
+  selected = $state.raw<ReadonlySet<string>>(new Set());
+  catalogue = $state.raw<api.Catalogue | undefined>(undefined);
+  /** The name it is kept under; "" for one that was not kept yet. */
+  file = $state("");
+  saved = $state.raw<Diagram>(EMPTY);
+  /** Counts the diagrams that were opened. */
+  opened = $state(0);
+  /** What a screen reader is told. */
+  said = $state("");
+  /** Counts what became known of blocks' ports, so that what is drawn of them is drawn anew. */
+  known = $state(0);
+  canUndo = $state(false);
+  canRedo = $state(false);
+  readonly shapes = new Shapes();
+  private readonly history = new History();
+  private asked = new Set<string>();
+
+  readonly here: Diagram = $derived(diagramAt(this.root, this.path) ?? this.root);
+  readonly dirty: boolean = $derived(this.root !== this.saved);
+
+  /** Names of the selected parts. */
+  readonly parts: string[] = $derived([...this.selected].filter((id) => id.startsWith("p:")).map((id) => id.slice(2)));
+
+  async start(): Promise<void> {
+    if (this.catalogue !== undefined) return;
+    const found = await api.catalogue();
+    for (const entry of found.blocks) {
+      this.shapes.learn(writeJson({ type: entry.type, config: entry.config }), entry.shape);
+    }
+    this.catalogue = found;
+    this.known++;
+  }
+
+  /** Opens a diagram's text as Python keeps it. Raises JsonFault or DiagramFault. */
+  async open(text: string, file: string): Promise<void> {
+    const diagram = readDiagram(text);
+    await this.learn(diagram);
+    this.root = this.saved = diagram;
+    this.path = [];
+    this.selected = new Set();
+    this.file = file;
+    this.history.clear();
+    this.opened++;
+    this.look();
+    this.say(`${diagram.name} is open: ${diagram.parts.length} blocks`);
+  }
+
+  get text(): string {
+    return writeDiagram(this.root);
+  }
+
+  /** Asks the server for the ports of blocks that are new. */
+  async learn(diagram: Diagram): Promise<void> {
+    const unknown = [...this.shapes.unknown(diagram).keys()].filter((key) => !this.asked.has(key));
+    for (let at = 0; at < unknown.length; at += 500) {
+      const keys = unknown.slice(at, at + 500);
+      keys.forEach((key) => this.asked.add(key));
+      try {
+        const answers = await api.shapes(keys);
+        keys.forEach((key, i) => this.shapes.learn(key, answers[i]!));
+      } catch (failure) {
+        toastError(failure);
+      } finally {
+        keys.forEach((key) => this.asked.delete(key));
+      }
+    }
+    if (unknown.length > 0) this.known++;
+  }
+
+  /** Edits the open sheet. Answers "" or why it was refused. */
+  apply(called: string, edit: (d: Diagram) => Diagram, tag = ""): string {
+    const before = this.root;
+    let after: Diagram;
+    try {
+      after = edited(before, this.path, edit);
+    } catch (failure) {
+      if (!(failure instanceof EditFault)) throw failure;
+      this.say(failure.message);
+      return failure.message;
+    }
+    if (after === before) return "";
+    this.history.record(before, after, called, tag);
+    this.root = after;
+    this.look();
+    void this.learn(after);
+    if (tag === "") this.say(called);
+    return "";
+  }
+
+  /** Ends what counts as one step of a slider or a field. */
+  endStep(): void {
+    this.history.close();
+  }
+
+  undo(): void {
+    const step = this.history.undo();
+    if (step === undefined) return this.say("nothing to undo");
+    this.show(step.before, `undone: ${step.called}`);
+  }
+
+  redo(): void {
+    const step = this.history.redo();
+    if (step === undefined) return this.say("nothing to redo");
+    this.show(step.after, `done again: ${step.called}`);
+  }
+
+  private show(diagram: Diagram, said: string): void {
+    this.root = diagram;
+    while (diagramAt(diagram, this.path) === undefined) this.path = this.path.slice(0, -1);
+    this.look();
+    this.say(said);
+  }
+
+  private look(): void {
+    this.canUndo = this.history.canUndo;
+    this.canRedo = this.history.canRedo;
+  }
+
+  select(ids: Iterable<string>): void {
+    const next = new Set(ids);
+    if (next.size === this.selected.size && [...next].every((id) => this.selected.has(id))) return;
+    this.selected = next;
+  }
+
+  /** Goes into a sub-diagram, or to any path of them. */
+  enter(path: readonly string[]): void {
+    const there = diagramAt(this.root, path);
+    if (there === undefined) return;
+    this.path = path;
+    this.selected = new Set();
+    this.say(`${path.at(-1) ?? this.root.name}: ${there.parts.length} blocks`);
+  }
+
+  leave(): void {
+    const from = this.path.at(-1);
+    if (from === undefined) return;
+    this.enter(this.path.slice(0, -1));
+    this.select([partId(from)]);
+  }
+
+  say(text: string): void {
+    // The same words again are told again.
+    this.said = this.said === text ? `${text}\u00a0` : text;
+  }
+}
+
+export const editor = new Editor();

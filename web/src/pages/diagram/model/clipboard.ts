@@ -1,0 +1,77 @@
+// Copy and paste. What is copied travels as JSON text, so it goes from one page to another through the system's clipboard.
+import {
+  declaredName,
+  partFrom,
+  partTo,
+  placeOf,
+  DiagramFault,
+  type Connection,
+  type Diagram,
+  type Part,
+} from "./diagram";
+import { freeName, movePart } from "./edits";
+import { isList, isObject, readJson, writeJson } from "./json_text";
+
+const SCHEMA = "twodof/parts";
+const STEP = 30;
+const MOST = 10_000;
+
+interface Copied {
+  readonly parts: readonly Part[];
+  readonly connections: readonly Connection[];
+}
+
+/** The text of the parts called `names`, with the wires among them. */
+export function copyText(d: Diagram, names: ReadonlySet<string>): string {
+  const inside = (end: string): boolean => names.has(end.split(".")[0] ?? "");
+  const isInput = (source: string): boolean => d.inputs.some((one) => declaredName(one) === source);
+  return writeJson({
+    schema: SCHEMA,
+    parts: d.parts.filter((part) => names.has(part.name)).map(partTo),
+    connections: d.connections.filter(([source, to]) => inside(source) && !isInput(source) && inside(to)),
+  });
+}
+
+/** What a text of `copyText` holds. Raises JsonFault or DiagramFault for another text. */
+function copied(text: string): Copied {
+  const json = readJson(text);
+  if (!isObject(json) || json["schema"] !== SCHEMA || !isList(json["parts"]) || !isList(json["connections"])) {
+    throw new DiagramFault("the clipboard does not hold blocks");
+  }
+  const pairs = json["connections"].filter(
+    (one): one is [string, string] => isList(one) && typeof one[0] === "string" && typeof one[1] === "string",
+  );
+  if (json["parts"].length > MOST) throw new DiagramFault(`more than ${MOST} blocks`);
+  return { parts: json["parts"].map(partFrom), connections: pairs.map(([a, b]) => [a, b] as const) };
+}
+
+/** The diagram with what `text` holds, under names that are free, a little beside where it was; and those names. */
+export function paste(d: Diagram, text: string): { diagram: Diagram; names: string[] } {
+  const { parts, connections } = copied(text);
+  const names = new Map<string, string>();
+  for (const part of parts) names.set(part.name, freeName(d, part.name, new Set(names.values())));
+  const follow = (end: string): string => {
+    const [name = "", ...port] = end.split(".");
+    return [names.get(name) ?? name, ...port].join(".");
+  };
+  const known = new Set(d.params.map(declaredName));
+  const made = parts.map((part): Part => {
+    const kept = Object.entries(part.conditions).filter(([, source]) => names.has(source.split(".")[0] ?? ""));
+    const bound = Object.entries(part.params).filter(([, outer]) => known.has(outer));
+    const [x, y] = placeOf(part) ?? [0, 0];
+    return movePart(
+      {
+        ...part,
+        name: follow(part.name),
+        params: Object.fromEntries(bound),
+        conditions: Object.fromEntries(kept.map(([key, source]) => [key, follow(source)])),
+      },
+      [x + STEP, y + STEP],
+    );
+  });
+  const wires = connections.map(([source, to]) => [follow(source), follow(to)] as const);
+  return {
+    diagram: { ...d, parts: [...d.parts, ...made], connections: [...d.connections, ...wires] },
+    names: [...names.values()],
+  };
+}

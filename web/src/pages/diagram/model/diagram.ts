@@ -1,0 +1,178 @@
+// A diagram as the page edits it. Nothing here is ever changed in place: an edit makes a new diagram that shares what
+// stayed, so that undo is keeping the old one, and what is drawn is compared by identity.
+import { isList, isObject, Num, readJson, writeJson, type Json, type JsonObject } from "./json_text";
+
+/** "part.port" or "part", or an input's name; [source, "part.port"]. */
+export type Connection = readonly [source: string, destination: string];
+export type Output = readonly [name: string, source: string | null];
+export type Point = readonly [x: number, y: number];
+export const CONDITIONS = ["enable", "reset", "trigger"] as const;
+export type Condition = (typeof CONDITIONS)[number];
+
+/** A library block ({type, config}), a custom one or a state machine: kept as it stands in the file. */
+export interface Block {
+  readonly is: "block";
+  readonly type: string;
+  readonly json: JsonObject;
+}
+
+export interface Diagram {
+  readonly is: "diagram";
+  readonly name: string;
+  readonly text: string;
+  readonly inputs: readonly JsonObject[];
+  readonly params: readonly JsonObject[];
+  readonly parts: readonly Part[];
+  readonly connections: readonly Connection[];
+  readonly outputs: readonly Output[];
+}
+
+export interface Part {
+  readonly name: string;
+  readonly rate: readonly Num[] | null;
+  /** Parameters of the part bound to parameters of the diagram: inner name -> outer name. */
+  readonly params: Readonly<Record<string, string>>;
+  readonly conditions: Readonly<Partial<Record<Condition, string>>>;
+  /** What the page does not edit: disabled, edge, enabling, initial. */
+  readonly rest: JsonObject;
+  /** As it is written in the file; `placeOf` gives the numbers. */
+  readonly position: readonly Num[] | null;
+  readonly item: Block | Diagram;
+}
+
+/** A file that is JSON, but not a diagram. */
+export class DiagramFault extends Error {}
+
+const SCHEMA = "twodof/diagram";
+const VERSION = "1";
+const REST = ["disabled", "edge", "enabling", "initial"] as const;
+
+/** The diagram in the text of a file. Raises JsonFault or DiagramFault. */
+export function readDiagram(text: string): Diagram {
+  const file = readJson(text);
+  if (!isObject(file) || file["schema"] !== SCHEMA) throw new DiagramFault("this is not a diagram of twodof");
+  const version = file["version"];
+  if (!(version instanceof Num) || version.text !== VERSION) throw new DiagramFault("its version is unknown");
+  return diagramFrom(file["diagram"]);
+}
+
+/** The text of the file, byte for byte as Python's `to_json` writes it. */
+export function writeDiagram(diagram: Diagram): string {
+  return `${writeJson({ schema: SCHEMA, version: new Num(VERSION), diagram: diagramTo(diagram) })}\n`;
+}
+
+export function declaredName(declared: JsonObject): string {
+  return string(declared["name"]);
+}
+
+/** Where a part stands on its sheet; null where the file does not say. */
+export function placeOf(part: Part): Point | null {
+  const [x, y] = part.position ?? [];
+  return x === undefined || y === undefined ? null : [x.value, y.value];
+}
+
+export function findPart(diagram: Diagram, name: string): Part | undefined {
+  return diagram.parts.find((part) => part.name === name);
+}
+
+/** The sub-diagram at a path of parts' names; undefined if there is none. */
+export function diagramAt(root: Diagram, path: readonly string[]): Diagram | undefined {
+  let here: Diagram = root;
+  for (const name of path) {
+    const item = findPart(here, name)?.item;
+    if (item?.is !== "diagram") return undefined;
+    here = item;
+  }
+  return here;
+}
+
+export function diagramFrom(json: Json | undefined): Diagram {
+  const data = object(json, "the diagram");
+  return {
+    is: "diagram",
+    name: string(data["name"]),
+    text: data["text"] === undefined ? "" : string(data["text"]),
+    inputs: list(data["inputs"]).map((one) => object(one, "an input")),
+    params: list(data["params"]).map((one) => object(one, "a parameter")),
+    parts: list(data["parts"]).map(partFrom),
+    connections: list(data["connections"]).map((pair) => {
+      const [source, destination] = list(pair);
+      return [string(source), string(destination)] as const;
+    }),
+    outputs: list(data["outputs"]).map((pair) => {
+      const [name, source] = list(pair);
+      return [string(name), source === null || source === undefined ? null : string(source)] as const;
+    }),
+  };
+}
+
+export function partFrom(json: Json): Part {
+  const form = object(json, "a part");
+  const block = form["block"];
+  const conditions: Partial<Record<Condition, string>> = {};
+  for (const key of CONDITIONS) if (typeof form[key] === "string") conditions[key] = form[key];
+  const rest: Record<string, Json> = {};
+  for (const key of REST) if (form[key] !== undefined) rest[key] = form[key];
+  const params: Record<string, string> = Object.create(null) as Record<string, string>;
+  for (const [inner, outer] of Object.entries(object(form["params"] ?? {}, "params"))) params[inner] = string(outer);
+  return {
+    name: string(form["name"]),
+    rate: form["rate"] === undefined ? null : list(form["rate"]).map(number),
+    params,
+    conditions,
+    rest,
+    position: form["position"] === undefined || form["position"] === null ? null : list(form["position"]).map(number),
+    item: block === undefined ? diagramFrom(form["diagram"]) : blockFrom(block),
+  };
+}
+
+function blockFrom(json: Json): Block {
+  const form = object(json, "a block");
+  return { is: "block", type: string(form["type"]), json: form };
+}
+
+export function diagramTo(d: Diagram): JsonObject {
+  return {
+    name: d.name,
+    text: d.text,
+    inputs: d.inputs,
+    params: d.params,
+    parts: d.parts.map(partTo),
+    connections: d.connections,
+    outputs: d.outputs,
+  };
+}
+
+/** A part's keys in the order of Python's writer. */
+export function partTo(part: Part): JsonObject {
+  const form: Record<string, Json> = { name: part.name };
+  if (part.rate !== null) form["rate"] = part.rate;
+  if (Object.keys(part.params).length > 0) form["params"] = part.params;
+  for (const key of CONDITIONS) if (part.conditions[key]) form[key] = part.conditions[key];
+  for (const key of REST) if (part.rest[key] !== undefined) form[key] = part.rest[key];
+  if (part.position !== null) form["position"] = part.position;
+  if (part.item.is === "diagram") form["diagram"] = diagramTo(part.item);
+  else form["block"] = part.item.json;
+  return form;
+}
+
+function object(json: Json | undefined, what: string): JsonObject {
+  if (!isObject(json)) throw new DiagramFault(`${what} is not an object`);
+  return json;
+}
+
+function list(json: Json | undefined): readonly Json[] {
+  if (json === undefined) return [];
+  if (!isList(json)) throw new DiagramFault("a list is missing");
+  return json;
+}
+
+function string(json: Json | undefined): string {
+  if (typeof json !== "string") throw new DiagramFault("a name is missing");
+  return json;
+}
+
+function number(json: Json): Num {
+  if (!(json instanceof Num)) throw new DiagramFault("a number is missing");
+  return json;
+}

@@ -1,0 +1,260 @@
+// Edits: each takes a diagram and gives the one after it. What they refuse is a sentence in an EditFault.
+import { CONDITIONS, declaredName, type Block, type Connection, type Diagram, type Part, type Point } from "./diagram";
+import { Num, real, type Json, type JsonObject } from "./json_text";
+
+export class EditFault extends Error {}
+
+const NAME = /^[A-Za-z][A-Za-z0-9_]{0,62}$/;
+
+/** Applies an edit to the sub-diagram at a path of parts' names. */
+export function edited(root: Diagram, path: readonly string[], edit: (d: Diagram) => Diagram): Diagram {
+  const [name, ...rest] = path;
+  if (name === undefined) return edit(root);
+  let found = false;
+  const parts = root.parts.map((part) => {
+    if (part.name !== name || part.item.is !== "diagram") return part;
+    found = true;
+    const item = edited(part.item, rest, edit);
+    return item === part.item ? part : { ...part, item };
+  });
+  if (!found) throw new EditFault(`there is no sub-diagram ${name}`);
+  return parts.every((part, i) => part === root.parts[i]) ? root : { ...root, parts };
+}
+
+/** Names that a new part, input or parameter cannot have. */
+export function taken(d: Diagram): Set<string> {
+  const tops = [...d.inputs, ...d.params].map((one) => declaredName(one).split(".")[0] ?? "");
+  return new Set([...d.parts.map((part) => part.name), ...tops]);
+}
+
+/** `wanted`, or that with the first number that is free. */
+export function freeName(d: Diagram, wanted: string, also: ReadonlySet<string> = new Set()): string {
+  const used = taken(d);
+  const free = (name: string): boolean => !used.has(name) && !also.has(name);
+  if (free(wanted)) return wanted;
+  const stem = wanted.replace(/_?\d+$/, "").slice(0, 56);
+  for (let n = 2; ; n++) if (free(`${stem}_${n}`)) return `${stem}_${n}`;
+}
+
+function checkName(d: Diagram, name: string, besides = ""): void {
+  if (!NAME.test(name)) throw new EditFault(`"${name}" is not a name: use a letter, then letters, digits or _`);
+  if (name !== besides && taken(d).has(name)) throw new EditFault(`the name ${name} is taken`);
+}
+
+export function addPart(d: Diagram, part: Part): Diagram {
+  checkName(d, part.name);
+  return { ...d, parts: [...d.parts, part] };
+}
+
+/** Changes one part by a function. */
+export function changePart(d: Diagram, name: string, change: (part: Part) => Part): Diagram {
+  return { ...d, parts: d.parts.map((part) => (part.name === name ? change(part) : part)) };
+}
+
+export function movePart(part: Part, to: Point): Part {
+  const [x, y] = to.map((v) => Math.min(1e6, Math.max(-1e6, Math.round(v * 100) / 100)));
+  return { ...part, position: [real(x ?? 0), real(y ?? 0)] };
+}
+
+export function moveParts(d: Diagram, places: ReadonlyMap<string, Point>): Diagram {
+  const parts = d.parts.map((part) => {
+    const to = places.get(part.name);
+    return to === undefined ? part : movePart(part, to);
+  });
+  return { ...d, parts };
+}
+
+/** Removes parts, and every wire and condition that came from or went to them. */
+export function removeParts(d: Diagram, names: ReadonlySet<string>): Diagram {
+  const gone = (source: string): boolean => names.has(source.split(".")[0] ?? "") && !isInput(d, source);
+  return {
+    ...d,
+    parts: d.parts.filter((part) => !names.has(part.name)).map((part) => withoutConditions(part, gone)),
+    connections: d.connections.filter(([source, to]) => !gone(source) && !names.has(to.split(".")[0] ?? "")),
+    outputs: d.outputs.map(([name, source]) => [name, source !== null && gone(source) ? null : source] as const),
+  };
+}
+
+function withoutConditions(part: Part, gone: (source: string) => boolean): Part {
+  const lost = CONDITIONS.filter((key) => part.conditions[key] !== undefined && gone(part.conditions[key]));
+  if (lost.length === 0) return part;
+  return {
+    ...part,
+    conditions: Object.fromEntries(Object.entries(part.conditions).filter(([k]) => !lost.includes(k as never))),
+  };
+}
+
+function isInput(d: Diagram, source: string): boolean {
+  return d.inputs.some((one) => declaredName(one).split(".")[0] === source.split(".")[0]);
+}
+
+/** Wires `source` to "part.port", or to an output's name; what was there before gives way. */
+export function connect(d: Diagram, source: string, destination: string): Diagram {
+  if (d.outputs.some(([name]) => name === destination)) {
+    return {
+      ...d,
+      outputs: d.outputs.map(([n, s]) => (n === destination ? ([n, source] as const) : ([n, s] as const))),
+    };
+  }
+  const overlaps = (to: string): boolean =>
+    to === destination || to.startsWith(`${destination}.`) || destination.startsWith(`${to}.`);
+  const connections = d.connections.filter(([, to]) => !overlaps(to));
+  return { ...d, connections: [...connections, [source, destination] as Connection] };
+}
+
+/** Removes the wires to these destinations. */
+export function disconnect(d: Diagram, destinations: ReadonlySet<string>): Diagram {
+  return {
+    ...d,
+    connections: d.connections.filter(([, to]) => !destinations.has(to)),
+    outputs: d.outputs.map(([name, source]) => [name, destinations.has(name) ? null : source] as const),
+  };
+}
+
+/** Renames a part, and follows its name in wires and conditions. */
+export function renamePart(d: Diagram, from: string, to: string): Diagram {
+  if (from === to) return d;
+  checkName(d, to, from);
+  return renamed({ ...d, parts: d.parts.map((p) => (p.name === from ? { ...p, name: to } : p)) }, from, to, true);
+}
+
+export function renameInput(d: Diagram, from: string, to: string): Diagram {
+  if (from === to) return d;
+  checkName(d, to, from);
+  const inputs = d.inputs.map((one) => (declaredName(one) === from ? { ...one, name: to } : one));
+  return renamed({ ...d, inputs }, from, to, false);
+}
+
+/** Follows a new name in all sources and, of a part, destinations. */
+function renamed(d: Diagram, from: string, to: string, part: boolean): Diagram {
+  const follow = (end: string): string =>
+    end === from ? to : end.startsWith(`${from}.`) ? to + end.slice(from.length) : end;
+  return {
+    ...d,
+    parts: d.parts.map((one) => {
+      const changed = Object.entries(one.conditions).some(([, source]) => follow(source) !== source);
+      if (!changed) return one;
+      return { ...one, conditions: Object.fromEntries(Object.entries(one.conditions).map(([k, s]) => [k, follow(s)])) };
+    }),
+    connections: d.connections.map((pair) => {
+      const next = [follow(pair[0]), part ? follow(pair[1]) : pair[1]] as const;
+      return next[0] === pair[0] && next[1] === pair[1] ? pair : next;
+    }),
+    outputs: d.outputs.map(([name, source]) => [name, source === null ? null : follow(source)] as const),
+  };
+}
+
+export function addInput(d: Diagram, declared: JsonObject): Diagram {
+  checkName(d, declaredName(declared));
+  return { ...d, inputs: [...d.inputs, declared] };
+}
+
+export function removeInput(d: Diagram, name: string): Diagram {
+  const from = (source: string): boolean => source === name || source.startsWith(`${name}.`);
+  return {
+    ...d,
+    inputs: d.inputs.filter((one) => declaredName(one) !== name),
+    parts: d.parts.map((part) => withoutConditions(part, from)),
+    connections: d.connections.filter(([source]) => !from(source)),
+    outputs: d.outputs.map(([output, source]) => [output, source !== null && from(source) ? null : source] as const),
+  };
+}
+
+export function addOutput(d: Diagram, name: string, source: string | null = null): Diagram {
+  if (!NAME.test(name)) throw new EditFault(`"${name}" is not a name: use a letter, then letters, digits or _`);
+  if (d.outputs.some(([one]) => one === name)) throw new EditFault(`the name ${name} is taken`);
+  return { ...d, outputs: [...d.outputs, [name, source] as const] };
+}
+
+export function removeOutput(d: Diagram, name: string): Diagram {
+  return { ...d, outputs: d.outputs.filter(([one]) => one !== name) };
+}
+
+export function renameOutput(d: Diagram, from: string, to: string): Diagram {
+  if (from === to) return d;
+  if (!NAME.test(to)) throw new EditFault(`"${to}" is not a name: use a letter, then letters, digits or _`);
+  if (d.outputs.some(([one]) => one === to)) throw new EditFault(`the name ${to} is taken`);
+  return { ...d, outputs: d.outputs.map(([name, source]) => [name === from ? to : name, source] as const) };
+}
+
+/** Sets the key of what is declared (an input or parameter); undefined takes it out. */
+export function declare(
+  d: Diagram,
+  section: "inputs" | "params",
+  name: string,
+  key: string,
+  value: Json | undefined,
+): Diagram {
+  const change = (one: JsonObject): JsonObject => {
+    const { [key]: _, ...rest } = one;
+    if (value === undefined) return rest;
+    return key in one ? { ...one, [key]: value } : ordered({ ...one, [key]: value });
+  };
+  return { ...d, [section]: d[section].map((one) => (declaredName(one) === name ? change(one) : one)) };
+}
+
+const ORDER = ["name", "value", "kind", "width", "unit", "low", "high", "text", "tunable", "shape", "enum"];
+
+/** The keys in the order in which Python declares them. */
+function ordered(one: JsonObject): JsonObject {
+  const place = (key: string): number => (ORDER.includes(key) ? ORDER.indexOf(key) : ORDER.length);
+  return Object.fromEntries(Object.entries(one).sort(([a], [b]) => place(a) - place(b)));
+}
+
+/** Sets an argument of a library block. */
+export function configure(part: Part, key: string, value: Json): Part {
+  if (part.item.is !== "block") return part;
+  const config = (part.item.json["config"] ?? {}) as JsonObject;
+  return { ...part, item: { ...part.item, json: { ...part.item.json, config: { ...config, [key]: value } } } };
+}
+
+/** Sets the value of a parameter that a custom block declares. */
+export function setDeclared(part: Part, name: string, value: Json): Part {
+  if (part.item.is !== "block") return part;
+  const params = (part.item.json["params"] ?? []) as readonly JsonObject[];
+  const changed = params.map((one) => (declaredName(one) === name ? { ...one, value } : one));
+  return { ...part, item: { ...part.item, json: { ...part.item.json, params: changed } } };
+}
+
+/** Runs the part at ticks with tick % divider == offset. */
+export function setRate(part: Part, divider: number, offset: number): Part {
+  const base = divider === 1 && offset === 0;
+  return { ...part, rate: base ? null : [new Num(String(divider)), new Num(String(offset))] };
+}
+
+/** Binds a parameter of a part to one of the diagram; "" frees it. */
+export function bind(part: Part, inner: string, outer: string): Part {
+  const params = Object.fromEntries(Object.entries(part.params).filter(([name]) => name !== inner));
+  return { ...part, params: outer === "" ? params : { ...params, [inner]: outer } };
+}
+
+export function newPart(d: Diagram, wanted: string, item: Block | Diagram, position: Point): Part {
+  const name = freeName(d, wanted);
+  return movePart({ name, rate: null, params: {}, conditions: {}, rest: {}, position: null, item }, position);
+}
+
+/** A parameter declared of the diagram. */
+export function addParam(d: Diagram, declared: JsonObject): Diagram {
+  checkName(d, declaredName(declared));
+  return { ...d, params: [...d.params, declared] };
+}
+
+export function removeParam(d: Diagram, name: string): Diagram {
+  const parts = d.parts.map((part) => {
+    const bound = Object.entries(part.params).filter(([, outer]) => outer === name);
+    return bound.reduce((one, [inner]) => bind(one, inner, ""), part);
+  });
+  return { ...d, parts, params: d.params.filter((one) => declaredName(one) !== name) };
+}
+
+/** Renames a parameter of the diagram, and follows its name where parts are bound to it. */
+export function renameParam(d: Diagram, from: string, to: string): Diagram {
+  if (from === to) return d;
+  checkName(d, to, from);
+  const parts = d.parts.map((part) => {
+    const bound = Object.entries(part.params);
+    if (!bound.some(([, outer]) => outer === from)) return part;
+    return { ...part, params: Object.fromEntries(bound.map(([inner, outer]) => [inner, outer === from ? to : outer])) };
+  });
+  return { ...d, parts, params: d.params.map((one) => (declaredName(one) === from ? { ...one, name: to } : one)) };
+}

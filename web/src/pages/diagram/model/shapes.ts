@@ -1,0 +1,201 @@
+// What ports and parameters a part has. A library block's follow from its arguments, which Python decides: the page asks
+// the server once for each block and keeps the answer by the block's text.
+import { declaredName, type Block, type Diagram, type Part } from "./diagram";
+import { isList, isObject, Num, writeJson, type Json, type JsonObject } from "./json_text";
+
+export interface Port {
+  readonly name: string;
+  readonly kind: string;
+  /** Elements of an array; null for a number. */
+  readonly width: number | null;
+  readonly unit: string;
+}
+
+export interface Parameter extends Port {
+  /** The number, the numbers, or the truth value. */
+  readonly value: unknown;
+  /** Bounds; null where there is none. */
+  readonly low: number | null;
+  readonly high: number | null;
+  readonly text: string;
+}
+
+export interface Shape {
+  readonly inputs: readonly Port[];
+  readonly outputs: readonly Port[];
+  readonly params: readonly Parameter[];
+  /** Alike for two blocks that differ only in the values of their parameters. */
+  readonly structure: string;
+}
+
+/** What the server said of a block: its shape, or why it cannot be made. */
+export type Answer = Shape | { readonly what: string; readonly where: string; readonly remedy: string };
+
+const NOTHING: Shape = { inputs: [], outputs: [], params: [], structure: "" };
+
+export class Shapes {
+  private readonly known = new Map<string, Answer>();
+  private readonly keys = new WeakMap<Block, string>();
+  private readonly own = new WeakMap<Block | Diagram, Shape>();
+
+  key(block: Block): string {
+    let key = this.keys.get(block);
+    if (key === undefined) {
+      key = writeJson(block.json);
+      this.keys.set(block, key);
+    }
+    return key;
+  }
+
+  learn(key: string, answer: Answer): void {
+    this.known.set(key, answer);
+  }
+
+  /** The library blocks of a diagram, sub-diagrams included, of which nothing is known yet. */
+  unknown(diagram: Diagram, found = new Map<string, Block>()): Map<string, Block> {
+    for (const { item } of diagram.parts) {
+      if (item.is === "diagram") this.unknown(item, found);
+      else if (fromLibrary(item) && !this.known.has(this.key(item))) found.set(this.key(item), item);
+    }
+    return found;
+  }
+
+  /** Why a block cannot be made, or undefined. */
+  refusal(item: Block | Diagram): { what: string; where: string; remedy: string } | undefined {
+    if (item.is === "diagram" || !fromLibrary(item)) return undefined;
+    const answer = this.known.get(this.key(item));
+    return answer !== undefined && "what" in answer ? answer : undefined;
+  }
+
+  of(item: Block | Diagram): Shape {
+    if (item.is === "block" && fromLibrary(item)) {
+      const answer = this.known.get(this.key(item));
+      return answer !== undefined && "inputs" in answer ? answer : NOTHING;
+    }
+    let shape = this.own.get(item);
+    if (shape === undefined) {
+      shape = item.is === "diagram" ? this.ofDiagram(item) : ofCustom(item);
+      this.own.set(item, shape);
+    }
+    return shape;
+  }
+
+  private ofDiagram(d: Diagram): Shape {
+    return {
+      inputs: d.inputs.map(portOf),
+      outputs: d.outputs.map(([name, source]) => ({ ...this.carried(d, source), name })),
+      params: d.params.map(parameterOf),
+      structure: "",
+    };
+  }
+
+  /** What a source gives, as far as it is known. */
+  carried(d: Diagram, source: string | null): Port {
+    const nothing: Port = { name: "", kind: "real", width: null, unit: "" };
+    if (source === null) return nothing;
+    const input = d.inputs.find((one) => declaredName(one) === source);
+    if (input !== undefined) return portOf(input);
+    const [name = "", ...path] = source.split(".");
+    const part = d.parts.find((one) => one.name === name);
+    if (part === undefined) return nothing;
+    const outputs = this.of(part.item).outputs;
+    const port = path.join(".");
+    return outputs.find((one) => one.name === port) ?? (port === "" ? outputs[0] : undefined) ?? nothing;
+  }
+}
+
+/** Whether only the server knows the block's ports. */
+export function fromLibrary(block: Block): boolean {
+  return block.type !== "custom" && block.type !== "state_machine";
+}
+
+/** The names of ports, those of a bus's fields as the one of the bus. */
+export function tops(ports: readonly Port[]): string[] {
+  return [...new Set(ports.map((port) => port.name.split(".")[0] ?? ""))];
+}
+
+/** A source or destination in the form [part or null, port]: "pid" is ["pid", "M"], an input "q" is [null, "q"]. */
+export function sourceEnd(d: Diagram, shapes: Shapes, source: string): readonly [string | null, string] | undefined {
+  if (d.inputs.some((one) => inBus(declaredName(one), source))) return [null, source];
+  const [name = "", ...path] = source.split(".");
+  const part = d.parts.find((one) => one.name === name);
+  if (part === undefined) {
+    const bus = d.inputs.some((one) => declaredName(one) === name);
+    return bus ? [null, source] : undefined;
+  }
+  const names = tops(shapes.of(part.item).outputs);
+  const port = path.join(".");
+  if (port === "") return names[0] === undefined ? undefined : [name, names[0]];
+  return names.includes(path[0] ?? "") || names.length !== 1 ? [name, port] : [name, `${names[0]}.${port}`];
+}
+
+function inBus(declared: string, source: string): boolean {
+  return declared === source || declared.startsWith(`${source}.`);
+}
+
+/** How a source is written: the part alone where it has one output, as Python's users write it. */
+export function sourceText(part: Part, port: string, shapes: Shapes): string {
+  const names = tops(shapes.of(part.item).outputs);
+  return names.length === 1 && names[0] === port ? part.name : `${part.name}.${port}`;
+}
+
+function ofCustom(block: Block): Shape {
+  const params = items(block.json["params"]).map(parameterOf);
+  return {
+    inputs: items(block.json["inputs"]).map(portOf),
+    outputs: items(block.json["outputs"]).map(portOf),
+    params,
+    structure: writeJson({ ...block.json, params: items(block.json["params"]).map(withoutValue) }),
+  };
+}
+
+export function withoutValue(declared: JsonObject): JsonObject {
+  const { value: _, ...rest } = declared;
+  return rest;
+}
+
+function items(json: Json | undefined): JsonObject[] {
+  return isList(json) ? json.filter(isObject) : [];
+}
+
+export function portOf(declared: JsonObject): Port {
+  const width = declared["width"];
+  const shape = declared["shape"];
+  const elements = isList(shape) ? shape.reduce((n: number, one) => n * plainNumber(one, 1), 1) : null;
+  return {
+    name: declaredName(declared),
+    kind: typeof declared["kind"] === "string" ? declared["kind"] : isObject(declared["enum"]) ? "int32" : "real",
+    width: width instanceof Num ? width.value : elements,
+    unit: typeof declared["unit"] === "string" ? declared["unit"] : "",
+  };
+}
+
+export function parameterOf(declared: JsonObject): Parameter {
+  return {
+    ...portOf(declared),
+    value: plain(declared["value"] ?? null),
+    low: bound(declared["low"]),
+    high: bound(declared["high"]),
+    text: typeof declared["text"] === "string" ? declared["text"] : "",
+  };
+}
+
+function bound(json: Json | undefined): number | null {
+  return json instanceof Num ? json.value : null;
+}
+
+function plainNumber(json: Json, otherwise: number): number {
+  return json instanceof Num ? json.value : otherwise;
+}
+
+/** JSON as JavaScript's own values; numbers lose how they were written. */
+export function plain(json: Json): unknown {
+  if (json instanceof Num) return json.value;
+  if (isList(json)) return json.map(plain);
+  if (isObject(json)) {
+    if (Object.keys(json).length === 1 && typeof json["float"] === "string")
+      return Number(json["float"].replace("inf", "Infinity"));
+    return Object.fromEntries(Object.entries(json).map(([key, value]) => [key, plain(value)]));
+  }
+  return json;
+}

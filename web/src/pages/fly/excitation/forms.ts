@@ -1,0 +1,186 @@
+// What a person fills in for each kind of excitation. The server's library knows what it means, and what cannot be.
+import type { Excitation, Loop } from "../../../api/drones";
+
+/** A number, several of them, or a choice. `unit` "amplitude" is that of the excited loop. */
+export type Field =
+  | {
+      name: string;
+      label: string;
+      type: "number";
+      unit: string;
+      value: number;
+      low: number;
+      high: number;
+      whole?: boolean;
+    }
+  | { name: string; label: string; type: "numbers"; unit: string; values: readonly number[] }
+  | { name: string; label: string; type: "choice"; choices: readonly string[]; value: string };
+
+export interface Kind {
+  kind: string;
+  label: string;
+  text: string;
+  fields: readonly Field[];
+}
+
+const DEG = Math.PI / 180;
+export const UNITS: Record<Loop, string> = { theta: "rad", q: "rad/s", M: "-", v: "m/s", x: "m" };
+/** Amplitudes that move the rig well within its stops; the preview says how far. */
+const AMPLITUDES: Record<Loop, number> = { theta: 5 * DEG, q: 30 * DEG, M: 0.03, v: 0.15, x: 0.1 };
+const LARGEST: Record<Loop, number> = { theta: 50 * DEG, q: 10, M: 1, v: 2, x: 0.4 };
+
+const seconds = (name: string, label: string, value: number, low = 0): Field => ({
+  name,
+  label,
+  type: "number",
+  unit: "s",
+  value,
+  low,
+  high: 3600,
+});
+const hertz = (name: string, label: string, value: number): Field => ({
+  name,
+  label,
+  type: "number",
+  unit: "Hz",
+  value,
+  low: 0,
+  high: 125,
+});
+const whole = (name: string, label: string, value: number, low: number, high: number): Field => ({
+  name,
+  label,
+  type: "number",
+  unit: "",
+  value,
+  low,
+  high,
+  whole: true,
+});
+
+const HOLD = 0.001;
+
+/** The kinds, with values to begin with that suit the loop. */
+export function kinds(loop: Loop): readonly Kind[] {
+  const most = LARGEST[loop];
+  const amplitude = (name = "amplitude", label = "Amplitude"): Field => ({
+    name,
+    label,
+    type: "number",
+    unit: "amplitude",
+    value: AMPLITUDES[loop],
+    low: -most,
+    high: most,
+  });
+  const slow = loop === "x" || loop === "v";
+  const scale = slow ? 4 : 1;
+  return [
+    {
+      kind: "impulse",
+      label: "Impulse",
+      text: "The amplitude for a moment, then the free response.",
+      fields: [amplitude(), seconds("width", "Width", 0.2 * scale, HOLD)],
+    },
+    {
+      kind: "doublet",
+      label: "Doublet",
+      text: "The amplitude for half a period, then its opposite.",
+      fields: [amplitude(), seconds("period", "Period", 0.6 * scale, 2 * HOLD)],
+    },
+    {
+      kind: "3-2-1-1",
+      label: "3-2-1-1",
+      text: "Plus, minus, plus, minus for 3, 2, 1 and 1 times a step: a broader band than a doublet's.",
+      fields: [amplitude(), seconds("step", "Step", 0.2 * scale, HOLD)],
+    },
+    {
+      kind: "steps",
+      label: "Steps",
+      text: "Levels, one after the other.",
+      fields: [
+        {
+          name: "levels",
+          label: "Levels",
+          type: "numbers",
+          unit: "amplitude",
+          values: [1, 0, -1, 0].map((sign) => sign * AMPLITUDES[loop]),
+        },
+        seconds("hold", "Each held for", slow ? 4 : 2, HOLD),
+      ],
+    },
+    {
+      kind: "sweep",
+      label: "Sweep",
+      text: "A sine whose frequency goes from one to another.",
+      fields: [
+        amplitude(),
+        hertz("start_hz", "From", slow ? 0.1 : 0.2),
+        hertz("end_hz", "To", slow ? 1 : 4),
+        seconds("length", "Length", 20, HOLD),
+        {
+          name: "law",
+          label: "Frequency rises",
+          type: "choice",
+          choices: ["linear", "logarithmic"],
+          value: "logarithmic",
+        },
+      ],
+    },
+    {
+      kind: "prbs",
+      label: "PRBS",
+      text: "A binary sequence that looks random, of 2^order − 1 bits.",
+      fields: [
+        amplitude(),
+        seconds("clock", "Each bit lasts", slow ? 0.4 : 0.06, HOLD),
+        whole("order", "Order", slow ? 5 : 7, 2, 16),
+        whole("seed", "Seed", 1, 1, 65535),
+      ],
+    },
+    {
+      kind: "multisine",
+      label: "Multisine",
+      text: "A sum of sines with phases that keep its peak low (Schroeder).",
+      fields: [
+        amplitude("peak", "Peak"),
+        seconds("period", "Period", 10, HOLD),
+        {
+          name: "harmonics",
+          label: "Harmonics of 1/period",
+          type: "numbers",
+          unit: "",
+          values: slow ? [1, 2, 3, 5, 7] : [2, 3, 5, 7, 11, 13, 19, 29],
+        },
+      ],
+    },
+  ];
+}
+
+/** What all kinds have. */
+export const COMMON: readonly Field[] = [
+  seconds("lead", "Rest before", 0.5),
+  whole("repeat", "Played", 1, 1, 100),
+  seconds("pause", "Pause between", 0),
+  seconds("settle", "Rest after", 2),
+];
+
+export type Values = Record<string, number | readonly number[] | string>;
+
+/** The values to begin with. */
+export function initial(kind: Kind): Values {
+  return Object.fromEntries(
+    [...kind.fields, ...COMMON].map((field) => [field.name, field.type === "numbers" ? field.values : field.value]),
+  );
+}
+
+/** What is sent: the library's form, or for a multisine its peak, of which the server makes amplitudes and phases. */
+export function excitationOf(kind: Kind, loop: Loop, values: Values): Excitation {
+  const given = [...kind.fields, ...COMMON].map((field) => [field.name, values[field.name]]);
+  return { kind: kind.kind, version: 1, unit: UNITS[loop], ...Object.fromEntries(given) } as Excitation;
+}
+
+/** The unit of a field of the form. */
+export function unitOf(field: Field, loop: Loop): string {
+  if (field.type === "choice") return "";
+  return field.unit === "amplitude" ? UNITS[loop] : field.unit;
+}

@@ -1,0 +1,112 @@
+import { telemetry } from "../../api/telemetry";
+import { History } from "../../chart/history";
+import { STEP_COLUMNS } from "../../chart/step_watch";
+
+const TRUTH = ["truth.theta", "truth.x"] as const;
+const COLUMNS = [
+  ...new Set([
+    ...STEP_COLUMNS,
+    "estimate.theta",
+    "estimate.q",
+    "estimate.x",
+    "estimate.v",
+    "setpoint.theta",
+    "setpoint.x",
+    "setpoint.thrust",
+    "command.M",
+    "command.T",
+  ]),
+];
+const RATE_HZ = 250;
+const SHOW_MS = 100;
+
+/** The newest values, for numbers on the screen; NaN while unknown. SI and radians. */
+export interface Now {
+  theta: number;
+  q: number;
+  x: number;
+  v: number;
+  M: number;
+  T: number;
+  /** In place of a loop's name: its place in signals.MODES. */
+  mode: number;
+  /** What the drone follows: in the loop of `mode` that is what counts. */
+  wanted: { theta: number; q: number; x: number; v: number };
+  /** What the server let go since this page read too slowly. */
+  dropped: number;
+}
+
+const NOTHING: Now = {
+  theta: NaN,
+  q: NaN,
+  x: NaN,
+  v: NaN,
+  M: NaN,
+  T: NaN,
+  mode: NaN,
+  wanted: { theta: NaN, q: NaN, x: NaN, v: NaN },
+  dropped: 0,
+};
+
+/** The rows of one drone while its page is open: kept for the charts, the newest of them for the numbers. */
+export class Live {
+  readonly history: History;
+  now = $state.raw<Now>(NOTHING);
+  private dropped = 0;
+
+  constructor(
+    readonly drone: number,
+    readonly virtual: boolean,
+  ) {
+    this.history = new History(virtual ? [...COLUMNS, ...TRUTH] : COLUMNS);
+  }
+
+  /** Begins; the answered function ends it. */
+  start(): () => void {
+    const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => {
+      this.dropped = rows.dropped;
+      this.history.append({ time: rows.time, columns: rows.values }, rows.sent);
+    });
+    const timer = setInterval(() => {
+      if (this.history.length > 0 && !document.hidden) this.now = this.read();
+    }, SHOW_MS);
+    return () => {
+      stop();
+      clearInterval(timer);
+    };
+  }
+
+  /** The rows from `low` to `high` [s] of some columns, each once: their names, the times, column by column. */
+  rows(low: number, high: number, columns: readonly string[]) {
+    const { history } = this;
+    const names = [...new Set(columns)];
+    const from = history.rowAt(low);
+    const count = Math.max(0, history.rowAt(high) - from);
+    const time = Float64Array.from({ length: count }, (_, k) => history.time(from + k));
+    const values = names.map((name) => {
+      const column = history.column(name);
+      return Float32Array.from({ length: count }, (_, k) => column?.at(from + k) ?? NaN);
+    });
+    return { names, time, values };
+  }
+
+  private read(): Now {
+    const value = (name: string) => this.history.held(name);
+    return {
+      theta: value("estimate.theta"),
+      q: value("estimate.q"),
+      x: value("estimate.x"),
+      v: value("estimate.v"),
+      M: value("command.M"),
+      T: value("command.T"),
+      mode: value("state.mode"),
+      wanted: {
+        theta: value("setpoint.theta"),
+        q: value("setpoint.q"),
+        x: value("setpoint.x"),
+        v: value("setpoint.v"),
+      },
+      dropped: this.dropped,
+    };
+  }
+}

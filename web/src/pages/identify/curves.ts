@@ -1,0 +1,65 @@
+// A fit's curves as the plots take them.
+import type { FitView, OutputCurves, ResidualTest } from "../../api/identification";
+import { DEGREES, type Series } from "../../chart/kinds";
+import { screenUnit } from "../../design/units";
+
+const numbers = (values: readonly (number | null)[], factor: number) =>
+  Float64Array.from(values, (value) => (value === null ? NaN : value * factor));
+
+/** The unit on the screen and the factor to it. */
+export function onScreen(unit: string): { name: string; factor: number } {
+  const { name, factor } = screenUnit(unit);
+  return { name, factor: unit === "rad" || unit === "rad/s" ? DEGREES : factor };
+}
+
+/** Data, the grey-box fit and the simple method of one output. */
+export function fitSeries(output: OutputCurves): Series[] {
+  const { factor } = onScreen(output.unit);
+  const x = Float64Array.from(output.time);
+  const found: Series[] = [{ label: "measured", x, y: numbers(output.measured, factor), kind: "measured" }];
+  if (output.simple)
+    found.push({ label: "simple", x, y: numbers(output.simple, factor), kind: "simple", dash: [6, 3] });
+  if (output.greybox) found.push({ label: "grey-box", x, y: numbers(output.greybox, factor), kind: "grey-box" });
+  return found;
+}
+
+export function residualSeries(output: OutputCurves): Series[] {
+  const { factor } = onScreen(output.unit);
+  return [
+    {
+      label: output.greybox ? "measured − grey-box" : "measured − simple",
+      x: Float64Array.from(output.time),
+      y: numbers(output.residual, factor),
+      kind: output.greybox ? "grey-box" : "simple",
+    },
+  ];
+}
+
+export function inputSeries(input: FitView["inputs"][number]): Series[] {
+  const { factor } = onScreen(input.unit);
+  return [{ label: input.name, x: Float64Array.from(input.time), y: numbers(input.value, factor), kind: "input" }];
+}
+
+/** A correlation over its lags, with the bound that it passes within. */
+export function testSeries(test: ResidualTest): Series[] {
+  const x = Float64Array.from(test.lags);
+  const high = Float64Array.from(test.bound);
+  const low = high.map((value) => -value);
+  return [
+    { label: "99 % bound", x, y: x.map(() => 0), kind: "set-point", band: { low, high } },
+    { label: "correlation", x, y: Float64Array.from(test.value), kind: "grey-box" },
+  ];
+}
+
+/** In words what a test of the residual found. */
+export function testWords(test: ResidualTest): string {
+  const what = test.against === "itself" ? "white" : `independent of ${test.against}`;
+  return test.passed
+    ? `${test.output}: the residual is ${what}`
+    : `${test.output}: the residual is not ${what} (${test.outside} of ${test.lags.length} lags outside, ${test.allowed} by chance)`;
+}
+
+/** How strongly two estimates go together, as a share of full colour. */
+export function strength(value: number | null): number {
+  return value === null || !Number.isFinite(value) ? 0 : Math.min(1, Math.abs(value));
+}

@@ -1,0 +1,117 @@
+// A log that is open: what it holds, the part of it that is looked at, and the time of its replay.
+
+import { logFacts, logReplay, logSteps, logView, type LoggedStep, type LogFacts, type LogView } from "../../api/logs";
+import { LineView } from "../../chart/line_view.svelte";
+import { isThinned, panels, type Panel } from "./curves";
+import { advance, Replay } from "./replay";
+
+const POINTS = 2000;
+const SETTLES_MS = 150;
+
+export class OpenLog {
+  facts = $state.raw<LogFacts | undefined>();
+  whole = $state.raw<LogView | undefined>();
+  shown = $state.raw<readonly Panel[]>([]);
+  steps = $state.raw<{ steps: readonly LoggedStep[]; unclear: string }>({ steps: [], unclear: "" });
+  replay = $state.raw<Replay | undefined>();
+  failure = $state<unknown>(undefined);
+  /** Of the replay [s]. */
+  time = $state(0);
+  plays = $state(false);
+  speed = $state(1);
+  readonly span = $derived<readonly [number, number]>(this.facts?.span ?? [0, 1]);
+  readonly view = new LineView(() => this.span);
+  /** What the 3-D view shows: where the pointer is on a plot while nothing plays, else the replay's time. */
+  readonly now = $derived(this.plays ? this.time : (this.view.pointer ?? this.time));
+
+  private all: readonly Panel[] = [];
+  private frame = 0;
+  private asks = 0;
+
+  constructor(readonly name: string) {}
+
+  /** Reads the log; `at` is where the replay stands. */
+  async load(at: number): Promise<void> {
+    try {
+      const [facts, view] = await Promise.all([logFacts(this.name), logView(this.name, undefined, POINTS)]);
+      this.facts = facts;
+      if (Number.isFinite(at)) this.seek(at);
+      else this.time = facts.span[0];
+      this.whole = view;
+      this.all = this.shown = panels(view);
+      const [steps, replay] = await Promise.all([logSteps(this.name), logReplay(this.name)]);
+      this.steps = steps;
+      this.replay = new Replay(replay);
+    } catch (failure) {
+      this.failure = failure;
+    }
+  }
+
+  /** Asks for more of the part that is looked at, where the whole has been thinned; answers what ends the wait. */
+  look([low, high]: readonly [number, number]): () => void {
+    const number = (this.asks += 1);
+    const [start, end] = this.span;
+    if ((low <= start && high >= end) || !isThinned(this.all, POINTS)) {
+      this.shown = this.all;
+      return () => {};
+    }
+    const timer = setTimeout(async () => {
+      const margin = 0.25 * (high - low);
+      try {
+        const part = await logView(this.name, [low - margin, high + margin], POINTS);
+        if (number === this.asks) this.shown = merged(this.all, panels(part));
+      } catch {
+        // What is shown stays: it is the same part, with fewer points.
+      }
+    }, SETTLES_MS);
+    return () => clearTimeout(timer);
+  }
+
+  seek(time: number): void {
+    this.time = this.inside(time);
+    this.view.pointer = this.time;
+  }
+
+  play(): void {
+    if (this.plays) return;
+    if (this.time >= this.span[1]) this.time = this.span[0];
+    this.plays = true;
+    let last = performance.now();
+    const step = (now: number): void => {
+      if (!this.plays) return;
+      const next = advance(this.time, (now - last) / 1000, this.speed, this.span);
+      last = now;
+      this.time = this.view.pointer = next.time;
+      if (next.over) this.plays = false;
+      else this.frame = requestAnimationFrame(step);
+    };
+    this.frame = requestAnimationFrame(step);
+  }
+
+  pause(): void {
+    this.plays = false;
+    cancelAnimationFrame(this.frame);
+  }
+
+  /** The mode that flew at a time, "" where that is not known. */
+  mode(time: number): string {
+    return this.whole?.modes.find((band) => time >= band.start && time < band.stop)?.label ?? "";
+  }
+
+  private inside(time: number): number {
+    return Math.min(this.span[1], Math.max(this.span[0], time));
+  }
+}
+
+/** The panels of the whole, with the curves of a part where that has them: panels do not come and go with the zoom. */
+function merged(all: readonly Panel[], part: readonly Panel[]): Panel[] {
+  return all.map((one) => ({
+    ...one,
+    series: one.series.map((curve) => {
+      const finer = part
+        .find((other) => other.label === one.label)
+        ?.series.find((other) => other.label === curve.label);
+      return finer ?? curve;
+    }),
+  }));
+}

@@ -1,0 +1,65 @@
+// A flight again: where the drone was at a time, and how that time goes on.
+
+import type { LogReplay } from "../../api/logs";
+import { pairs, type Place, type Pose, type Wanted } from "../../scene/pose";
+import { float32s } from "./unpack";
+
+export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10] as const;
+
+/** The next time after `passed` [s] of ours; it stops at the end, and begins anew from there. */
+export function advance(
+  time: number,
+  passed: number,
+  speed: number,
+  [start, end]: readonly [number, number],
+): { time: number; over: boolean } {
+  // A tab that was asleep does not jump ahead by the time that it slept.
+  const next = Math.max(start, time) + Math.min(passed, 0.25) * speed;
+  return next >= end ? { time: end, over: true } : { time: next, over: false };
+}
+
+/** Samples of a flight at equal times. */
+export class Replay {
+  private readonly columns: Record<string, Float32Array>;
+
+  constructor(private readonly told: Pick<LogReplay, "start" | "rate" | "count" | "columns">) {
+    this.columns = Object.fromEntries(Object.entries(told.columns).map(([name, text]) => [name, float32s(text)]));
+  }
+
+  /** A column at a time [s], straight between samples; NaN where nothing is known. */
+  at(name: string, time: number): number {
+    const column = this.columns[name];
+    if (column === undefined) return NaN;
+    const place = (time - this.told.start) * this.told.rate;
+    const row = Math.floor(place);
+    if (row < 0 || row >= column.length) return NaN;
+    const [here, next] = [column[row]!, column[Math.min(row + 1, column.length - 1)]!];
+    return Number.isFinite(next) ? here + (place - row) * (next - here) : here;
+  }
+
+  pose(time: number): Pose {
+    const known = (name: string): number => {
+      const value = this.at(name, time);
+      return Number.isFinite(value) ? value : 0;
+    };
+    return { x: known("x"), theta: known("theta"), ...pairs(known("T"), known("M")) };
+  }
+
+  /** Where the virtual rig truly was; undefined for a real one. */
+  truth(time: number): Place | undefined {
+    const place = { x: this.at("x_true", time), theta: this.at("theta_true", time) };
+    return Number.isFinite(place.x) && Number.isFinite(place.theta) ? place : undefined;
+  }
+
+  /** What was asked for, in the mode that flew then. */
+  wanted(time: number, mode: string): Wanted {
+    const set = (name: string): number | undefined => {
+      const value = this.at(name, time);
+      return Number.isFinite(value) ? value : undefined;
+    };
+    return {
+      theta: ["attitude", "velocity", "position"].includes(mode) ? set("theta0") : undefined,
+      x: mode === "position" ? set("x0") : undefined,
+    };
+  }
+}

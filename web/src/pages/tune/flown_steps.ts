@@ -1,0 +1,30 @@
+// Steps of theta that are flown while one looks, scaled to the step that was predicted.
+import type { History } from "../../chart/history";
+import type { FlownStep } from "../../chart/step_watch";
+
+/** A response from 0 to the goal: times [s] from the step on, theta [rad]. */
+export interface ScaledStep {
+  label: string;
+  time: Float64Array;
+  theta: Float64Array;
+}
+
+/** A smaller step [rad] is mostly noise once it is scaled. */
+export const LEAST = 0.035;
+const SHOWN_S = 3;
+
+/** The step of the attitude turned, moved and scaled to go from 0 to `goal` [rad]; undefined for any other step. */
+export function scaledStep(history: History, step: FlownStep, goal: number, label: string): ScaledStep | undefined {
+  const size = step.after - step.before;
+  const theta = history.column("estimate.theta");
+  if (step.loop.loop !== "attitude" || Math.abs(size) < LEAST || theta === undefined) return undefined;
+  const until = Math.min(step.end, step.time + SHOWN_S);
+  const [times, values]: [number[], number[]] = [[], []];
+  for (let row = history.rowAt(step.time); row < history.last && history.time(row) <= until; row += 1) {
+    const value = theta.at(row);
+    if (!Number.isFinite(value)) continue;
+    times.push(history.time(row) - step.time);
+    values.push(((value - step.before) * goal) / size);
+  }
+  return times.length < 2 ? undefined : { label, time: Float64Array.from(times), theta: Float64Array.from(values) };
+}

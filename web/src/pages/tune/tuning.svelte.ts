@@ -1,0 +1,172 @@
+import { ApiError } from "../../api/client";
+import { listModels, type ModelRow } from "../../api/models";
+import {
+  changeParameters,
+  chooseGuard,
+  guardOf,
+  listParameters,
+  previewTuning,
+  undoChange,
+  type Change,
+  type ParameterRow,
+  type Preview,
+} from "../../api/tuning";
+import { telemetry } from "../../api/telemetry";
+import { toast, toastError } from "../../state/toasts.svelte";
+import { LatestOnly } from "../fly/latest_only";
+import { asRecord, differences, withChanges, type Edits } from "./draft";
+
+const WAIT_MS = 200;
+
+/** The parameters of one drone as a person tunes them: what was edited, what it would do, what was sent. */
+export class Tuning {
+  rows = $state.raw<readonly ParameterRow[]>([]);
+  edits = $state.raw<Edits>(new Map());
+  models = $state.raw<readonly ModelRow[]>([]);
+  /** The model that guards the drone's gains. */
+  model = $state<string | null>(null);
+  /** The size of the step that is predicted [rad]. */
+  goal = $state((10 * Math.PI) / 180);
+  preview = $state.raw<Preview | undefined>(undefined);
+  /** Why there is no preview. */
+  refused = $state("");
+  previewing = $state(false);
+  sending = $state(false);
+  /** Why what was sent was refused. */
+  failure = $state("");
+  loaded = $state(false);
+  /** How many changes of this page can be taken back. */
+  sent = $state(0);
+  readonly changes = $derived(differences(this.rows, this.edits));
+
+  private asked = "";
+  private waiting: ReturnType<typeof setTimeout> | undefined;
+  private readonly previews = new LatestOnly<Record<string, number>>(
+    (changes) => this.ask(changes),
+    () => {},
+  );
+
+  constructor(readonly drone: number) {}
+
+  /** Begins; the answered function ends it. */
+  start(): () => void {
+    void this.load();
+    return telemetry.onEvent((event) => {
+      // Somebody else tunes it too, a script perhaps.
+      if (event.event === "parameters" && event.drone === this.drone) void this.refresh();
+    });
+  }
+
+  async load(): Promise<void> {
+    await this.refresh();
+    await this.loadModels();
+    this.loaded = true;
+    this.askSoon();
+  }
+
+  async loadModels(): Promise<void> {
+    try {
+      const [models, guard] = await Promise.all([listModels(), guardOf(this.drone)]);
+      this.models = models.filter((one) => one.pitch);
+      this.model = guard.model;
+    } catch (failure) {
+      toastError(failure);
+    }
+  }
+
+  async choose(model: string | null): Promise<void> {
+    try {
+      this.model = (await chooseGuard(this.drone, model)).model;
+      this.asked = "";
+      this.askSoon();
+    } catch (failure) {
+      toastError(failure);
+    }
+  }
+
+  edit(name: string, value: number): void {
+    this.edits = new Map(this.edits).set(name, value);
+    this.failure = "";
+    this.askSoon();
+  }
+
+  take(changes: readonly Change[]): void {
+    this.edits = withChanges(this.rows, this.edits, changes);
+    this.failure = "";
+    this.askSoon();
+  }
+
+  forget(name?: string): void {
+    const next = new Map(name === undefined ? [] : this.edits);
+    if (name !== undefined) next.delete(name);
+    this.edits = next;
+    this.failure = "";
+    this.askSoon();
+  }
+
+  /** Sends all edits as one transaction; `confirm` is the token of a preview that shows what is not kept stable. */
+  async send(confirm = ""): Promise<boolean> {
+    this.sending = true;
+    this.failure = "";
+    try {
+      const { changed } = await changeParameters(this.drone, asRecord(this.changes), confirm);
+      this.edits = new Map();
+      this.sent += 1;
+      toast(`Sent: ${changed.map((one) => one.name).join(", ")}`, "good");
+      await this.refresh();
+      return true;
+    } catch (failure) {
+      this.failure = failure instanceof ApiError ? failure.message : String(failure);
+      return false;
+    } finally {
+      this.sending = false;
+      this.askSoon();
+    }
+  }
+
+  async undo(): Promise<void> {
+    try {
+      await undoChange(this.drone);
+      this.sent = Math.max(0, this.sent - 1);
+      toast("The last change was taken back", "good");
+      await this.refresh();
+      this.askSoon();
+    } catch (failure) {
+      toastError(failure);
+    }
+  }
+
+  /** Asks for a preview a moment after the last edit. */
+  askSoon(): void {
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => {
+      if (this.model !== null) this.previews.give(asRecord(this.changes));
+      else this.preview = undefined;
+    }, WAIT_MS);
+  }
+
+  private async refresh(): Promise<void> {
+    try {
+      this.rows = await listParameters(this.drone);
+      this.failure = "";
+    } catch (failure) {
+      this.failure = failure instanceof ApiError ? failure.message : String(failure);
+    }
+  }
+
+  private async ask(changes: Record<string, number>): Promise<void> {
+    const question = JSON.stringify([changes, this.goal, this.model, this.rows.map((row) => row.value)]);
+    if (question === this.asked) return;
+    this.previewing = true;
+    try {
+      this.preview = await previewTuning(this.drone, changes, this.goal);
+      this.asked = question;
+      this.refused = "";
+    } catch (failure) {
+      this.preview = undefined;
+      this.refused = failure instanceof ApiError ? failure.message : String(failure);
+    } finally {
+      this.previewing = false;
+    }
+  }
+}

@@ -1,0 +1,27 @@
+import type { Value } from "../wasm/signal";
+import type { ProgramTable } from "../wasm/table";
+
+/** What the library gives beside the module: `twodof.sim.play.PlayProgram.data`. */
+export interface PlayData {
+  table: ProgramTable;
+  /** Base ticks in a control step. */
+  ticks: number;
+  modes: string[];
+  states: string[];
+  actions: string[];
+  causes: { name: string; text: string }[];
+  rigs: Record<string, Record<string, number>>;
+  starts: Record<"rest" | "hover", { parameters: Record<string, number>; states: Record<string, Value> }>;
+  texts: Record<string, string>;
+}
+
+/** The module and its data, which stand in the page itself: it needs no server, and opens from a folder. */
+export function embedded(): { module: Uint8Array<ArrayBuffer>; data: PlayData } {
+  const text = (id: string): string => {
+    const found = document.getElementById(id)?.textContent?.trim();
+    if (!found) throw new Error(`the page has no ${id}: build it by make play`);
+    return found;
+  };
+  const module = Uint8Array.from(atob(text("play-module")), (letter) => letter.charCodeAt(0));
+  return { module, data: JSON.parse(text("play-data")) as PlayData };
+}

@@ -1,0 +1,190 @@
+import { History } from "../chart/history";
+import { Program } from "../wasm/program";
+import type { Signal } from "../wasm/signal";
+import type { PlayData } from "./data";
+
+/** What a flight is started with. */
+export interface Start {
+  rig: string;
+  seed: number;
+  noise: boolean;
+  rings: boolean;
+}
+
+/** What is asked of the flight code, SI and radians. */
+export interface Command {
+  /** Index into signals.MODES. */
+  mode: number;
+  theta: number;
+  q: number;
+  x: number;
+  v: number;
+  thrust: number;
+  arm: boolean;
+  /** The link carries set-points; without it the failsafe acts. */
+  link: boolean;
+}
+
+/** What the failsafe says. */
+export interface Safety {
+  state: string;
+  action: string;
+  /** What holds now, or held when it acted, in words. */
+  reasons: string[];
+}
+
+/** Columns of telemetry, and the closed loop's outputs that they are. */
+const OUTPUTS = {
+  "estimate.theta": "theta",
+  "estimate.q": "q",
+  "estimate.x": "x",
+  "estimate.v": "v",
+  "setpoint.theta": "theta0",
+  "setpoint.q": "q0",
+  "setpoint.x": "x0",
+  "setpoint.v": "v0",
+  "command.M": "M",
+  "command.T": "T",
+  "truth.theta": "true_theta",
+  "truth.q": "true_q",
+  "truth.x": "true_x",
+  "truth.v": "true_v",
+  "battery.voltage": "voltage",
+} as const;
+
+/** Control steps [4 ms each] that one call makes at most: a page that slept does not catch up for minutes. */
+const MOST_STEPS = 500;
+
+/** The virtual rig and the real flight code, flying here. */
+export class Flight {
+  readonly history = new History([...Object.keys(OUTPUTS), "state.mode"], 1 << 17);
+  /** Control steps since the start. */
+  steps = 0;
+  private readonly outputs: Signal[];
+  private readonly inputs: Record<string, Signal>;
+  private pushed = { force: 0, until: 0 };
+  /** Time of the history at which this flight began: flights follow each other on the charts. */
+  private began = 0;
+
+  private constructor(
+    private readonly program: Program,
+    readonly data: PlayData,
+  ) {
+    this.outputs = Object.values(OUTPUTS).map((path) => program.output(path));
+    this.inputs = Object.fromEntries(data.table.inputs.map(({ path }) => [path, program.input(path)]));
+  }
+
+  static async load(module: BufferSource, data: PlayData): Promise<Flight> {
+    return new Flight(await Program.load(module, data.table), data);
+  }
+
+  /** Length of a control step [s]. */
+  get period(): number {
+    return this.program.dt * this.data.ticks;
+  }
+
+  /** Time of the newest row [s]. */
+  get time(): number {
+    return this.began + this.steps * this.period;
+  }
+
+  /** In hover in the middle of the rail, with the gains as they are. */
+  start(start: Start): void {
+    const { program, data } = this;
+    const at = data.starts.hover;
+    program.set({
+      ...data.rigs[start.rig]!,
+      ...at.parameters,
+      "rig.noise": start.noise ? 1 : 0,
+      "rig.seed": start.seed,
+      "rig.rings": start.rings ? 1 : 0,
+      "rig.ring_place": 0,
+      "rig.rail_force": 0,
+    });
+    program.reset();
+    for (const [path, value] of Object.entries(at.states)) program.state(path).set(value);
+    this.began = this.time + (this.steps ? 0.5 : 0);
+    if (this.steps) this.gap();
+    this.steps = 0;
+    this.pushed = { force: 0, until: 0 };
+    this.inputs["rings"]!.set(start.rings);
+  }
+
+  /** `steps` control steps under a command, each a row of the history. */
+  advance(steps: number, command: Command): void {
+    const count = Math.min(steps, MOST_STEPS);
+    if (count <= 0) return;
+    this.give(command);
+    const time = new Float64Array(count);
+    const armed = this.program.output("armed");
+    const columns = [...this.outputs, undefined].map(() => new Float32Array(count));
+    for (let k = 0; k < count; k += 1) {
+      if (this.pushed.force && this.steps >= this.pushed.until) this.push(0, 0);
+      this.program.step();
+      this.outputs.forEach((output, c) => (columns[c]![k] = output.number()));
+      columns[this.outputs.length]![k] = armed.number() ? command.mode : 0;
+      for (let tick = 1; tick < this.data.ticks; tick += 1) this.program.step();
+      time[k] = this.time;
+      this.steps += 1;
+    }
+    this.history.append({ time, columns });
+  }
+
+  /** Sets parameters by path: gains, gusts, the delay. Raises ProgramRefusal, and then sets none. */
+  set(values: Readonly<Record<string, number>>): void {
+    this.program.set(values);
+  }
+
+  get(path: string): number {
+    return Number(this.program.get(path));
+  }
+
+  /** Pushes the cart with `force` [N] for `seconds`. */
+  push(force: number, seconds: number): void {
+    this.pushed = { force, until: this.steps + Math.round(seconds / this.period) };
+    this.program.set({ "rig.rail_force": force });
+  }
+
+  /** Strikes the drone: its pitch rate jumps by `rate` [rad/s]. */
+  strike(rate: number): void {
+    const q = this.program.state("rig.dynamics.q");
+    q.set(q.number() + rate);
+  }
+
+  /** Sets how full the battery is, 0 to 1. */
+  charge(share: number): void {
+    this.program.state("rig.battery.charge").set(share);
+  }
+
+  safety(): Safety {
+    const at = (name: string): number => this.program.output(name).number();
+    const state = this.data.states[at("state")] ?? "";
+    // While it flies, what only speaks against arming is of no interest.
+    const mask = at("action") ? at("reason") : state === "refused" ? at("causes") : 0;
+    return {
+      state,
+      action: this.data.actions[at("action")] ?? "",
+      reasons: this.data.causes.filter((_, bit) => (mask >>> bit) & 1).map((cause) => cause.text),
+    };
+  }
+
+  private give(command: Command): void {
+    const { inputs } = this;
+    const flying = command.arm;
+    inputs["mode"]!.set(command.mode);
+    inputs["theta0"]!.set(command.theta);
+    inputs["q0"]!.set(command.q);
+    inputs["x0"]!.set(command.x);
+    inputs["v0"]!.set(command.v);
+    inputs["thrust"]!.set(flying ? command.thrust : 0);
+    inputs["arm"]!.set(flying);
+    inputs["imu_new"]!.set(true);
+    inputs["setpoint_new"]!.set(command.link);
+    inputs["link_new"]!.set(command.link);
+  }
+
+  /** A row of nothing, so that no line joins two flights. */
+  private gap(): void {
+    this.history.append({ time: [this.began - 0.25], columns: this.history.names.map(() => [NaN]) });
+  }
+}

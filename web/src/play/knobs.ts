@@ -1,0 +1,49 @@
+/** A parameter that the page offers: its path, label, unit, and the part of its bounds that a slider spans. */
+export interface Knob {
+  path: string;
+  label: string;
+  unit: string;
+  high: number;
+  /** In the link of the page. */
+  key: string;
+}
+
+const CASCADE = "flight.cascade.";
+
+/** The gains of the four loops, from the innermost. */
+export const GAINS: readonly { loop: string; knobs: readonly Knob[] }[] = [
+  {
+    loop: "Rate",
+    knobs: [
+      { path: `${CASCADE}rate.kp`, label: "Kp", unit: "s/rad", high: 0.12, key: "rate_kp" },
+      { path: `${CASCADE}rate.ki`, label: "Ki", unit: "1/rad", high: 0.5, key: "rate_ki" },
+      { path: `${CASCADE}rate.kd`, label: "Kd", unit: "s²/rad", high: 0.003, key: "rate_kd" },
+    ],
+  },
+  { loop: "Attitude", knobs: [{ path: `${CASCADE}attitude.kp`, label: "Kp", unit: "1/s", high: 15, key: "att_kp" }] },
+  {
+    loop: "Velocity",
+    knobs: [
+      { path: `${CASCADE}velocity.kp`, label: "Kp", unit: "N s/m", high: 4, key: "vel_kp" },
+      { path: `${CASCADE}velocity.ki`, label: "Ki", unit: "N/m", high: 4, key: "vel_ki" },
+    ],
+  },
+  { loop: "Position", knobs: [{ path: `${CASCADE}position.kp`, label: "Kp", unit: "1/s", high: 2.5, key: "pos_kp" }] },
+];
+
+/** What makes flying hard. */
+export const TROUBLES: readonly Knob[] = [
+  { path: "rig.gust", label: "Gusts", unit: "N·m", high: 0.03, key: "gust" },
+  { path: "rig.delay", label: "Delay", unit: "s", high: 0.06, key: "delay" },
+];
+
+export const KNOBS: readonly Knob[] = [...GAINS.flatMap((one) => one.knobs), ...TROUBLES];
+
+/** The loops that a person may close, with the set-point of each. */
+export const MODES = [
+  { mode: 3, key: "attitude", label: "Attitude", setpoint: "theta", unit: "rad", limit: 0.52, step: 0.17, name: "θ" },
+  { mode: 2, key: "rate", label: "Rate", setpoint: "q", unit: "rad/s", limit: 1.5, step: 0.5, name: "q" },
+  { mode: 4, key: "velocity", label: "Velocity", setpoint: "v", unit: "m/s", limit: 0.4, step: 0.15, name: "v" },
+  { mode: 5, key: "position", label: "Position", setpoint: "x", unit: "m", limit: 0.3, step: 0.2, name: "x" },
+] as const;
+export type FlyMode = (typeof MODES)[number];

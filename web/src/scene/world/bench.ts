@@ -1,0 +1,82 @@
+import { CircleGeometry, Group, type Mesh, MeshBasicMaterial, PlaneGeometry, CanvasTexture } from "three";
+import { BAR_HEIGHT, BAR_RADIUS, BAR_SIDE, CART_HALF, DEPTH, LENGTH, PROFILE, RAIL_STOP } from "../dimensions";
+import { Label } from "./labels";
+import type { Materials } from "./materials";
+import { box, rodX, shaped } from "./shapes";
+
+/** The frame on its desk: what never moves. A scale in front of it says where the cart is. */
+export function bench(materials: Materials): { group: Group; labels: Label[]; shadow: MeshBasicMaterial } {
+  const group = new Group();
+  const { metal, steel, rubber, scale } = materials;
+  const half = PROFILE / 2;
+  const [endX, sideZ] = [LENGTH / 2 - half, DEPTH / 2 - half];
+  const rise = BAR_HEIGHT + 0.03;
+  for (const z of [-sideZ, sideZ]) group.add(box(metal, [LENGTH, PROFILE, PROFILE], [0, half, z]));
+  for (const x of [-endX, endX]) {
+    group.add(box(metal, [PROFILE, PROFILE, DEPTH - 2 * PROFILE], [x, half, 0]));
+    for (const z of [-sideZ, sideZ])
+      group.add(box(metal, [PROFILE, rise - PROFILE, PROFILE], [x, PROFILE + (rise - PROFILE) / 2, z]));
+    group.add(box(metal, [PROFILE, PROFILE, DEPTH - 2 * PROFILE], [x, BAR_HEIGHT, 0]));
+  }
+  for (const z of [-BAR_SIDE, BAR_SIDE]) {
+    group.add(rodX(steel, BAR_RADIUS, LENGTH - 2 * PROFILE, 0, BAR_HEIGHT, z));
+    // The cart's face meets these when the bearing is at +-RAIL_STOP.
+    for (const side of [-1, 1]) {
+      const inner = RAIL_STOP + CART_HALF;
+      const length = LENGTH / 2 - PROFILE - inner;
+      group.add(rodX(rubber, 2.4 * BAR_RADIUS, length, side * (inner + length / 2), BAR_HEIGHT, z));
+    }
+  }
+  const labels: Label[] = [];
+  const front = DEPTH / 2 + 0.05;
+  group.add(box(scale, [2 * RAIL_STOP, 0.0015, 0.0015], [0, 0.001, front - 0.025]));
+  for (let tick = -8; tick <= 8; tick += 1) {
+    const x = tick * 0.05;
+    const long = tick % 4 === 0;
+    group.add(box(scale, [0.0018, 0.0015, long ? 0.022 : 0.011], [x, 0.001, front - 0.025 + (long ? 0.011 : 0.0055)]));
+    if (long) {
+      const label = new Label(tick === 0 ? "0" : x.toFixed(1).replace("-", "−") + (tick === 8 ? " m" : ""), 0.032, [
+        x,
+        0.004,
+        front + 0.03,
+      ]);
+      labels.push(label);
+      group.add(label.sprite);
+    }
+  }
+  const shadow = new MeshBasicMaterial({ map: softShadow(), transparent: true, depthWrite: false, color: 0x000000 });
+  const ground = shaped(new PlaneGeometry(1.5, 0.62), shadow, 0, -0.001, 0);
+  ground.rotation.x = -Math.PI / 2;
+  group.add(ground);
+  return { group, labels, shadow };
+}
+
+/** The rings: collars on both bars on either side of the cart. */
+export function rings(materials: Materials): Group {
+  const group = new Group();
+  for (const z of [-BAR_SIDE, BAR_SIDE])
+    for (const side of [-1, 1])
+      group.add(rodX(materials.ring, 3 * BAR_RADIUS, 0.014, side * (CART_HALF + 0.009), BAR_HEIGHT, z));
+  return group;
+}
+
+/** A disc under the drone, so that one sees where over the desk it is. */
+export function dropShadow(): Mesh {
+  const material = new MeshBasicMaterial({ map: softShadow(), transparent: true, depthWrite: false, color: 0x000000 });
+  const mesh = shaped(new CircleGeometry(0.2, 32), material, 0, 0.001, 0);
+  mesh.rotation.x = -Math.PI / 2;
+  return mesh;
+}
+
+function softShadow(): CanvasTexture {
+  const canvas = document.createElement("canvas");
+  canvas.width = canvas.height = 128;
+  const ctx = canvas.getContext("2d")!;
+  const fade = ctx.createRadialGradient(64, 64, 8, 64, 64, 64);
+  fade.addColorStop(0, "rgba(0,0,0,0.30)");
+  fade.addColorStop(0.6, "rgba(0,0,0,0.12)");
+  fade.addColorStop(1, "rgba(0,0,0,0)");
+  ctx.fillStyle = fade;
+  ctx.fillRect(0, 0, 128, 128);
+  return new CanvasTexture(canvas);
+}

@@ -1,0 +1,66 @@
+import { ApiError, request } from "../api/client";
+import { session } from "./session.svelte";
+
+/** The key of the emergency stop, with Shift for all drones. No other control of any page may use it. */
+export const STOP_KEY = "F8";
+
+const TRIES = 5;
+const WAIT_MS = 300;
+const TRY_S = 6;
+
+/** What came of the last stop. */
+export type Stop =
+  | { kind: "idle" }
+  | { kind: "sent"; drones: number[] }
+  | { kind: "done"; drones: number[] }
+  | { kind: "failed"; drones: number[]; why: string };
+
+/** Kills drones: motors off, now, whoever commands. Says it again until the server says that it was seen. */
+class EmergencyStop {
+  last = $state<Stop>({ kind: "idle" });
+
+  /** Stops the chosen drone, or with `all` every one. */
+  async press(all = false): Promise<void> {
+    const drones = all ? [...session.numbers] : session.number === undefined ? [] : [session.number];
+    if (drones.length === 0) return;
+    this.last = { kind: "sent", drones };
+    const answers = await Promise.all(drones.map((drone) => killed(drone)));
+    const why = answers.filter((answer) => answer !== "").join(" ");
+    this.last = why === "" ? { kind: "done", drones } : { kind: "failed", drones, why };
+  }
+
+  putAway(): void {
+    this.last = { kind: "idle" };
+  }
+
+  /** Listens for the key everywhere, before any control of the page hears it. */
+  listen(): () => void {
+    const heard = (event: KeyboardEvent) => {
+      if (event.key !== STOP_KEY) return;
+      event.preventDefault();
+      event.stopImmediatePropagation();
+      if (!event.repeat) void this.press(event.shiftKey);
+    };
+    addEventListener("keydown", heard, { capture: true });
+    return () => removeEventListener("keydown", heard, { capture: true });
+  }
+}
+
+/** "" once it is stopped, else why it may not be. */
+async function killed(drone: number): Promise<string> {
+  let why = "";
+  for (let attempt = 0; attempt < TRIES; attempt++) {
+    try {
+      await request("POST", `drones/${drone}/kill`, undefined, TRY_S);
+      return "";
+    } catch (failure) {
+      why = failure instanceof ApiError ? failure.message : String(failure);
+      // What is refused stays refused; what did not arrive, or was not seen, is said again.
+      if (failure instanceof ApiError && [401, 403, 404].includes(failure.status)) return why;
+      await new Promise((done) => setTimeout(done, WAIT_MS));
+    }
+  }
+  return why;
+}
+
+export const emergencyStop = new EmergencyStop();

@@ -1,0 +1,117 @@
+import { route } from "../app/route.svelte";
+import { linkTo } from "../app/read_route";
+import { ApiError, get } from "../api/client";
+import { listDrones, listTexts, type DroneState, type DroneText } from "../api/drones";
+import { telemetry, type LabEvent, type Telemetry } from "../api/telemetry";
+import { ClockWatch, type ClockEvent } from "./clock_watch";
+import { toast, toastError } from "./toasts.svelte";
+
+const TEXTS_KEPT = 500;
+const LOOK_MS = 1000;
+
+/** What all pages know: the drones, which of them is chosen, and how the server is reached. */
+class Session {
+  /** By number. */
+  drones = $state.raw<ReadonlyMap<number, DroneState>>(new Map());
+  /** What link this page was opened by: a watcher's calls that change anything are refused. */
+  role = $state<"command" | "watch">("command");
+  connected = $state(false);
+  /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
+  retryAt = $state(0);
+  /** What all drones said, the newest last. */
+  texts = $state.raw<readonly DroneText[]>([]);
+  /** What went wrong with this page's own time, for the user to read; undefined when put away. */
+  clockEvent = $state<ClockEvent | undefined>(undefined);
+  /** Whether the server was ever reached: before, there is nothing that could be lost. */
+  everConnected = $state(false);
+  /** The numbers of the drones, in order. */
+  readonly numbers = $derived([...this.drones.keys()].sort((a, b) => a - b));
+  /** The number of the chosen drone: that of the link's `?drone=`, else the first. */
+  readonly number = $derived(chosen(route.now.query.get("drone"), this.numbers));
+  /** The chosen drone, undefined while none is known. */
+  readonly drone = $derived(this.number === undefined ? undefined : this.drones.get(this.number));
+
+  private readonly clocks = new ClockWatch();
+
+  /** Begins to listen; called once, by the page's start. */
+  start(from: Telemetry = telemetry): void {
+    from.onEvent((event) => this.take(event));
+    from.onConnection((connected, retryAt) => {
+      this.retryAt = retryAt;
+      if (connected && !this.connected) {
+        void this.catchUp();
+        if (this.everConnected) toast("The server is reached again.", "good");
+      }
+      this.connected = connected;
+      this.everConnected ||= connected;
+    });
+    from.start();
+    setInterval(() => this.lookAtClocks(), LOOK_MS);
+    addEventListener("online", () => from.hurry());
+    document.addEventListener("visibilitychange", () => {
+      this.lookAtClocks();
+      if (!document.hidden) from.hurry();
+    });
+  }
+
+  /** Makes another drone the chosen one, in the link too. */
+  choose(drone: number): void {
+    const query = Object.fromEntries(route.now.query);
+    route.go(linkTo(route.now.page, route.now.parts, { ...query, drone: String(drone) }), true);
+  }
+
+  /**
+   * Calls what tells the chosen drone to do something; shows the server's sentence where it is refused. Answers whether
+   * it was done.
+   */
+  async tell(call: (drone: number) => Promise<unknown>): Promise<boolean> {
+    if (this.number === undefined) return false;
+    try {
+      await call(this.number);
+      return true;
+    } catch (failure) {
+      toastError(failure);
+      return false;
+    }
+  }
+
+  private take(event: LabEvent): void {
+    if (event.event === "drone") {
+      this.drones = new Map(this.drones).set(event.drone, event.state);
+    } else if (event.event === "text") {
+      const { drone, severity, text, time } = event;
+      this.texts = [...this.texts, { drone, severity, text, time }].slice(-TEXTS_KEPT);
+    }
+  }
+
+  /** After a loss: what changed meanwhile was not heard. */
+  private async catchUp(): Promise<void> {
+    try {
+      const [drones, me] = await Promise.all([listDrones(), get<{ role: "command" | "watch" }>("session")]);
+      this.drones = new Map(drones.map((one) => [one.system, one]));
+      this.role = me.role;
+      const said = await Promise.all(drones.filter((one) => one.link === "heard").map((one) => before(one.system)));
+      // What was said since the socket is open came over it as well.
+      if (this.texts.length === 0) this.texts = said.flat().slice(-TEXTS_KEPT);
+    } catch (failure) {
+      if (!(failure instanceof ApiError && failure.status === 0)) toastError(failure);
+    }
+  }
+
+  private lookAtClocks(): void {
+    const noticed = this.clocks.look();
+    if (noticed !== undefined) this.clockEvent = noticed;
+  }
+}
+
+/** What a drone said before, which has no times. */
+async function before(drone: number): Promise<DroneText[]> {
+  return (await listTexts(drone)).map((one) => ({ drone, ...one, time: null }));
+}
+
+function chosen(asked: string | null, numbers: readonly number[]): number | undefined {
+  const wanted = asked === null ? NaN : Number(asked);
+  return numbers.includes(wanted) ? wanted : numbers[0];
+}
+
+export const session = new Session();

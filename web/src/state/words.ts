@@ -1,0 +1,47 @@
+// How a drone stands, in words for a person; the drone's own sentence always goes first where it has one.
+import type { DroneState } from "../api/drones";
+
+/** What a state is worth: its colour and sign. */
+export type Kind = "good" | "warn" | "bad" | "plain";
+
+/** What the failsafe's action means for who watches. */
+const ACTIONS: Record<string, string> = {
+  none: "flies what is asked for",
+  level: "holds it level",
+  brake: "brakes the cart before the rail's end",
+  descend: "levels it and fades the thrust out",
+  off: "keeps the motors off until it is disarmed",
+};
+
+/** The failsafe in one sentence, "" where it does nothing. */
+export function failsafeSentence(state: DroneState): string {
+  if (state.failsafe === "none" || !state.armed) return "";
+  const does = ACTIONS[state.failsafe] ?? state.failsafe;
+  return `The failsafe ${does}: ${state.failsafe_reason || "it names no reason"}.`;
+}
+
+export function linkWord(state: DroneState): { kind: Kind; text: string } {
+  return state.link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
+}
+
+export function armedWord(state: DroneState): { kind: Kind; text: string } {
+  if (state.killed) return { kind: "bad", text: "Stopped" };
+  return state.armed ? { kind: "warn", text: "Armed" } : { kind: "plain", text: "Disarmed" };
+}
+
+export function failsafeWord(state: DroneState): { kind: Kind; text: string } {
+  if (!state.armed) return { kind: "plain", text: "Failsafe ready" };
+  if (state.failsafe === "none") return { kind: "good", text: "Failsafe watches" };
+  return { kind: state.failsafe === "off" ? "bad" : "warn", text: `Failsafe: ${state.failsafe}` };
+}
+
+/** Who commands it. */
+export function leaseWord(state: DroneState): { kind: Kind; text: string } {
+  if (state.ours_leases) return { kind: "good", text: "You command" };
+  if (state.lease_holder === null) return { kind: "plain", text: "Nobody commands" };
+  return { kind: "warn", text: `Client ${state.lease_holder[0]} commands` };
+}
+
+export function modeWord(state: DroneState): string {
+  return state.mode.charAt(0).toUpperCase() + state.mode.slice(1);
+}

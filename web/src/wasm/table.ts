@@ -1,0 +1,72 @@
+// What a host must know of a compiled module: `WasmModule.interface` of the library, docs/reference/compilation.md.
+
+export type NumberType = "float64" | "float32" | "int32" | "uint32" | "bool" | "int8" | "uint8" | "int16" | "uint16";
+
+/** A signal, state or parameter: `count` numbers of `type` at `address` of the memory. */
+export interface Entry {
+  path: string;
+  unit: string;
+  type: NumberType;
+  count: number;
+  array: boolean;
+  address: number;
+}
+
+/** A parameter with its bounds; null: none. One that is not tunable is set before the first step only. */
+export interface ParameterEntry extends Entry {
+  low: number | null;
+  high: number | null;
+  tunable: boolean;
+}
+
+/** Places in the memory [bytes]. */
+interface Place {
+  address: number;
+  size: number;
+}
+interface RowPlace {
+  address: number;
+  stride: number;
+}
+
+export interface ProgramTable {
+  twodof: number;
+  name: string;
+  /** Base tick [s]. */
+  dt: number;
+  precision: "float64" | "float32";
+  pages: number;
+  fuel: number;
+  functions: Record<"defaults" | "prepare" | "init" | "step" | "run" | "tick", string>;
+  structs: Record<"P" | "S" | "U" | "Y", Place>;
+  rows: { count: number; U: RowPlace; Y: RowPlace };
+  parameters: ParameterEntry[];
+  inputs: Entry[];
+  outputs: Entry[];
+  states: Entry[];
+}
+
+export type Numbers =
+  Float64Array | Float32Array | Int32Array | Uint32Array | Int8Array | Uint8Array | Int16Array | Uint16Array;
+
+const ARRAYS = {
+  float64: Float64Array,
+  float32: Float32Array,
+  int32: Int32Array,
+  uint32: Uint32Array,
+  bool: Uint8Array,
+  int8: Int8Array,
+  uint8: Uint8Array,
+  int16: Int16Array,
+  uint16: Uint16Array,
+} as const;
+
+/** The numbers of `entry` in a memory, `offset` bytes behind its place; they are the memory's, not a copy. */
+export function numbersAt(memory: ArrayBuffer, entry: Entry, offset = 0): Numbers {
+  return new ARRAYS[entry.type](memory, entry.address + offset, entry.count);
+}
+
+/** Room for `count` numbers of the type of `entry`. */
+export function roomFor(entry: Entry, count: number): Numbers {
+  return new ARRAYS[entry.type](count);
+}

@@ -1,0 +1,133 @@
+import { describe, expect, it } from "vitest";
+import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
+import { diagramAt, diagramFrom, type Diagram } from "../../src/pages/diagram/model/diagram";
+import { grouped } from "../../src/pages/diagram/model/grouping";
+import { readJson, type Json } from "../../src/pages/diagram/model/json_text";
+import { searched } from "../../src/pages/diagram/model/search";
+import { Shapes, type Port, type Shape } from "../../src/pages/diagram/model/shapes";
+import { originOf } from "../../src/pages/diagram/model/signals";
+import { parameterValues, structureOf } from "../../src/pages/diagram/model/structure";
+
+const port = (name: string): Port => ({ name, kind: "real", width: null, unit: "" });
+function shape(inputs: string[], params: Record<string, number> = {}): Shape {
+  return {
+    inputs: inputs.map(port),
+    outputs: [port("y")],
+    params: Object.entries(params).map(([name, value]) => ({ ...port(name), value, low: null, high: null, text: "" })),
+    structure: `of ${inputs.join()}`,
+  };
+}
+/** A sheet with a sub-diagram, in which gains (k) stand behind one another. */
+function given(k = 2): { d: Diagram; shapes: Shapes } {
+  const gain = (value: number): Json => ({ type: "gain", config: readJson(`{"k": ${value}.0}`) });
+  const json = {
+    name: "top",
+    inputs: [{ name: "u" }],
+    params: [{ name: "p", value: readJson("5.0") }],
+    parts: [
+      { name: "a", block: gain(k), params: { k: "p" } },
+      { name: "b", block: gain(k) },
+      {
+        name: "sub",
+        diagram: {
+          name: "inner",
+          inputs: [{ name: "x" }],
+          parts: [{ name: "g", block: gain(k) }],
+          connections: [["x", "g.u"]],
+          outputs: [["z", "g"]],
+        },
+      },
+    ],
+    connections: [
+      ["u", "a.u"],
+      ["a", "b.u"],
+      ["b", "sub.x"],
+    ],
+    outputs: [["out", "sub.z"]],
+  };
+  const d = diagramFrom(json as unknown as Json);
+  const shapes = new Shapes();
+  for (const key of shapes.unknown(d).keys()) shapes.learn(key, shape(["u"], { k }));
+  return { d, shapes };
+}
+
+describe("a finding's place", () => {
+  it("is a block, a port of the sheet, or the sheet", () => {
+    const { d } = given();
+    expect(placeOfFinding(d, "b.k")).toEqual({ path: [], id: "p:b", rest: "k" });
+    expect(placeOfFinding(d, "top.out")).toEqual({ path: [], id: "o:out", rest: "" });
+    expect(placeOfFinding(d, "top.sub.g.k")).toEqual({ path: ["sub"], id: "p:g", rest: "k" });
+    expect(placeOfFinding(d, "sub.x").id).toBe("p:sub");
+    expect(placeOfFinding(d, "top").id).toBe("");
+  });
+  it("is seen from the sheets around it as the sub-diagram that holds it", () => {
+    const place = placeOfFinding(given().d, "sub.g.u");
+    expect(seenFrom([], place)).toBe("p:sub");
+    expect(seenFrom(["sub"], place)).toBe("p:g");
+    expect(seenFrom(["other"], place)).toBe("");
+  });
+  it("of an algebraic loop is its blocks and the wires between them", () => {
+    const { d } = given();
+    expect([...loopOnSheet(d, [], d, ["sub.g.y", "b.y", "a.y", "sub.g.y"])].sort()).toEqual(
+      ["p:a", "p:b", "p:sub", "w:b.u", "w:sub.x"].sort(),
+    );
+  });
+});
+
+describe("what a program depends on", () => {
+  it("is not the values of parameters, nor places and texts", () => {
+    const [one, other] = [given(2), given(3)];
+    expect(structureOf(one.d, one.shapes)).toBe(structureOf(other.d, other.shapes));
+    expect(structureOf({ ...one.d, text: "words" }, one.shapes)).toBe(structureOf(one.d, one.shapes));
+    const cut = { ...one.d, connections: one.d.connections.slice(1) };
+    expect(structureOf(cut, one.shapes)).not.toBe(structureOf(one.d, one.shapes));
+  });
+  it("leaves the values of all parameters that are not bound to others", () => {
+    const { d, shapes } = given(3);
+    expect(parameterValues(d, shapes, "at.")).toEqual({ "at.p": 5, "at.b.k": 3, "at.sub.g.k": 3 });
+  });
+});
+
+describe("a signal", () => {
+  it("is followed into and out of sub-diagrams to the block that gives it", () => {
+    const { d, shapes } = given();
+    expect(originOf(d, [], "sub.z", shapes)).toEqual({ of: "block", path: "sub.g.y" });
+    expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y" });
+    expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u" });
+    expect(originOf(d, [], "nothing", shapes)).toBeUndefined();
+  });
+});
+
+describe("grouping", () => {
+  it("makes inputs and outputs of what crosses the border, and binds the parameters", () => {
+    const { d, shapes } = given();
+    const { diagram, name } = grouped(d, new Set(["a", "b"]), shapes);
+    const sub = diagramAt(diagram, [name]);
+    expect(name).toBe("sub_2");
+    expect(sub?.parts.map((part) => part.name)).toEqual(["a", "b"]);
+    expect(sub?.connections).toEqual([
+      ["u", "a.u"],
+      ["a", "b.u"],
+    ]);
+    expect(diagram.connections).toContainEqual(["u", "sub_2.u"]);
+    expect(originOf(diagram, ["sub"], "x", shapes)).toEqual({ of: "block", path: "sub_2.b.y" });
+    expect(diagram.parts.find((part) => part.name === name)?.params).toEqual({ p: "p" });
+  });
+});
+
+describe("the palette", () => {
+  const blocks = [
+    { type: "low_pass", name: "LowPass", group: "filters", text: "A filter of the first order." },
+    { type: "gain", name: "Gain", group: "math", text: "y = k u." },
+    { type: "matrix_gain", name: "MatrixGain", group: "math", text: "y = K u." },
+  ];
+  it("finds by name before it finds by text", () => {
+    expect(searched(blocks, "gain").map((one) => one.type)).toEqual(["gain", "matrix_gain"]);
+    expect(searched(blocks, "FILTER")[0]?.type).toBe("low_pass");
+    expect(searched(blocks, "low pass")[0]?.type).toBe("low_pass");
+    const sum = { type: "sum", name: "Sum", group: "math", text: "The signed sum." };
+    expect(searched([...blocks, sum], "Subtract").map((one) => one.type)).toEqual(["sum"]);
+    expect(searched(blocks, "nothing of the kind")).toEqual([]);
+    expect(searched(blocks, " ")).toHaveLength(3);
+  });
+});

@@ -1,0 +1,16 @@
+// Run by tests/web/test_written_bytes.py, which names a file of texts that Python's `to_json` wrote.
+import { describe, expect, it } from "vitest";
+import { readDiagram, writeDiagram } from "../../src/pages/diagram/model/diagram";
+
+const file = import.meta.env["VITE_TWODOF_TEXTS"] as string | undefined;
+const read = async (path: string): Promise<string[]> =>
+  ((await import(/* @vite-ignore */ path)) as { default: string[] }).default;
+const texts = file === undefined ? [] : await read(file);
+
+describe.skipIf(texts.length === 0)("a diagram that Python wrote", () => {
+  it.each(texts.map((text, i) => [i, text] as const))("is written by the page as the same bytes (%i)", (_, text) => {
+    const written = writeDiagram(readDiagram(text));
+    expect(written).toBe(text);
+    expect(writeDiagram(readDiagram(written))).toBe(text);
+  });
+});

@@ -1,0 +1,127 @@
+import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
+import { Telemetry, type LabEvent, type Socket } from "../src/api/telemetry";
+
+class FakeSocket implements Socket {
+  binaryType: BinaryType = "blob";
+  onopen: Socket["onopen"] = null;
+  onclose: Socket["onclose"] = null;
+  onmessage: Socket["onmessage"] = null;
+  said: unknown[] = [];
+  closed = false;
+  send(data: string): void {
+    this.said.push(JSON.parse(data));
+  }
+  close(): void {
+    this.closed = true;
+  }
+  open(): void {
+    this.onopen?.({} as Event);
+  }
+  fail(): void {
+    this.onclose?.({} as CloseEvent);
+  }
+  tell(data: unknown): void {
+    this.onmessage?.({ data } as MessageEvent);
+  }
+}
+
+function rows(id: number): ArrayBuffer {
+  const data = new ArrayBuffer(24 + 12);
+  const view = new DataView(data);
+  view.setUint8(0, 1);
+  view.setUint16(2, id, true);
+  view.setUint32(4, 1, true);
+  return data;
+}
+
+describe("the socket", () => {
+  let sockets: FakeSocket[];
+  let telemetry: Telemetry;
+  const last = () => sockets[sockets.length - 1]!;
+  beforeEach(() => {
+    vi.useFakeTimers();
+    sockets = [];
+    telemetry = new Telemetry(() => {
+      sockets.push(new FakeSocket());
+      return last();
+    });
+  });
+  afterEach(() => {
+    telemetry.stop();
+    vi.useRealTimers();
+  });
+
+  it("asks for what is subscribed, before and after it is open, and gives each the rows that are its own", () => {
+    const [one, two] = [vi.fn(), vi.fn()];
+    telemetry.subscribe(1, ["estimate.theta"], 250, one);
+    telemetry.start();
+    last().open();
+    const stop = telemetry.subscribe(2, ["command.M"], 30, two);
+    expect(last().said).toEqual([
+      { do: "subscribe", id: 1, drone: 1, columns: ["estimate.theta"], rate: 250 },
+      { do: "subscribe", id: 2, drone: 2, columns: ["command.M"], rate: 30 },
+    ]);
+    last().tell(rows(2));
+    expect([one.mock.calls.length, two.mock.calls.length]).toEqual([0, 1]);
+    stop();
+    expect(last().said.at(-1)).toEqual({ do: "unsubscribe", id: 2 });
+    last().tell(rows(2));
+    expect(two.mock.calls.length).toBe(1);
+  });
+
+  it("comes back after a loss, later each time, and asks again", () => {
+    telemetry.subscribe(1, ["estimate.q"], 250, () => {});
+    telemetry.start();
+    last().open();
+    last().fail();
+    expect(sockets.length).toBe(1);
+    vi.advanceTimersByTime(250);
+    expect(sockets.length).toBe(2);
+    last().fail();
+    vi.advanceTimersByTime(499);
+    expect(sockets.length).toBe(2);
+    vi.advanceTimersByTime(1);
+    last().open();
+    expect(last().said).toEqual([{ do: "subscribe", id: 1, drone: 1, columns: ["estimate.q"], rate: 250 }]);
+  });
+
+  it("never waits longer than 4 s, and not at all once the network is back", () => {
+    telemetry.start();
+    for (let loss = 0; loss < 10; loss++) {
+      last().fail();
+      vi.advanceTimersByTime(4000);
+      expect(sockets.length).toBe(loss + 2);
+    }
+    last().fail();
+    const before = sockets.length;
+    telemetry.hurry();
+    expect(sockets.length).toBe(before + 1);
+  });
+
+  it("is lost when nothing comes over it any more, open or not", () => {
+    const seen: boolean[] = [];
+    telemetry.onConnection((connected) => seen.push(connected));
+    telemetry.start();
+    last().open();
+    vi.advanceTimersByTime(5000);
+    last().tell(rows(9));
+    vi.advanceTimersByTime(5000);
+    expect(seen).toEqual([true]);
+    vi.advanceTimersByTime(1000);
+    expect(seen).toEqual([true, false]);
+    expect(sockets[0]!.closed).toBe(true);
+    vi.advanceTimersByTime(250 + 6000);
+    expect(sockets[1]!.closed).toBe(true);
+  });
+
+  it("tells events until one listens no more", () => {
+    const seen: LabEvent[] = [];
+    const stop = telemetry.onEvent((event) => seen.push(event));
+    telemetry.start();
+    last().open();
+    last().tell('{"event":"log","name":"a.mcap"}');
+    stop();
+    last().tell('{"event":"log","name":"b.mcap"}');
+    expect(seen).toEqual([{ event: "log", name: "a.mcap" }]);
+  });
+});

@@ -1,0 +1,94 @@
+import { describe, expect, it } from "vitest";
+import type { ParameterRow } from "../../src/api/tuning";
+import {
+  asRecord,
+  differences,
+  grouped,
+  groupOf,
+  mistake,
+  same,
+  searched,
+  withChanges,
+} from "../../src/pages/tune/draft";
+
+function row(name: string, given: Partial<ParameterRow> = {}): ParameterRow {
+  return {
+    name,
+    value: 0.0854,
+    kind: "float",
+    default: 0.0854,
+    low: 0,
+    high: 0.12,
+    unit: "s/rad",
+    text: "rate loop, proportional gain",
+    path: "",
+    tuning: true,
+    same_as: "",
+    ...given,
+  };
+}
+const ROWS = [
+  row("SAFE_LINK_T", { unit: "s", text: "silence of the link", tuning: false, high: 30, value: 3, default: 3 }),
+  row("RATE_KP"),
+  row("FC_PARAM_4", { same_as: "RATE_KP" }),
+  row("AC_Q_KP", { path: "attitude_control.q_kp", text: "" }),
+  row("BAT1_N_CELLS", {
+    text: "cells of the battery",
+    kind: "int32",
+    unit: "",
+    value: 3,
+    default: 3,
+    high: 6,
+    tuning: false,
+  }),
+];
+
+describe("the list", () => {
+  it("puts a user's controller first and the failsafe and the vehicle last, each number once", () => {
+    const names = grouped(ROWS).map(([group, rows]) => [group, rows.map((one) => one.name)]);
+    expect(names).toEqual([
+      ["Own: attitude control", ["AC_Q_KP"]],
+      ["Rate loop", ["RATE_KP"]],
+      ["Failsafe", ["SAFE_LINK_T"]],
+      ["Vehicle", ["BAT1_N_CELLS"]],
+    ]);
+    expect(groupOf(ROWS[0]!)).toBe("Failsafe");
+  });
+  it("has the gains of a loop as everybody writes them", () => {
+    const names = ["RATE_KD", "RATE_KI", "RATE_KP", "RATE_N"].map((name) => row(name));
+    expect(grouped(names)[0]![1].map((one) => one.name)).toEqual(["RATE_KP", "RATE_KI", "RATE_KD", "RATE_N"]);
+  });
+  it("is searched by every word, by the real drone's name, by path and group", () => {
+    expect(searched(ROWS, "prop rate").map((one) => one.name)).toEqual(["RATE_KP", "FC_PARAM_4"]);
+    expect(searched(ROWS, "fc_param_4").map((one) => one.name)).toContain("RATE_KP");
+    expect(searched(ROWS, "q_kp").map((one) => one.name)).toEqual(["AC_Q_KP"]);
+    expect(searched(ROWS, "")).toHaveLength(ROWS.length);
+  });
+});
+
+describe("the edits", () => {
+  it("differ only where the drone's float32 would", () => {
+    expect(same(row("A"), 0.08540000021457672, 0.0854)).toBe(true);
+    const edits = new Map([
+      ["RATE_KP", 0.08540000021457672],
+      ["SAFE_LINK_T", 2],
+    ]);
+    const found = differences(ROWS, edits);
+    expect(found).toEqual([{ name: "SAFE_LINK_T", before: 3, value: 2, unit: "s" }]);
+    expect(asRecord(found)).toEqual({ SAFE_LINK_T: 2 });
+  });
+  it("take a snapshot's values as far as the drone has them", () => {
+    const changes = [
+      { name: "RATE_KP", before: 0.0854, value: 0.07 },
+      { name: "NOT_HERE", before: null, value: 1 },
+      { name: "SAFE_LINK_T", before: 3, value: null },
+    ];
+    expect([...withChanges(ROWS, new Map([["RATE_KP", 0.1]]), changes)]).toEqual([["RATE_KP", 0.07]]);
+  });
+  it("stay within the bounds, and whole where they are whole", () => {
+    expect(mistake(ROWS[1]!, 0.07)).toBe("");
+    expect(mistake(ROWS[1]!, 0.2)).toContain("0.12");
+    expect(mistake(ROWS[4]!, 2.5)).toContain("whole");
+    expect(mistake(row("OWN", { low: -3.4028234663852886e38, high: 3.4028234663852886e38 }), 1e9)).toBe("");
+  });
+});

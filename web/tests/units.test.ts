@@ -1,0 +1,34 @@
+import { describe, expect, it } from "vitest";
+import { boundsMistake, editableNumber, readNumber, shownNumber, shownValue } from "../src/design/units";
+
+describe("units", () => {
+  it("shows degrees and keeps radians", () => {
+    expect(shownValue(Math.PI / 18, "rad")).toBe("10.00\u00a0deg");
+    expect(readNumber("10", "rad")).toBeCloseTo(Math.PI / 18, 15);
+    expect(shownValue(0.42, "%")).toBe("42%");
+    expect(shownNumber(NaN, "m")).toBe("–");
+    expect(shownNumber(-1e-9, "m")).toBe("0.000");
+  });
+  it("gives back what was typed, to the digits that it shows", () => {
+    for (const [text, unit] of [
+      ["12.5", "rad"],
+      ["-0.25", "m"],
+      ["0.0004", ""],
+      ["-7.3", "rad/s"],
+      ["1e-7", ""],
+    ] as const) {
+      expect(Number(editableNumber(readNumber(text, unit), unit))).toBeCloseTo(Number(text), 9);
+    }
+  });
+  it("reads a decimal comma and a typographic minus, and nothing else", () => {
+    expect(readNumber("\u22120,5", "m")).toBe(-0.5);
+    for (const text of ["", "ten", "1 2", "5deg"]) expect(readNumber(text, "m")).toBeNaN();
+  });
+  it("takes a bound itself, and says bounds in the unit of the screen", () => {
+    const most = (50 * Math.PI) / 180;
+    expect(boundsMistake(readNumber("50", "rad"), "rad", -most, most)).toBe("");
+    expect(boundsMistake(readNumber("50.1", "rad"), "rad", -most, most)).toBe("From -50 to 50 deg.");
+    expect(boundsMistake(-1, "s", 0, Infinity)).toBe("At least 0 s.");
+    expect(boundsMistake(NaN, "s", 0, 1)).toBe("Give a number.");
+  });
+});
