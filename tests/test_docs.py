@@ -130,7 +130,13 @@ def test_readme_code_runs(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["how-to/test-a-diagram", "how-to/come-from-simulink", "how-to/write-a-state-machine", "explanation/language"],
+    [
+        "how-to/fit-your-own-data",
+        "how-to/test-a-diagram",
+        "how-to/come-from-simulink",
+        "how-to/write-a-state-machine",
+        "explanation/language",
+    ],
 )
 def test_the_code_of_a_page_on_design_runs(name: str, tmp_path: Path) -> None:
     page = PROJECT / "docs" / f"{name}.md"

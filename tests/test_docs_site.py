@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.toolchains import lacking
-from tools import cli_docs, site
+from tools import cli_docs, lab_docs, site
 
 PAGE = '<a href="https://a.b/">a</a><script src="https://c.d/e.js"></script><img src="pictures/f.png">'
 
@@ -49,6 +49,10 @@ def test_what_would_be_fetched_from_elsewhere_is_found(tmp_path: Path) -> None:
 )
 def test_a_link_out_of_the_site_becomes_the_name_of_its_file(link: str, text: str) -> None:
     assert site.standing_alone(link, "explanation/physics.md") == text
+
+
+def test_the_page_of_the_routes_is_what_the_server_says() -> None:
+    assert lab_docs.PAGE.read_text(encoding="utf-8") == lab_docs.render(), "run `python -m tools.lab_docs`"
 
 
 def test_the_page_of_the_command_line_is_what_the_commands_say() -> None:

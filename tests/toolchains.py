@@ -12,6 +12,7 @@ import pytest
 
 PACKAGES = {
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
+    "chromium": "chromium",
     "cppcheck": "cppcheck",
     "g++": "g++",
     "gcc": "gcc libc6-dev",
