@@ -55,13 +55,15 @@ class FlightRecorder:
         system = self._drone.session.system
         path = numbered(self._folder / f"{began:%Y-%m-%d-%H-%M-%S}-drone-{system}.mcap")
         told = {"recorded": {"by": "lab", "began": began.isoformat(timespec="milliseconds")}}
+        self.name = path.name  # before the file is there: whoever finds it then knows that it cannot be read yet
         try:
-            async with record(self._drone, path, None, told, self._flying, overwrite=False):
-                self.name = path.name
+            async with record(self._drone, path, None, told, self._flying, overwrite=False) as recording:
                 await self._until(armed=False)
                 with suppress(TimeoutError):
                     async with asyncio.timeout(AFTER_S):
                         await self._until(armed=True)
+            if not recording.samples:  # a log without a sample cannot be read
+                path.unlink(missing_ok=True)
         finally:
             self.name = ""
             if path.exists():

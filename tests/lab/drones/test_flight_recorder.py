@@ -1,0 +1,71 @@
+"""The recorder of flights, with a drone by script on virtual time: what it says of the file that it writes."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
+from twodof.flightlog import read_log
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.control.active_controller import ActiveController
+from twodof.lab.drones.flight_recorder import FlightRecorder
+
+
+class _Flown:
+    """One flight of `seconds`, looked at all the time.
+
+    `unclaimed` are files that were there, not whole, and not said to be written; `told` those said to be whole.
+    """
+
+    def __init__(self, folder: Path, seconds: float, telemetry: bool) -> None:
+        self.unclaimed: set[str] = set()
+        self.told: list[str] = []
+        self.failed: list[str] = []
+        self.seen: set[str] = set()
+        self._folder, self._seconds, self._telemetry = folder, seconds, telemetry
+        run_virtual(self._fly())
+
+    async def _fly(self) -> None:
+        async def flying() -> ActiveController:
+            return ActiveController(known=False)
+
+        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
+            recorder = FlightRecorder(drone, self._folder, flying, self.told.append, self.failed.append)
+            tasks = [asyncio.create_task(recorder.run()), asyncio.create_task(self._look(recorder))]
+            await drone.arm()
+            for tick in range(round(self._seconds / 0.1)):
+                await asyncio.sleep(0.1)
+                if self._telemetry:
+                    peer.send("TWODOF_SAFETY", tick=25 * tick, action=0, reason=0, flags=0)
+            await drone.disarm()
+            await asyncio.sleep(3.0)
+            for task in tasks:
+                task.cancel()
+            await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _look(self, recorder: FlightRecorder) -> None:
+        while True:
+            for path in self._folder.glob("*.mcap"):
+                self.seen.add(path.name)
+                if path.name not in (recorder.name, *self.told):
+                    self.unclaimed.add(path.name)
+            await asyncio.sleep(0.0005)
+
+
+def test_a_file_is_said_to_be_written_from_its_first_moment_to_its_last(tmp_path: Path) -> None:
+    """Else the list of logs offers one that cannot be read yet."""
+    flown = _Flown(tmp_path, 2.0, telemetry=True)
+    assert flown.unclaimed == set()
+    assert flown.seen == set(flown.told)
+    assert flown.failed == []
+    (name,) = flown.told
+    assert len(read_log(tmp_path / name)["safety"]) == 20
+
+
+def test_a_flight_of_which_nothing_came_leaves_no_file(tmp_path: Path) -> None:
+    """A file without a sample cannot be read: nobody should find it in the list of logs."""
+    flown = _Flown(tmp_path, 0.2, telemetry=False)
+    assert flown.told == []
+    assert list(tmp_path.iterdir()) == []
