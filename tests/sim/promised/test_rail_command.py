@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.cli.test_interrupts import interrupted
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
+from twodof.flight.gains import load_gains
 from twodof.flightlog.files import write_log
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 
@@ -41,15 +43,18 @@ def test_what_is_promised_is_what_an_experiment_flies(tmp_path: Path, capfd: pyt
     """The flight comes another way: one rig, the experiment's own closed loop, a log of its own."""
     spec = tmp_path / "spec.toml"
     spec.write_text("[pitch]\nbandwidth = 5.0\n[rail]\nvelocity_bandwidth = 2.0\nrail_use = 0.35\n")
-    promised = tmp_path / "rail.json"
+    promised, picture = tmp_path / "rail.json", tmp_path / "rail.svg"
     command = ["design", "rail", *models(tmp_path, 0.03), *FEW, "--spec", str(spec), "--promise", str(promised)]
-    assert run([*command, "--json"]) == 0
+    assert run([*command, "--plot", str(picture), "--json"]) == 0
+    assert "promised" in picture.read_text()
     said = json.loads(capfd.readouterr().out)
     assert all(row["met"] for row in said["specification"])
     log = tmp_path / "flight.mcap"
     write_log(Laboratory("paper").fly("velocity-doublets", seed=5).log, log)
-    assert run(["design", "verdict", str(promised), str(log), "--json"]) == 0
+    flown = tmp_path / "flown.svg"
+    assert run(["design", "verdict", str(promised), str(log), "--plot", str(flown), "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["stands"]
+    assert "promised and flown" in flown.read_text()
     # the other gains were not promised: theta and v leave their bands
     other = tmp_path / "other.mcap"
     write_log(Laboratory("paper", gains="student").fly("velocity-doublets", seed=5).log, other)
@@ -63,8 +68,41 @@ def test_a_specification_that_is_missed_is_status_1(tmp_path: Path, capfd: pytes
     assert "MISSED velocity bandwidth" in capfd.readouterr().out
 
 
+def test_gains_are_searched_and_written_as_gains_are_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    spec, out = tmp_path / "spec.toml", tmp_path / "gains.json"
+    spec.write_text("[rail]\novershoot = 0.16\nrail_use = 0.4\n")
+    command = ["design", "rail", *models(tmp_path, 0.01), "--members", "40", "--spec", str(spec), "--json"]
+    assert run([*command, "--gains", "student", "--out", str(out)]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert said["written"] == {"gains": str(out)}
+    assert load_gains(out).to_json() == said["gains"]
+    assert run([*command, "--gains", str(out)]) == 0
+    assert json.loads(capfd.readouterr().out)["promise"] == said["promise"]
+
+
+def test_the_search_ends_at_once_and_leaves_nothing(tmp_path: Path) -> None:
+    spec, folder = tmp_path / "spec.toml", tmp_path / "run"
+    spec.write_text("[rail]\nvelocity_bandwidth = 6.0\novershoot = 0.01\n")
+    folder.mkdir()
+    command = ["design", "rail", *models(tmp_path, 0.01), "--spec", str(spec), "--out", "gains.json"]
+    assert interrupted(3.0, folder, *command, "--promise", "promise.json", "--plot", "promise.png") == ""
+
+
+def test_refuses_to_search_for_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["design", "rail", *models(tmp_path, 0.01), "--out", str(tmp_path / "gains.json")]) == 2
+    assert "give --spec" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
-    "changed", [["--goal", "nan"], ["--goal", "9"], ["--members", "1"], ["--rig", "nothing"], ["--spec", "nothing"]]
+    "changed",
+    [
+        ["--goal", "nan"],
+        ["--goal", "9"],
+        ["--members", "1"],
+        ["--rig", "nothing"],
+        ["--spec", "nothing"],
+        ["--plot", "a.txt"],
+    ],
 )
 def test_refuses_bad_options(changed: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["design", "rail", *models(tmp_path, 0.01), *changed]) == 2

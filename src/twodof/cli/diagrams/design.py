@@ -186,16 +186,13 @@ def verdict(
     if plot is not None:
         check_place(plot, force)
     document = _document(promised)
+    made = (RailPromise if isinstance(document, dict) and "rail_promise" in document else Promise).from_json(
+        document, str(promised)
+    )
     flight = read_log(log)
-    if isinstance(document, dict) and "rail_promise" in document:
-        if plot is not None:
-            raise typer.BadParameter("--plot draws promises of the pitch only: leave it out")
-        found = RailPromise.from_json(document, str(promised)).verdict_of(flight)
-    else:
-        made = Promise.from_json(document, str(promised))
-        found = made.verdict_of(flight)
-        if plot is not None:
-            write_view(promise_view(made, flight), plot, force)
+    found = made.verdict_of(flight)
+    if plot is not None:
+        write_view(promise_view(made, flight), plot, force)
     if json:
         print_json({**found.to_json(), "plot": None if plot is None else str(plot)})
     else:

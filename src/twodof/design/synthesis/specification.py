@@ -1,16 +1,12 @@
 """Specification: what is asked of the pitch loop, as a TOML file that a person writes."""
 
-import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Self
 
-from twodof.errors import LogError, ParameterError, listed, nearest, shown
-from twodof.flightlog.provenance import read_bytes
-
-MAX_BYTES = 1 << 20
+from twodof.design.synthesis.specification_table import check_figures, read_tables, table_of
+from twodof.errors import ParameterError
 
 _BOUNDS: Mapping[str, tuple[float, float]] = {
     "bandwidth": (0.1, 100.0),
@@ -46,27 +42,14 @@ class Specification:
     step_deg: float = 10.0
 
     def __post_init__(self) -> None:
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if value is None and name != "step_deg":
-                continue
-            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-            if not (number and low <= value <= high):
-                raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
+        check_figures(vars(self), _BOUNDS, "step_deg")
 
     @classmethod
     def of(cls, data: object, where: str = "specification") -> Self:
         """From the parsed file. Raises ParameterError for another table, an unknown name or a figure out of range."""
-        # The table [rail] of the same file is read by `sim.promised.rail_specification`.
-        if not isinstance(data, Mapping) or not isinstance(data.get("pitch"), Mapping) or set(data) - {"pitch", "rail"}:
-            found = listed(data) if isinstance(data, Mapping) else shown(data)
-            raise ParameterError(f"it has {found}", where, "give a table [pitch]")
-        known = [field.name for field in fields(cls)]
-        for name in data["pitch"]:
-            if name not in known:
-                raise ParameterError(f"nothing is called {shown(name)}", where, f"there are: {nearest(name, known)}")
+        given = table_of(data, "pitch", [field.name for field in fields(cls)], where)
         try:
-            return cls(**data["pitch"])
+            return cls(**given)
         except ParameterError as error:
             raise ParameterError(error.what, where, error.remedy) from error
 
@@ -77,11 +60,4 @@ class Specification:
 
 def read_specification(path: str | Path) -> Specification:
     """The specification in a TOML file. Raises ParameterError for one that cannot be read or is not one."""
-    try:
-        return Specification.of(tomllib.loads(read_bytes(path, MAX_BYTES).decode("utf-8")), str(path))
-    except LogError as reason:
-        raise ParameterError(reason.what, str(path), "name a TOML file with a table [pitch]") from reason
-    except (ValueError, RecursionError) as reason:
-        raise ParameterError(
-            f"it is not TOML: {reason!s:.80}", str(path), "write [pitch], and below it lines as: bandwidth = 6.0"
-        ) from reason
+    return Specification.of(read_tables(path, "pitch", "bandwidth = 6.0"), str(path))

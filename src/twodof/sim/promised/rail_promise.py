@@ -91,28 +91,35 @@ class RailPromise:
         return "\n".join(lines)
 
     def verdict_of(self, log: FlightLog) -> Verdict:
-        """All steps of that size in `log`, up or down, beside what was promised.
+        """All steps that `steps_of` finds in `log`, beside what was promised. Raises as it does."""
+        return Verdict(self.level, tuple(self.measured(flown) for _, flown in self.steps_of(log)))
 
-        Raises ParameterError where there is none, LogError where channels are missing.
+    def steps_of(self, log: FlightLog) -> list[tuple[Array, dict[str, Array]]]:
+        """All steps of the loop's set-point by `goal`, up or down, that `log` holds: (time from the step, `CHANNELS`).
+
+        Each is turned and moved as if it went up from 0, and begins `BEFORE` samples before the step. Raises
+        ParameterError where there is none of that size, LogError where channels are missing.
         """
         name = STEPS[self.loop][0]
         steps, end, found = setpoint_steps(log, name), self.time[-1], []
+        grid = np.asarray(np.arange(-BEFORE, len(self.time)) * PERIOD, dtype=np.float64)
         for k, step in enumerate(steps):
             until = steps[k + 1].time if k + 1 < len(steps) else float(log[name].time[-1])
             size = step.after - step.before
             if abs(abs(size) - self.goal) > _SIZE_TOLERANCE * self.goal or until - step.time < end:
                 continue
-            sign, at = math.copysign(1.0, size), np.arange(-BEFORE, len(self.time)) * PERIOD + step.time
-            flown = {channel: sign * log.resample(channel, at) for channel in CHANNELS}
+            sign = math.copysign(1.0, size)
+            flown = {channel: sign * log.resample(channel, grid + step.time) for channel in CHANNELS}
             flown["v"] -= sign * step.before if self.loop == "velocity" else 0.0
-            found.append(self.measured(flown))
+            flown["x"] -= float(flown["x"][:BEFORE].mean())
+            found.append((grid, flown))
         if not found:
             raise ParameterError(
                 f"it holds no step of {name} by {self.goal:g} that lasts {end:.2f} s",
                 log.source,
                 f"fly one in {self.loop} mode, or promise the step that was flown",
             )
-        return Verdict(self.level, tuple(found))
+        return found
 
     def measured(self, flown: Mapping[str, Array]) -> Measured:
         """One step up: `flown` has each of `CHANNELS`, from `BEFORE` samples before the step to the promise's end."""

@@ -1,18 +1,16 @@
 """RailSpecification: what is asked of the velocity and position loops, as the table [rail] of a TOML file."""
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from twodof.blocks import Diagram
 from twodof.design.synthesis.requirements import Requirement
-from twodof.design.synthesis.specification import MAX_BYTES
-from twodof.errors import LogError, ParameterError, listed, nearest, shown
+from twodof.design.synthesis.specification_table import check_figures, read_tables, table_of
+from twodof.errors import ParameterError, shown
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flightlog.provenance import read_bytes
 from twodof.sim.cascade_margins import cascade_margins
 from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import STEPS, RailPromise
@@ -61,45 +59,34 @@ class RailSpecification:
     def __post_init__(self) -> None:
         if self.loop not in STEPS:
             raise ParameterError(f"loop = {shown(self.loop)}", "specification", f"give {' or '.join(STEPS)}")
-        for name, (low, high) in _BOUNDS.items():
-            value = getattr(self, name)
-            if value is None and name != "step":
-                continue
-            number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-            if not (number and low <= value <= high):
-                raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
+        check_figures(vars(self), _BOUNDS, "step")
 
     @property
     def asked(self) -> dict[str, float]:
         """What is asked, by name."""
         return {name: float(value) for name, value in vars(self).items() if name in _BOUNDS and value is not None}
 
+    @property
+    def parts(self) -> tuple[Self | None, Self | None]:
+        """What is asked of the loops, and what is asked of the flights of a step; None where that is nothing."""
+        nothing: dict[str, Any] = dict.fromkeys(_PROMISED)
+        no_loop: dict[str, Any] = dict.fromkeys(name for name in _BOUNDS if name not in (*_PROMISED, "step"))
+        loops, step = replace(self, **nothing), replace(self, **no_loop)
+        return loops if set(loops.asked) - {"step"} else None, step if set(step.asked) - {"step"} else None
+
     @classmethod
     def of(cls, data: object, where: str = "specification") -> Self:
         """From the parsed file. Raises ParameterError for another table, an unknown name or a figure out of range."""
-        if not isinstance(data, Mapping) or not isinstance(data.get("rail"), Mapping) or set(data) - {"rail", "pitch"}:
-            found = listed(data) if isinstance(data, Mapping) else shown(data)
-            raise ParameterError(f"it has {found}", where, "give a table [rail]")
-        known = [field.name for field in fields(cls)]
-        for name in data["rail"]:
-            if name not in known:
-                raise ParameterError(f"nothing is called {shown(name)}", where, f"there are: {nearest(name, known)}")
+        given = table_of(data, "rail", [field.name for field in fields(cls)], where)
         try:
-            return cls(**data["rail"])
+            return cls(**given)
         except ParameterError as error:
             raise ParameterError(error.what, where, error.remedy) from error
 
 
 def read_rail_specification(path: str | Path) -> RailSpecification:
     """The table [rail] of a TOML file. Raises ParameterError for one that cannot be read or is not one."""
-    try:
-        return RailSpecification.of(tomllib.loads(read_bytes(path, MAX_BYTES).decode("utf-8")), str(path))
-    except LogError as reason:
-        raise ParameterError(reason.what, str(path), "name a TOML file with a table [rail]") from reason
-    except (ValueError, RecursionError) as reason:
-        raise ParameterError(
-            f"it is not TOML: {reason!s:.80}", str(path), "write [rail], and below it lines as: overshoot = 0.2"
-        ) from reason
+    return RailSpecification.of(read_tables(path, "rail", "overshoot = 0.2"), str(path))
 
 
 def check_rail(
