@@ -13,11 +13,15 @@ from bench.computing.hand_loop import HandLoop
 from bench.computing.linear_loop import linear_loop_seconds
 from bench.computing.mujoco_loop import MujocoLoop
 from bench.measure import Figure, Timing, one_core, timed
+from twodof.blocks import Diagram
+from twodof.blocks.block import Clock
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
+from twodof.rig.sensors import NoiseSource
+from twodof.rig.turbulence import Turbulence
 from twodof.signals import MODES
 from twodof.sim.closed_loop import closed_loop
 
@@ -54,22 +58,55 @@ OURS = tuple(flag for flag in compilers.FLAGS if flag.startswith("-f"))
 """What decides over the machine code of the compiled loop: with -O3 and the processor's options as for both."""
 
 OF_HAND_WITH_OURS = 1.0
+NOISES = {"its own noise": (), "our noise": ("-DCOUNTER",), "no noise": ("-DSILENT",)}
+"""How the hand-written loop makes its noise, and the options that say so.
+
+Its own generator is sequential: a number depends on how many were drawn before. Ours depends on (seed, stream, tick)
+alone, so that all targets, lanes and resimulations have the same; hand-written C that gives as much is the second row.
+"""
 
 HOVER: dict[str, Any] = {"mode": "position", "x0": 0.1}
 """What is timed: holding a position, with all noise."""
 
 
-class CompiledLoop:
-    """The compiled closed loop with the `lab` parameters; `noise` scales the sensors' noise and the gust."""
+class Silence(NoiseSource):
+    """No noise, at no cost."""
 
-    def __init__(self, precision: str, noise: float = 1.0, target: str = "native") -> None:
-        program = build(closed_loop(), BASE_DT, precision, target=target)
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return dict.fromkeys(("n0", "n1", "n2", "n3"), 0.0)
+
+
+class Calm(Turbulence):
+    """A gust that nothing drives."""
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return p.keep * x.gust
+
+
+def silent_loop() -> Diagram:
+    """The closed loop without generators of noise."""
+    diagram = closed_loop()
+    inner = diagram.parts["rig"].item
+    assert isinstance(inner, Diagram)
+    inner.parts["noise_source"].item, inner.parts["turbulence"].item = Silence(), Calm()
+    return diagram
+
+
+class CompiledLoop:
+    """The compiled closed loop with the `lab` parameters.
+
+    `noise` scales the sensors' noise and the gust; with None nothing draws any.
+    """
+
+    def __init__(self, precision: str, noise: float | None = 1.0, target: str = "native") -> None:
+        made = silent_loop() if noise is None else closed_loop()
+        program = build(made, BASE_DT, precision, target=target)
         if not isinstance(program, CompiledProgram):
             raise CompileError("there is no C compiler", "bench", "install cc, or the wheel ziglang")
         self.program = program
         self.machine: CompiledMachine = program.machine()
         self.machine.set_many({f"rig.{name}": value for name, value in lab().snapshot().items()})
-        self.machine.set("rig.noise", noise)
+        self.machine.set("rig.noise", 1.0 if noise is None else noise)
         self.machine.reset()
         self._instance = program.backend.instance()
         structs = self._instance.structs
@@ -122,6 +159,11 @@ def _rate(timing: Timing, ticks: int) -> tuple[float, str]:
     return ticks / timing.median, spread + (f", wall {timing.stretch:.1f} x CPU time" if timing.stretch > 1.1 else "")
 
 
+def _over(peer: Timing, ours: Timing) -> float:
+    """How many times as fast as its peer ours is: the median of pairs."""
+    return float(np.median(np.array(peer.seconds) / np.array(ours.seconds)))
+
+
 def run(quick: bool = False) -> list[Figure]:
     """All figures; `quick` only shows that everything runs. Raises CompileError without a compiler."""
     ticks, repeats = (2_000, 2) if quick else (1_000_000, 11)
@@ -144,32 +186,35 @@ def run(quick: bool = False) -> list[Figure]:
             ours, kept = CompiledLoop(precision), CompiledLoop(precision)
             hand = HandLoop(ours.machine, precision)
             tuned = HandLoop(ours.machine, precision, flags=UNPACKED)
-            same = HandLoop(ours.machine, precision, flags=OURS)
-            mine, theirs, unpacked, alike, arrays = timed(
+            same = {how: HandLoop(ours.machine, precision, flags=(*OURS, *flags)) for how, flags in NOISES.items()}
+            silent = CompiledLoop(precision, noise=None)
+            mine, theirs, unpacked, arrays, still, *alike = timed(
                 [
                     partial(ours.spin, ticks, hover),
                     partial(hand.spin, ticks, hover),
                     partial(tuned.spin, ticks, hover),
-                    partial(same.spin, ticks, hover),
                     partial(kept.run, ticks // 10, hover),
+                    partial(silent.spin, ticks, hover),
+                    *(partial(loop.spin, ticks, hover) for loop in same.values()),
                 ],
                 repeats,
             )
             speed, words = _rate(mine, ticks)
             peer, peer_words = _rate(theirs, ticks)
-            paired, flagged = (np.median(np.array(t.seconds) / np.array(mine.seconds)) for t in (theirs, alike))
+            paired = _over(theirs, mine)
             figures += [
                 Figure(f"{precision}: compiled diagram", speed, "steps/s", STEPS_PER_SECOND, remark=words),
                 Figure(f"{precision}: hand-written C", peer, "steps/s", remark=peer_words),
-                Figure(
-                    f"{precision}: compiled over hand-written", float(paired), "", OF_HAND, remark="median of pairs"
-                ),
-                Figure(
-                    f"{precision}: compiled over hand-written, the same options",
-                    float(flagged),
-                    "",
-                    OF_HAND_WITH_OURS,
-                    remark=f"both with {' '.join(OURS)}",
+                Figure(f"{precision}: compiled over hand-written", paired, "", OF_HAND, remark="median of pairs"),
+                *(
+                    Figure(
+                        f"{precision}: compiled over hand-written, the same options, {how}",
+                        _over(timing, still if how == "no noise" else mine),
+                        "",
+                        OF_HAND_WITH_OURS,
+                        remark=f"both with {' '.join(OURS)}",
+                    )
+                    for how, timing in zip(same, alike, strict=True)
                 ),
                 Figure(
                     f"{precision}: hand-written C, {' '.join(UNPACKED)}",

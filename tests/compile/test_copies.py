@@ -198,7 +198,7 @@ def test_the_text_of_all_but_the_calls_stays_as_long() -> None:
 def test_what_exists_few_times_stays_as_it_was() -> None:
     for d in (closed_loop(), core(), bank(block_kinds.FEWEST - 1)):
         source = emit_program(d, 0.001).source
-        assert "td_apart" not in source
+        assert not re.search(r"(?m)^td_apart void (?!closed_loop_(look_ahead|ticks)\()", source)
         assert not re.search(r"\[0\]\.\w+;", source)
 
 

@@ -31,6 +31,7 @@ static inline void step(Loop *l, const Setpoints *set, Outputs *y)
     if (l->tick % TICKS_PER_BATTERY == 0)
         l->battery_load = now.load > 0 ? now.load : 0;
     if (l->tick % TICKS_PER_SAMPLE == 0) {
+        draw(&l->noise, l->tick);
         sense_motion(l, now.load);
         sense_range(l);
         estimate(l);
@@ -128,6 +129,9 @@ void hand_init(Loop *l, const double *values, uint64_t seed)
         p[i] = (real)values[i];
     derive(l);
     ziggurat_tables();
+#ifdef COUNTER
+    l->noise.a = seed;
+#else
     /* splitmix64 (Steele, Lea, Flood, 2014) fills the generator's state. */
     uint64_t *words = &l->noise.a;
     for (int i = 0; i < 4; i++) {
@@ -136,6 +140,7 @@ void hand_init(Loop *l, const double *values, uint64_t seed)
         z = (z ^ z >> 27) * 0x94d049bb133111ebu;
         words[i] = z ^ z >> 31;
     }
+#endif
     Motion *m = &l->motion;
     m->theta = l->p.rig_theta_start;
     m->q = l->imu_q = l->p.rig_q_start;

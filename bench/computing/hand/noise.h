@@ -1,5 +1,71 @@
-/* Noise: the generator xoshiro256++ (Blackman and Vigna, 2019) under a ziggurat of 128 layers (Marsaglia and Tsang,
+/* Noise. COUNTER gives the numbers of twodof.blocks.noise, which depend on (seed, stream, tick) alone; SILENT gives
+   zeros. By default: the generator xoshiro256++ (Blackman and Vigna, 2019) under a ziggurat of 128 layers (Marsaglia and Tsang,
    2000), in double precision; parentheses around a function's name keep it from becoming float. */
+#if defined(SILENT) || defined(COUNTER)
+#ifdef SINGLE
+#define log(x) logf(x)
+#endif
+
+typedef struct {
+    uint64_t a, b, c, d; /* by COUNTER: a is the seed */
+    real sample[5];
+    int drawn;
+} Generator;
+
+static void ziggurat_tables(void)
+{
+}
+
+static inline void philox(uint32_t seed, uint32_t stream, uint32_t tick, uint32_t x[4])
+{
+    x[0] = tick;
+    x[1] = x[2] = x[3] = 0;
+    for (int i = 0; i < 10; i++) {
+        const uint64_t left = (uint64_t)0xd2511f53u * x[0], right = (uint64_t)0xcd9e8d57u * x[2];
+        x[0] = (uint32_t)(right >> 32) ^ x[1] ^ seed;
+        x[1] = (uint32_t)right;
+        x[2] = (uint32_t)(left >> 32) ^ x[3] ^ stream;
+        x[3] = (uint32_t)left;
+        seed += 0x9e3779b9u;
+        stream += 0xbb67ae85u;
+    }
+}
+
+/* All normals of a sample (Box and Muller, 1958): four of the sensors, one of the gust. */
+static inline void draw(Generator *g, uint32_t tick)
+{
+#ifdef COUNTER
+    uint32_t x[4];
+    philox((uint32_t)g->a, 1, tick, x);
+    for (int i = 0; i < 4; i += 2) {
+        const real radius = sqrt(-2 * log(((real)x[i] + R(0.5)) * R(0x1p-32)));
+        const real angle = (real)(int32_t)x[i + 1] * R(3.141592653589793 * 0x1p-31);
+        g->sample[i] = radius * cos(angle);
+        g->sample[i + 1] = radius * sin(angle);
+    }
+    philox((uint32_t)g->a, 2, tick, x);
+    const real radius = sqrt(-2 * log(((real)x[0] + R(0.5)) * R(0x1p-32)));
+    g->sample[4] = radius * cos((real)(int32_t)x[1] * R(3.141592653589793 * 0x1p-31));
+    g->drawn = 0;
+#endif
+}
+
+static inline real normal(Generator *g)
+{
+#ifdef COUNTER
+    return g->sample[g->drawn++];
+#else
+    (void)g;
+    return 0;
+#endif
+}
+#else
+static inline void draw(void *g, uint32_t tick)
+{
+    (void)g;
+    (void)tick;
+}
+
 #define LAYERS 128
 #define TAIL 3.442619855899      /* right edge of the lowest layer's rectangle */
 #define AREA 9.91256303526217e-3 /* of each layer */
@@ -79,3 +145,4 @@ static inline real normal(Generator *g)
         return (real)(share * edge[layer]);
     return (real)unusual(g, layer, share);
 }
+#endif

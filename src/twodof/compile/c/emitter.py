@@ -13,9 +13,10 @@ from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
+from twodof.compile.c.ahead import AheadEmitter, foreseen
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
-from twodof.compile.c.names import CNames
+from twodof.compile.c.names import STRAIGHT, CNames
 from twodof.compile.c.operators import ATOM
 from twodof.compile.c.shared import APART, SharedFunctions, SharingTick
 from twodof.compile.c.style import SCALAR, CStyle
@@ -124,6 +125,8 @@ def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle)
 @cache
 def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str, frozenset[str], frozenset[str]]:
     """An elementary function in C, the functions it calls, and its helpers; "sin_float32" is the sine of that kind."""
+    called, straight = name, name.startswith(STRAIGHT)
+    name = name.removeprefix(STRAIGHT)
     own, _, last = name.rpartition("_")
     base, kind = (own, last) if last in FLOATS else (name, "real")
     precision = dtype_of(kind, precision).name
@@ -131,13 +134,13 @@ def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str
     with tracing(name):
         recorded = DEFINITIONS[base][precision](*(leaf("input", a, "real") for a in arguments))
         (result,) = of_kinds([recorded], {"real": kind})
-    style = style.inner
+    style = style.straight if straight else style.inner
     writer, real = style.writer(lean=lean), style.types[kind]
     renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
     writer.line(f"return {renderer.text(result)};")
-    head = f"{style.function} {real} td_{name}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
+    head = f"{style.function} {real} td_{called}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
     body = "\n".join(writer.lines) + "\n"
-    if base in INSTRUCTIONS and style is SCALAR and not lean:
+    if base in INSTRUCTIONS and (style is SCALAR or straight) and not lean:
         builtin = f"__builtin_{base}{'f' if precision == 'float32' else ''}({', '.join(arguments)})"
         body = f"#if defined(td_instructions)\n    return {builtin};\n#else\n{body}#endif\n"
     text = f"{head}{body}}}\n\n"
@@ -162,6 +165,8 @@ class _Emitter:
         self.shared = SharedFunctions(self.scope, lean, self._written)
         self.copied = {n.parameters[name] for k in layout.block_kinds for n in k.kind.nodes for name in k.kind.own}
         self.continuous = sum(m.width or 1 for m in layout.x.members)
+        known = [] if lean else foreseen(self.scope)
+        self.ahead = AheadEmitter(self.scope, known, program.name) if known else None
 
     def text(self) -> str:
         """Structs, functions and tables."""
@@ -170,6 +175,8 @@ class _Emitter:
         functions = [self._written(write) for write in (self._defaults, self._prepare, self._init)]
         if stage:
             functions += [self._written(stage.derivative), self._written(stage.integrate)]
+        if self.ahead:
+            functions += [self.ahead.struct(), self._written(self.ahead.look)]
         functions.append(self._written(lambda writer: self._step(writer, stage)))
         if not self.lean:
             functions.append(self._step_and_run())
@@ -241,11 +248,16 @@ class _Emitter:
                     self.scope.fill(writer, f"s->{member.name}", signal.initial, declared)
 
     def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
-        names = self.scope.names("p", "s", "u", "y")
+        names = self.scope.names("p", "s", "u", "y", "ahead")
         copies = bool(self.layout.block_kinds)
         tick = SharingTick(self.scope, writer, names, self.shared) if copies else TickEmitter(self.scope, writer, names)
         head = f"void {self.prefix}_step" if self.lean else f"td_inline void {self.prefix}_advance"
-        with writer.function(f"{head}({self._arguments()})"):
+        arguments = self._arguments()
+        if self.ahead:
+            arguments += f", {self.ahead.argument}"
+            for f in self.ahead.found:
+                tick.stored.setdefault(f.node, {})[f.value] = f.text
+        with writer.function(f"{head}({arguments})"):
             tick.due()
             tick.outputs()
             if self.program.outputs:
@@ -270,6 +282,8 @@ class _Emitter:
         """What calls `advance`, which is one step. Its machine code stands in one of the two, in place."""
         p, one = self.prefix, self._arguments()
         strided = one.replace(" u,", " u, size_t u_stride,") + ", size_t y_stride, size_t n"
+        if self.ahead:
+            return self.ahead.step_and_run(one, strided)
         run = f"""void {p}_run({strided})
 {{
     for (size_t k = 0; k < n; k++) {{

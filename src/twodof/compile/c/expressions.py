@@ -99,6 +99,7 @@ class Renderer:
     """
 
     types: Mapping[str, str] = C_TYPES
+    way = ""  # how the names of the elementary functions that it calls begin
     operators: Mapping[str, Operator] = OPERATORS
     kinds: Mapping[str, str] = {kind: kind for kind in C_TYPES}  # the kind whose functions and types each has
 
@@ -320,7 +321,7 @@ class Renderer:
             return self._element(item, args[0][0], args[1])
         if item.op == "call":
             kind = self.kinds[item.kind]
-            name = item.data if kind == "real" else f"{item.data}_{kind}"
+            name = f"{self.way}{item.data}{'' if kind == 'real' else f'_{kind}'}"
             self.writer.functions.add(name)
             return f"td_{name}({', '.join(a for a, _ in args)})", ATOM
         operand = self._resolve(item.args[0]).kind

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 from twodof.compile.c.branching import BranchingRenderer
 from twodof.compile.c.expressions import Renderer, Text
+from twodof.compile.c.names import STRAIGHT as STRAIGHT_NAME
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.writer import CWriter
@@ -25,6 +26,7 @@ class CStyle:
     tables = True  # whether the file ends with tables of parameters and signals
     copies = 1  # instances in a struct
     branches = True  # whether a condition can leave out what it guards: lanes compute both sides
+    foresees = True  # whether numbers of the ticks to come are computed together: lanes fill the vectors themselves
     shares = True  # whether copies share functions: lanes would have to hand on which of them act
     along = "{0} + h * {1}"
     gathers = True  # whether the sum of an integration's slopes is built up between its stages
@@ -34,6 +36,11 @@ class CStyle:
     def inner(self) -> CStyle:
         """The style of the elementary functions."""
         return self
+
+    @property
+    def straight(self) -> CStyle:
+        """The style of elementary functions that go in place into a loop for vectors."""
+        return STRAIGHT
 
     def prelude(self, programs: str) -> tuple[str, frozenset[str]]:
         """The C that comes before that of `programs`, and the helpers that it calls."""
@@ -91,4 +98,18 @@ class CStyle:
         yield x
 
 
+class StraightRenderer(Renderer):
+    """Writes expressions without branches, and the elementary functions likewise: as a loop for vectors wants it."""
+
+    way = STRAIGHT_NAME
+
+
+class StraightStyle(CStyle):
+    """C for one instance, without branches and in place."""
+
+    renderer = StraightRenderer
+    function = "td_inline"
+
+
 SCALAR = CStyle()
+STRAIGHT = StraightStyle()

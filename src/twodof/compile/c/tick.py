@@ -29,7 +29,10 @@ INTEGRATION = "/* the continuous states of the next tick */"
 FROZEN = "/* what is disabled keeps its continuous states */"
 NEXT_TICK = "/* the next tick */"
 # What a body may name.
-OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "advance", "step", "run")
+OWN = (
+    *("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "advance", "step", "run"),
+    *("Ahead", "AHEAD", "look_ahead", "ticks"),
+)
 
 
 class Scope:
@@ -157,7 +160,7 @@ class TickEmitter:
         self.renderers: dict[Node, Renderer] = {}
         self.computed: set[FlatSignal | Start] = set()  # what has been done so far
         self.updated: set[Node] = set()
-        self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S
+        self.stored: dict[Node, dict[Expr, str]] = {}  # expressions that stand in S, or are known ahead
         self.fractions: dict[FlatSignal, tuple[str, str]] = {}  # edged signal -> names of its fraction and later value
         self._due: dict[Rate, str] = {}
         self._asked: set[Rate] = set()

@@ -197,6 +197,7 @@ class LaneStyle(CStyle):
     tables = False
     branches = False
     shares = False
+    foresees = False
     gathers = False
 
     def __init__(self, shape: LaneShape) -> None:
