@@ -20,8 +20,8 @@ def check_figures(figures: Mapping[str, object], bounds: Mapping[str, tuple[floa
         value = figures[name]
         if value is None and name != always:
             continue
-        number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-        if not (number and low <= float(value) <= high):  # type: ignore[arg-type]
+        number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+        if not low <= number <= high:
             raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
 
 

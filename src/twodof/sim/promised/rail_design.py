@@ -110,9 +110,9 @@ def rail_design(
 ) -> RailDesign:
     """Search the gains of the stock velocity and position loops for what `specification` asks, from those of `kept` on.
 
-    The largest miss is made small by a simplex (Nelder and Mead, 1965). Bandwidths and margins come first, of the
-    estimate; then what is asked of a step, by flights of the `members` that `rail_promise` flies with this `seed`: so
-    gains differ by gains alone. The position's gain stands where nothing is asked of it. `said` is called with the
+    The largest miss is made small by a simplex (Nelder and Mead, 1965). Bandwidths and margins of the estimate come
+    first. Then the `members` that `rail_promise` draws with this `seed` fly the step, the same ones with all gains. The
+    position's gain stands where nothing is asked of it. `said` is called with the
     share done, and may raise. Raises ParameterError where nothing is asked, and as `rail_promise`.
     """
     linear, flown = specification.parts
