@@ -1,3 +1,4 @@
+/// <reference types="vitest/config" />
 import { svelte } from "@sveltejs/vite-plugin-svelte";
 import { defineConfig } from "vite";
 
@@ -11,6 +12,8 @@ export default defineConfig({
     target: "es2022",
     reportCompressedSize: true,
   },
+  // A loaded machine takes longer than vitest's 5 s over a flight: only what hangs is to end.
+  test: { testTimeout: 120_000 },
   server: {
     proxy: { "/api": { target: "http://127.0.0.1:8080", ws: true } },
   },

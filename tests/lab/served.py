@@ -19,6 +19,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
 from tests.patience import PATIENCE_S
+from twodof.errors import LogError
+from twodof.flightlog.recovery import recover
 from twodof.gcs.loop_thread import LoopThread
 from twodof.lab.serve import serve
 from twodof.lab.settings import LabSettings
@@ -174,6 +176,14 @@ def served(folder: Path, *urls: str, token: str = "", **settings: Any) -> Iterat
     finally:
         runner.run(end())
         runner.close()
+
+
+def holds_samples(recording: Path) -> bool:
+    """Whether a sample of the pitch is on the disk already of what is being recorded."""
+    try:
+        return len(recover(recording).log["theta"]) > 0
+    except LogError:
+        return False
 
 
 def wait_for_drone(server: Served, number: int = 1) -> dict[str, Any]:

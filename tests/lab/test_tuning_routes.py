@@ -86,6 +86,12 @@ def test_a_snapshot_says_what_it_would_change_and_brings_it_back(lab: ServedLab)
     assert lab.call("GET", "drones/1/parameters/snapshots/first")[0] == 404
 
 
+def test_steps_of_a_log_that_is_gone_are_none_and_say_why(lab: ServedLab) -> None:
+    """The page asks by itself for those of the latest log, which somebody may delete meanwhile."""
+    status, told = lab.call("POST", "tuning/1/measured", {"log": "deleted-meanwhile.mcap"})
+    assert (status, told["steps"], told["unclear"]) == (200, [], "there is no such log")
+
+
 def test_the_file_is_read_back_and_by_anybody_who_reads_tabs(lab: ServedLab) -> None:
     _, content = lab.call("GET", "drones/1/parameters/file")
     assert isinstance(content, bytes)

@@ -38,7 +38,7 @@ ARGUMENTS = (
 SIZES = {"wide": (1280, 720), "tablet": (1024, 768)}
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
-expect.set_options(timeout=PATIENCE_S * 1000 / 4)
+expect.set_options(timeout=PATIENCE_S * 1000)
 
 OpenPage = Callable[..., Page]
 
@@ -91,7 +91,7 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
             has_touch=size == "tablet",
             reduced_motion="reduce",
         )
-        context.set_default_timeout(PATIENCE_S * 1000 / 4)
+        context.set_default_timeout(PATIENCE_S * 1000)
         contexts.append(context)
         expected.extend(expects)
         page = context.new_page()

@@ -38,7 +38,7 @@ class LabServer:
         base = self.link.split("?")[0]
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(f"{base}api/{path}", data, {"Content-Type": "application/json"}, method=method)
-        with urllib.request.urlopen(request, timeout=PATIENCE_S / 4) as answer:
+        with urllib.request.urlopen(request, timeout=PATIENCE_S) as answer:
             text = answer.read()
         return json.loads(text) if text else None
 
@@ -124,7 +124,7 @@ def served(folder: Path, *options: str) -> Iterator[LabServer]:
             finally:
                 process.terminate()
                 try:
-                    process.wait(PATIENCE_S / 4)
+                    process.wait(PATIENCE_S)
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()

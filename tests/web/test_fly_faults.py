@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 
 import pytest
@@ -42,7 +43,9 @@ def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, ope
         expect(page.get_by_text("The link is lost.", exact=True).first).to_be_visible()
     expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_hidden()
     # It stayed lost for longer than the failsafe waits: what that did is in the drone's own words, and it flies again.
-    expect(page.get_by_label("What the drone says")).to_contain_text("link_lost")
+    # Which of the two it missed first, and whether it ever missed the other, is a matter of its own time: a loaded
+    # computer gives that more slowly than the clock by which the server takes the link for lost.
+    expect(page.get_by_label("What the drone says")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
     flying(page)
     reaches(page, "Position x", 0.0, 0.05)
 

@@ -3,6 +3,7 @@ import { Telemetry, type LabEvent, type Socket } from "../src/api/telemetry";
 
 class FakeSocket implements Socket {
   binaryType: BinaryType = "blob";
+  readyState = 0;
   onopen: Socket["onopen"] = null;
   onclose: Socket["onclose"] = null;
   onmessage: Socket["onmessage"] = null;
@@ -15,6 +16,7 @@ class FakeSocket implements Socket {
     this.closed = true;
   }
   open(): void {
+    this.readyState = 1;
     this.onopen?.({} as Event);
   }
   fail(): void {
@@ -111,7 +113,38 @@ describe("the socket", () => {
     expect(seen).toEqual([true, false]);
     expect(sockets[0]!.closed).toBe(true);
     vi.advanceTimersByTime(250 + 6000);
+    expect(sockets[1]!.closed).toBe(false);
+    sockets[1]!.open();
     expect(sockets[1]!.closed).toBe(true);
+    expect(seen).toEqual([true, false, false]);
+  });
+
+  it("is not lost by a page that stood still for longer, with what came meanwhile unread", () => {
+    const seen: boolean[] = [];
+    telemetry.onConnection((connected) => seen.push(connected));
+    telemetry.start();
+    last().open();
+    vi.advanceTimersToNextTimer(); // what was due is served first, however long ago
+    last().tell(rows(9));
+    vi.advanceTimersByTime(5999);
+    expect(seen).toEqual([true]);
+  });
+
+  it("asks again for rows of a drone that its new server did not know yet, once", () => {
+    telemetry.subscribe(3, ["estimate.q"], 250, () => {});
+    telemetry.subscribe(4, ["estimate.q"], 250, () => {});
+    telemetry.start();
+    last().open();
+    const asked = (id: number, drone: number) => ({ do: "subscribe", id, drone, columns: ["estimate.q"], rate: 250 });
+    expect(last().said).toEqual([asked(1, 3), asked(2, 4)]);
+    last().tell('{"event":"refused","id":1,"what":"there is no such drone","where":"","remedy":""}');
+    last().tell('{"event":"drone","drone":4,"state":{}}');
+    expect(last().said.length).toBe(2);
+    last().tell('{"event":"drone","drone":3,"state":{}}');
+    expect(last().said.slice(2)).toEqual([asked(1, 3)]);
+    last().tell('{"event":"refused","id":1,"what":"no such column","where":"","remedy":""}');
+    last().tell('{"event":"drone","drone":3,"state":{}}');
+    expect(last().said.length).toBe(3);
   });
 
   it("tells events until one listens no more", () => {

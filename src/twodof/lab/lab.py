@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from multiprocessing.synchronize import Event
+from pathlib import Path
 from typing import Self
 
-from twodof.errors import LogError
+from twodof.errors import LogError, Rejected
 from twodof.lab.drones.drones import LabDrones
 from twodof.lab.jobs.jobs import Jobs
 from twodof.lab.logbook.log_folder import LogShelf
@@ -36,6 +37,13 @@ class Lab:
         self.summaries = SummaryCache()
         self.log_bench = Workbench("log", LogError)
         self.rehearsed: dict[str, str] = {}
+
+    def whole_log(self, name: str) -> Path:
+        """Where a log is that can be read. Raises NotThere, and Rejected while it is being recorded."""
+        path = self.logs.place(name).path
+        if name in self.drones.recordings:
+            raise Rejected("it is being recorded", name[:80], "disarm the drone first")
+        return path
 
     async def __aenter__(self) -> Self:
         self.drones.start()

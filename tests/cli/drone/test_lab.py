@@ -21,9 +21,11 @@ from websockets.sync.client import connect
 
 from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.virtual import on_board
+from tests.lab.served import holds_samples
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import alive
 from twodof.cli.app import run
+from twodof.flightlog.files import read_log
 
 
 class Program:
@@ -132,9 +134,13 @@ def test_a_drone_that_it_flies_is_left_disarmed(tmp_path: Path) -> None:
                 assert connection.getresponse().status == 200
                 connection.close()
             assert there.drone.controller.latest.armed
+            for _ in patiently():  # what it flies is recorded from a moment after it is armed
+                if any(map(holds_samples, (tmp_path / "flights").glob("*.mcap"))):
+                    break
             assert lab.ended() == 0
         assert not there.drone.controller.latest.armed
-        assert len(list((tmp_path / "flights").glob("*.mcap"))) == 1
+        (flight,) = (tmp_path / "flights").glob("*.mcap")
+        assert len(read_log(flight)["theta"])
 
 
 def test_a_port_that_somebody_has_is_said_with_the_remedy(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
-from tests.lab.served import Served, served, wait_for_drone
+from tests.lab.served import Served, holds_samples, served, wait_for_drone
 from tests.patience import patiently
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
+from twodof.gcs.telemetry.recording import seconds
 from twodof.lab.drones import pilot
 
 FLIES = {"loop": "theta", "value": 0.05, "thrust": 0.4}
@@ -161,18 +162,26 @@ def test_a_flight_is_recorded_from_arming_to_rest_whoever_flies_it(drone: tuple[
         client.event("drone", armed=False, recording="")  # of the flight before
         with Drone.connect(there.url) as script:
             script.arm()
+            while not (written := client.event("drone", armed=True)["state"]["recording"]):
+                pass
+            assert any(holds_samples(server.folder / "flights" / written) for _ in patiently())
             began = script.tick
             script.set_pitch(0.05, thrust=0.4)
             script.parameters["RATE_KP"] = 0.08
             script.run(0.6)
+            for path in (written, f"{written}/summary"):
+                told = server.ask("GET", f"/api/logs/{path}")
+                assert (told.status, told.json["unreadable"].split(":")[0]) == (200, "it is being recorded")
             script.disarm()
             ended = script.tick
+            name = client.event("log")["name"]
             script.parameters["RATE_KP"] = 0.0854
-        name = client.event("log")["name"]
+    assert name == written
     log = read_log(server.folder / "flights" / name)
     theta = log["theta"]
-    assert theta.time[-1] - theta.time[0] >= (ended - began) * 0.004
-    assert [row[1] for row in log.provenance["changes"]] == ["RATE_KP"]
+    assert theta.time[0] <= seconds(began)
+    assert theta.time[-1] >= seconds(ended)
+    assert [(row[1], round(row[2], 4)) for row in log.provenance["changes"]] == [("RATE_KP", 0.08)]
     assert log.provenance["recorded"]["by"] == "lab"
 
 

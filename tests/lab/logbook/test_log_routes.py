@@ -254,9 +254,19 @@ def test_another_folder_is_only_read_and_a_watcher_changes_nothing(server: Serve
 
 
 def test_what_cannot_be_read_says_so_and_harms_no_other(server: Served) -> None:
-    got = server.ask("GET", "/api/logs/damaged.ulg")
-    assert (got.status, bool(got.json["what"])) == (422, True)
-    assert server.ask("GET", "/api/logs/a.mcap").status == 200
+    """As data where a list or a page asks by itself; nothing names the server's folders."""
+    for path in ("damaged.ulg", "damaged.ulg/summary"):
+        got = server.ask("GET", f"/api/logs/{path}")
+        assert (got.status, "span" in got.json) == (200, False)
+        assert "twodof log recover damaged.ulg" in got.json["unreadable"]
+        assert str(server.folder) not in got.content.decode()
+    refused = server.ask("GET", "/api/logs/damaged.ulg/view")
+    assert (refused.status, str(server.folder) in refused.content.decode()) == (422, False)
+    gone = server.ask("GET", "/api/logs/deleted-meanwhile.mcap/summary")
+    assert (gone.status, gone.json) == (200, {"unreadable": "there is no such log: choose one of the list"})
+    for path in ("a.mcap", "a.mcap/summary"):
+        got = server.ask("GET", f"/api/logs/{path}")
+        assert (got.status, got.json["unreadable"]) == (200, "")
     for query in ("begin=1", "begin=nan&end=2", "begin=5&end=1", "begin=1e9&end=2e9", "topic=none"):
         assert server.ask("GET", f"/api/logs/a.mcap/view?{query}").status == 422
 

@@ -37,6 +37,11 @@ export interface Spark {
   high: (number | null)[];
 }
 
+/** A log that is damaged, being recorded or gone: why nothing is told of it. */
+export interface Unreadable {
+  unreadable: string;
+}
+
 /** What the list says of a log; null for what it does not tell. */
 export interface LogSummary {
   span: [number, number];
@@ -54,11 +59,15 @@ export interface LogSummary {
 }
 
 /** And what an open one shows; times in seconds of the log. */
-export interface LogFacts extends LogSummary {
+export interface LogFacts extends LogSummary, LogKept {
   all_channels: { name: string; unit: string; samples: number }[];
   parameters: [string, number][];
   texts: [number, string, string][];
   changes: [number, string, number][];
+}
+
+/** What is there of a log that cannot be read, too. */
+export interface LogKept {
   notes: string;
   ours: boolean;
 }
@@ -124,8 +133,8 @@ const FILE_S = 180;
 const of = (name: string): string => `logs/${encodeURIComponent(name)}`;
 
 export const listLogs = (): Promise<LogList> => get("logs");
-export const logFacts = (name: string): Promise<LogFacts> => get(of(name));
-export const logSummary = (name: string): Promise<LogSummary> => get(`${of(name)}/summary`);
+export const logFacts = (name: string): Promise<LogFacts | (Unreadable & LogKept)> => get(of(name));
+export const logSummary = (name: string): Promise<LogSummary | Unreadable> => get(`${of(name)}/summary`);
 export const logReplay = (name: string): Promise<LogReplay> => get(`${of(name)}/replay`);
 export const logSteps = (name: string): Promise<{ steps: LoggedStep[]; unclear: string }> => get(`${of(name)}/steps`);
 

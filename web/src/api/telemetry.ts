@@ -10,11 +10,14 @@ export type LabEvent =
   | ({ event: "text" } & DroneText)
   | { event: "parameters"; drone: number; names: string[] }
   | { event: "job"; id: string; [field: string]: unknown }
-  | { event: "log"; name: string };
+  | { event: "log"; name: string }
+  | { event: "refused"; id: number; what: string; where: string; remedy: string };
 
 /** The part of a WebSocket that is used; a test gives its own. */
 export interface Socket {
   binaryType: BinaryType;
+  /** 0 while it connects. */
+  readonly readyState: number;
   onopen: ((event: Event) => unknown) | null;
   onclose: ((event: CloseEvent) => unknown) | null;
   onmessage: ((event: MessageEvent) => unknown) | null;
@@ -33,11 +36,17 @@ const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
 /** An open socket on which nothing comes for so long has lost its server, whatever the network says. */
 const SILENCE_MS = 6000;
+/** The last part of it, awake: after a page has stood still, what came meanwhile is read first. */
+const AWAKE_MS = 500;
+const CONNECTING = 0;
 
 export class Telemetry {
   private readonly subscriptions = new Map<number, Subscription>();
   private readonly listeners = new Set<(event: LabEvent) => void>();
   private readonly watchers = new Set<(connected: boolean, retryAt: number) => void>();
+  /** Drones that this socket has told of, and subscriptions that came before their drone was there. */
+  private readonly told = new Set<number>();
+  private readonly refused = new Set<number>();
   private socket: Socket | undefined;
   private connected = false;
   private attempts = 0;
@@ -77,6 +86,7 @@ export class Telemetry {
     this.subscriptions.set(id, { drone, columns, rate, onRows });
     if (this.connected) this.ask(id);
     return () => {
+      this.refused.delete(id);
       if (this.subscriptions.delete(id) && this.connected) this.socket?.send(JSON.stringify({ do: "unsubscribe", id }));
     };
   }
@@ -129,12 +139,26 @@ export class Telemetry {
 
   private event(text: string): void {
     const event = JSON.parse(text) as LabEvent;
+    if (event.event === "refused") this.refused.add(event.id);
+    else if (event.event === "drone" && !this.told.has(event.drone)) this.comes(event.drone);
     for (const listener of this.listeners) listener(event);
+  }
+
+  /** A drone is there now: a server that has begun anew did not know it yet when it was asked. */
+  private comes(drone: number): void {
+    this.told.add(drone);
+    for (const id of this.refused)
+      if (this.subscriptions.get(id)?.drone === drone) {
+        this.refused.delete(id);
+        this.ask(id);
+      }
   }
 
   private heard(): void {
     clearTimeout(this.silence);
-    this.silence = setTimeout(() => this.lost(), SILENCE_MS);
+    this.silence = setTimeout(() => {
+      this.silence = setTimeout(() => this.lost(), AWAKE_MS);
+    }, SILENCE_MS - AWAKE_MS);
   }
 
   private drop(): void {
@@ -142,9 +166,13 @@ export class Telemetry {
     const { socket } = this;
     this.socket = undefined;
     this.connected = false;
+    this.told.clear();
+    this.refused.clear();
     if (socket === undefined) return;
     socket.onopen = socket.onclose = socket.onmessage = null;
-    socket.close();
+    // A browser takes the closing of one that still connects for an error.
+    if (socket.readyState === CONNECTING) socket.onopen = () => socket.close();
+    else socket.close();
   }
 
   private lost(): void {

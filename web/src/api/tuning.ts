@@ -51,6 +51,7 @@ export interface LoopMargins {
 
 /** What changed gains would do on the identified family. Angles in radians. */
 export interface Preview {
+  why: "";
   model: string;
   /** The user's controller that flies, "" for the stock one. */
   controller: string;
@@ -100,10 +101,20 @@ export const guardOf = (drone: number) => get<{ model: string | null; controller
 export const chooseGuard = (drone: number, model: string | null) =>
   send<{ model: string | null }>("PUT", `tuning/${drone}/model`, { model });
 
+/** Why there is no preview. */
+export interface NoPreview {
+  why: string;
+  model: string;
+}
+
 /** Takes a second of the server's time, and more where it is busy. */
-export async function previewTuning(drone: number, changes: Record<string, number>, goal: number): Promise<Preview> {
+export async function previewTuning(
+  drone: number,
+  changes: Record<string, number>,
+  goal: number,
+): Promise<Preview | NoPreview> {
   const answer = await request("POST", `tuning/${drone}/preview`, { changes, goal }, 90);
-  return (await answer.json()) as Preview;
+  return (await answer.json()) as Preview | NoPreview;
 }
 
 export const measuredSteps = (drone: number, log: string, goal: number) =>

@@ -9,9 +9,18 @@ class CurrentRoute {
     addEventListener("hashchange", () => (this.now = readRoute(location.hash)));
   }
 
-  /** Go to a page; `replace` leaves no step for the Back button. */
+  /** Whether one is on a page now: who has waited for something may have been left. */
+  on(page: string): boolean {
+    return readRoute(location.hash).page === page;
+  }
+
+  /**
+   * Go to a page; `replace` leaves no step for the Back button. It says where one is within a page, and does nothing
+   * once that page was left.
+   */
   go(link: string, replace = false): void {
     if (replace) {
+      if (!this.on(readRoute(link).page)) return;
       history.replaceState(null, "", link);
       this.now = readRoute(location.hash);
     } else {

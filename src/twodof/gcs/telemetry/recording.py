@@ -310,6 +310,7 @@ async def record(
     }
     if not ours:
         handlers |= {name: partial(recording.telemetry, decode) for name, decode in DECODERS.items()}
+    begun = False
     try:
         async with AsyncExitStack() as stack:
             for name, handler in handlers.items():
@@ -319,7 +320,10 @@ async def record(
             columns = [column for row in recording.onboard for column in row.columns]
             if ours and columns:
                 await stack.enter_async_context(drone.batches.to(recording.take, channel_mask(columns)))
+            begun = True
             yield recording
     finally:
         # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
         await asyncio.to_thread(recording.finish)
+        if not begun and not recording.samples:  # the drone did not send them: nobody has heard of the file
+            recording.path.unlink(missing_ok=True)

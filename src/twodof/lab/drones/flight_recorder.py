@@ -12,7 +12,7 @@ from twodof.errors import LogError, Rejected, Timeout
 from twodof.flightlog import numbered
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.control.active_controller import ActiveController
-from twodof.gcs.telemetry.recording import record
+from twodof.gcs.telemetry.recording import Recording, record
 
 LOOK_S = 0.02
 AFTER_S = 1.0
@@ -55,16 +55,18 @@ class FlightRecorder:
         system = self._drone.session.system
         path = numbered(self._folder / f"{began:%Y-%m-%d-%H-%M-%S}-drone-{system}.mcap")
         told = {"recorded": {"by": "lab", "began": began.isoformat(timespec="milliseconds")}}
+        begun: Recording | None = None
         self.name = path.name  # before the file is there: whoever finds it then knows that it cannot be read yet
         try:
             async with record(self._drone, path, None, told, self._flying, overwrite=False) as recording:
+                begun = recording
                 await self._until(armed=False)
                 with suppress(TimeoutError):
                     async with asyncio.timeout(AFTER_S):
                         await self._until(armed=True)
-            if not recording.samples:  # a log without a sample cannot be read
-                path.unlink(missing_ok=True)
         finally:
+            if begun is not None and not begun.samples:  # a log without a sample cannot be read
+                path.unlink(missing_ok=True)
             self.name = ""
             if path.exists():
                 self._recorded(path.name)

@@ -9,8 +9,8 @@ from twodof.errors import IdentificationError, LogError
 from twodof.experiment.expected_accuracy import expected_accuracy
 from twodof.experiment.experiments import Experiment, experiment
 from twodof.experiment.flight import Laboratory
-from twodof.flightlog.files import read_log
 from twodof.identify.from_flight.identified_flight import identify_flight
+from twodof.lab.logbook.read_logs import named_log
 from twodof.rig.parameters import NAMES
 
 
@@ -58,9 +58,9 @@ def identify(
 ) -> dict[str, Any]:
     """The `view` of a log's fit, and the `model` that can be kept."""
     progress(0.05, "reading the log")
-    log = read_log(path)
-    free = None if impulse is None else read_log(impulse)
-    checks = [read_log(other) for other in others]
+    log = named_log(path)
+    free = None if impulse is None else named_log(impulse)
+    checks = [named_log(other) for other in others]
     progress(0.2, "searching the model")
     found = identify_flight(
         log, kind, structure=structure, impulse=free, others=checks, window=window, disturbance=disturbance

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.flightlog.files import read_log
+from twodof.errors import LogError
 from twodof.flightlog.log import FlightLog
+from twodof.lab.logbook.read_logs import kept_log
 from twodof.report.step_responses import FlownStep, step_responses
 
 SHOWN_S = 3.0
@@ -14,20 +15,24 @@ LEAST = 0.035
 MOST_STEPS = 12
 
 
-def measured_steps(path: str, goal: float) -> list[dict[str, Any]]:
+def measured_steps(path: str, goal: float) -> dict[str, Any]:
     """The last steps of the attitude's set-point in a log, each turned, moved and scaled to go from 0 to `goal` [rad].
 
-    `time` [s] is from the step on, up to the next. Raises LogError for a log that tells no modes, or cannot be read.
+    `time` [s] is from the step on, up to the next. `unclear` says why there are none in a log that tells no modes, or
+    cannot be read.
     """
-    log = read_log(path)
-    flown = [one for one in step_responses(log) if one.loop == "attitude"]
+    try:
+        log = kept_log(path)
+        flown = [one for one in step_responses(log) if one.loop == "attitude"]
+    except LogError as reason:
+        return {"steps": [], "unclear": reason.what}
     ends = [*(one.time for one in flown[1:]), float("inf")]
     found = [
         _scaled(log, one, goal, min(SHOWN_S, end - one.time))
         for one, end in zip(flown, ends, strict=False)
         if abs(one.after - one.before) >= LEAST
     ]
-    return found[-MOST_STEPS:]
+    return {"steps": found[-MOST_STEPS:], "unclear": ""}
 
 
 def _scaled(log: FlightLog, step: FlownStep, goal: float, shown: float) -> dict[str, Any]:

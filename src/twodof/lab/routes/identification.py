@@ -91,7 +91,8 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     key = None if lab.settings.key is None else str(lab.settings.key)
     folder = str(lab.logs.folder)
     job = lab.jobs.start("flight", fly_experiment, stop, one.url, asked.drone, key, made, asked.seed, folder)
-    lab.stops = {name: kept for name, kept in lab.stops.items() if not lab.jobs[name].over} | {job.id: stop}
+    running = {one.id for one in lab.jobs.all if not one.over}  # one that ended long ago is not even remembered
+    lab.stops = {name: kept for name, kept in lab.stops.items() if name in running} | {job.id: stop}
     return job.told()
 
 
@@ -110,10 +111,10 @@ async def fitted(lab: CurrentLab, asked: AskedFit) -> dict[str, Any]:
     """Identify from a log, by output error and by hand; answers the job, whose result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
         raise ParameterError(f"nothing is identified from {shown(asked.kind)}", "kind", listed(KINDS))
-    impulse = None if asked.impulse is None else str(lab.logs.place(asked.impulse).path)
-    others = [str(lab.logs.place(name).path) for name in asked.others]
+    impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
+    others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
-    return lab.jobs.start("fit", identify, str(lab.logs.place(asked.log).path), *given).told()
+    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given).told()
 
 
 def _values(document: dict[str, Any]) -> dict[str, float]:

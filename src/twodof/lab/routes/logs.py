@@ -17,7 +17,7 @@ from fastapi.responses import FileResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.background import BackgroundTask
 
-from twodof.errors import LogError, RecordingError, Rejected
+from twodof.errors import LogError, RecordingError, Rejected, TwodofError
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab.access import takes
 from twodof.lab.current_lab import CurrentLab
@@ -65,24 +65,37 @@ async def compare(
     """Logs over each other, their clocks 0 at the first step of a set-point or at their start, and their steps."""
     if len(set(name)) < len(name):
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each once")
-    paths = {one: str(lab.logs.place(one).path) for one in name}
+    paths = {one: str(lab.whole_log(one)) for one in name}
     return await _work(lab, log_work.compare, paths, align, _window(begin, end), points)
 
 
 @router.get("/{name}")
 async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """What is known of a log: its summary, channels, parameters, words of the drone, changes of parameters, notes."""
-    found = await _work(lab, log_work.facts, str(lab.logs.place(name).path))
-    return found | {"notes": lab.logs.notes(name), "ours": lab.logs.place(name).ours}
+    """What is known of a log: its summary, channels, parameters, words of the drone, changes of parameters, notes.
+
+    `unreadable` says why there is nothing but the notes, "" where it can be read.
+    """
+    kept = {"notes": lab.logs.notes(name), "ours": lab.logs.place(name).ours}
+    try:
+        return kept | {"unreadable": ""} | await _work(lab, log_work.facts, str(lab.whole_log(name)))
+    except (LogError, Rejected) as reason:
+        return kept | {"unreadable": _in_words(reason)}
 
 
 @router.get("/{name}/summary")
 async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """What the list says of a log, with the lowest and highest values of a small curve."""
-    path = lab.logs.place(name).path
-    found = path.stat()
-    key = (str(path), found.st_mtime_ns, found.st_size)
-    return await lab.summaries.get(key, lambda: _work(lab, log_summary, str(path)))
+    """What the list says of a log, with the lowest and highest values of a small curve.
+
+    `unreadable` says why there is nothing of that, "" where it can be read: it is damaged, or being recorded, or it was
+    deleted since the list was made.
+    """
+    try:
+        path = lab.whole_log(name)
+        found = path.stat()
+        key = (str(path), found.st_mtime_ns, found.st_size)
+        return {"unreadable": ""} | await lab.summaries.get(key, lambda: _work(lab, log_summary, str(path)))
+    except (TwodofError, OSError) as reason:
+        return {"unreadable": _in_words(reason) if isinstance(reason, TwodofError) else "it was deleted"}
 
 
 @router.get("/{name}/view")
@@ -95,20 +108,20 @@ async def view(
     topic: Annotated[list[str] | None, Query(max_length=20, description="Signals; left out: the usual ones.")] = None,
 ) -> dict[str, Any]:
     """Curves of a part of a log, thinned to lowest and highest values; modes, acts of the failsafe, excitations."""
-    path = str(lab.logs.place(name).path)
+    path = str(lab.whole_log(name))
     return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points)
 
 
 @router.get("/{name}/steps")
 async def steps(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """The steps of set-points with rise, overshoot, settling, peak and largest moment."""
-    return await _work(lab, log_work.steps, str(lab.logs.place(name).path))
+    return await _work(lab, log_work.steps, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/replay")
 async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """Where the drone was at equal times, for the 3-D view."""
-    return await _work(lab, log_work.replay, str(lab.logs.place(name).path))
+    return await _work(lab, log_work.replay, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/file", response_class=Response)
@@ -116,7 +129,7 @@ async def file(
     lab: CurrentLab, name: Name, form: Annotated[Format | None, Query(description="Left out: as it is.")] = None
 ) -> Response:
     """The log as a file, in its own format or in another."""
-    path = lab.logs.place(name).path
+    path = lab.whole_log(name)
     suffix = path.suffix.lower() if form is None else f".{form}"
     if suffix == path.suffix.lower():
         return FileResponse(path, filename=path.name, media_type="application/octet-stream")
@@ -182,6 +195,10 @@ async def _receive(request: Request, path: FilePath) -> None:
                 stream.write(piece)
     except OSError as refusal:
         raise RecordingError(f"cannot be kept: {os.strerror(refusal.errno or 0)}", "logs") from refusal
+
+
+def _in_words(reason: TwodofError) -> str:
+    return f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what
 
 
 def _window(begin: float | None, end: float | None) -> tuple[float, float] | None:

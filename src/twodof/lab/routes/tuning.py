@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body
 from pydantic import BaseModel, ConfigDict, Field
 
+from twodof.errors import DiagramError, LogError, Rejected, Timeout
 from twodof.lab.access import computes
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.models.measured_steps import measured_steps
@@ -57,13 +58,18 @@ async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[
     """Margins, the band of step responses, figures and the verdict of the law as it would be with `changes`.
 
     `touches` tells whether they change the law of the pitch at all, `parameters` what does. `confirm` is the token
-    that a change takes which is not kept stable. 422 where the law that flies has no linear model.
+    that a change takes which is not kept stable. `why` says why there is nothing of that, "" where there is: the law
+    that flies may have no linear model.
     """
     name = asked.model or lab.models.chosen(number)
     if name is None:
         raise NotThere("no model guards this drone", f"drone {number}", "identify one, or choose one")
-    told = await lab.guard.judge(lab.drones[number], asked.changes, name, asked.goal)
+    try:
+        told = await lab.guard.judge(lab.drones[number], asked.changes, name, asked.goal)
+    except DiagramError as reason:
+        return {"why": f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what, "model": name}
     return {
+        "why": "",
         **told["preview"],
         "model": name,
         **{key: told[key] for key in ("controller", "touches", "parameters", "unstable")},
@@ -79,8 +85,13 @@ async def measured(
     log: Annotated[str, Body(min_length=1, max_length=200)],
     goal: Annotated[float, Body(ge=0.001, le=0.8, allow_inf_nan=False)] = math.radians(10.0),
 ) -> dict[str, Any]:
-    """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0."""
+    """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
+
+    `unclear` says why there are none in a log that tells no modes, cannot be read, or was deleted meanwhile.
+    """
     lab.drones[number]
-    path = str(lab.logs.place(log).path)
-    steps = await lab.log_bench.do(measured_steps, path, goal, seconds=READING_S)
-    return {"log": log, "steps": steps}
+    try:
+        found = await lab.log_bench.do(measured_steps, str(lab.whole_log(log)), goal, seconds=READING_S)
+    except (LogError, NotThere, Rejected, Timeout) as reason:
+        found = {"steps": [], "unclear": reason.what}
+    return {"log": log, **found}

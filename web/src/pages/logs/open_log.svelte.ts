@@ -15,6 +15,8 @@ export class OpenLog {
   steps = $state.raw<{ steps: readonly LoggedStep[]; unclear: string }>({ steps: [], unclear: "" });
   replay = $state.raw<Replay | undefined>();
   failure = $state<unknown>(undefined);
+  /** Whether it is of the server's own folder: then it may be deleted, also where it cannot be read. */
+  ours = $state(false);
   /** Of the replay [s]. */
   time = $state(0);
   plays = $state(false);
@@ -33,7 +35,13 @@ export class OpenLog {
   /** Reads the log; `at` is where the replay stands. */
   async load(at: number): Promise<void> {
     try {
-      const [facts, view] = await Promise.all([logFacts(this.name), logView(this.name, undefined, POINTS)]);
+      const facts = await logFacts(this.name);
+      this.ours = facts.ours;
+      if (!("span" in facts)) {
+        this.failure = new Error(`${this.name} cannot be read: ${facts.unreadable}`);
+        return;
+      }
+      const view = await logView(this.name, undefined, POINTS);
       this.facts = facts;
       if (Number.isFinite(at)) this.seek(at);
       else this.time = facts.span[0];

@@ -159,9 +159,10 @@ export class Tuning {
     if (question === this.asked) return;
     this.previewing = true;
     try {
-      this.preview = await previewTuning(this.drone, changes, this.goal);
+      const found = await previewTuning(this.drone, changes, this.goal);
+      this.preview = "bands" in found ? found : undefined;
       this.asked = question;
-      this.refused = "";
+      this.refused = found.why;
     } catch (failure) {
       this.preview = undefined;
       this.refused = failure instanceof ApiError ? failure.message : String(failure);
