@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from twodof.lab.access.declared import MOST_BODY, most_body, only_computes
+from twodof.lab.access.declared import MOST_BODY, most_body, watchers_may
 from twodof.lab.access.gate import SAFE
 from twodof.lab.access.route_table import RouteRow, RouteTable
 from twodof.lab.refusals import DESCRIPTIONS
@@ -38,8 +38,9 @@ A request that is refused is answered by `{{"what", "where", "remedy"}}` and one
 {{statuses}}
 
 **Who** says which link a route takes: `watch` takes both, `command` only the one that commands. A route that only
-computes changes nothing, so `watch` may call it. A request has {MOST_BODY >> 20} MiB at most, unless its route says
-otherwise. `{{{{number}}}}` in a path is the MAVLink system of a drone: 1 for the first virtual one.
+computes changes nothing, so `watch` may call it; and who watches may stop the motors. A request has
+{MOST_BODY >> 20} MiB at most, unless its route says otherwise. `{{{{number}}}}` in a path is the MAVLink system of a
+drone: 1 for the first virtual one.
 """
 
 WEB_SOCKET = f"""## telemetry
@@ -131,7 +132,7 @@ def _plain(path: str) -> str:
 
 def _route(row: RouteRow, told: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
     """A route's heading, who may call it, its text, and the tables of what it takes."""
-    watch = row.method in SAFE or only_computes(row.endpoint)
+    watch = row.method in SAFE or watchers_may(row.endpoint)
     who = "watch" if watch else "command"
     large = most_body(row.endpoint)
     size = f"; a request of up to {large / 2**20:.0f} MiB" if large != MOST_BODY else ""

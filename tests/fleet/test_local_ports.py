@@ -51,7 +51,7 @@ def test_a_port_that_is_taken_is_told_with_who_has_it(capfd: pytest.CaptureFixtu
         ours.bind(("127.0.0.1", ports.COMPANION_ONBOARD + number))
         assert run(["companion", "--index", str(number)]) == 2
         assert f"remedy: end process {os.getpid()} (" in capfd.readouterr().err
-        assert run(["up", "--first", str(number)]) == 2
+        assert run(["up", "--first", str(number + 1)]) == 2
         said = capfd.readouterr().err
         assert f"UDP port {ports.COMPANION_ONBOARD + number}, where the companion of drone {number + 1} listens" in said
         assert f"process {os.getpid()} (" in said

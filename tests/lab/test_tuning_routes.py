@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.lab.served_lab import ServedLab, served_lab
+from twodof.gcs import Drone
 from twodof.gcs.control.parameter_file import ParameterFile
 
 WILD = {"RATE_KP": 0.12, "RATE_KD": 0.003, "ATT_KP": 15.0}
@@ -64,6 +65,15 @@ def test_several_are_changed_together_or_not_at_all_and_taken_back(lab: ServedLa
     assert value(lab, "RATE_KI") == 0.2, "nothing was changed"
     assert lab.call("POST", "drones/1/parameters/undo")[0] == 200
     assert (value(lab, "RATE_KP"), value(lab, "RATE_KI")) == (0.0854, 0.251)
+
+
+def test_what_somebody_has_changed_since_is_not_taken_back(lab: ServedLab) -> None:
+    assert lab.call("PATCH", "drones/1/parameters", {"POS_KP": 1.0})[0] == 200
+    with Drone.connect(lab.call("GET", "drones")[1][0]["url"]) as script:
+        script.parameters["POS_KP"] = 1.1
+    status, told = lab.call("POST", "drones/1/parameters/undo")
+    assert (status, told["what"]) == (409, "POS_KP changed since then")
+    assert value(lab, "POS_KP") == 1.1
 
 
 def test_a_snapshot_says_what_it_would_change_and_brings_it_back(lab: ServedLab) -> None:
@@ -131,6 +141,15 @@ class TestGuard:
         assert lab.call("PATCH", f"drones/1/parameters?confirm={calm['confirm']}", WILD)[0] == 409, "another's token"
         assert lab.call("PATCH", f"drones/1/parameters?confirm={shown['confirm']}", WILD)[0] == 200
         assert value(lab, "RATE_KD") == 0.003
+        # To take back what makes them calm is such a change too.
+        assert lab.call("PATCH", "drones/1/parameters", {"RATE_KP": 0.0854, "RATE_KD": 0.0, "ATT_KP": 11.0})[0] == 200
+        status, told = lab.call("POST", "drones/1/parameters/undo")
+        assert status == 409
+        assert "does not keep this stable" in told["what"]
+        assert value(lab, "RATE_KD") == 0.0
+        status, told = lab.call("POST", f"drones/1/parameters/undo?confirm={shown['confirm']}")
+        assert status == 200
+        assert {"name": "RATE_KP", "before": 0.0854, "value": 0.12} in told["changed"]
 
     def test_what_it_keeps_stable_and_what_is_no_gain_of_the_pitch_pass(self, lab: ServedLab) -> None:
         assert lab.call("PATCH", "drones/1/parameters", {"RATE_KP": 0.08, "POS_KP": 1.0})[0] == 200

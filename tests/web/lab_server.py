@@ -106,7 +106,7 @@ def _children(parent: int) -> list[int]:
 def served(folder: Path, *options: str) -> Iterator[LabServer]:
     """`twodof up` with one drone on free ports, whose data are kept in `folder`, until the end of the block."""
     with free_numbers(1) as first:
-        command = [sys.executable, "-m", "twodof.cli", "up", "--json", "--first", str(first), "--page-port", "0"]
+        command = [sys.executable, "-m", "twodof.cli", "up", "--json", "--first", str(first + 1), "--page-port", "0"]
         environment = {**os.environ, "TWODOF_DATA": str(folder)}
         with (folder / "said").open("w+") as said:
             process = subprocess.Popen(

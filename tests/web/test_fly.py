@@ -22,6 +22,7 @@ def armed(page: Page) -> None:
     """Arms by the button, and sees that it is."""
     page.get_by_role("button", name="Arm", exact=True).click()
     expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
+    expect(page.get_by_role("button", name="Disarm")).to_be_focused()  # the keyboard stays where it was
 
 
 def flying(page: Page) -> None:
@@ -65,6 +66,13 @@ def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_
     slider.press("End")
     page.get_by_role("button", name="0.00", exact=True).click()
     reaches(page, "Position x", 0.0, 0.02)
+    number.fill("0.3")  # typed and left: nothing may jump
+    page.get_by_label("Thrust", exact=True).or_(page.get_by_role("tab", name="Position")).first.focus()
+    expect(number).to_have_accessible_description(re.compile("Not given yet: Enter gives it"))
+    assert lab_server.state["setpoint"]["value"] == 0.0
+    page.get_by_role("button", name="0.00", exact=True).click()
+    number.press("Escape")
+    expect(number).to_have_value("0")
     number.fill("0.9")
     number.press("Enter")
     expect(page.get_by_text("From -0.4 to 0.4 m.")).to_be_visible()
@@ -130,7 +138,12 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
         assert answer.value.status == 200, (kind, answer.value.text())
         assert answer.value.json()["motion"], (kind, answer.value.json()["why"])
     assert axe(page, "dialog") == []
+    drawn = """(() => { window.drawn = []; const draw = CanvasRenderingContext2D.prototype.fillText;
+        CanvasRenderingContext2D.prototype.fillText = function (text, ...at) {
+            window.drawn.push(text); return draw.call(this, text, ...at); }; })()"""
+    page.evaluate(drawn)
     dialog.get_by_label("Added to the set-point of").select_option("x")
+    page.wait_for_function("window.drawn.includes('Position [m]')")  # the open plot's axis says what is shown now
     dialog.get_by_label("Kind").select_option("impulse")
     dialog.get_by_label("Amplitude").fill("0.1")
     dialog.get_by_label("Width").fill("20")  # long enough to be seen, however much else runs; it is stopped before
@@ -148,13 +161,18 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
     reaches(page, "Position x", 0.0, 0.02)
 
 
-def test_who_only_watches_sees_and_cannot_touch(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_who_only_watches_sees_cannot_touch_and_may_stop(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.watch_link)
     expect(page.get_by_text("Watching only")).to_be_visible()
-    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_disabled()
-    expect(page.get_by_role("button", name=STOP)).to_be_disabled()
+    arm = page.get_by_role("button", name="Arm", exact=True)
+    expect(arm).to_be_disabled()
+    expect(arm).to_have_accessible_description("This link can only watch.")
     reaches(page, "Position x", 0.0, 0.05)
     assert "token" not in page.url
+    lab_server.tell("arm")
+    page.get_by_role("button", name=STOP).click()  # but whoever stands beside it may stop it
+    lab_server.until(killed=True, armed=False)
+    expect(page.get_by_label("What the drone says")).to_contain_text("the emergency stop was pressed by who watches at")
 
 
 def test_the_rig_is_reset_to_where_it_is_asked(lab_server: LabServer, open_page: OpenPage) -> None:

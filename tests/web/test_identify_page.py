@@ -14,6 +14,7 @@ from tests.patience import PATIENCE_S
 from tests.web.conftest import SIZES, OpenPage, Theme, axe, picture, scrolls_sideways
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import write_log
+from twodof.gcs import Drone
 
 LONG_MS = PATIENCE_S * 1000
 
@@ -69,8 +70,12 @@ def test_the_drone_flies_what_was_previewed(lab: ServedLab, open_page: OpenPage)
     page.get_by_role("button", name="Preview the accuracy").click()
     expect(page.get_by_role("row", name="k_v")).to_be_visible(timeout=LONG_MS)
     expect(page.get_by_text("of the rail")).to_be_visible()
+    assert lab.call("POST", "drones/1/reset", {"rings": True})[0] == 200
     page.get_by_role("button", name="Fly velocity-doublet").click()
     expect(page.get_by_text("the data are good")).to_be_visible(timeout=LONG_MS)
+    with Drone.connect(lab.call("GET", "drones/1")[1]["url"]) as drone:
+        assert drone.state.rig.rings_locked, "it is put back as it was"
+    expect(page.get_by_text("It was not put back")).to_be_hidden()
     expect(page.get_by_role("combobox", name="Log", exact=True)).to_have_value(re.compile(r"-velocity-doublet\.mcap$"))
 
 

@@ -90,7 +90,7 @@ def test_a_search_finds_by_help_and_stands_in_the_link(lab: ServedLab, open_page
 
 
 def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, open_page: OpenPage) -> None:
-    page = open_page(link(lab))
+    page = open_page(link(lab), expects=("409",))
     page.get_by_label("Model", exact=True).select_option("careful")
     expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
     for name, value in (("RATE_KP", "0.12"), ("RATE_KD", "0.003"), ("ATT_KP", "15")):
@@ -109,6 +109,16 @@ def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, op
     send.click()
     expect(page.get_by_text("Sent: ")).to_be_visible(timeout=LONG_MS)
     assert on_board(lab, "RATE_KD") == 0.003
+    for name, value in (("RATE_KP", "0.0854"), ("RATE_KD", "0"), ("ATT_KP", "11")):
+        edit(page, name, value)
+    page.get_by_role("button", name="Send 3 changes").click()
+    bar = page.get_by_label("What will be sent")
+    expect(bar).to_contain_text("Nothing edited", timeout=LONG_MS)
+    # To take that back is a change that is not kept stable: it is laid into the edits, and asked for as before.
+    page.get_by_role("button", name="Undo last send").click()
+    expect(bar.get_by_role("alert")).to_contain_text("does not keep this stable", timeout=LONG_MS)
+    expect(bar).to_contain_text("0.0854 → 0.12")
+    assert on_board(lab, "RATE_KD") == 0.0
 
 
 def test_a_snapshot_is_kept_compared_and_restored(lab: ServedLab, open_page: OpenPage) -> None:
@@ -141,6 +151,9 @@ def test_a_watcher_sees_all_and_sends_nothing(lab: ServedLab, open_page: OpenPag
     edit(page, "RATE_KP", "0.07")
     expect(page.get_by_text("This link can only watch.")).to_be_visible()
     expect(page.get_by_role("button", name="Send 1 change")).to_be_disabled()
+    model = page.get_by_label("Model", exact=True)
+    expect(model).to_be_disabled()
+    expect(model).to_have_accessible_description("This link can only watch.")
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])

@@ -11,19 +11,20 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError, LogError
 from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory, flight_log, ready
+from twodof.experiment.rig_noise import gyro_covariance, pitch_noise, rail_covariance, range_variance
 from twodof.experiment.script import script
+from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
 from twodof.identify.from_flight.ready_made import FLOWN_AS, SWING, TRAVEL, structure_for
 from twodof.identify.from_flight.sufficiency import LEVEL, PURPOSE, TOLD
 from twodof.identify.information import Information, predict
 from twodof.identify.record import Record
 from twodof.identify.validate import deviations
-from twodof.signals import PERIOD
+from twodof.models.structure import Structure
+from twodof.rig.rotors import lift
+from twodof.signals import HOVER, PERIOD
 
 Array = NDArray[np.float64]
-
-NOISE: Mapping[str, float] = {"q": 0.02, "x": 0.004}
-"""What a sample is taken to scatter by where no model says so: gyro with vibration [rad/s], range sensor [m]."""
 
 MOST_POINTS = 4000
 
@@ -36,7 +37,8 @@ class ExpectedAccuracy:
     """`information` is the Cramer-Rao bound; `motion` what the drone will do on the virtual rig, without noise.
 
     `motion` has `time` [s], `theta` [rad] and `x` [m] from the excitation's start on; `pitch` and `rail` are the shares
-    of the pitch stop and of the rail that it uses. `remark` says why there is no information, "" if there is.
+    of the pitch stop and of the rail that it uses. `remark` says why there is no information, "" if there is. `worse`
+    is how many times as large as with white noise of the sensor alone the deviations are that it is flown for.
     """
 
     experiment: Experiment
@@ -47,6 +49,7 @@ class ExpectedAccuracy:
     motion: Mapping[str, Array]
     pitch: float
     rail: float
+    worse: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
         """Plain data: of each unknown the value assumed, the standard deviation, and whether that is enough."""
@@ -63,7 +66,7 @@ class ExpectedAccuracy:
                     "value": value,
                     "sigma": sigma,
                     "share": share if math.isfinite(share) else None,
-                    "wanted": (_SUM if label == "dead_time" else label) in wanted,
+                    "wanted": _told(label) in wanted,
                     "enough": share <= TOLD,
                 }
             )
@@ -78,6 +81,7 @@ class ExpectedAccuracy:
             "motion": {name: [float(f"{v:.5g}") for v in values] for name, values in self.motion.items()},
             "pitch_share": self.pitch,
             "rail_share": self.rail,
+            "worse": self.worse,
         }
 
 
@@ -90,8 +94,8 @@ def expected_accuracy(
     """Plan a flight: it is flown on the virtual rig without noise, and what that tells is the Fisher information.
 
     `values` are what the unknowns are thought to be (default: the structure's guesses), `noise` the standard deviation
-    of a sample of each output (default: `NOISE`). What gusts take from the accuracy is not in it. Raises
-    ExperimentError for an excitation that meets a stop or does not fit the rail.
+    of a sample of each output, taken for white. Left out, it is the noise that this rig has, with its gusts and its
+    vibration (`rig_noise`). Raises ExperimentError for an excitation that meets a stop or does not fit the rail.
     """
     one = ready(experiment)
     x_start = laboratory.start(one)
@@ -104,29 +108,71 @@ def expected_accuracy(
     pitch = float(np.abs(theta).max()) / stops["pitch_stop"]
     rail = 0.0 if one.rings else float(np.abs(x).max()) / stops["rail_stop"]
     log = flight_log(out, np.asarray(plan.setpoints["mode"], dtype=np.int32), {})
-    kind, remark, found = "", "", None
+    kind, remark, found, worse = "", "", None, 1.0
     try:
         kind = FLOWN_AS.get(one.name, one.name)
         if kind not in KINDS:
             kind = kind_of(log).name
-        found = _information(cut(log, kind), kind, dict(values or {}), {**NOISE, **(noise or {})})
+        found, worse = _Plan(cut(log, kind), kind, dict(values or {})).information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
         remark = f"what it tells is not known before: {reason.what}"
-    return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail)
+    return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail, worse)
 
 
-def _information(record: Record, kind: str, values: dict[str, float], noise: Mapping[str, float]) -> Information:
-    structure = structure_for(kind)
-    output = "x" if kind == "velocity" else "q"
-    known = {name: value for name, value in values.items() if name in structure.unknowns}
-    wanted: tuple[str, ...]
-    if kind == "velocity":
-        wanted = TRAVEL
-    elif kind == "doublet":
-        wanted = tuple(name for name in structure.estimate if name not in SWING)
-    else:
-        wanted = structure.estimate
-    # Dead time and lag have nearly one effect, and the sum of the two is what is asked for: the lag is held.
-    wanted = tuple(name for name in wanted if name != "lag")
-    inputs = {name: record.inputs[name] for name in structure.inputs}
-    return predict(structure, inputs, record.dt, {output: noise[output]}, values=known, estimate=wanted)
+def _load(one: Experiment, rig: Mapping[str, float]) -> float:
+    """The thrust over that of hover: gusts and vibration grow with it."""
+    return float(lift(one.thrust, rig["curve"]) / lift(HOVER, rig["curve"]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """The record that will be fitted, of a `kind` of identification, and what is known of the unknowns."""
+
+    record: Record
+    kind: str
+    values: dict[str, float]
+
+    def information(
+        self, rig: Mapping[str, float], load: float, noise: Mapping[str, float] | None
+    ) -> tuple[Information, float]:
+        """What it tells with white `noise`, else with the rig's own; how many times worse that is than white noise."""
+        structure, record = structure_for(self.kind), self.record
+        if noise is not None:
+            return self._predicted(structure, noise), 1.0
+        known = {name: row.value for name, row in structure.unknowns.items()} | self.values
+        if self.kind == "velocity":
+            white = self._predicted(structure, {"x": math.sqrt(range_variance(rig))})
+            position = record.outputs["x"].position
+            covariance = rail_covariance(rig, known, position, record.steps, record.dt, load)
+            found = self._predicted(structure, {"x": 1.0}, covariance={"x": covariance})
+        else:
+            white = self._predicted(structure, {"q": math.sqrt(gyro_covariance(rig, 1, record.dt, load)[0])})
+            model = DisturbanceModel("ar", {"q": pitch_noise(rig, known, record.dt, load)}, dt=record.dt)
+            found = self._predicted(structure, {"q": 1.0}, disturbance=model)
+        # A band of vibration alone leaves the residual all but white: then a fit makes nothing of its colour.
+        found = max(found, white, key=lambda one: float(one.sigma @ (1.0 / white.sigma)))
+        wanted = [k for k, label in enumerate(found.labels) if _told(label) in PURPOSE.get(self.kind, ())]
+        return found, float(max((found.sigma[k] / white.sigma[k] for k in wanted), default=1.0))
+
+    def _predicted(self, structure: Structure, noise: Mapping[str, float], **of_noise: Any) -> Information:
+        wanted: tuple[str, ...]
+        if self.kind == "velocity":
+            wanted = TRAVEL
+        elif self.kind == "doublet":
+            wanted = tuple(name for name in structure.estimate if name not in SWING)
+        else:
+            wanted = structure.estimate
+        # Dead time and lag have nearly one effect, and the sum of the two is what is asked for: the lag is held.
+        wanted = tuple(name for name in wanted if name != "lag")
+        values = {name: value for name, value in self.values.items() if name in structure.unknowns}
+        inputs = {name: self.record.inputs[name] for name in structure.inputs}
+        sampled = {name: self.record.outputs[name].position for name in noise}
+        noise = {name: noise[name] for name in sampled}
+        return predict(
+            structure, inputs, self.record.dt, noise, values=values, estimate=wanted, sampled=sampled, **of_noise
+        )
+
+
+def _told(label: str) -> str:
+    """What an unknown is flown for: with the lag held the dead time stands for the sum of the two."""
+    return _SUM if label == "dead_time" else label

@@ -56,12 +56,12 @@ def port_in_use(index: int) -> str:
 
 
 def check_ports_free(first: int, drones: int) -> None:
-    """That `drones` from number `first` on find their ports free. Raises LinkError, which names one that is not."""
+    """That `drones` from index `first` on find their ports free. Raises LinkError, which names one that is not."""
     for index in range(first, first + drones):
         if found := port_in_use(index):
             free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
             other = next(free, None)
-            rest = "" if other is None else f", or take other numbers: --first {other}"
+            rest = "" if other is None else f", or take other numbers: --first {other + 1}"
             raise LinkError(found, "this machine", f"end that program, or ask who started it{rest}")
 
 

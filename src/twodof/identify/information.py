@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import solve_triangular
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance
@@ -89,6 +90,8 @@ def predict(
     repeats: int = 1,
     disturbance: DisturbanceModel | None = None,
     prior: Mapping[str, tuple[float, float]] | None = None,
+    sampled: Mapping[str, ArrayLike] | None = None,
+    covariance: Mapping[str, Array] | None = None,
 ) -> Information:
     """The accuracy that `inputs` (name -> samples, each `dt` [s]) will give for the unknowns `estimate`.
 
@@ -96,8 +99,9 @@ def predict(
     to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
     flight, gain nothing from it. `disturbance`: the noise model of an earlier estimate (`found.disturbance`), whose
     noise of an output is taken instead of white noise of that size. `prior`: what is known before, as `fit` has it. It
-    counts once, however many flights there are. Raises IdentificationError as `fit` does, for
-    unknowns the experiment cannot tell.
+    counts once, however many flights there are. `sampled`: when an output's samples come, in steps (default: each).
+    `covariance`: that of an output's samples, which takes the place of its white noise. Raises IdentificationError as
+    `fit` does, for unknowns the experiment cannot tell.
     """
     for output, size in noise.items():
         if output not in structure.outputs or not size > 0.0:
@@ -106,7 +110,7 @@ def predict(
                 f"structure '{structure.name}'",
                 f"outputs: {', '.join(structure.outputs)}",
             )
-    record = _blank(structure, inputs, dt, tuple(noise))
+    record = _blank(structure, inputs, dt, tuple(noise), sampled)
     wanted = structure.estimate if estimate is None else tuple(estimate)
     problem = Problem(structure, [record], wanted, dict(values or {}), {}, prior=prior)
     problem.set_noise(noise)
@@ -118,6 +122,11 @@ def predict(
             if model is not None:
                 rows = jacobian[block.rows] * noise[block.output]
                 jacobian[block.rows] = model.whiten(rows, [slice(0, rows.shape[0])])
+    for block in problem.blocks:
+        if (spread := (covariance or {}).get(block.output)) is not None:
+            root = np.linalg.cholesky(spread)
+            rows = jacobian[block.rows] * noise[block.output]
+            jacobian[block.rows] = solve_triangular(root, rows, lower=True)
     labels = tuple(slot.label for slot in problem.slots)
     where = f"structure '{structure.name}', planned experiment"
     condition = check_identifiable(jacobian, problem.scale, labels, where)
@@ -139,7 +148,13 @@ def predict(
     )
 
 
-def _blank(structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, outputs: Sequence[str]) -> Record:
+def _blank(
+    structure: Structure,
+    inputs: Mapping[str, ArrayLike],
+    dt: float,
+    outputs: Sequence[str],
+    sampled: Mapping[str, ArrayLike] | None = None,
+) -> Record:
     """A record with the inputs and no measurements yet (zeros)."""
     columns = {name: np.asarray(u, dtype=float) for name, u in inputs.items()}
     lengths = {u.size for u in columns.values()}
@@ -148,8 +163,9 @@ def _blank(structure: Structure, inputs: Mapping[str, ArrayLike], dt: float, out
             f"inputs of {sorted(lengths)} samples", f"structure '{structure.name}'", "give equal lengths, 2 or more"
         )
     steps = lengths.pop()
-    blank = Samples(np.arange(steps, dtype=float), np.zeros(steps))
-    return Record("planned", dt, 0.0, columns, dict.fromkeys(outputs, blank))
+    places = {name: np.asarray((sampled or {}).get(name, np.arange(steps)), dtype=float) for name in outputs}
+    blank = {name: Samples(place, np.zeros(place.size)) for name, place in places.items()}
+    return Record("planned", dt, 0.0, columns, blank)
 
 
 def simulate_planned(

@@ -158,7 +158,7 @@ def test_a_port_that_somebody_has_is_said_with_the_remedy(tmp_path: Path, capfd:
 def test_up_serves_the_page_of_its_drones_and_takes_it_along(tmp_path: Path) -> None:
     with (
         free_numbers(1) as first,
-        program(tmp_path, "up", "--json", "--first", str(first), "--page-port", "0", "--rings") as up,
+        program(tmp_path, "up", "--json", "--first", str(first + 1), "--page-port", "0", "--rings") as up,
     ):
         told = up.said()
         link = urlsplit(told["page"]["command"])

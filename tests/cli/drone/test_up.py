@@ -41,7 +41,7 @@ class Up:
 
     def __init__(self, first: int, folder: Path, *options: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "twodof.cli", "up", "--json", "--lockstep", "--first", str(first), *options],
+            [sys.executable, "-m", "twodof.cli", "up", "--json", "--lockstep", "--first", str(first + 1), *options],
             cwd=folder,
             env=os.environ | {"XDG_DATA_HOME": str(folder), "TWODOF_DATA": str(folder)},
             stdin=subprocess.DEVNULL,
@@ -122,11 +122,11 @@ def test_two_drones_answer_where_it_says_what_dies_is_started_again_and_all_ends
             assert (row["controller"], row["changed"]) == ("stock", 0)
             assert Path(row["state"]) == tmp_path / "kept" / f"drone-{row['index']}"
             assert (Path(row["state"]) / "stamps.json").is_file()  # it signs
-        assert run(["up", "--first", str(first), "--rig", "paper"]) == 2
+        assert run(["up", "--first", str(first + 1), "--rig", "paper"]) == 2
         said = capfd.readouterr().err
         taken = f"TCP port {5790 + first}, where the flight controller of drone {first + 1} listens, is in use"
         assert f"{taken}; process {program.process.pid} (" in said  # who started it, not its child
-        assert re.search(r"--first [0-9]\b", said)
+        assert re.search(r"--first ([1-9]|10)\b", said)
         assert program.said == []
         killed_and_started_again(program, "fcu")
         killed_and_started_again(program, "companion", 1)
@@ -201,7 +201,7 @@ def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path
 def test_a_program_that_cannot_start_is_named_with_what_it_says(
     first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    asked = ["up", "--json", "--first", str(first), "--state", str(tmp_path), "--rig", "no-such-rig.json"]
+    asked = ["up", "--json", "--first", str(first + 1), "--state", str(tmp_path), "--rig", "no-such-rig.json"]
     assert run(asked) == 2
     said = capfd.readouterr()
     error = json.loads(said.out)["error"]
@@ -231,5 +231,5 @@ def test_a_key_that_cannot_be_read_is_told_before_anything_is_started(capfd: pyt
 
 
 def test_drones_beyond_the_ports_that_clients_know_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["up", "--first", "9", "--drones", "2"]) == 2
-    assert "0 to 9" in capfd.readouterr().err
+    assert run(["up", "--first", "10", "--drones", "2"]) == 2
+    assert "1 to 10" in capfd.readouterr().err

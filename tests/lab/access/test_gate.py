@@ -14,7 +14,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
-from twodof.lab.access.declared import only_computes
+from twodof.lab.access.declared import only_computes, only_stops
 from twodof.lab.access.route_table import RouteRow, RouteTable
 from twodof.lab.server import ROUTERS
 from twodof.lab.settings import LabSettings
@@ -38,6 +38,8 @@ COMPUTES = {
     "/api/tuning/{number}/measured",
     "/api/tuning/{number}/preview",
 }
+# What stops motors: who watches beside the rig may do that.
+STOPS = {"/api/drones/{number}/kill"}
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +58,12 @@ def ids(row: RouteRow) -> str:
 
 
 @pytest.mark.parametrize("row", [row for row in ROWS if row.method != "WEBSOCKET"], ids=ids)
-def test_what_a_watcher_may_do_is_to_read_and_to_compute(server: Served, row: RouteRow) -> None:
+def test_what_a_watcher_may_do_is_to_read_to_compute_and_to_stop(server: Served, row: RouteRow) -> None:
     computes = only_computes(row.endpoint)
     assert computes == (row.method == "POST" and row.path in COMPUTES)
-    allowed = row.method in READS or computes
+    stops = only_stops(row.endpoint)
+    assert stops == (row.method == "POST" and row.path in STOPS)
+    allowed = row.method in READS or computes or stops
     answer = server.ask(row.method, path_of(row), {}, token=WATCH)
     refused = answer.status == 403
     assert refused != allowed, (answer.status, answer.content[:300])

@@ -19,12 +19,12 @@ class _Flown:
     `unclaimed` are files that were there, not whole, and not said to be written; `told` those said to be whole.
     """
 
-    def __init__(self, folder: Path, seconds: float, telemetry: bool) -> None:
+    def __init__(self, folder: Path, seconds: float, telemetry: bool, rests: bool = False) -> None:
         self.unclaimed: set[str] = set()
         self.told: list[str] = []
         self.failed: list[str] = []
         self.seen: set[str] = set()
-        self._folder, self._seconds, self._telemetry = folder, seconds, telemetry
+        self._folder, self._seconds, self._telemetry, self._rests = folder, seconds, telemetry, rests
         run_virtual(self._fly())
 
     async def _fly(self) -> None:
@@ -32,7 +32,8 @@ class _Flown:
             return ActiveController(known=False)
 
         async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            recorder = FlightRecorder(drone, self._folder, flying, self.told.append, self.failed.append)
+            told = (self.told.append, self.failed.append)
+            recorder = FlightRecorder(drone, self._folder, flying, *told, lambda: self._rests)
             tasks = [asyncio.create_task(recorder.run()), asyncio.create_task(self._look(recorder))]
             await drone.arm()
             for tick in range(round(self._seconds / 0.1)):
@@ -68,4 +69,10 @@ def test_a_flight_of_which_nothing_came_leaves_no_file(tmp_path: Path) -> None:
     """A file without a sample cannot be read: nobody should find it in the list of logs."""
     flown = _Flown(tmp_path, 0.2, telemetry=False)
     assert flown.told == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_flight_that_records_itself_is_not_recorded_again(tmp_path: Path) -> None:
+    flown = _Flown(tmp_path, 1.0, telemetry=True, rests=True)
+    assert (flown.told, flown.failed) == ([], [])
     assert list(tmp_path.iterdir()) == []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from tests.gcs.virtual import OnBoard, on_board
-from tests.lab.served import Served, holds_samples, served, wait_for_drone
+from tests.lab.served import WATCH, Served, holds_samples, served, wait_for_drone
 from tests.patience import patiently
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
@@ -24,7 +25,10 @@ FLIES = {"loop": "theta", "value": 0.05, "thrust": 0.4}
 @contextmanager
 def flying(folder: Path, **options: Any) -> Iterator[tuple[Served, OnBoard]]:
     """A server with one virtual drone, whose rings are locked unless `options` say otherwise."""
-    with on_board(conditions={"rings": True}, **options) as there, served(folder, there.url) as server:
+    with (
+        on_board(conditions={"rings": True}, **options) as there,
+        served(folder, there.url, watch_token=WATCH) as server,
+    ):
         wait_for_drone(server)
         yield server, there
 
@@ -115,13 +119,16 @@ def test_a_script_flies_while_the_page_watches_tunes_and_may_always_stop_it(dron
         assert "ATT_KP" in client.event("parameters")["names"]
         script.parameters["ATT_KP"] = 11.0
         assert script.state.armed
-        killed = server.ask("POST", "/api/drones/1/kill")
+        killed = server.ask("POST", "/api/drones/1/kill", token=WATCH)  # whoever is beside it may
         assert killed.status == 200
         assert (killed.json["armed"], killed.json["killed"]) == (False, True)
         client.event("drone", killed=True)
+        said = [(line["severity"], line["text"]) for line in server.ask("GET", "/api/drones/1/texts").json]
+        assert ("critical", "the emergency stop was pressed by who watches at 127.0.0.1") in said
         for _ in patiently():
             if script.state.killed:
                 break
+    assert server.ask("POST", "/api/drones/1/release", token=WATCH).status == 403
     assert server.ask("POST", "/api/drones/1/release").json["killed"] is False
     assert server.ask("DELETE", "/api/drones/1/lease").status == 200
 
@@ -183,6 +190,35 @@ def test_a_flight_is_recorded_from_arming_to_rest_whoever_flies_it(drone: tuple[
     assert theta.time[-1] >= seconds(ended)
     assert [(row[1], round(row[2], 4)) for row in log.provenance["changes"]] == [("RATE_KP", 0.08)]
     assert log.provenance["recorded"]["by"] == "lab"
+
+
+def test_an_experiment_is_one_log_and_the_drone_stands_as_before(drone: tuple[Served, OnBoard]) -> None:
+    """The job resets the drone and keeps the log: nothing is recorded twice, and no link is lost by it."""
+    server, _ = drone
+    before = {path.name for path in (server.folder / "flights").glob("*")}
+    pulse = {"kind": "impulse", "amplitude": 0.02, "width": 0.05, "lead": 0.1, "settle": 0.1}
+    asked = {"name": "velocity-doublet", "hold": 0.3, "rest": 0.1, "excitation": {**pulse, "unit": "rad"}}
+    with server.socket() as client:
+        started = server.ask("POST", "/api/identification/fly", {"experiment": asked, "drone": 1, "seed": 5})
+        assert started.status == 202, started.content
+        states = []
+        while True:
+            got = client.next()
+            event = json.loads(got) if isinstance(got, str) else {"event": "rows"}
+            if event["event"] == "drone":
+                states.append(event["state"])
+            assert event.get("job", {}).get("state") != "failed", event
+            if event["event"] == "log":
+                break
+        told = server.ask("GET", f"/api/jobs/{started.json['id']}").json["result"]
+    assert (told["rings_locked"], told["put_back"]) == (True, True)
+    assert {state["link"] for state in states} == {"heard"}
+    assert {state["recording"] for state in states} == {""}
+    assert {state["rings_locked"] for state in states} == {True, False}  # flown with the cart free
+    assert any(state["armed"] for state in states)
+    assert server.ask("GET", "/api/drones/1").json["rings_locked"]
+    assert {path.name for path in (server.folder / "flights").glob("*")} - before == {event["name"]}
+    assert read_log(server.folder / "flights" / event["name"]).provenance["experiment"] == "velocity-doublet"
 
 
 def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(

@@ -13,8 +13,10 @@ import pytest
 from tests.patience import PATIENCE_S
 from tests.processes import alive
 from twodof.errors import IdentificationError, Rejected
+from twodof.lab.access.lab_client import LabClient
+from twodof.lab.access.role import Role
 from twodof.lab.jobs.job import Job
-from twodof.lab.jobs.jobs import AT_ONCE, MOST_WAITING, Jobs
+from twodof.lab.jobs.jobs import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Jobs
 from twodof.lab.jobs.worker import Progress, in_real_time
 from twodof.lab.refusals import NotThere
 
@@ -108,6 +110,23 @@ def test_a_job_that_fails_says_why_and_the_next_one_runs(
         assert job.error is not None
         assert (job.error["what"], job.error["remedy"]) == (what, remedy)
         assert after.state == "done"
+
+    with_jobs(work)
+
+
+def test_who_only_watches_has_a_share_and_who_commands_finds_a_place() -> None:
+    async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
+        watchers = [LabClient(Role.WATCH, f"10.0.0.{k}") for k in range(3)]
+        first = [jobs.start("sleep", sleeps, client=watchers[0]) for _ in range(MOST_OF_ONE)]
+        with pytest.raises(Rejected, match=f"{MOST_OF_ONE} jobs of yours"):
+            jobs.start("sleep", sleeps, client=watchers[0])
+        for _ in range(MOST_OF_WATCHERS - MOST_OF_ONE):
+            jobs.start("sleep", sleeps, client=watchers[1])
+        with pytest.raises(Rejected, match="of those who watch"):
+            jobs.start("sleep", sleeps, client=watchers[2])
+        jobs.start("sleep", sleeps, client=LabClient(Role.COMMAND, "10.0.0.0"))
+        await jobs.cancel(first[-1].id)
+        jobs.start("sleep", sleeps, client=watchers[0])
 
     with_jobs(work)
 

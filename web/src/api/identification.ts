@@ -64,6 +64,8 @@ export interface Plan {
   motion: { time: number[]; theta: number[]; x: number[] };
   pitch_share: number;
   rail_share: number;
+  /** How many times as large as with white noise of the sensor alone the deviations are. */
+  worse: number;
   rehearsed: { estimates: EstimateRow[]; informative: Informative; remarks?: string[] } | null;
 }
 
@@ -73,6 +75,8 @@ export interface FlownExperiment {
   rig: string;
   good: boolean;
   reason: string;
+  /** Whether a virtual drone stands at its start again, with its rings as they were. */
+  put_back: boolean;
   checks: { name: string; passed: boolean; seen: string }[];
 }
 

@@ -94,7 +94,8 @@ export function changeParameters(drone: number, changes: Record<string, number>,
   return send<{ changed: Change[] }>("PATCH", `${at(drone)}${query}`, changes);
 }
 
-export const undoChange = (drone: number) => send<unknown>("POST", `${at(drone)}/undo`);
+/** Takes the last change back; the guard looks at it as at any change. */
+export const undoChange = (drone: number) => send<{ changed: Change[] }>("POST", `${at(drone)}/undo`);
 
 export const guardOf = (drone: number) => get<{ model: string | null; controller: string }>(`tuning/${drone}`);
 

@@ -13,8 +13,10 @@ const LOOK_MS = 1000;
 class Session {
   /** By number. */
   drones = $state.raw<ReadonlyMap<number, DroneState>>(new Map());
-  /** What link this page was opened by: a watcher's calls that change anything are refused. */
+  /** What link this page was opened by: a watcher's calls that change anything are refused, but for the stop. */
   role = $state<"command" | "watch">("command");
+  /** Why this page changes nothing, "" where it may. */
+  readonly watchOnly = $derived(this.role === "watch" ? "This link can only watch." : "");
   connected = $state(false);
   /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
   retryAt = $state(0);

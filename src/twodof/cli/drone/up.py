@@ -36,8 +36,8 @@ NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})
 def up(
     drones: Annotated[int, typer.Option(min=1, max=MOST_DRONES, help="How many.")] = 1,
     first: Annotated[
-        int, typer.Option(min=0, max=9, help="Number of the first, 0 to 9: its ports and system come from it.")
-    ] = 0,
+        int, typer.Option(min=1, max=MOST_DRONES, help="Number of the first: its MAVLink system, and its ports.")
+    ] = 1,
     rig: options.Rig = "lab",
     rings: options.Rings = False,
     controller: Annotated[
@@ -75,10 +75,11 @@ def up(
     With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
     that before all answered, 1 a program could not be kept running, 2 one did not start.
     """
-    if first + drones > MOST_DRONES:
-        raise typer.BadParameter(f"drones have the numbers 0 to {MOST_DRONES - 1}", param_hint="--first, --drones")
+    index = first - 1
+    if index + drones > MOST_DRONES:
+        raise typer.BadParameter(f"drones have the numbers 1 to {MOST_DRONES}", param_hint="--first, --drones")
     known = None if key is None else read_key(key)
-    check_ports_free(first, drones)
+    check_ports_free(index, drones)
     given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
     given += [
         option
@@ -91,7 +92,7 @@ def up(
     given += [option for name in controller or [] for option in ("--controller", name)]
     folder = data_folder() if state is None else state
     places = [
-        LocalDrone(first + number, (seed + number) % SEEDS, folder / f"drone-{first + number}", key)
+        LocalDrone(index + number, (seed + number) % SEEDS, folder / f"drone-{index + number}", key)
         for number in range(drones)
     ]
     fleet = LocalFleet(places, given, known, _tell)

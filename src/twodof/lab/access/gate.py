@@ -12,7 +12,7 @@ from fastapi.requests import HTTPConnection
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from twodof.lab.access.declared import most_body, only_computes
+from twodof.lab.access.declared import most_body, watchers_may
 from twodof.lab.access.origin import host_is_ours, origin_is_ours
 from twodof.lab.access.role import Role, role_of, token_of
 from twodof.lab.access.route_table import RouteTable
@@ -99,7 +99,7 @@ class Gate:
         if role is None:
             return 401, "the token is missing or is not one of this server's", "open the link that the server printed"
         scope.setdefault("state", {})["role"] = role
-        if role is Role.WATCH and not reads and not (endpoint is not None and only_computes(endpoint)):
+        if role is Role.WATCH and not reads and not watchers_may(endpoint):
             return 403, "this link is for watching only", "ask for the link that commands"
         return None
 

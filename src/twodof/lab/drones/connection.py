@@ -15,6 +15,7 @@ from twodof.lab.drones.flight_recorder import FlightRecorder
 from twodof.lab.drones.parameter_table import ParameterTable
 from twodof.lab.drones.pilot import Pilot
 from twodof.lab.drones.telemetry_source import TelemetrySource
+from twodof.lab.side_by_side import until_one_ends
 from twodof.lab.telemetry.feeds import Feeds
 from twodof.link.mavlink.rates import RATES
 
@@ -36,6 +37,11 @@ class Hearer(Protocol):
     @property
     def commanding(self) -> int:
         """How many clients are connected that may command."""
+        ...
+
+    @property
+    def lent(self) -> bool:
+        """Whether who flies it records by itself."""
         ...
 
     def tell_state(self, state: Mapping[str, Any]) -> None:
@@ -68,6 +74,7 @@ class DroneConnection:
             self.parameters.active,
             hearer.tell_log,
             lambda why: hearer.say("error", why),
+            lambda: hearer.lent,
         )
         self._hearer = hearer
 
@@ -80,15 +87,7 @@ class DroneConnection:
             if not self.drone.session.lockstep:
                 work += TelemetrySource(self.drone, self._hearer.feeds).work()
                 work.append(self.recorder.run())
-        tasks = [asyncio.create_task(one) for one in work]
-        try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        await until_one_ends(work)
 
     async def _ask_for_less(self) -> None:
         """Of streams at high rates none but that of its time: what clients want comes in batches."""

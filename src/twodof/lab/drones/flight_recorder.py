@@ -24,7 +24,8 @@ class FlightRecorder:
     """Records the flights of `drone` into `folder`.
 
     `flying` tells what flies, at once where it is known. `recorded` is told the name of each file that is whole,
-    `failed` why there is none. `name` is that of the file which is written now, "" between flights.
+    `failed` why there is none. While `rests` says so nothing is begun. `name` is that of the file which is written
+    now, "" between flights.
     """
 
     def __init__(
@@ -34,15 +35,22 @@ class FlightRecorder:
         flying: Callable[[], Awaitable[ActiveController]],
         recorded: Callable[[str], None],
         failed: Callable[[str], None],
+        rests: Callable[[], bool] = lambda: False,
     ) -> None:
         self.name = ""
         self._drone, self._folder, self._flying = drone, folder, flying
-        self._recorded, self._failed = recorded, failed
+        self._recorded, self._failed, self._rests = recorded, failed, rests
 
     async def run(self) -> None:
         """Record flight after flight until it is cancelled. Raises LinkLost where the drone is lost."""
+        session = self._drone.session
         while True:
             await self._until(armed=True)
+            while self._rests() and self._drone.state.armed:
+                session.check(session.now)
+                await asyncio.sleep(LOOK_S)
+            if not self._drone.state.armed:
+                continue
             try:
                 await self._record()
             except (LogError, OSError, Rejected, Timeout) as error:

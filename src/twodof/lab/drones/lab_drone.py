@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager, suppress
+from contextlib import ExitStack, asynccontextmanager, suppress
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, TwodofError
@@ -38,6 +38,7 @@ class LabDrone:
         self._connection: DroneConnection | None = None
         self._why_lost = "it was not heard yet"
         self._last: dict[str, Any] = {}
+        self._lendings = 0
 
     @property
     def state(self) -> dict[str, Any]:
@@ -63,6 +64,19 @@ class LabDrone:
         """The drone with the lease ours, taken where it is not. Raises Rejected where another keeps it, LinkLost."""
         async with self.connection.pilot.commanded() as drone:
             yield drone
+
+    def lend(self) -> ExitStack:
+        """Let a program of ours fly it that records by itself and may begin its time anew, until `close` of what is
+        returned."""
+        lent = ExitStack()
+        if self._connection is not None:
+            lent.enter_context(self._connection.drone.clock.resetting())
+        self._lendings += 1
+        lent.callback(self._lent_back)
+        return lent
+
+    def _lent_back(self) -> None:
+        self._lendings -= 1
 
     async def run(self) -> None:
         """Keep it connected until cancelled; then it is left, disarmed if it was ours."""
@@ -102,6 +116,11 @@ class LabDrone:
     def commanding(self) -> int:
         """How many clients are connected that may command."""
         return self._audience.commanding
+
+    @property
+    def lent(self) -> bool:
+        """Whether a program of ours flies it that records by itself."""
+        return self._lendings > 0
 
     def tell_state(self, state: Mapping[str, Any]) -> None:
         """Tell all clients how it stands."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from datetime import datetime
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Any
 
-from twodof.errors import ExperimentError
+from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
 from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Flight
 from twodof.experiment.fly import fly
@@ -31,7 +32,8 @@ def fly_experiment(
 ) -> dict[str, Any]:
     """Fly, write the log into `folder`, tell how good the data are. When `stop` is set the drone is disarmed at once.
 
-    What was flown until then is kept as well.
+    What was flown until then is kept as well. A virtual drone is put to its start again with its rings as they were,
+    but for one that was stopped: that is for a person to release.
     """
     doing = "connect"
     stopped: list[Flight] = []
@@ -45,13 +47,18 @@ def fly_experiment(
 
     progress(0.0, doing)
     with Drone.connect(url, key=key, drone=system) as drone:
+        before = drone.state.rig
         try:
             flight = fly(experiment, drone, seed=seed, progress=say, interrupted=stopped.append)
         except KeyboardInterrupt:
             if not stopped:
                 raise ExperimentError("it was stopped before it had begun", experiment.name) from None
             flight = stopped[0]
-        rig = drone.state.rig.name
+        put_back = False
+        if before.virtual and not drone.state.killed:
+            with suppress(Rejected, Timeout, LinkLost):  # the log is kept all the same
+                drone.reset(seed=before.seed, rings=before.rings_locked)
+                put_back = True
     place = Path(folder)
     place.mkdir(parents=True, exist_ok=True)
     path = numbered(place / f"{datetime.now():%Y-%m-%d-%H-%M-%S}-{experiment.name}.mcap")
@@ -59,7 +66,9 @@ def fly_experiment(
     return {
         "log": path.name,
         "experiment": experiment.name,
-        "rig": rig,
+        "rig": before.name,
+        "rings_locked": before.rings_locked if put_back else experiment.rings,
+        "put_back": put_back,
         "seed": flight.seed,
         "x_start": flight.x_start,
         "good": flight.good,

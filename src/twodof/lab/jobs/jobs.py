@@ -12,12 +12,16 @@ from multiprocessing.connection import Connection
 from typing import Any
 
 from twodof.errors import Rejected
+from twodof.lab.access.lab_client import LabClient
+from twodof.lab.access.role import Role
 from twodof.lab.jobs import worker
 from twodof.lab.jobs.job import Job
 from twodof.lab.refusals import NotThere
 
 AT_ONCE = 2
 MOST_WAITING = 16
+MOST_OF_ONE, MOST_OF_WATCHERS = 6, 12
+"""Jobs of one client that only watches, and of all such clients, that run or wait: who commands finds a place."""
 MOST_KEPT = 50
 LONGEST_S = 1800.0
 LOOK_S = 0.05
@@ -33,6 +37,7 @@ class Jobs:
         self._tell = tell
         self._jobs: dict[str, Job] = {}
         self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._clients: dict[str, LabClient] = {}
         self._turns = asyncio.Semaphore(AT_ONCE)
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload(["twodof.lab.jobs.warm"])
@@ -49,24 +54,34 @@ class Jobs:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")
         return job
 
-    def start(self, kind: str, work: Callable[..., object], *arguments: Any) -> Job:
+    def start(self, kind: str, work: Callable[..., object], *arguments: Any, client: LabClient | None = None) -> Job:
         """Run `work(progress, *arguments)` in a process of its own; returns at once.
 
         `work` is a function of a module, its arguments can be pickled, what it returns is plain data for JSON; it
         calls `progress(fraction, text)` as it goes on. What was declared `in_real_time` begins at once. Raises Rejected
-        where too many wait already.
+        where too many wait already, or where a `client` that only watches has its share.
         """
-        waiting = sum(not job.over for job in self._jobs.values())
-        if waiting >= AT_ONCE + MOST_WAITING and not worker.keeps_up(work):
-            raise Rejected("too many jobs wait already", "jobs", "wait for one, or cancel one")
+        if not worker.keeps_up(work):
+            self._check_share(client)
         job = Job(secrets.token_hex(8), kind, text="waits for its turn")
         self._jobs[job.id] = job
+        if client is not None:
+            self._clients[job.id] = client
         for old in [one.id for one in self._jobs.values() if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
             del self._jobs[old]
+            self._clients.pop(old, None)
         task = asyncio.create_task(self._run(job, work, arguments))
         self._tasks[job.id] = task
         task.add_done_callback(lambda _: self._tasks.pop(job.id, None))
         return job
+
+    def when_over(self, name: str, done: Callable[[Job], None]) -> None:
+        """Have `done` called with a job once it is over. Raises NotThere."""
+        job, task = self[name], self._tasks.get(name)
+        if task is None:
+            done(job)
+        else:
+            task.add_done_callback(lambda _: done(job))
 
     async def cancel(self, name: str) -> Job:
         """End a job, its process with it; one that is over stays as it is. Raises NotThere."""
@@ -76,12 +91,26 @@ class Jobs:
             task.cancel()
             with suppress(asyncio.CancelledError):
                 await task
+            if not job.over:  # it was cancelled before it had begun to wait for its turn
+                job.state, job.text = "cancelled", ""
         return job
 
     async def close(self) -> None:
         """Cancel all."""
         for name in [*self._tasks]:
             await self.cancel(name)
+
+    def _check_share(self, client: LabClient | None) -> None:
+        running = [job.id for job in self._jobs.values() if not job.over]
+        if len(running) >= AT_ONCE + MOST_WAITING:
+            raise Rejected("too many jobs wait already", "jobs", "wait for one, or cancel one")
+        if client is None or client.role is not Role.WATCH:
+            return
+        theirs = [one for name in running if (one := self._clients.get(name)) is not None and one.role is Role.WATCH]
+        if theirs.count(client) >= MOST_OF_ONE:
+            raise Rejected(f"{MOST_OF_ONE} jobs of yours run or wait already", "jobs", "wait for one")
+        if len(theirs) >= MOST_OF_WATCHERS:
+            raise Rejected("too many jobs of those who watch wait already", "jobs", "wait for one")
 
     async def _run(self, job: Job, work: Callable[..., object], arguments: tuple[Any, ...]) -> None:
         try:

@@ -9,6 +9,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from twodof.errors import ExperimentError
 from twodof.excitation import Excitation, Multisine, from_dict
+from twodof.lab.access import stops
+from twodof.lab.access.lab_client import CurrentClient
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.routes.drones import Number
 
@@ -69,9 +71,17 @@ async def disarm(lab: CurrentLab, number: Number) -> dict[str, Any]:
 
 
 @router.post("/drones/{number}/kill")
-async def kill(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Motors off, now, whoever commands it; said again until it is seen. It stays so until `release`."""
-    await lab.drones[number].drone.kill()
+@stops
+async def kill(lab: CurrentLab, number: Number, client: CurrentClient) -> dict[str, Any]:
+    """Motors off, now, whoever commands it; said again until it is seen. It stays so until `release`.
+
+    Who may only watch may stop it too. Who did is told to all clients, and stands in the flight's log.
+    """
+    drone = lab.drones[number].drone
+    try:
+        await drone.kill()
+    finally:  # also where it is not seen to stop
+        drone.texts.note("critical", f"the emergency stop was pressed by {client}")
     return lab.drones[number].state
 
 

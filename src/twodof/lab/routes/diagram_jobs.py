@@ -11,6 +11,7 @@ from pydantic import Field
 from twodof.errors import Rejected
 from twodof.fleet.flash import FLYING
 from twodof.lab.access import computes, takes
+from twodof.lab.access.lab_client import CurrentClient
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.lab import Lab
 from twodof.lab.routes.diagrams import COMPILE_S, MOST_TEXT, AskedDiagram
@@ -43,17 +44,17 @@ class AskedFlash(AskedRehearsal):
 @router.post("/margins", status_code=202)
 @computes
 @takes(MOST_TEXT)
-async def margins(lab: CurrentLab, asked: AskedMargins) -> dict[str, Any]:
+async def margins(lab: CurrentLab, client: CurrentClient, asked: AskedMargins) -> dict[str, Any]:
     """The margins and the Bode plots of the loops that a diagram closes; answers the job."""
-    return lab.jobs.start("margins", diagram_jobs.margins, asked.text, asked.rig).told()
+    return lab.jobs.start("margins", diagram_jobs.margins, asked.text, asked.rig, client=client).told()
 
 
 @router.post("/px4", status_code=202)
 @computes
 @takes(MOST_TEXT)
-async def px4(lab: CurrentLab, asked: AskedDiagram) -> dict[str, Any]:
+async def px4(lab: CurrentLab, client: CurrentClient, asked: AskedDiagram) -> dict[str, Any]:
     """The diagram as a module for PX4; answers the job, whose result has the folder as a zip file in base 64."""
-    return lab.jobs.start("px4", diagram_jobs.px4_module, asked.text).told()
+    return lab.jobs.start("px4", diagram_jobs.px4_module, asked.text, client=client).told()
 
 
 @router.post("/rehearsal", status_code=202)

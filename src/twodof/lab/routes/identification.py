@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import multiprocessing
+from contextlib import ExitStack
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path
@@ -12,10 +13,13 @@ from twodof.errors import ParameterError, Rejected, listed, shown
 from twodof.identify.experiments import KINDS
 from twodof.identify.from_flight.ready_made import AUTO, STRUCTURES
 from twodof.lab.access import computes
+from twodof.lab.access.lab_client import CurrentClient
 from twodof.lab.current_lab import CurrentLab
+from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.flights.asked_experiment import AskedExperiment, offered
 from twodof.lab.flights.flying import fly_experiment
 from twodof.lab.flights.identifying import identify, plan
+from twodof.lab.jobs.job import Job
 
 router = APIRouter(prefix="/api/identification", tags=["identification"])
 LogName = Annotated[str, Field(min_length=1, max_length=160)]
@@ -69,18 +73,20 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
 
 @router.post("/plan", status_code=202)
 @computes
-async def planned(lab: CurrentLab, asked: AskedPlan) -> dict[str, Any]:
+async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> dict[str, Any]:
     """What an experiment will tell, and how far it will move the drone; answers the job. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else _values(lab.models.read(asked.model))
-    return lab.jobs.start("plan", plan, asked.experiment.experiment(), rig, values, asked.rehearse).told()
+    given = (asked.experiment.experiment(), rig, values, asked.rehearse)
+    return lab.jobs.start("plan", plan, *given, client=client).told()
 
 
 @router.post("/fly", status_code=202)
 async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     """Fly an experiment, as `twodof fly` does: arm, hold, excite on board, disarm; answers the job.
 
-    The server gives its lease up for it. A virtual drone is put to its start first. 409 while the drone is armed.
+    The server gives its lease up for it, and keeps no recording of its own: the flight's log is the job's. A virtual
+    drone is put to its start first and afterwards, then with its rings as they were. 409 while the drone is armed.
     """
     one = lab.drones[asked.drone]
     made = asked.experiment.experiment()
@@ -93,6 +99,8 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     job = lab.jobs.start("flight", fly_experiment, stop, one.url, asked.drone, key, made, asked.seed, folder)
     running = {one.id for one in lab.jobs.all if not one.over}  # one that ended long ago is not even remembered
     lab.stops = {name: kept for name, kept in lab.stops.items() if name in running} | {job.id: stop}
+    lent = one.lend()
+    lab.jobs.when_over(job.id, lambda ended: _flown(one, lent, ended))
     return job.told()
 
 
@@ -107,14 +115,21 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 
 @router.post("/fit", status_code=202)
 @computes
-async def fitted(lab: CurrentLab, asked: AskedFit) -> dict[str, Any]:
+async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dict[str, Any]:
     """Identify from a log, by output error and by hand; answers the job, whose result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
         raise ParameterError(f"nothing is identified from {shown(asked.kind)}", "kind", listed(KINDS))
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
     others = [str(lab.whole_log(name)) for name in asked.others]
     given = (asked.kind, asked.structure, impulse, others, asked.window, asked.disturbance)
-    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given).told()
+    return lab.jobs.start("fit", identify, str(lab.whole_log(asked.log)), *given, client=client).told()
+
+
+def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
+    """The drone is ours again, and all are told of the log."""
+    lent.close()
+    if isinstance(job.result, dict):
+        one.tell_log(job.result["log"])
 
 
 def _values(document: dict[str, Any]) -> dict[str, float]:

@@ -9,6 +9,7 @@ from pydantic import Field
 
 from twodof.gcs.control.parameter_entry import BY_NAME, INT32, ParameterEntry, same_as
 from twodof.lab.current_lab import CurrentLab
+from twodof.lab.drones.parameter_table import SentChange
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api/drones/{number}/parameters", tags=["parameters"])
@@ -36,20 +37,30 @@ async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Con
     422 for a name or value that cannot be, 409 with the drone's reason; then nothing was changed. It is 409 too for
     gains that the drone's model does not keep stable, until `confirm` has the token of their preview.
     """
-    drone = lab.drones[number].drone
-    await lab.guard.check(lab.drones[number], changes, confirm)
-    parameters = drone.parameters
-    before = {name: await parameters.read(name) for name in changes}
-    await parameters.update(changes)
-    after = {name: await parameters.read(name) for name in changes}
-    return {"changed": [{"name": name, "before": before[name], "value": after[name]} for name in changes]}
+    one = lab.drones[number]
+    parameters = one.connection.parameters
+    await lab.guard.check(one, changes, confirm)
+    return _changed(await parameters.change(changes))
 
 
 @router.post("/undo")
-async def undo(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Back to what was before the last change. 409 where there is none."""
-    await lab.drones[number].drone.parameters.undo()
-    return lab.drones[number].state
+async def undo(lab: CurrentLab, number: Number, confirm: Confirmed = "") -> dict[str, Any]:
+    """Take back the last change that this server made; answers as that did. The drone's model guards it like a change.
+
+    409 where there is none, where somebody has changed the same since, and for gains that the model does not keep
+    stable, until `confirm` has the token of their preview.
+    """
+    one = lab.drones[number]
+    parameters = one.connection.parameters
+    made = parameters.last
+    await lab.guard.check(one, made.before, confirm)
+    await parameters.take_back(made)
+    return _changed(SentChange(made.after, made.before))
+
+
+def _changed(made: SentChange) -> dict[str, Any]:
+    rows = [{"name": name, "before": made.before[name], "value": value} for name, value in made.after.items()]
+    return {"changed": rows}
 
 
 def _row(entry: ParameterEntry) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from twodof.errors import TwodofError
 from twodof.lab.access.role import Role
 from twodof.lab.finite_json import dumps
 from twodof.lab.lab import Lab
+from twodof.lab.side_by_side import until_one_ends
 from twodof.lab.telemetry.feeds import FeedKey
 from twodof.lab.telemetry.frame import header
 from twodof.lab.telemetry.outbox import Outbox, StreamState
@@ -58,15 +59,7 @@ class TelemetryClient:
         for job in self._lab.jobs.all:
             if not job.over:
                 self._say({"event": "job", "job": job.told(with_result=False)})
-        tasks = [asyncio.create_task(work) for work in (self._send(), self._receive(), self._beat())]
-        try:
-            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            for task in done:
-                task.result()
-        finally:
-            for task in tasks:
-                task.cancel()
-            await asyncio.gather(*tasks, return_exceptions=True)
+        await until_one_ends((self._send(), self._receive(), self._beat()))
 
     async def _beat(self) -> None:
         """Say now and then that the server is there: a page cannot see a socket's own pings."""

@@ -13,13 +13,15 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
+from twodof.report.design_tokens import colours as design_colours
+from twodof.report.design_tokens import style
 from twodof.report.template_texts import fill, text
 
 # Colours of the page. matplotlib draws with a stand-in for each; in an SVG that becomes the CSS variable.
 _NAMES = "ink soft rule measured input set-point simple grey-box band paper bad"
 
 Colours = Mapping[str, str]
-"""A colour as matplotlib takes it, by its name in style.css."""
+"""A colour as matplotlib takes it, by its name in tokens.css; "paper" is that of the truth."""
 
 STAND_IN: Colours = MappingProxyType({name: f"#0a0b{i:02x}" for i, name in enumerate(_NAMES.split(), 1)})
 """For figures that `svg` turns into an element of a page."""
@@ -27,13 +29,15 @@ STAND_IN: Colours = MappingProxyType({name: f"#0a0b{i:02x}" for i, name in enume
 
 def page(title: str, lead: str, main: str, findings: str = "") -> str:
     """A page without script or network: the title as text, all else as HTML."""
-    return fill("page.html", title=escape(title), lead=lead, findings=findings, main=main, style=text("style.css"))
+    return fill(
+        "page.html", title=escape(title), lead=lead, findings=findings, main=main, style=style() + text("style.css")
+    )
 
 
 def on_paper() -> Colours:
-    """The light colours of the style sheet, for figures that stand alone."""
-    light = text("style.css").split("}", 1)[0]
-    return dict(re.findall(r"--([\w-]+): (#\w+);", light))
+    """The light colours, for figures that stand alone."""
+    light = {name: shades.light for name, shades in design_colours().items()}
+    return light | {"paper": light["truth"]}
 
 
 def settings(colours: Colours) -> Any:

@@ -8,8 +8,8 @@ const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "L
 const Y_AXIS = 58;
 
 export interface PlotOptions {
-  xLabel: string;
-  yLabel: string;
+  /** Asked for at each frame: what a plot shows may change. */
+  labels: () => readonly [x: string, y: string];
   xLog?: boolean;
   yLog?: boolean;
   /** Charts with the same key show the pointer at the same x. */
@@ -68,8 +68,8 @@ export class Plot {
         },
         series: [{}],
         axes: [
-          { ...axis, ...(options.xLabel ? { label: options.xLabel } : {}), size: 28, space: 64 },
-          { ...axis, label: options.yLabel, size: Y_AXIS - 20, space: 26 },
+          { ...axis, ...(options.labels()[0] ? { label: () => options.labels()[0] } : {}), size: 28, space: 64 },
+          { ...axis, label: () => options.labels()[1], size: Y_AXIS - 20, space: 26 },
         ],
         hooks: {
           draw: [

@@ -84,15 +84,7 @@ class Findings {
     try {
       const checked = await api.check(editor.text);
       if (editor.root === root) {
-        const before = this.problems.length;
         [this.checked, this.of, this.failure] = [checked, root, ""];
-        const count = checked.problems.length;
-        if (count !== before)
-          editor.say(
-            count === 0
-              ? "no problems"
-              : `${count} ${count === 1 ? "problem" : "problems"}: ${checked.problems[0]!.what}`,
-          );
       }
     } catch (failure) {
       this.failure = failure instanceof ApiError ? failure.message : String(failure);

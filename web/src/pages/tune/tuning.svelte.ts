@@ -35,8 +35,8 @@ export class Tuning {
   /** Why what was sent was refused. */
   failure = $state("");
   loaded = $state(false);
-  /** How many changes of this page can be taken back. */
-  sent = $state(0);
+  /** The changes of this page that can be taken back, the last one at the end. */
+  sent = $state.raw<readonly (readonly Change[])[]>([]);
   readonly changes = $derived(differences(this.rows, this.edits));
 
   private asked = "";
@@ -111,7 +111,7 @@ export class Tuning {
     try {
       const { changed } = await changeParameters(this.drone, asRecord(this.changes), confirm);
       this.edits = new Map();
-      this.sent += 1;
+      this.sent = [...this.sent, changed];
       toast(`Sent: ${changed.map((one) => one.name).join(", ")}`, "good");
       await this.refresh();
       return true;
@@ -125,14 +125,20 @@ export class Tuning {
   }
 
   async undo(): Promise<void> {
+    const last = this.sent.at(-1);
+    if (last === undefined) return;
     try {
       await undoChange(this.drone);
-      this.sent = Math.max(0, this.sent - 1);
+      this.sent = this.sent.slice(0, -1);
       toast("The last change was taken back", "good");
       await this.refresh();
       this.askSoon();
     } catch (failure) {
-      toastError(failure);
+      if (!(failure instanceof ApiError && failure.status === 409)) return void toastError(failure);
+      // It can be looked at, and sent as any change can, once more confirmed where the model does not keep it stable.
+      this.sent = this.sent.slice(0, -1);
+      this.take(last.map((one) => ({ ...one, before: one.value, value: one.before })));
+      this.failure = `Not taken back: ${failure.what}. The values from before stand in the edits: look, then send.`;
     }
   }
 
