@@ -94,6 +94,8 @@ BUSED: tuple[Any, ...] = (
     lambda r: lib.BusSelect(BUS, ["more.v", "light"]),
     lambda r: lib.BusAssign(BUS, [r.choice(("a", "more", "light"))]),
     lambda r: lib.BusCreate(BUS),
+    lambda r: lib.Delay(r.randint(1, 3), 4, {"a": r.uniform(-2, 2), "light": "red"}, BUS),
+    lambda r: lib.VariableDelay(5, r.choice(({"a": 1.5}, {"light": "amber"})), r.random() < 0.5, BUS),
 )
 CONTINUOUS: tuple[Any, ...] = (
     lambda r: lib.Integrator(),

@@ -28,6 +28,8 @@ from twodof.blocks.library import (
     StoreWrite,
     Switch,
     UnitDelay,
+    VariableDelay,
+    ZeroOrderHold,
 )
 
 
@@ -218,4 +220,168 @@ def bused() -> Told:
         out = _flat("s", _turn(mixed, gain, again_past)) | _flat("rates", rates) | _flat("made", made)
         expected.append({**out, "p": store["rates"]["p"]})
         again_past, store = mixed, changed
+    return Told(Case(d, [], inputs, {}), expected)
+
+
+class Corner(Block):
+    """One element of a matrix."""
+
+    inputs = (Port("m", shape=(2, 2)),)
+    outputs = (Port("y"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return u.m[0, 1]
+
+
+@told
+def bus_delayed() -> Told:
+    """A bus with arrays, delayed by a fixed and by a varying number of samples, at half the rate."""
+    v, m = Port("v", "int8", width=3), Port("m", shape=(2, 2))
+    bus = Bus("Wide", [v, m, Port("rates", RATES), Port("mode", Mode), Port("ok", "bool")])
+    names = ("v", "rates.p", "rates.count", "mode", "ok")
+    first: dict[str, Any] = {"m": 4.0, "rates": {"p": -1.5}, "mode": "flying"}
+    before = {"v": [0, 0, 0], "m": 4.0, "rates.p": -1.5, "rates.count": 0, "mode": int(Mode.flying), "ok": False}
+    d = Diagram("bus_delayed")
+    d.input("s", bus)
+    d.input("samples", "int32")
+    d.add("held", ZeroOrderHold(bus), rate=(2, 1), u="s")
+    d.add("fixed", Delay(3, 5, first, bus), rate=(2, 1), u="held")
+    d.add("varying", VariableDelay(4, first, kind=bus), u="s", samples="samples")
+    d.add("last", VariableDelay(1, first, False, bus), u="varying", samples="samples")
+    for name in ("fixed", "varying", "last"):
+        d.add(f"{name}_corner", Corner(), rate=(2, 1) if name == "fixed" else (1, 0), m=f"{name}.y.m")
+        d.output(f"{name}_m", f"{name}_corner")
+        for field in names:
+            d.output(f"{name}_{field.replace('.', '_')}", f"{name}.y.{field}")
+    r = random.Random(12)
+    inputs: list[dict[str, Any]] = []
+    expected: list[dict[str, Any]] = []
+    seen: list[dict[str, Any]] = []
+    moved: list[dict[str, Any]] = []
+    slow: list[dict[str, Any]] = []
+    shown: dict[str, Any] = dict.fromkeys([*names, "m"], 0) | {"v": [0, 0, 0], "ok": False}
+    for k in range(STEPS):
+        corner = float(r.randint(-9, 9))
+        s = {"v": [r.randint(-128, 127) for _ in range(3)], "m": corner, "mode": int(r.choice(list(Mode)))}
+        s |= {"rates.p": float(r.randint(-9, 9)), "rates.count": r.randint(-9, 9), "ok": r.random() < 0.5}
+        samples = r.randint(-1, 6)
+        matrix = [[1.0, corner], [2.0, 3.0]]
+        inputs.append({**{f"s.{name}": s[name] for name in names}, "s.m": matrix, "samples": samples})
+        seen.append(s)
+        back = min(max(samples, 0), 4)
+        moved.append(seen[k - back] if back <= k else before)
+        if k % 2 == 1:
+            slow.append(s)
+            shown = slow[-4] if len(slow) > 3 else before
+        last = moved[k - 1] if k else before
+        given = {"fixed": shown, "varying": moved[k], "last": last}
+        values = {f"{port}_{name}": at[name] for port, at in given.items() for name in ("m", *names)}
+        expected.append({name.replace(".", "_"): value for name, value in values.items()})
+    return Told(Case(d, [], inputs, {}), expected)
+
+
+UNIT = Bus("Unit", [Port("speed", unit="rad/s"), Port("at", width=2), Port("rates", RATES), Port("mode", Mode)])
+UNITS = 3
+
+
+class Crew(Block):
+    """Several buses side by side: read one by one, by a computed index, and field by field."""
+
+    inputs = (Port("units", UNIT, width=UNITS), Port("which", "int32"))
+    outputs = (Port("units", UNIT, width=UNITS), Port("one", UNIT), Port("total", unit="rad/s"))
+    states = (State("last", [{"speed": 1.0}, {"speed": 2.0}, {"speed": 4.0}], UNIT, width=UNITS),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        made = [
+            UNIT(speed=new.speed - last.speed, at=[new.at[1], last.at[0]], rates=last.rates, mode=new.mode)
+            for new, last in zip(u.units, x.last, strict=True)
+        ]
+        return {"units": made, "one": u.units[u.which], "total": sum(u.units.speed)}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"last": u.units}
+
+
+def _fields(unit: dict[str, Any]) -> dict[str, Any]:
+    """The values of a unit by output: a vector's elements one by one."""
+    flat = _flat("", unit)
+    at = flat.pop(".at")
+    return {**{name[1:].replace(".", "_"): value for name, value in flat.items()}, "at_0": at[0], "at_1": at[1]}
+
+
+class Element(Block):
+    """One of several units, as numbers."""
+
+    inputs = (Port("units", UNIT, width=UNITS),)
+    outputs = (
+        *(Port("speed", unit="rad/s"), Port("at_0"), Port("at_1"), Port("rates_p", unit="rad/s")),
+        *(Port("rates_count", "int32"), Port("mode", Mode)),
+    )
+
+    def __init__(self, which: int) -> None:
+        self.which = which
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        unit = u.units[self.which]
+        rates = {"rates_p": unit.rates.p, "rates_count": unit.rates.count}
+        return {"speed": unit.speed, "at_0": unit.at[0], "at_1": unit.at[1], **rates, "mode": unit.mode}
+
+
+@told
+def bus_arrays() -> Told:
+    """An array of buses through a block, an enabled sub-diagram, a switch and a delay."""
+    d = Diagram("bus_arrays")
+    d.input("units", UNIT, width=UNITS)
+    d.input("which", "int32")
+    d.input("go", "bool")
+    d.add("crew", Crew(), units="units", which="which")
+    inner = Diagram("inner")
+    inner.input("units", UNIT, width=UNITS)
+    inner.add("late", Delay(2, 3, {"speed": [7.0, 8.0, 9.0], "mode": "armed"}, UNIT, UNITS), u="units")
+    inner.output("units", "late")
+    d.add("inner", inner, enable="go", units="crew.units")
+    d.add("choice", Switch(UNIT, UNITS), condition="go", a="inner.units", b="units")
+    for name, source in (("crew", "crew.units"), ("choice", "choice")):
+        for i in range(UNITS):
+            element = d.add(f"{name}{i}", Element(i), units=source)
+            for port in Element.outputs:
+                d.output(f"{name}{i}_{port.name}", f"{element}.{port.name}")
+    for name in ("speed", "rates.p", "rates.count", "mode"):
+        d.output(f"one_{name.replace('.', '_')}", f"crew.one.{name}")
+    d.output("total", "crew.total")
+    r = random.Random(13)
+    inputs: list[dict[str, Any]] = []
+    expected: list[dict[str, Any]] = []
+    zero = {"speed": 0.0, "at": [0.0, 0.0], "rates": {"p": 0.0, "count": 0}, "mode": 0}
+    last = [{**zero, "speed": speed} for speed in (1.0, 2.0, 4.0)]
+    before = [{**zero, "speed": speed, "mode": 1} for speed in (7.0, 8.0, 9.0)]
+    late, shown = [before, before], [zero] * UNITS
+    for _ in range(STEPS):
+        units = [
+            {
+                "speed": float(r.randint(-9, 9)),
+                "at": [float(r.randint(-9, 9)), float(r.randint(-9, 9))],
+                "rates": {"p": float(r.randint(-9, 9)), "count": r.randint(-9, 9)},
+                "mode": int(r.choice(list(Mode))),
+            }
+            for _ in range(UNITS)
+        ]
+        which, go = r.randint(-2, 4), r.random() < 0.5
+        by_field = {name: [_flat("", unit)[name] for unit in units] for name in _flat("", units[0])}
+        inputs.append({**{f"units{name}": values for name, values in by_field.items()}, "which": which, "go": go})
+        made = [
+            {**old, "speed": new["speed"] - old["speed"], "at": [new["at"][1], old["at"][0]], "mode": new["mode"]}
+            for new, old in zip(units, last, strict=True)
+        ]
+        if go:
+            shown = late.pop(0)
+            late.append(made)
+        choice = shown if go else units
+        row: dict[str, Any] = {"total": (units[0]["speed"] + units[1]["speed"]) + units[2]["speed"]}
+        for name, given in (("crew", made), ("choice", choice)):
+            for i, unit in enumerate(given):
+                row |= {f"{name}{i}_{port}": value for port, value in _fields(unit).items()}
+        one = _fields(units[min(max(which, 0), UNITS - 1)])
+        expected.append(row | {f"one_{name}": v for name, v in one.items() if not name.startswith("at")})
+        last = units
     return Told(Case(d, [], inputs, {}), expected)

@@ -69,9 +69,11 @@ def _is_bus(declared: "Port | State | Param") -> bool:
     if not isinstance(kind, Bus):
         return False
     check_name(declared.name, "block")
-    if (declared.width, declared.shape, declared.unit, declared.enum) != (None, None, "", None):
-        remedy = "give it to the fields of the bus; an array of buses is not there"
-        raise DiagramError("a bus with a width, shape or unit", declared.name, remedy)
+    if (declared.shape, declared.unit, declared.enum) != (None, "", None):
+        raise DiagramError("a bus with a shape or unit", declared.name, "give it to the fields; an array has a width")
+    width = declared.width
+    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
+        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", declared.name, "use None for one bus")
     return True
 
 
@@ -158,6 +160,7 @@ class Port:
 
     With `shape`, (rows, columns), it is a matrix; its `width` is then the number of elements. A `kind` that is an
     enumeration becomes int32, and `enum` is the enumeration. One that is a Bus stands for ports named "att.rates.p".
+    With a `width` it is an array of buses: each of these ports is then an array, of vectors the rows of a matrix.
     """
 
     name: str

@@ -29,8 +29,13 @@ def elementwise(f: Callable[..., Any], *values: Any) -> Any:
         return {name: elementwise(f, *(v[name] for v in values)) for name in vars(first)}
     if isinstance(first, Matrix):
         return shaped(elementwise(f, *map(flat_of, values)), first.shape)
-    width = first.width if isinstance(first, Expr) else len(first) if isinstance(first, Vector) else None
+    width = width_of(first)
     return f(*values) if width is None else array_of(width, lambda i: f(*(v[i] for v in values)))
+
+
+def width_of(value: Any) -> int | None:
+    """The number of elements of an array; None of a number."""
+    return value.width if isinstance(value, Expr) else len(value) if isinstance(value, Vector) else None
 
 
 class Pointwise(Block):

@@ -113,8 +113,8 @@ class Machine(ABC):
         return self._shaped(self._run(steps, columns))
 
     def _by_field(self, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        """`inputs` with the fields of buses that are given as mappings."""
-        if not any(type(value) is dict or isinstance(value, Mapping) for value in inputs.values()):
+        """`inputs` with the fields of buses that are given as mappings, or as lists of them."""
+        if all(name in self.inputs for name in inputs):
             return inputs
         return fields_given(inputs, list(self.inputs), self.name)
 

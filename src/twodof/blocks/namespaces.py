@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, ClassVar, Never
 
 from twodof.blocks.expressions.expr import fault, to_real
@@ -39,10 +40,24 @@ class Namespace:
 
 
 class BusView(Namespace):
-    """The fields of a bus."""
+    """The fields of a bus. Of an array of buses each is an array; `view[i]` is one bus, and `len` counts them."""
 
     what = "field"
     instead = "give the whole bus with this field changed"
+
+    def __getitem__(self, name: Any) -> Any:
+        if isinstance(name, str):
+            return super().__getitem__(name)
+        return BusView({field: value[name] for field, value in vars(self).items()})
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def __bool__(self) -> bool:
+        return True
+
+    def __iter__(self) -> Iterator[BusView]:
+        return (self[i] for i in range(len(self)))
 
 
 class Inputs(Namespace):

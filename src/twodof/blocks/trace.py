@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.datatypes.bus import check_paths, fields_given
-from twodof.blocks.datatypes.enumeration import Enumeration, stays_within
+from twodof.blocks.datatypes.enumeration import Enumeration, comparing, stays_within
 from twodof.blocks.declarations import Declared, alike, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
@@ -67,7 +67,7 @@ def trace_of(block: Declared) -> Trace:
     discrete = [s for s in block.states if not s.continuous]
     continuous = [s for s in block.states if s.continuous]
 
-    enumerated = _enumerations(block)
+    enumerated = enumerations(block.inputs, block.states, block.params, block.derived)
     shapes = matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived)
 
     def result(method: str) -> Any:
@@ -79,7 +79,7 @@ def trace_of(block: Declared) -> Trace:
         return called(block, method, *map(with_matrices, views, shapes), Clock(**clock))
 
     def record(method: str, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
-        with tracing(f"{type(block).__name__}.{method}"):
+        with tracing(f"{type(block).__name__}.{method}"), comparing(enumerated):
             found = result(method)
             try:
                 given = returned(method, found, declared, partial)
@@ -94,7 +94,7 @@ def trace_of(block: Declared) -> Trace:
     update = record("update", discrete, partial=True)
     derivative = record("derivative", continuous)
     project = record("project", continuous, partial=True)
-    with tracing(f"{type(block).__name__}.edges"):
+    with tracing(f"{type(block).__name__}.edges"), comparing(enumerated):
         edges = _edges(block, result("edges"), outputs)
     below = {o: walk([e, *edges.get(o, ())]) for o, e in outputs.items()}
     return Trace(
@@ -231,16 +231,16 @@ def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool
     return dict(result)
 
 
-_Enumerations = dict[tuple[str, str], Enumeration | None]
+Enumerations = dict[tuple[str, str], Enumeration | None]
 
 
-def _enumerations(block: Declared) -> _Enumerations:
+def enumerations(inputs: Sequence[Any], states: Sequence[Any], *params: Sequence[Any]) -> Enumerations:
     """The enumerations of which inputs, states and parameters are declared, by leaf and name."""
-    leaves = (("input", block.inputs), ("state", block.states), ("param", block.params), ("param", block.derived))
+    leaves = (("input", inputs), ("state", states), *(("param", declared) for declared in params))
     return {(op, d.name): d.enum for op, declared in leaves for d in declared}
 
 
-def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: _Enumerations) -> None:
+def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: Enumerations) -> None:
     """Raise DiagramError if what is declared of an enumeration is given what may be none of its members."""
     for d in declared:
         if d.enum is not None and d.name in given and not stays_within(d.enum, given[d.name], leaves):

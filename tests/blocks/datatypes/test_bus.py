@@ -60,8 +60,11 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "names": (lambda: Bus("B", ["a", "b"]), """the field 'a' (write Port("name"))"""),
     "no name": (lambda: Bus("a b", [Port("a")]), "'a b' is not a name"),
     "too many": (lambda: Bus("B", [Port(f"a{i}") for i in range(1001)]), "more than 1000 fields"),
-    "a width": (lambda: Port("a", RATES, 3), "a: a bus with a width, shape or unit (give it to the fields"),
-    "a unit": (lambda: Port("a", RATES, unit="m"), "a bus with a width, shape or unit"),
+    "a shape": (lambda: Port("a", RATES, shape=(2, 2)), "a: a bus with a shape or unit (give it to the fields"),
+    "a unit": (lambda: Port("a", RATES, unit="m"), "a bus with a shape or unit"),
+    "no width": (lambda: Port("a", RATES, 0), "a: width 0 is not in 1..1000000 (use None for one bus)"),
+    "matrices": (lambda: expanded([Port("a", Bus("M", [Port("m", shape=(2, 2))]), 3)]), "buses with the matrix m"),
+    "other fields": (lambda: expanded([State("s", [{"p": 1}, {"count": 1}], RATES, 2)]), "not have the same fields"),
     "a plain form": (lambda: Port("a", {"name": "B", "fields": [3]}), "is not a bus"),
     "a part of a name": (lambda: Port("a..b"), "'' is not a name"),
     "made without": (lambda: RATES(p=1.0), "Rates is made without its field 'count' (give all its fields)"),
@@ -376,3 +379,21 @@ def test_any_bus_goes_through_a_diagram_as_it_is(bus: Bus) -> None:
     machine = Reference(again, 0.1).machine()
     machine.step({f"u.{name}": value for name, value in values.items()})
     assert machine.step() == {f"y.{name}": value for name, value in values.items()}
+
+
+def test_an_array_of_buses_is_given_as_a_list_or_field_by_field() -> None:
+    d = Diagram("d")
+    d.input("a", RATES, width=2)
+    d.add("late", UnitDelay([{"p": 1.0, "count": 0}, {"p": 2.0, "count": 5}], RATES, 2), u="a")
+    d.output("y", "late")
+    as_list: Any = {"a": [{"p": 3.0, "count": 7}, {"p": 4.0, "count": -1}]}
+    for inputs in (as_list, {"a": {"p": [3.0, 4.0], "count": [7, -1]}}, {"a.p": [3.0, 4.0], "a.count": [7, -1]}):
+        machine = Reference(d, 0.01).machine()
+        assert machine.step(inputs) == {"y.p": [1.0, 2.0], "y.count": [0, 5]}
+        assert machine.step(inputs) == {"y.p": [3.0, 4.0], "y.count": [7, -1]}
+
+
+def test_one_bus_is_not_an_array() -> None:
+    for reads, text in ((lambda u: u.a[0], "a scalar"), (lambda u: list(u.a), "a scalar has no length")):
+        with pytest.raises(DiagramError, match=text):
+            _ = Gives(reads).trace

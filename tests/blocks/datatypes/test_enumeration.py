@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tests.compile.typed_signals import Light, Mode, ModeLogic, enumerated
-from twodof.blocks import Block, Diagram, Enumeration, Param, Port, State, int32, to_enumeration, where
+from twodof.blocks import Block, Diagram, Enumeration, Param, Port, State, int32, state_machine, to_enumeration, where
 from twodof.blocks.library import Compare, CompareToConstant, Constant, Convert, Gain, UnitDelay
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
@@ -228,3 +228,51 @@ def test_a_constant_to_compare_with_is_a_parameter_by_name() -> None:
     assert machine.step() == {"y": False}
     machine.set("source.value", "broken")
     assert machine.step() == {"y": True}
+
+
+OURS = Enumeration("Speed", slow=0, quick=1)
+COMPARED: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "a member of Python's": (lambda u: u.light == Mode.armed, "a Light is compared with a Mode"),
+    "a member of ours": (lambda u: OURS.quick != u.other, "a Mode is compared with a Speed"),
+    "two inputs": (lambda u: u.light == u.other, "a Light is compared with a Mode"),
+    "a choice": (lambda u: where(u.number > 0, u.light, Light.red) == Mode.armed, "a Light is compared with a Mode"),
+    "an element": (lambda u: u.three[u.number] == OURS.slow, "a Light is compared with a Speed"),
+    "an order": (lambda u: u.light < OURS.quick, "a Light is compared with a Speed"),
+}
+
+
+@pytest.mark.parametrize("name", COMPARED)
+def test_members_of_two_enumerations_are_not_compared(name: str) -> None:
+    compares, text = COMPARED[name]
+    with pytest.raises(DiagramError) as refused:
+        _ = Given(lambda u: where(compares(u), Light.red, Light.green)).trace
+    assert str(refused.value).startswith(f"block Given.output, {__file__}:{compares.__code__.co_firstlineno}: {text} (")
+    assert "compare it with a member of" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "compares",
+    [
+        lambda u: u.light == Light.red,
+        lambda u: u.number == Mode.armed,
+        lambda u: u.light == int(Mode.armed),
+        lambda u: u.light == OURS.quick.value,
+        lambda u: u.light == u.number,
+        lambda u: Light.red == u.three[1],
+        lambda u: (u.light == Light.red) == (u.other == Mode.idle),
+        lambda u: where(u.other == Mode.idle, u.light, Light.red) == Light.red,
+    ],
+)
+def test_members_are_compared_with_their_own_and_with_numbers(compares: Callable[[Any], Any]) -> None:
+    assert Given(lambda u: where(compares(u), Light.red, Light.green)).trace
+
+
+def test_a_guard_does_not_compare_members_of_two_enumerations() -> None:
+    class Watch(state_machine.StateMachine):
+        inputs = (Port("light", Light),)
+        outputs = (Port("mode", "int32"),)
+        modes: Any = (state_machine.Mode("a"), state_machine.Mode("b"))
+        transitions: Any = (state_machine.Transition("a", "b", lambda u: u.light == Mode.armed),)
+
+    with pytest.raises(DiagramError, match="a Light is compared with a Mode"):
+        _ = Watch().trace

@@ -95,13 +95,15 @@ def leaves_of(declared: Any) -> list[Any]:
     """The declarations of the fields of a port, state or parameter that is a bus, "att.rates.p"; itself if it is not.
 
     The value of a state or parameter is one for all fields, or a mapping by field in which 0 may be left out. A state
-    that starts from a parameter starts from its fields.
+    that starts from a parameter starts from its fields. Of an array of buses each field is an array of the `width`, or
+    a matrix whose rows are the vectors; the value may be a list of mappings.
     """
     if not isinstance(declared.kind, Bus):
         return [declared]
     key = next((key for key in ("initial", "value") if hasattr(declared, key)), "")
     given = getattr(declared, key, 0)
-    bus = declared.kind
+    bus, count = declared.kind, declared.width
+    given = transposed(given)
     if isinstance(given, Mapping):
         names = [leaf.name for leaf in bus.leaves]
         given = fields_given(given, names, declared.name)
@@ -112,7 +114,11 @@ def leaves_of(declared: Any) -> list[Any]:
     made = []
     for leaf in bus.leaves:
         changes = {"name": f"{declared.name}.{leaf.name}", "kind": leaf.kind, "enum": leaf.enum, "unit": leaf.unit}
-        changes |= {"width": None if leaf.shape else leaf.width, "shape": leaf.shape}
+        if count is not None and leaf.shape:
+            raise DiagramError(f"an array of buses with the matrix {leaf.name}", declared.name, "make it a vector")
+        rows = None if leaf.width is None or count is None else (count, leaf.width)
+        width = count if count is not None else leaf.width
+        changes |= {"width": None if leaf.shape or rows else width, "shape": leaf.shape or rows}
         if key and isinstance(given, str):
             changes[key] = f"{given}.{leaf.name}"
         elif key:
@@ -120,6 +126,21 @@ def leaves_of(declared: Any) -> list[Any]:
             changes[key] = 0 if type(value) is float and value == 0.0 else value
         made.append(replace(declared, **changes))
     return made
+
+
+def transposed(values: Any) -> Any:
+    """A list of buses as the fields of an array of buses, each a list; all else as it is.
+
+    Raises DiagramError for buses that do not have the same fields.
+    """
+    if not isinstance(values, (list, tuple)) or not values:
+        return values
+    buses = [vars(v) if isinstance(v, BusView) else v for v in values]
+    if not any(isinstance(bus, Mapping) for bus in buses):
+        return values
+    if any(not isinstance(bus, Mapping) or bus.keys() != buses[0].keys() for bus in buses):
+        raise DiagramError("the buses of an array do not have the same fields", "", "give each all its fields")
+    return {name: transposed([bus[name] for bus in buses]) for name in buses[0]}
 
 
 def expanded(declared: Any) -> Any:
@@ -171,7 +192,7 @@ def fields_given(values: Mapping[Any, Any], known: Sequence[str], where: str) ->
             if name not in buses:
                 found[name] = value
                 continue
-            inner = vars(value) if isinstance(value, BusView) else value
+            inner = vars(value) if isinstance(value, BusView) else transposed(value)
             if not isinstance(inner, Mapping):
                 fields = nearest("", [n.removeprefix(f"{name}.") for n in known if n.startswith(f"{name}.")])
                 raise DiagramError(

@@ -4,17 +4,29 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from enum import IntEnum
 from typing import Any
 
 from twodof.blocks.datatypes.bus import Bus
-from twodof.blocks.expressions.expr import Expr, int32, where
+from twodof.blocks.expressions.expr import Expr, during, fault, int32, recording, where
 from twodof.blocks.expressions.numbers import Int32
+from twodof.blocks.expressions.recording import OPERANDS
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_MEMBERS = 1000
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 _MIN, _MAX = -(2**31), 2**31 - 1
+
+
+class _Member(Int32):
+    """The int32 that a member is, and of which enumeration it is."""
+
+    __slots__ = ("of",)
+
+    def __init__(self, of: Enumeration, value: int) -> None:
+        super().__init__(value)
+        self.of = of
 
 
 class Enumeration:
@@ -67,7 +79,7 @@ class Enumeration:
     def __getitem__(self, member: str) -> Int32:
         if member not in self.members:
             raise self._unknown(member)
-        return int32(self.members[member])
+        return _Member(self, self.members[member]) if recording() else int32(self.members[member])
 
     def __getattr__(self, member: str) -> Int32:
         if member.startswith("__"):  # what Python asks for by itself, when it copies for example
@@ -174,6 +186,42 @@ def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str
     return True
 
 
+def comparing(leaves: Mapping[tuple[str, str], Enumeration | None]) -> AbstractContextManager[None]:
+    """Raise DiagramError where the enclosed code compares what is of two enumerations (`leaves` by op and name)."""
+
+    def check(op: str, a: Any, b: Any) -> tuple[Any, Any]:
+        if op in _COMPARISONS:
+            one, other = (_of(value, leaves) for value in (a, b))
+            if one is not None and other is not None and one != other:
+                raise fault(
+                    f"a {one.name} is compared with a {other.name}",
+                    f"compare it with a member of {one.name}: {', '.join(one.members):.400}; or with a number",
+                )
+        return a, b
+
+    return during(OPERANDS, check) if any(leaves.values()) else nullcontext()
+
+
+def _of(value: Any, leaves: Mapping[tuple[str, str], Enumeration | None]) -> Enumeration | None:
+    """The enumeration of which a value is, as far as it shows; numbers without one tell nothing."""
+    if not isinstance(value, Expr):
+        return value.of if isinstance(value, _Member) else enumeration_of(type(value))
+    found: set[Enumeration | None] = set()
+    seen: set[Expr] = set()
+    stack = [value]
+    while stack:
+        at = stack.pop()
+        if at in seen or at.op == "const":
+            continue
+        seen.add(at)
+        below = _PASSED[at.op](at.args) if at.op in _PASSED else ()
+        stack += below
+        if not below:
+            found.add(leaves.get((at.op, at.data)) if at.op in ("input", "state", "param") else None)
+    return found.pop() if len(found) == 1 else None
+
+
+_COMPARISONS = ("eq", "ne", "lt", "le")
 _PASSED: Mapping[str, Any] = {
     "where": lambda args: args[1:],
     "select": lambda args: args[:1],

@@ -16,7 +16,7 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, INTEGERS, STORED, TAKES, WORDS
 from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
-from twodof.blocks.expressions.recording import LINES, ROOM, TRACING, users_line
+from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, users_line
 from twodof.blocks.expressions.recording import at_most as at_most
 from twodof.blocks.expressions.recording import during as during
 from twodof.blocks.expressions.recording import fault as fault
@@ -318,7 +318,7 @@ def _operation(op: str, *args: Expr) -> Expr:
 def _binary(op: str, a: Any, b: Any) -> Any:
     if arrays_among(a, b):
         return rules.spread(lambda left, right: _binary(op, left, right), a, b)
-    return _operation(op, *_pair(computed_in(a), computed_in(b)))
+    return _operation(op, *_pair(*map(computed_in, OPERANDS.get()(op, a, b))))
 
 
 def _unary(op: str, a: Expr) -> Any:

@@ -1,7 +1,7 @@
 """What is being recorded, how much more of it may be, and where the user's code stands that does it."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from typing import Any
@@ -18,6 +18,10 @@ LANGUAGE = (
 
 TRACING: ContextVar[str] = ContextVar("tracing", default="")
 ROOM: ContextVar[list[int] | None] = ContextVar("room", default=None)  # nodes that may still be recorded
+OPERANDS: ContextVar[Callable[[str, Any, Any], tuple[Any, Any]]] = ContextVar(
+    "operands", default=lambda op, a, b: (a, b)
+)
+"""Sees what an operation of two is given, before it is recorded, and gives it back."""
 LINES: ContextVar[dict[int, str] | None] = ContextVar("lines", default=None)
 
 

@@ -1,14 +1,18 @@
 """Blocks that remember: unit, N-sample, variable and fractional delay, zero-order hold, rate transition, data store."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.datatypes.bus import Bus, leaves_of
 from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port, State, check_name
-from twodof.blocks.elementwise import count, elementwise
+from twodof.blocks.elementwise import count, elementwise, width_of
 from twodof.blocks.expressions.arrays import array_of, store
 from twodof.blocks.expressions.expr import int32, maximum, minimum, to_int32, to_real, where
+from twodof.blocks.expressions.matrix import Matrix, flat_of, shaped
+from twodof.blocks.namespaces import BusView
 
 __all__ = [
     "DataStore",
@@ -43,15 +47,21 @@ class UnitDelay(Block):
 
 
 class _RingBuffer(Block):
-    """The last `bound` inputs, read before one is written; what was before them is `initial`."""
+    """The last `bound` inputs, read before one is written; what was before them is `initial`. Of a bus each field."""
 
     def _declare(self, bound: int, initial: Any, kind: Kind, width: int | None, unit: str) -> None:
-        self.bound, self.width = bound, width
+        self.bound = bound
+        ring, size = kind, None
+        if isinstance(kind, Bus):
+            leaves = [replace(leaf, name=leaf.name.partition(".")[2]) for leaf in leaves_of(Port("u", kind, width))]
+            ring = Bus(kind.name, [replace(leaf, width=bound * (leaf.width or 1), shape=None) for leaf in leaves])
+        else:
+            size = bound * (width or 1)
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, width, unit)]
         self.params = [Param("initial", initial, kind, width, unit)]
         self.states = [
-            State("buffer", 0 if kind != "bool" else False, kind, bound * (width or 1), unit),
+            State("buffer", 0 if kind != "bool" else False, ring, size, unit),
             State("before", "initial", kind, width, unit),
             State("position", 0, "int32"),
             State("age", 0, "int32"),
@@ -62,24 +72,40 @@ class _RingBuffer(Block):
         back = x.position - samples
         place = where(back < 0, back + self.bound, back)
         arrived = samples <= x.age
-        if self.width is None:
-            return where(arrived, x.buffer[place], x.before)
-        width = self.width
-        return array_of(width, lambda i: where(arrived, x.buffer[place * width + i], x.before[i]))
+        return _read(x.buffer, x.before, place, arrived)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         after = x.position + 1
-        buffer = x.buffer
-        if self.width is None:
-            buffer = store(buffer, x.position, u.u)
-        else:
-            for i in range(self.width):
-                buffer = store(buffer, x.position * self.width + i, u.u[i])
         return {
-            "buffer": buffer,
+            "buffer": _written(x.buffer, u.u, x.position),
             "position": where(after < self.bound, after, int32(0)),
             "age": where(x.age < self.bound, x.age + 1, x.age),
         }
+
+
+def _read(ring: Any, before: Any, place: Any, arrived: Any) -> Any:
+    """What stands in a ring at `place` if it has `arrived` there, else what was before."""
+    if isinstance(before, BusView):
+        return {name: _read(ring[name], before[name], place, arrived) for name in vars(before)}
+    if isinstance(before, Matrix):
+        return shaped(_read(ring, flat_of(before), place, arrived), before.shape)
+    width = width_of(before)
+    if width is None:
+        return where(arrived, ring[place], before)
+    return array_of(width, lambda i: where(arrived, ring[place * width + i], before[i]))
+
+
+def _written(ring: Any, value: Any, place: Any) -> Any:
+    """A ring with `value` at `place`."""
+    if isinstance(value, BusView):
+        return {name: _written(ring[name], value[name], place) for name in vars(value)}
+    flat = flat_of(value)
+    width = width_of(flat)
+    if width is None:
+        return store(ring, place, flat)
+    for i in range(width):
+        ring = store(ring, place * width + i, flat[i])
+    return ring
 
 
 @library_block("delay")
@@ -87,7 +113,8 @@ class Delay(_RingBuffer):
     """Delay by `samples` samples of the block's own rate: y[k] = u[k - samples], and `initial` for k < samples.
 
     A ring buffer of `bound` samples, read before it is written. `samples` may be tuned within 1 .. bound (bound is
-    the first value of `samples` unless it is given); a change acts at once on the samples that are kept.
+    the first value of `samples` unless it is given); a change acts at once on the samples that are kept. Of a bus all
+    fields are delayed alike.
     """
 
     def __init__(
@@ -114,7 +141,7 @@ class VariableDelay(_RingBuffer):
 
     `samples` is clamped to 0 .. bound; it may change at any sample, and a change acts at once on the samples that are
     kept. 0 is the input itself. With `direct` false at least one sample is taken, and the block breaks algebraic
-    loops. A ring buffer of `bound` samples, read before it is written.
+    loops. A ring buffer of `bound` samples, read before it is written. Of a bus all fields are delayed alike.
     """
 
     def __init__(

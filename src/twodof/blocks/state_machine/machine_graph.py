@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from twodof.blocks.datatypes.enumeration import Enumeration
+from twodof.blocks.datatypes.enumeration import Enumeration, comparing
 from twodof.blocks.declarations import Declared, Port, State
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
@@ -14,7 +14,7 @@ from twodof.blocks.mistakes import mistake
 from twodof.blocks.namespaces import Inputs, Parameters, States
 from twodof.blocks.state_machine.chart import Chart
 from twodof.blocks.state_machine.mode import MachineFunction, ModeClock
-from twodof.blocks.trace import clock_leaves, leaves_of, returned
+from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, returned
 from twodof.errors import DiagramError, listed, shown
 
 MODE, ELAPSED, OUTER_ELAPSED = "mode", "elapsed", "elapsed_outer"
@@ -47,6 +47,7 @@ class MachineGraph:
         chart = machine.chart
         self._check_variables()
         self._shapes = matrices(machine.inputs), matrices(machine.variables), matrices(machine.params, machine.derived)
+        self._enumerated = enumerations(machine.inputs, machine.variables, machine.params, machine.derived)
         both = _unique([*machine.variables, *machine.outputs])
         own = (MODE, ELAPSED)
         self.guards = [self._guard(function) for function in chart.guards]
@@ -106,7 +107,7 @@ class MachineGraph:
             raise DiagramError(found.what, f"block {self._label}, {function.place}{where}", found.remedy) from error
 
     def _guard(self, function: MachineFunction) -> Expr:
-        with tracing(f"{self._label}, {function.place}"):
+        with tracing(f"{self._label}, {function.place}"), comparing(self._enumerated):
             given = self._call(function)
             try:
                 found = as_expr(given, "bool")
@@ -117,7 +118,7 @@ class MachineGraph:
         return found
 
     def _values(self, function: MachineFunction, declared: Sequence[Any]) -> Recorded:
-        with tracing(f"{self._label}, {function.place}"):
+        with tracing(f"{self._label}, {function.place}"), comparing(self._enumerated):
             given = self._call(function)
             try:
                 return returned(function.place, given, declared, partial=True)
