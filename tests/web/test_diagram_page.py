@@ -116,10 +116,10 @@ def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> N
     page.keyboard.press("ArrowRight")
     assert before is not None
     expect(said).to_have_text(re.compile(r"^gain at "))
-    page.keyboard.press("Enter")
+    page.keyboard.press("F2")
     expect(page.get_by_label("Name", exact=True)).to_be_focused()
-    page.keyboard.press("Tab")
-    page.keyboard.press("Tab")
+    sheet(page).focus()
+    page.keyboard.press("Enter")
     expect(page.get_by_label("k", exact=True)).to_be_focused()
     page.keyboard.type("1.1")
     page.keyboard.press("Enter")
@@ -142,6 +142,58 @@ def test_no_block_of_a_starter_stands_over_another_nor_over_a_wire(
     expect(page.locator(".svelte-flow__node[data-id^='p:']")).to_have_count(len(starter(name).parts))
     expect(page.locator(".svelte-flow__edge-path").first).to_be_attached()
     assert page.evaluate(COVERED) == []
+
+
+def test_a_block_is_inserted_into_a_wire_by_keys_and_at_the_end_of_one_by_mouse(
+    server: Served, open_page: OpenPage
+) -> None:
+    page = drawn(open_page(link(server, "?starter=pid-attitude")))
+    said = page.locator("#diagram-said")
+    search = page.get_by_role("dialog", name="Insert a block").get_by_role("combobox")
+    block(page, "rate_limit").click()
+    sheet(page).focus()
+    page.keyboard.press("i")
+    expect(search).to_be_focused()
+    page.keyboard.type("gain")
+    page.keyboard.press("Enter")
+    expect(said).to_have_text("insert gain")
+    expect(page.get_by_label("wire from rate_limit to gain.u")).to_be_attached()
+    expect(sheet(page)).to_be_focused()
+    start = block(page, "gain").locator(".source").bounding_box()
+    assert start is not None
+    x, y = start["x"] + start["width"] / 2, start["y"] + start["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30, y + 70, steps=5)
+    page.mouse.up()
+    expect(search).to_be_focused()
+    page.keyboard.type("delay")
+    page.keyboard.press("Enter")
+    expect(page.locator("[aria-label^='wire from gain to ']")).to_have_count(1)
+    page.keyboard.press("Control+z")
+    page.keyboard.press("Control+z")
+    expect(block(page, "gain")).to_have_count(0)
+    expect(page.get_by_role("button", name="Save", exact=True)).to_be_visible()
+
+
+def test_an_input_that_is_moved_stays_there(server: Served, open_page: OpenPage) -> None:
+    text = to_json(starter("pid-attitude"))
+    keep(server, "moved", text)
+    page = drawn(open_page(link(server, "/moved")))
+    inlet = page.locator(".svelte-flow__node[data-id='i:theta']")
+    inlet.click()
+    sheet(page).focus()
+    page.keyboard.press("Shift+ArrowUp")
+    expect(page.locator("#diagram-said")).to_have_text(re.compile("^theta at "))
+    page.keyboard.press("Control+s")
+    expect(page.get_by_text("moved is saved")).to_be_visible()
+    saved = from_json(kept(server, "moved"))
+    assert set(saved.input_positions) == {"theta"}
+    assert all(part.position is not None for part in saved.parts.values())
+    place = inlet.evaluate("node => node.style.transform")
+    page.reload()
+    expect(inlet).to_be_visible()
+    assert inlet.evaluate("node => node.style.transform") == place
 
 
 def test_an_algebraic_loop_is_shown_where_it_is(server: Served, open_page: OpenPage) -> None:
@@ -211,6 +263,10 @@ def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_
     def measured(name: str, *keys: str) -> None:
         figures[name] = _longest(page, lambda: [page.keyboard.press(key) for key in keys])
 
+    def pressed_until(key: str, count: int) -> None:
+        page.keyboard.press(f"Control+{key}")
+        expect(page.locator(".svelte-flow__node-part")).to_have_count(count)
+
     def drag() -> None:
         box = block(page, names[0]).bounding_box()
         assert box is not None
@@ -239,6 +295,13 @@ def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_
     block(page, names[0]).click()
     measured("copy and paste", "Control+c", "Control+v")
     measured("undo a paste", "Control+z")
+    sheet(page).focus()
+    page.keyboard.press("Control+a")
+    page.keyboard.press("Control+c")
+    for name, key, count in (("paste", "v", 600), ("undo a paste", "z", 300), ("redo a paste", "y", 600)):
+        figures[f"{name} of all"] = _longest(page, lambda key=key, count=count: pressed_until(key, count))  # type: ignore[misc]
+    page.keyboard.press("Control+z")
+    page.keyboard.press("Escape")
     figures["connect"] = _longest(page, wire)
     block(page, names[1]).click()
     field = page.get_by_label("k", exact=True)

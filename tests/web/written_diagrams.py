@@ -24,6 +24,8 @@ def odd_diagram() -> Diagram:
     d.add("cases", lib.CaseChoice(((0, 5), (-1, 2))))
     d.output("y", "sub.y")
     d.output("nothing")
+    d.input_positions = {"att": (-120.0, 0.5), "in_1": (0.0, 1e5)}
+    d.output_positions = {"nothing": (700.25, -40.0)}
     return d
 
 

@@ -82,6 +82,7 @@ class Diagram:
     A source is written "part.port" (or "part" if it has one output), or it is the name of a diagram input. A
     destination is "part.port" (or "part" if it has one input), or the name of a diagram output. Either may be a bus,
     which is one connection, or a field of one, "part.port.field". What takes a bus takes the fields that it names.
+    `input_positions` and `output_positions` are places on the editor's sheet, by name, of those that were moved.
     """
 
     def __init__(self, name: str, text: str = "") -> None:
@@ -92,6 +93,8 @@ class Diagram:
         self.params: dict[str, Param] = {}
         self.parts: dict[str, Part] = {}
         self.connections: dict[tuple[str, str], str] = {}  # (part, port, perhaps a bus or a field) -> source
+        self.input_positions: dict[str, tuple[float, float]] = {}
+        self.output_positions: dict[str, tuple[float, float]] = {}
         self._buses: set[str] = set()  # the paths of inputs that are buses
 
     def input(

@@ -397,6 +397,14 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     "a newline in a unit": (file(inputs=[{"name": "u", "unit": "m\n"}]), r"U\+000A"),
     "a unit that looks like another": (file(inputs=[{"name": "u", "unit": "\u212b"}]), "NFKC"),
     "a unit in another normal form": (file(inputs=[{"name": "u", "unit": "A\u030a"}]), "NFKC"),
+    "a position of an input that is not there": (
+        file(input_positions={"nobody": [0.0, 0.0]}),
+        "input_positions",
+    ),
+    "a position of an output beyond all screens": (
+        file(outputs=[["y", None]], output_positions={"y": [0.0, -1e300]}),
+        "position",
+    ),
     "a position beyond all screens": (
         file(parts=[{"name": "g", "block": {"type": "gain"}, "position": [1e300, 0]}]),
         "position",

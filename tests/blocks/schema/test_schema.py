@@ -53,6 +53,7 @@ def everything() -> Diagram:
     d.connect("slow", "zero.u")
     d.connect("zero", "slow.u")
     d.output("h", "sub")
+    d.input_positions["on"], d.output_positions["h"] = (-60.0, 2.5), (700.0, 1e-3)
     return d
 
 

@@ -1,6 +1,13 @@
 import { describe, expect, it } from "vitest";
 import { copyText, paste } from "../../src/pages/diagram/model/clipboard";
-import { diagramAt, diagramFrom, findPart, writeDiagram, type Diagram } from "../../src/pages/diagram/model/diagram";
+import {
+  diagramAt,
+  diagramFrom,
+  findPart,
+  readDiagram,
+  writeDiagram,
+  type Diagram,
+} from "../../src/pages/diagram/model/diagram";
 import {
   addInput,
   addOutput,
@@ -14,13 +21,16 @@ import {
   EditFault,
   freeName,
   moveParts,
+  moveThings,
   newPart,
   addPart,
   removeInput,
   removeParam,
   removeParts,
   renameInput,
+  renameOutput,
   renamePart,
+  settled,
 } from "../../src/pages/diagram/model/edits";
 import { History } from "../../src/pages/diagram/model/history";
 import { readJson, real } from "../../src/pages/diagram/model/json_text";
@@ -111,6 +121,39 @@ describe("an edit", () => {
     expect(freeName(addPart(start(), newPart(start(), "gain", start().parts[1]!.item, [0, 0])), "gain")).toBe("gain_3");
     expect(() => addInput(start(), { name: "gain" })).toThrow(EditFault);
     expect(() => addOutput(start(), "y")).toThrow(EditFault);
+  });
+});
+
+describe("places of inputs and outputs", () => {
+  const written = (d: Diagram): unknown => {
+    const { inputPositions, outputPositions } = d;
+    return JSON.parse(JSON.stringify({ i: inputPositions, o: outputPositions }).replace(/{"text":"([^"]*)"}/g, "$1"));
+  };
+  it("are written where something was moved, and only then", () => {
+    expect(writeDiagram(start())).not.toContain("positions");
+    const moved = moveThings(start(), new Map([["i:u", [-60, 0.5] as const]]));
+    expect(writeDiagram(moved)).toContain('"input_positions": {"u": [-60.0, 0.5]}');
+    expect(readDiagram(writeDiagram(moved)).inputPositions).toEqual(moved.inputPositions);
+  });
+  it("follow a new name, and go with what they are of", () => {
+    const places = new Map([
+      ["i:u", [1, 2] as const],
+      ["o:y", [3, 4] as const],
+    ]);
+    const named = renameOutput(renameInput(moveThings(start(), places), "u", "v"), "y", "w");
+    expect(written(named)).toEqual({ i: { v: [1, 2] }, o: { w: [3, 4] } });
+    expect(written(removeInput(named, "v"))).toEqual({ i: {}, o: { w: [3, 4] } });
+  });
+  it("let the parts keep the places that were presumed", () => {
+    const bare = changePart(start(), "gain", (part) => ({ ...part, position: null }));
+    const shown = { ...bare, parts: bare.parts.map((part, i) => ({ ...part, presumed: [10 * i, 0] as const })) };
+    expect(settled(shown)).toBe(shown);
+    const after = settled(moveThings(shown, new Map([["p:sum", [7, 7] as const]])));
+    expect(after.parts.map((part) => part.position?.map((one) => one.value))).toEqual([
+      [0, 0],
+      [7, 7],
+      [20, 0],
+    ]);
   });
 });
 

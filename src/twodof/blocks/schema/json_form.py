@@ -15,7 +15,7 @@ from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
 from twodof.blocks.expressions.numbers import Integer
-from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, Loader, member, only
+from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, POSITIONS, Loader, member, only
 from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json
 from twodof.blocks.schema.traced_machine import machine_to_json
 from twodof.blocks.state_machine import StateMachine
@@ -122,6 +122,7 @@ def _diagram_to(d: Diagram) -> dict[str, Any]:
         "parts": [_part_to(p) for p in d.parts.values()],
         "connections": [[source, f"{part}.{port}"] for (part, port), source in d.connections.items()],
         "outputs": [[name, source] for name, source in d.outputs.items()],
+        **{key: {name: list(at) for name, at in getattr(d, key).items()} for key in POSITIONS if getattr(d, key)},
     }
 
 

@@ -1,7 +1,7 @@
 """Builds a diagram from its JSON form and refuses, at the door, what would cost too much or is not what it says."""
 
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -27,7 +27,8 @@ MAX_UNIT = 40
 MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
 
-_DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs"}
+POSITIONS = ("input_positions", "output_positions")
+_DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs", *POSITIONS}
 _PART = {
     "name",
     "rate",
@@ -116,6 +117,9 @@ class Loader:
                 raise DiagramError(f"{shown(pair)} is not an output", path, 'write ["name", "source"]')
             self._count(1, 0, path)
             d.output(*pair)
+        inputs = {name.partition(".")[0] for name in d.inputs}  # a bus has one place
+        d.input_positions = _positions(data, "input_positions", inputs, path)
+        d.output_positions = _positions(data, "output_positions", d.outputs, path)
         return d
 
     def _part(self, d: Diagram, form: Any, path: str, depth: int) -> None:
@@ -142,10 +146,6 @@ class Loader:
         if not all(isinstance(v, str) for v in bound.values()):
             raise DiagramError("params binds something that is not a name", where, 'write {"inner": "outer"}')
         position = form.get("position")
-        if position is not None:
-            good = isinstance(position, list) and len(position) == 2 and all(type(c) in (int, float) for c in position)
-            if not good or any(abs(c) > 1e6 for c in position):
-                raise DiagramError(f"position {shown(position)}", where, "write [x, y], each within +-1e6")
         d.add(
             name,
             item,
@@ -158,7 +158,7 @@ class Loader:
             disabled=self._disabled(form, where),
             enabling=member(form, "enabling", str, where, "keep"),
             initial={n: self._plain(v, where) for n, v in member(form, "initial", dict, where, {}).items()},
-            position=None if position is None else (float(position[0]), float(position[1])),
+            position=None if position is None else _position(position, where),
             inputs={},
         )
 
@@ -297,6 +297,23 @@ class Loader:
                 raise DiagramError(f"more than {MAX_NUMBERS} numbers written out", where, "make tables shorter")
             return [self._plain(v, where, depth + 1, lists + 1) for v in value]
         return text(value, MAX_STRING, where) if isinstance(value, str) else value
+
+
+def _position(given: Any, where: str) -> tuple[float, float]:
+    """[x, y] as numbers. Raises DiagramError for anything else, and for what is far off."""
+    good = isinstance(given, list) and len(given) == 2 and all(type(c) in (int, float) for c in given)
+    if not good or any(abs(c) > 1e6 for c in given):
+        raise DiagramError(f"position {shown(given)}", where, "write [x, y], each within +-1e6")
+    return float(given[0]), float(given[1])
+
+
+def _positions(data: Mapping[str, Any], key: str, known: Container[str], where: str) -> dict[str, tuple[float, float]]:
+    """The places of inputs or outputs, by name. Raises DiagramError for a name that is not there."""
+    given = member(data, key, dict, where, {})
+    for name in given:
+        if name not in known:
+            raise DiagramError(f"{key!r} has {shown(name)}, which is not there", where, "take it out of the file")
+    return {name: _position(at, f"{where}.{name}") for name, at in given.items()}
 
 
 _NUMBERS = ("initial", "value", "low", "high", "enum")

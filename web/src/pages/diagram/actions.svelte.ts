@@ -1,19 +1,21 @@
 // What a menu, a key or a button does with the open sheet.
 import { toastError } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
-import { partPlaces } from "./canvas/flow";
+import { partPlaces, placesOn } from "./canvas/flow";
 import { partSize } from "./canvas/symbol";
 import { editor, EMPTY, inputId, outputId, partId } from "./editor.svelte";
 import { copyText, paste } from "./model/clipboard";
-import { findPart, type Point } from "./model/diagram";
+import { findPart, type Part, type Point } from "./model/diagram";
 import {
   addInput,
   addOutput,
   addParam,
   addPart,
   disconnect,
+  freeBorder,
   freeName,
   moveParts,
+  moveThings,
   newPart,
   removeInput,
   removeOutput,
@@ -22,9 +24,12 @@ import {
 import { grouped } from "./model/grouping";
 import { real, type JsonObject } from "./model/json_text";
 import { tops } from "./model/shapes";
+import type { Loose } from "./insert.svelte";
 import { scopes } from "./simulate/scopes.svelte";
 
 export type DialogName = "" | "open" | "connect" | "keys" | "flash" | "px4" | "save";
+
+const MANY = 50; // blocks of a paste
 
 /** What the parts of the page ask of one another. */
 class Acts {
@@ -34,10 +39,13 @@ class Acts {
   shownWhole = $state(0);
   /** What is to be brought into view. */
   wanted = $state("");
+  /** The wire that waits for a block to be inserted. */
+  inserting = $state.raw<Loose | undefined>(undefined);
   middle: () => Point = () => [160, 80];
   focusSheet: () => void = () => undefined;
   focusPalette: () => void = () => undefined;
   focusPanel: () => void = () => undefined;
+  focusName: () => void = () => undefined;
   save: () => void = () => undefined;
   private copied = "";
 
@@ -61,17 +69,21 @@ class Acts {
 
   async paste(): Promise<void> {
     const outside = await (navigator.clipboard?.readText() ?? Promise.resolve("")).catch(() => "");
-    this.put(outside.includes("twodof/parts") ? outside : this.copied);
+    await this.put(outside.includes("twodof/parts") ? outside : this.copied);
   }
 
-  duplicate(): void {
-    if (editor.parts.length > 0) this.put(copyText(editor.here, new Set(editor.parts)));
+  async duplicate(): Promise<void> {
+    if (editor.parts.length > 0) await this.put(copyText(editor.here, new Set(editor.parts)));
   }
 
-  private put(text: string): void {
+  private async put(text: string): Promise<void> {
     if (text === "") return editor.say("nothing was copied");
     try {
-      const { diagram, names } = paste(editor.here, text);
+      const before = editor.here;
+      const read = paste(before, text);
+      // Reading much and showing it are two tasks, so that neither holds the page up.
+      if (read.names.length > MANY) await new Promise((next) => setTimeout(next));
+      const { diagram, names } = editor.here === before ? read : paste(editor.here, text);
       editor.apply(`paste ${names.length} ${names.length === 1 ? "block" : "blocks"}`, () => diagram);
       editor.select(names.map(partId));
     } catch (failure) {
@@ -109,7 +121,7 @@ class Acts {
     try {
       const places = await arranged(before, editor.shapes);
       if (editor.here !== before) return; // it was edited meanwhile
-      editor.apply("arrange", (d) => moveParts(d, places));
+      editor.apply("arrange", (d) => freeBorder(moveParts(d, places)));
       this.shownWhole++;
     } catch (failure) {
       toastError(failure);
@@ -133,16 +145,17 @@ class Acts {
 
   /** Moves what is selected by whole steps. */
   nudge(dx: number, dy: number): void {
-    const chosen = new Set(editor.parts);
-    if (chosen.size === 0) return editor.say("select a block to move");
+    const chosen = [...editor.selected].filter((id) => !id.startsWith("w:"));
+    if (chosen.length === 0) return editor.say("select a block to move");
+    const at = placesOn(editor.here, editor.shapes);
     const places = new Map<string, Point>();
-    for (const part of editor.here.parts) {
-      const [x, y] = part.position?.map((one) => one.value) ?? [0, 0];
-      if (chosen.has(part.name)) places.set(part.name, [(x ?? 0) + dx, (y ?? 0) + dy]);
+    for (const id of chosen) {
+      const [x, y] = at.get(id) ?? [0, 0];
+      places.set(id, [x + dx, y + dy]);
     }
-    editor.apply("move", (d) => moveParts(d, places), `nudge ${[...chosen].join()}`);
-    const first = places.get(editor.parts[0]!)!;
-    editor.say(`${editor.parts[0]} at ${first[0]}, ${first[1]}`);
+    editor.apply("move", (d) => moveThings(d, places), `nudge ${chosen.join()}`);
+    const first = places.get(chosen[0]!)!;
+    editor.say(`${chosen[0]!.slice(2)} at ${first[0]}, ${first[1]}`);
   }
 }
 
@@ -150,19 +163,24 @@ export const act = new Acts();
 
 /** Adds a block, "diagram" (an empty sub-diagram), "input", "output" or "parameter"; selects it. */
 export function add(type: string, at?: Point): void {
-  const place = free(at ?? act.middle());
   if (type === "input" || type === "output" || type === "parameter") return addBorder(type);
+  const part = made(type, at ?? act.middle());
+  if (part === undefined) return;
+  editor.apply(`add ${part.name}`, (d) => addPart(d, part));
+  editor.select([partId(part.name)]);
+  act.wanted = partId(part.name);
+}
+
+/** A part of that type, not yet on the sheet, near `at` where there is room; undefined for a type that is unknown. */
+export function made(type: string, at: Point): Part | undefined {
   const entry = editor.catalogue?.blocks.find((one) => one.type === type);
-  if (type !== "diagram" && entry === undefined) return;
-  const wanted = type === "diagram" ? "sub" : type.replace(/^models\./, "").toLowerCase();
-  const name = freeName(editor.here, wanted);
+  if (type !== "diagram" && entry === undefined) return undefined;
+  const name = freeName(editor.here, type === "diagram" ? "sub" : type.replace(/^models\./, "").toLowerCase());
   const item =
     entry === undefined
       ? { ...EMPTY, name, inputs: [{ name: "u" }], outputs: [["y", "u"] as const] }
       : ({ is: "block", type, json: { type, config: entry.config } } as const);
-  editor.apply(`add ${name}`, (d) => addPart(d, newPart(d, name, item, place)));
-  editor.select([partId(name)]);
-  act.wanted = partId(name);
+  return newPart(editor.here, name, item, free(at));
 }
 
 function addBorder(what: "input" | "output" | "parameter"): void {

@@ -1,8 +1,9 @@
 // The editor: which diagram is open, where in it one is, what is selected, what was done. All edits go through `apply`.
 import * as api from "../../api/diagrams";
 import { toastError } from "../../state/toasts.svelte";
+import { presumed } from "./canvas/arrange";
 import { diagramAt, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
-import { edited, EditFault } from "./model/edits";
+import { edited, EditFault, settled } from "./model/edits";
 import { History } from "./model/history";
 import { writeJson } from "./model/json_text";
 import { Shapes } from "./model/shapes";
@@ -22,6 +23,8 @@ export const EMPTY: Diagram = {
   parts: [],
   connections: [],
   outputs: [],
+  inputPositions: {},
+  outputPositions: {},
 };
 
 class Editor {
@@ -62,8 +65,9 @@ class Editor {
 
   /** Opens a diagram's text as Python keeps it. Raises JsonFault or DiagramFault. */
   async open(text: string, file: string): Promise<void> {
-    const diagram = readDiagram(text);
-    await this.learn(diagram);
+    const read = readDiagram(text);
+    await this.learn(read);
+    const diagram = await presumed(read, this.shapes);
     this.root = this.saved = diagram;
     this.path = [];
     this.selected = new Set();
@@ -101,7 +105,10 @@ class Editor {
     const before = this.root;
     let after: Diagram;
     try {
-      after = edited(before, this.path, edit);
+      after = edited(before, this.path, (d) => {
+        const made = edit(d);
+        return made === d ? d : settled(made);
+      });
     } catch (failure) {
       if (!(failure instanceof EditFault)) throw failure;
       this.say(failure.message);

@@ -1,13 +1,13 @@
 // Automatic layout by elkjs, in a worker of its own: signals flow from left to right.
 import type { ElkNode } from "elkjs/lib/elk-api";
-import { declaredName, type Diagram, type Point } from "../model/diagram";
+import { declaredName, type Diagram, type Part, type Point } from "../model/diagram";
 import { sourceEnd, tops, type Shapes } from "../model/shapes";
 import { partSize, portPlace } from "./symbol";
 
 const OPTIONS = {
   "elk.algorithm": "layered",
   "elk.direction": "RIGHT",
-  "elk.layered.spacing.nodeNodeBetweenLayers": "60",
+  "elk.layered.spacing.nodeNodeBetweenLayers": "50",
   "elk.spacing.nodeNode": "40",
   "elk.spacing.edgeNode": "20",
   "elk.layered.nodePlacement.strategy": "NETWORK_SIMPLEX",
@@ -15,6 +15,8 @@ const OPTIONS = {
   "elk.layered.crossingMinimization.semiInteractive": "true",
 };
 const SNAP = 10;
+const MOST_SHEETS = 40;
+const PATIENCE_MS = 3000;
 
 /** The graph that is laid out: parts with their ports, inputs in the first layer, outputs in the last. */
 export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
@@ -64,6 +66,41 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
 
 /** New places of all parts. */
 export async function arranged(d: Diagram, shapes: Shapes): Promise<Map<string, Point>> {
+  const [places] = await layouts([d], shapes);
+  return places!;
+}
+
+/** `d` with its parts, and those within it, arranged on each sheet whose file gives no place at all. */
+export async function presumed(d: Diagram, shapes: Shapes): Promise<Diagram> {
+  const sheets = unplaced(d);
+  if (sheets.length === 0 || sheets.length > MOST_SHEETS) return d;
+  let late: ReturnType<typeof setTimeout> | undefined;
+  const given = new Promise<undefined>((done) => (late = setTimeout(() => done(undefined), PATIENCE_MS)));
+  // Who waits in vain sees the parts in rows.
+  const places = await Promise.race([layouts(sheets, shapes).catch(() => undefined), given]);
+  clearTimeout(late);
+  return places === undefined ? d : placed(d, new Map(sheets.map((sheet, i) => [sheet, places[i]!])));
+}
+
+function unplaced(d: Diagram): Diagram[] {
+  const inner = d.parts.flatMap(({ item }) => (item.is === "diagram" ? unplaced(item) : []));
+  const own = d.parts.length > 1 && d.parts.every((part) => part.position === null);
+  return own ? [d, ...inner] : inner;
+}
+
+function placed(d: Diagram, places: ReadonlyMap<Diagram, ReadonlyMap<string, Point>>): Diagram {
+  const own = places.get(d);
+  const parts = d.parts.map((part): Part => {
+    const at = own?.get(part.name);
+    const item = part.item.is === "diagram" ? placed(part.item, places) : part.item;
+    if (at === undefined && item === part.item) return part;
+    return { ...part, item, ...(at === undefined ? {} : { presumed: at }) };
+  });
+  return parts.every((part, i) => part === d.parts[i]) ? d : { ...d, parts };
+}
+
+/** The places of the parts of each sheet. */
+async function layouts(sheets: readonly Diagram[], shapes: Shapes): Promise<Map<string, Point>[]> {
   const [{ default: Elk }, { default: place }] = await Promise.all([
     import("elkjs/lib/elk-api"),
     import("elkjs/lib/elk-worker.min.js?url"),
@@ -71,14 +108,19 @@ export async function arranged(d: Diagram, shapes: Shapes): Promise<Map<string, 
   const worker = new Worker(place);
   const elk = new Elk({ workerFactory: () => worker });
   try {
-    const placed = await elk.layout(graphOf(d, shapes));
-    const parts = (placed.children ?? []).filter((child) => child.id.startsWith("p:"));
-    const [left, top] = [Math.min(...parts.map((p) => p.x ?? 0)), Math.min(...parts.map((p) => p.y ?? 0))];
-    const snap = (v: number): number => SNAP * Math.round(v / SNAP);
-    return new Map(
-      parts.map((p) => [p.id.slice(2), [snap((p.x ?? 0) - left) + 160, snap((p.y ?? 0) - top) + 20] as const]),
-    );
+    const found: Map<string, Point>[] = [];
+    for (const sheet of sheets) found.push(placesOf(await elk.layout(graphOf(sheet, shapes))));
+    return found;
   } finally {
     worker.terminate();
   }
+}
+
+function placesOf(graph: ElkNode): Map<string, Point> {
+  const parts = (graph.children ?? []).filter((child) => child.id.startsWith("p:"));
+  const [left, top] = [Math.min(...parts.map((p) => p.x ?? 0)), Math.min(...parts.map((p) => p.y ?? 0))];
+  const snap = (v: number): number => SNAP * Math.round(v / SNAP);
+  return new Map(
+    parts.map((p) => [p.id.slice(2), [snap((p.x ?? 0) - left) + 160, snap((p.y ?? 0) - top) + 20] as const]),
+  );
 }

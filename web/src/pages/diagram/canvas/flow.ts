@@ -1,10 +1,11 @@
 // From a diagram to the nodes and edges that xyflow draws. What did not change is given back as the very same object, so
 // that only what changed is drawn anew: 300 blocks must not cost a tenth of a second.
-import { MarkerType, type Edge, type Node } from "@xyflow/svelte";
+import { MarkerType, Position, type Edge, type Node, type NodeHandle } from "@xyflow/svelte";
 import { inputId, outputId, partId, wireId } from "../editor.svelte";
-import { declaredName, placeOf, type Diagram, type Part, type Point } from "../model/diagram";
+import { declaredName, placeOf, pointOf, type Diagram, type Part, type Point } from "../model/diagram";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
-import { routed, type Box, type Route } from "./route";
+import type { Box, Route } from "./route";
+import type { Ends, Router } from "./router";
 import { partSize, portPlace, type Size } from "./symbol";
 
 export interface PartData extends Record<string, unknown> {
@@ -37,9 +38,19 @@ export interface Marks {
 
 export const TERMINAL_HEIGHT = 24;
 const GAP = 60;
+const HANDLE = 7; // the dot of a port
+const SLICE_MS = 6; // of a frame, for the bends of wires
+const ARROW = { type: MarkerType.ArrowClosed, width: 14, height: 14 } as const;
 
 function terminalWidth(name: string): number {
   return Math.min(190, Math.max(50, 10 * Math.ceil((name.length * 6.6 + 18) / 10)));
+}
+
+/** What is drawn; `left`: whether the bends of some wires are still to be found, by another call. */
+export interface Drawn {
+  readonly nodes: SheetNode[];
+  readonly edges: SheetEdge[];
+  readonly left: boolean;
 }
 
 /** Nodes and edges of a sheet, which keep what they can of those before. */
@@ -49,7 +60,8 @@ export function sheet(
   marks: Marks,
   selected: ReadonlySet<string>,
   before: { nodes: readonly SheetNode[]; edges: readonly SheetEdge[] },
-): { nodes: SheetNode[]; edges: SheetEdge[] } {
+  router: Router,
+): Drawn {
   const old = new Map(before.nodes.map((node) => [node.id, node]));
   const places = partPlaces(d, shapes);
   const nodes: SheetNode[] = d.parts.map((part, i) =>
@@ -75,7 +87,40 @@ export function sheet(
       );
     });
   }
-  return { nodes, edges: edges(d, shapes, marks, selected, before.edges, nodes) };
+  return { nodes, ...edges(d, shapes, marks, selected, before.edges, nodes, router) };
+}
+
+/**
+ * Of what is to be drawn as much as one frame takes: what is there already, and `most` of what is new. Where there is more
+ * of that, it begins with the next frame: the edit that made it has taken its time already (`begun`: it is the next).
+ */
+export function firstOf(drawn: Drawn, before: { nodes: readonly SheetNode[] }, most: number, begun: boolean): Drawn {
+  const there = new Set(before.nodes.map((node) => node.id));
+  const fresh = drawn.nodes.filter((node) => !there.has(node.id)).length;
+  let some = begun || fresh <= most ? 0 : most;
+  const nodes = drawn.nodes.filter((node) => there.has(node.id) || some++ < most);
+  if (nodes.length === drawn.nodes.length) return drawn;
+  const ids = new Set(nodes.map((node) => node.id));
+  const edges = drawn.edges.filter((edge) => ids.has(edge.source) && ids.has(edge.target));
+  return { nodes, edges, left: true };
+}
+
+/** A port as xyflow knows it: it need not measure what it is told. */
+function handles(size: Size, inputs: readonly string[], outputs: readonly string[]): NodeHandle[] {
+  const at = (type: "source" | "target", id: string, x: number, y: number): NodeHandle => ({
+    id,
+    type,
+    position: type === "source" ? Position.Right : Position.Left,
+    x: x - HANDLE / 2,
+    y: y - HANDLE / 2,
+    width: HANDLE,
+    height: HANDLE,
+  });
+  const y = (i: number, ports: readonly string[]): number => portPlace(i, ports.length, size.height);
+  return [
+    ...inputs.map((port, i) => at("target", `in:${port}`, 0, y(i, inputs))),
+    ...outputs.map((port, i) => at("source", `out:${port}`, size.width, y(i, outputs))),
+  ];
 }
 
 function partNode(
@@ -110,8 +155,9 @@ function partNode(
     id,
     type: "part",
     position: { x, y },
-    width: size.width,
-    height: size.height,
+    ...size,
+    measured: size,
+    handles: same ? old.handles! : handles(size, data.inputs, data.outputs),
     selected: chosen,
     data,
     focusable: false,
@@ -133,15 +179,21 @@ function terminal(
   const same = was !== undefined && was.fault === fault && was.port.kind === port.kind && was.port.unit === port.unit;
   const chosen = selected.has(id);
   if (same && old!.position.x === x && old!.position.y === y && (old!.selected ?? false) === chosen) return old!;
+  const size = { width: terminalWidth(port.name), height: TERMINAL_HEIGHT };
+  const dot = { width: HANDLE, height: HANDLE, y: (TERMINAL_HEIGHT - HANDLE) / 2 };
   return {
     ...(old ?? {}),
     id,
     type: kind === "input" ? "inlet" : "outlet",
     position: { x, y },
-    width: terminalWidth(port.name),
-    height: TERMINAL_HEIGHT,
+    ...size,
+    measured: size,
+    handles: [
+      kind === "input"
+        ? { ...dot, id: "out", type: "source", position: Position.Right, x: size.width - HANDLE / 2 }
+        : { ...dot, id: "in", type: "target", position: Position.Left, x: -HANDLE / 2 },
+    ],
     selected: chosen,
-    draggable: false,
     data: same ? was : { name: port.name, port, fault },
     focusable: false,
     ariaLabel: `${kind} ${port.name}`,
@@ -159,7 +211,27 @@ export function partPlaces(d: Diagram, shapes: Shapes): Point[] {
   return placed.map((at) => at ?? ([160 * (free % 6), bottom + GAP + 100 * Math.floor(free++ / 6)] as const));
 }
 
-/** Inputs stand left of all parts, outputs right of them, each at the height of what it is wired to, if there is room. */
+/** Where all that is on a sheet stands, by its id. */
+export function placesOn(d: Diagram, shapes: Shapes): Map<string, Point> {
+  const places = partPlaces(d, shapes);
+  const parts = d.parts.map((part, i) => [partId(part.name), places[i]!] as const);
+  return new Map([...parts, ...terminalPlaces(d, shapes, places)]);
+}
+
+/** The box around them all. */
+export function extentOf(nodes: readonly SheetNode[]): Box {
+  if (nodes.length === 0) return { x: 0, y: 0, width: 400, height: 200 };
+  const boxes = nodes.map(boxOf);
+  const [x, y] = [Math.min(...boxes.map((box) => box.x)), Math.min(...boxes.map((box) => box.y))];
+  const right = Math.max(...boxes.map((box) => box.x + box.width));
+  const bottom = Math.max(...boxes.map((box) => box.y + box.height));
+  return { x, y, width: right - x, height: bottom - y };
+}
+
+/**
+ * Inputs stand left of all parts, outputs right of them, each at the height of what it is wired to, if there is room; or
+ * where they were moved to.
+ */
 function terminalPlaces(d: Diagram, shapes: Shapes, places: readonly Point[]): Map<string, Point> {
   const sizes = d.parts.map((part) => partSize(part, shapes.of(part.item)));
   const middle = new Map(d.parts.map((part, i) => [part.name, places[i]![1] + sizes[i]!.height / 2]));
@@ -178,6 +250,11 @@ function terminalPlaces(d: Diagram, shapes: Shapes, places: readonly Point[]): M
     let next = -Infinity;
     const lowest = Math.max(0, ...[...middle.values()]);
     for (const [id, at] of rows.map(([id, y]) => [id, y ?? lowest] as const).sort((a, b) => a[1] - b[1])) {
+      const own = pointOf((x === left ? d.inputPositions : d.outputPositions)[id.slice(2)]);
+      if (own !== null) {
+        found.set(id, own);
+        continue;
+      }
       const y = Math.max(10 * Math.round((at - TERMINAL_HEIGHT / 2) / 10), next);
       found.set(id, [x === left ? x - terminalWidth(id.slice(2)) : x, y]);
       next = y + 40;
@@ -206,65 +283,92 @@ function edges(
   selected: ReadonlySet<string>,
   before: readonly SheetEdge[],
   nodes: readonly SheetNode[],
-): SheetEdge[] {
-  const boxes = nodes.map(boxOf);
+  router: Router,
+): { edges: SheetEdge[]; left: boolean } {
   const at = new Map(nodes.map((node) => [node.id, node]));
+  const wires = wiresOf(d, shapes).filter((wire) => hasPort(at, wire));
+  const ends = wires.map((wire): Ends => {
+    const [from, to] = [at.get(wire.source)!, at.get(wire.target)!];
+    return { id: wire.id, from: portAt(from, wire.sourceHandle, "out"), to: portAt(to, wire.targetHandle, "in") };
+  });
+  router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends);
+  const left = router.work(SLICE_MS);
   const old = new Map(before.map((edge) => [edge.id, edge]));
-  const made: SheetEdge[] = [];
-  const wires = [
-    ...d.connections,
-    ...d.outputs.flatMap(([name, source]) => (source === null ? [] : [[source, name] as const])),
-  ];
-  const outputs = new Set(d.outputs.map(([name]) => name));
-  for (const [source, to] of wires) {
-    const end = sourceEnd(d, shapes, source);
-    if (end === undefined) continue;
-    const id = wireId(to);
-    const isOutput = outputs.has(to) && !to.includes(".");
+  return { edges: wires.map((wire) => edge(wire, router.route(wire.id), marks, selected, old.get(wire.id))), left };
+}
+
+interface WireEnds {
+  readonly id: string;
+  /** As the diagram writes them. */
+  readonly from: string;
+  readonly to: string;
+  readonly source: string;
+  readonly sourceHandle: string;
+  readonly target: string;
+  readonly targetHandle: string;
+}
+
+/** The wires of a sheet between its nodes. */
+function wiresOf(d: Diagram, shapes: Shapes): WireEnds[] {
+  const outputs = d.outputs.flatMap(([name, source]) => (source === null ? [] : [[source, name] as const]));
+  const names = new Set(outputs.map(([, name]) => name));
+  return [...d.connections, ...outputs].flatMap(([from, to]) => {
+    const end = sourceEnd(d, shapes, from);
+    if (end === undefined) return [];
+    const isOutput = names.has(to) && !to.includes(".");
     const [part = "", ...port] = to.split(".");
-    const from = end[0] === null ? inputId(end[1].split(".")[0]!) : partId(end[0]);
-    const fault = marks.loop.has(id);
-    const color = marks.scoped.get(to) ?? "";
-    const next = {
-      source: from,
-      sourceHandle: end[0] === null ? "out" : `out:${end[1].split(".")[0]}`,
-      target: isOutput ? outputId(to) : partId(part),
-      targetHandle: isOutput ? "in" : `in:${port[0] ?? ""}`,
-      selected: selected.has(id),
-    };
-    const was = old.get(id);
-    const [begin, finish] = [at.get(next.source), at.get(next.target)];
-    const route =
-      begin === undefined || finish === undefined
-        ? {}
-        : routed(portAt(begin, next.sourceHandle, "out"), portAt(finish, next.targetHandle, "in"), boxes);
-    const same =
-      was !== undefined &&
-      was.data?.route.x === route.x &&
-      was.data?.route.y === route.y &&
-      was.source === next.source &&
-      was.sourceHandle === next.sourceHandle &&
-      was.target === next.target &&
-      was.targetHandle === next.targetHandle &&
-      (was.selected ?? false) === next.selected &&
-      was.data?.color === color &&
-      was.data.fault === fault;
-    made.push(
-      same
-        ? was
-        : {
-            ...(was ?? {}),
-            id,
-            type: "wire",
-            markerEnd: { type: MarkerType.ArrowClosed, width: 14, height: 14 },
-            ...next,
-            data: { color, fault, route },
-            class: fault ? "loop" : color === "" ? "" : "scoped",
-            style: color === "" ? "" : `--wire: var(--${color})`,
-            focusable: false,
-            ariaLabel: `wire from ${source} to ${to}`,
-          },
-    );
-  }
-  return made;
+    return [
+      {
+        id: wireId(to),
+        from,
+        to,
+        source: end[0] === null ? inputId(end[1].split(".")[0]!) : partId(end[0]),
+        sourceHandle: end[0] === null ? "out" : `out:${end[1].split(".")[0]}`,
+        target: isOutput ? outputId(to) : partId(part),
+        targetHandle: isOutput ? "in" : `in:${port[0] ?? ""}`,
+      },
+    ];
+  });
+}
+
+/** Whether both ports are there: what a block is not known to have cannot be drawn. */
+function hasPort(at: ReadonlyMap<string, SheetNode>, wire: WireEnds): boolean {
+  const [from, to] = [at.get(wire.source), at.get(wire.target)];
+  const has = (node: SheetNode | undefined, handle: string): boolean =>
+    node?.handles?.some((one) => one.id === handle) ?? false;
+  return has(from, wire.sourceHandle) && has(to, wire.targetHandle);
+}
+
+function edge(
+  wire: WireEnds,
+  route: Route,
+  marks: Marks,
+  chosen: ReadonlySet<string>,
+  was: SheetEdge | undefined,
+): SheetEdge {
+  const { id, from, to, source, sourceHandle, target, targetHandle } = wire;
+  const fault = marks.loop.has(id);
+  const color = marks.scoped.get(to) ?? "";
+  const selected = chosen.has(id);
+  const same =
+    was !== undefined &&
+    was.data?.route.x === route.x &&
+    was.data?.route.y === route.y &&
+    was.source === source &&
+    was.sourceHandle === sourceHandle &&
+    was.target === target &&
+    was.targetHandle === targetHandle &&
+    (was.selected ?? false) === selected &&
+    was.data?.color === color &&
+    was.data.fault === fault;
+  if (same) return was;
+  return {
+    ...(was ?? {}),
+    ...{ id, type: "wire", markerEnd: ARROW, source, sourceHandle, target, targetHandle, selected },
+    data: { color, fault, route },
+    class: fault ? "loop" : color === "" ? "" : "scoped",
+    style: color === "" ? "" : `--wire: var(--${color})`,
+    focusable: false,
+    ariaLabel: `wire from ${from} to ${to}`,
+  };
 }

@@ -1,16 +1,18 @@
 // The keys of the sheet. All that a mouse does can be done with them; the dialog of `?` lists them.
 import { act, described } from "../actions.svelte";
 import { editor } from "../editor.svelte";
+import { looseEnd } from "../insert.svelte";
 import { next, towards, type Direction } from "./neighbours";
 import type { SheetNode } from "./flow";
 
 export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["A or /", "add a block: search the palette"],
+  ["I", "insert a block here: into the selected wire, or behind the selected block"],
   ["N, P", "go to the next or previous block, as one reads"],
   ["Ctrl + arrows", "go to the nearest block in that direction"],
   ["Arrows", "move what is selected by 10; with Shift by 50"],
   ["C", "connect the selected block"],
-  ["Enter", "edit the selected block"],
+  ["Enter", "set the arguments of the selected block"],
   ["F2", "rename it"],
   ["O", "open the selected sub-diagram"],
   ["U", "go up to the diagram around it"],
@@ -74,7 +76,7 @@ function withControl(event: KeyboardEvent, nodes: readonly SheetNode[], from: Sh
       void act.paste();
       return true;
     case "d":
-      act.duplicate();
+      void act.duplicate();
       return true;
     case "g":
       act.group();
@@ -104,9 +106,14 @@ function plain(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNod
     case "c":
       act.dialog = "connect";
       return true;
+    case "i":
+      act.inserting = looseEnd(act.middle());
+      return true;
     case "Enter":
-    case "F2":
       act.focusPanel();
+      return true;
+    case "F2":
+      act.focusName();
       return true;
     case "o":
       if (editor.parts.length === 1) act.openPart(editor.parts[0]!);

@@ -9,7 +9,7 @@ import {
   type Diagram,
   type Part,
 } from "./diagram";
-import { freeName, movePart } from "./edits";
+import { movePart, nameBeside, taken } from "./edits";
 import { isList, isObject, readJson, writeJson } from "./json_text";
 
 const SCHEMA = "twodof/parts";
@@ -27,7 +27,9 @@ export function copyText(d: Diagram, names: ReadonlySet<string>): string {
   const isInput = (source: string): boolean => d.inputs.some((one) => declaredName(one) === source);
   return writeJson({
     schema: SCHEMA,
-    parts: d.parts.filter((part) => names.has(part.name)).map(partTo),
+    parts: d.parts
+      .filter((part) => names.has(part.name))
+      .map((part) => partTo(movePart(part, placeOf(part) ?? [0, 0]))),
     connections: d.connections.filter(([source, to]) => inside(source) && !isInput(source) && inside(to)),
   });
 }
@@ -49,7 +51,12 @@ function copied(text: string): Copied {
 export function paste(d: Diagram, text: string): { diagram: Diagram; names: string[] } {
   const { parts, connections } = copied(text);
   const names = new Map<string, string>();
-  for (const part of parts) names.set(part.name, freeName(d, part.name, new Set(names.values())));
+  const used = taken(d);
+  for (const part of parts) {
+    const name = nameBeside(used, part.name);
+    names.set(part.name, name);
+    used.add(name);
+  }
   const follow = (end: string): string => {
     const [name = "", ...port] = end.split(".");
     return [names.get(name) ?? name, ...port].join(".");

@@ -25,7 +25,11 @@ export interface Diagram {
   readonly parts: readonly Part[];
   readonly connections: readonly Connection[];
   readonly outputs: readonly Output[];
+  /** Where inputs and outputs stand that were moved, by name; a bus by its own. */
+  readonly inputPositions: Positions;
+  readonly outputPositions: Positions;
 }
+export type Positions = Readonly<Record<string, readonly Num[]>>;
 
 export interface Part {
   readonly name: string;
@@ -37,6 +41,8 @@ export interface Part {
   readonly rest: JsonObject;
   /** As it is written in the file; `placeOf` gives the numbers. */
   readonly position: readonly Num[] | null;
+  /** Where it is drawn while the file does not say. It is not written. */
+  readonly presumed?: Point;
   readonly item: Block | Diagram;
 }
 
@@ -65,14 +71,25 @@ export function declaredName(declared: JsonObject): string {
   return string(declared["name"]);
 }
 
-/** Where a part stands on its sheet; null where the file does not say. */
+/** Where a part stands on its sheet; null where nothing says. */
 export function placeOf(part: Part): Point | null {
-  const [x, y] = part.position ?? [];
+  return pointOf(part.position) ?? part.presumed ?? null;
+}
+
+export function pointOf(position: readonly Num[] | null | undefined): Point | null {
+  const [x, y] = position ?? [];
   return x === undefined || y === undefined ? null : [x.value, y.value];
 }
 
+const byName = new WeakMap<readonly Part[], ReadonlyMap<string, Part>>();
+
 export function findPart(diagram: Diagram, name: string): Part | undefined {
-  return diagram.parts.find((part) => part.name === name);
+  let parts = byName.get(diagram.parts);
+  if (parts === undefined) {
+    parts = new Map([...diagram.parts].reverse().map((part) => [part.name, part])); // the first of two counts
+    byName.set(diagram.parts, parts);
+  }
+  return parts.get(name);
 }
 
 /** The sub-diagram at a path of parts' names; undefined if there is none. */
@@ -103,7 +120,14 @@ export function diagramFrom(json: Json | undefined): Diagram {
       const [name, source] = list(pair);
       return [string(name), source === null || source === undefined ? null : string(source)] as const;
     }),
+    inputPositions: positionsFrom(data["input_positions"]),
+    outputPositions: positionsFrom(data["output_positions"]),
   };
+}
+
+function positionsFrom(json: Json | undefined): Positions {
+  const found = Object.entries(object(json ?? {}, "the positions"));
+  return Object.fromEntries(found.map(([name, at]) => [name, list(at).map(number)]));
 }
 
 export function partFrom(json: Json): Part {
@@ -140,6 +164,8 @@ export function diagramTo(d: Diagram): JsonObject {
     parts: d.parts.map(partTo),
     connections: d.connections,
     outputs: d.outputs,
+    ...(Object.keys(d.inputPositions).length === 0 ? {} : { input_positions: d.inputPositions }),
+    ...(Object.keys(d.outputPositions).length === 0 ? {} : { output_positions: d.outputPositions }),
   };
 }
 

@@ -1,5 +1,14 @@
 // Edits: each takes a diagram and gives the one after it. What they refuse is a sentence in an EditFault.
-import { CONDITIONS, declaredName, type Block, type Connection, type Diagram, type Part, type Point } from "./diagram";
+import {
+  CONDITIONS,
+  declaredName,
+  type Block,
+  type Connection,
+  type Diagram,
+  type Part,
+  type Point,
+  type Positions,
+} from "./diagram";
 import { Num, real, type Json, type JsonObject } from "./json_text";
 
 export class EditFault extends Error {}
@@ -29,7 +38,11 @@ export function taken(d: Diagram): Set<string> {
 
 /** `wanted`, or that with the first number that is free. */
 export function freeName(d: Diagram, wanted: string, also: ReadonlySet<string> = new Set()): string {
-  const used = taken(d);
+  return nameBeside(taken(d), wanted, also);
+}
+
+/** `wanted`, or that with the first number that makes it another name than these. */
+export function nameBeside(used: ReadonlySet<string>, wanted: string, also: ReadonlySet<string> = new Set()): string {
   const free = (name: string): boolean => !used.has(name) && !also.has(name);
   if (free(wanted)) return wanted;
   const stem = wanted.replace(/_?\d+$/, "").slice(0, 56);
@@ -52,8 +65,11 @@ export function changePart(d: Diagram, name: string, change: (part: Part) => Par
 }
 
 export function movePart(part: Part, to: Point): Part {
-  const [x, y] = to.map((v) => Math.min(1e6, Math.max(-1e6, Math.round(v * 100) / 100)));
-  return { ...part, position: [real(x ?? 0), real(y ?? 0)] };
+  return { ...part, position: written(to) };
+}
+
+function written(to: Point): Num[] {
+  return to.map((v) => real(Math.min(1e6, Math.max(-1e6, Math.round(v * 100) / 100))));
 }
 
 export function moveParts(d: Diagram, places: ReadonlyMap<string, Point>): Diagram {
@@ -62,6 +78,46 @@ export function moveParts(d: Diagram, places: ReadonlyMap<string, Point>): Diagr
     return to === undefined ? part : movePart(part, to);
   });
   return { ...d, parts };
+}
+
+/** Moves what stands on a sheet, by its id there: parts (p:), inputs (i:) and outputs (o:). */
+export function moveThings(d: Diagram, places: ReadonlyMap<string, Point>): Diagram {
+  const of = (mark: string) =>
+    [...places].filter(([id]) => id.startsWith(mark)).map(([id, to]) => [id.slice(2), to] as const);
+  const moved = (before: Positions, mark: string): Positions => {
+    const some = of(mark).map(([name, to]) => [name, written(to)] as const);
+    return some.length === 0 ? before : { ...before, ...Object.fromEntries(some) };
+  };
+  return {
+    ...moveParts(d, new Map(of("p:"))),
+    inputPositions: moved(d.inputPositions, "i:"),
+    outputPositions: moved(d.outputPositions, "o:"),
+  };
+}
+
+/** Inputs and outputs stand again where the sheet puts them. */
+export function freeBorder(d: Diagram): Diagram {
+  return { ...d, inputPositions: {}, outputPositions: {} };
+}
+
+/** Where one thing of a sheet has a place of its own, the others keep what was presumed of theirs. */
+export function settled(d: Diagram): Diagram {
+  const positions = [d.inputPositions, d.outputPositions].some((one) => Object.keys(one).length > 0);
+  if (!positions && d.parts.every((part) => part.position === null)) return d;
+  if (!d.parts.some((part) => part.position === null && part.presumed !== undefined)) return d;
+  const keep = (part: Part): Part =>
+    part.position === null && part.presumed !== undefined ? movePart(part, part.presumed) : part;
+  return { ...d, parts: d.parts.map(keep) };
+}
+
+function without(positions: Positions, name: string): Positions {
+  if (positions[name] === undefined) return positions;
+  return Object.fromEntries(Object.entries(positions).filter(([one]) => one !== name));
+}
+
+function followed(positions: Positions, from: string, to: string): Positions {
+  if (positions[from] === undefined) return positions;
+  return Object.fromEntries(Object.entries(positions).map(([one, at]) => [one === from ? to : one, at]));
 }
 
 /** Removes parts, and every wire and condition that came from or went to them. */
@@ -122,7 +178,7 @@ export function renameInput(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   checkName(d, to, from);
   const inputs = d.inputs.map((one) => (declaredName(one) === from ? { ...one, name: to } : one));
-  return renamed({ ...d, inputs }, from, to, false);
+  return renamed({ ...d, inputs, inputPositions: followed(d.inputPositions, from, to) }, from, to, false);
 }
 
 /** Follows a new name in all sources and, of a part, destinations. */
@@ -153,6 +209,7 @@ export function removeInput(d: Diagram, name: string): Diagram {
   const from = (source: string): boolean => source === name || source.startsWith(`${name}.`);
   return {
     ...d,
+    inputPositions: without(d.inputPositions, name),
     inputs: d.inputs.filter((one) => declaredName(one) !== name),
     parts: d.parts.map((part) => withoutConditions(part, from)),
     connections: d.connections.filter(([source]) => !from(source)),
@@ -167,14 +224,16 @@ export function addOutput(d: Diagram, name: string, source: string | null = null
 }
 
 export function removeOutput(d: Diagram, name: string): Diagram {
-  return { ...d, outputs: d.outputs.filter(([one]) => one !== name) };
+  const outputs = d.outputs.filter(([one]) => one !== name);
+  return { ...d, outputs, outputPositions: without(d.outputPositions, name) };
 }
 
 export function renameOutput(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   if (!NAME.test(to)) throw new EditFault(`"${to}" is not a name: use a letter, then letters, digits or _`);
   if (d.outputs.some(([one]) => one === to)) throw new EditFault(`the name ${to} is taken`);
-  return { ...d, outputs: d.outputs.map(([name, source]) => [name === from ? to : name, source] as const) };
+  const outputs = d.outputs.map(([name, source]) => [name === from ? to : name, source] as const);
+  return { ...d, outputs, outputPositions: followed(d.outputPositions, from, to) };
 }
 
 /** Sets the key of what is declared (an input or parameter); undefined takes it out. */

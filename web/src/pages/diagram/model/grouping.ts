@@ -50,6 +50,8 @@ export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes):
     parts: inside,
     connections: inner,
     outputs: [...outputs].map(([source, output]) => [output, source] as const),
+    inputPositions: {},
+    outputPositions: {},
   };
   const clash = sub.params.map(declaredName).find((one) => taken.has(one));
   if (clash !== undefined) throw new EditFault(`${clash} would name a parameter and a block of the sub-diagram`);

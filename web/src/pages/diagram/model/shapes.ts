@@ -1,6 +1,6 @@
 // What ports and parameters a part has. A library block's follow from its arguments, which Python decides: the page asks
 // the server once for each block and keeps the answer by the block's text.
-import { declaredName, type Block, type Diagram, type Part } from "./diagram";
+import { declaredName, findPart, type Block, type Diagram, type Part } from "./diagram";
 import { isList, isObject, Num, writeJson, type Json, type JsonObject } from "./json_text";
 
 export interface Port {
@@ -96,7 +96,7 @@ export class Shapes {
     const input = d.inputs.find((one) => declaredName(one) === source);
     if (input !== undefined) return portOf(input);
     const [name = "", ...path] = source.split(".");
-    const part = d.parts.find((one) => one.name === name);
+    const part = findPart(d, name);
     if (part === undefined) return nothing;
     const outputs = this.of(part.item).outputs;
     const port = path.join(".");
@@ -118,7 +118,7 @@ export function tops(ports: readonly Port[]): string[] {
 export function sourceEnd(d: Diagram, shapes: Shapes, source: string): readonly [string | null, string] | undefined {
   if (d.inputs.some((one) => inBus(declaredName(one), source))) return [null, source];
   const [name = "", ...path] = source.split(".");
-  const part = d.parts.find((one) => one.name === name);
+  const part = findPart(d, name);
   if (part === undefined) {
     const bus = d.inputs.some((one) => declaredName(one) === name);
     return bus ? [null, source] : undefined;

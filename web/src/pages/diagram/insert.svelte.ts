@@ -1,0 +1,99 @@
+// A block put at the loose end of a wire, into a wire, or just somewhere: found by a search where it is to stand.
+import { add, made } from "./actions.svelte";
+import { placesOn } from "./canvas/flow";
+import { editor, outputId, partId } from "./editor.svelte";
+import { findPart, type Diagram, type Point } from "./model/diagram";
+import { addInput, addOutput, addPart, connect, freeName } from "./model/edits";
+import type { Choice } from "./model/search";
+import { sourceText, tops, type Port, type Shape } from "./model/shapes";
+
+/** A wire that waits for a block: what it comes from and what it goes to, where it has such an end; and where. */
+export interface Loose {
+  readonly from: string | null;
+  readonly to: string | null;
+  readonly at: Point;
+}
+
+const OWN: readonly Choice[] = [
+  { type: "input", name: "Input", group: "sheet", text: "An input of this diagram." },
+  { type: "output", name: "Output", group: "sheet", text: "An output of this diagram." },
+  { type: "parameter", name: "Parameter", group: "sheet", text: "A parameter of this diagram, to tune blocks by." },
+  { type: "diagram", name: "Sub-diagram", group: "sheet", text: "A diagram within this one, empty." },
+];
+const GAP = 60;
+
+class Choices {
+  readonly all: readonly Choice[] = $derived([...OWN, ...(editor.catalogue?.blocks ?? [])]);
+
+  /** What has the ports that the wire asks for. */
+  fitting({ from, to }: Loose): Choice[] {
+    const shapes = new Map(editor.catalogue?.blocks.map((one) => [one.type, one.shape]));
+    return this.all.filter(({ type }) => {
+      const shape = shapes.get(type);
+      if (type === "parameter") return from === null && to === null;
+      if (type === "input") return from === null;
+      if (type === "output") return to === null;
+      if (shape === undefined) return true; // a sub-diagram has one of each
+      if (!("inputs" in shape)) return false;
+      return (from === null || shape.inputs.length > 0) && (to === null || shape.outputs.length > 0);
+    });
+  }
+}
+export const choices = new Choices();
+
+/** What is selected as the wire that a block is inserted at: into a wire, behind a block or input, before an output. */
+export function looseEnd(middle: Point): Loose {
+  const [id = ""] = editor.selected;
+  const [d, name] = [editor.here, id.slice(2)];
+  const places = placesOn(d, editor.shapes);
+  const beside = (at: Point | undefined, dx: number): Point => (at === undefined ? middle : [at[0] + dx, at[1] + 20]);
+  const own = places.get(id);
+  if (id.startsWith("w:")) {
+    const from = d.connections.find(([, to]) => to === name)?.[0] ?? sourceOf(d, name) ?? null;
+    const end = places.get(partId(name.split(".")[0]!)) ?? places.get(outputId(name));
+    return { from, to: name, at: beside(end, -100 - GAP) };
+  }
+  if (id.startsWith("o:")) return { from: null, to: name, at: beside(own, -100 - GAP) };
+  if (id.startsWith("i:")) return { from: name, to: null, at: beside(own, 60 + GAP) };
+  const part = findPart(d, name);
+  const port = part === undefined ? undefined : tops(editor.shapes.of(part.item).outputs)[0];
+  if (part === undefined || port === undefined) return { from: null, to: null, at: middle };
+  return { from: sourceText(part, port, editor.shapes), to: null, at: beside(own, 100 + GAP) };
+}
+
+function sourceOf(d: Diagram, output: string): string | undefined {
+  return d.outputs.find(([one]) => one === output)?.[1] ?? undefined;
+}
+
+/** Puts a block, input, output or parameter at the wire: one step to undo. */
+export function insert(type: string, { from, to, at }: Loose): void {
+  if (type === "parameter") return add(type);
+  if (type === "input") {
+    const name = freeName(editor.here, "u");
+    const edit = (d: Diagram): Diagram =>
+      to === null ? addInput(d, { name }) : connect(addInput(d, { name }), name, to);
+    editor.apply(`insert input ${name}`, edit);
+    return editor.select([`i:${name}`]);
+  }
+  if (type === "output") {
+    const name = freeName(editor.here, "y", new Set(editor.here.outputs.map(([one]) => one)));
+    editor.apply(`insert output ${name}`, (d) => addOutput(d, name, from));
+    return editor.select([`o:${name}`]);
+  }
+  const part = made(type, [at[0], at[1] - 20]);
+  if (part === undefined) return;
+  const shape = editor.shapes.of(part.item);
+  const [input, output] = [firstOf(shape, "inputs"), firstOf(shape, "outputs")];
+  editor.apply(`insert ${part.name}`, (d) => {
+    let after = addPart(d, part);
+    if (from !== null && input !== undefined) after = connect(after, from, `${part.name}.${input}`);
+    if (to !== null && output !== undefined) after = connect(after, sourceText(part, output, editor.shapes), to);
+    return after;
+  });
+  editor.select([partId(part.name)]);
+}
+
+function firstOf(shape: Shape, side: "inputs" | "outputs"): string | undefined {
+  const ports: readonly Port[] = shape[side];
+  return tops(ports)[0];
+}
