@@ -6,7 +6,7 @@ would. The truth is the rig's own, in closed form. `tools/coverage_table.py` mak
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from inspect import signature
 from typing import Any
 
@@ -19,25 +19,39 @@ from twodof.excitation import Multisine, ThreeTwoOneOne
 from twodof.experiment.experiments import Experiment, experiment
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.script import script
+from twodof.identify.disturbance.search import LONG
 from twodof.identify.experiments import KINDS
 from twodof.identify.greybox import fit
 from twodof.identify.information import predict
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
-from twodof.models.structures import pitch_rate, rail
-from twodof.rig.steady_state import model_parameters
-from twodof.signals import Q_AGE, RAIL_CENTRE
+from twodof.models.structures import pitch_on_cart, pitch_rate, rail
+from twodof.rig.steady_state import cart_parameters, model_parameters
+from twodof.signals import PERIOD, Q_AGE, RAIL_CENTRE
 
 Array = NDArray[np.float64]
 
 PITCH = ("mu", "tau")
 TRAVEL = ("k_v", "p_v")
 POLES = ("w_n", "xi")
+POLES_BEFORE: Mapping[str, tuple[float, float]] = {"w_n": (2.28, 0.31), "xi": (0.05, 0.05)}
+"""What the real drone's logs tell of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
+
+The stiffness is 5.2 +- 1.4 1/s2. The damping is between that of the free response beside dry friction, .036, and with
+all of it taken for viscous, .10."""
+
+FRICTION_BEFORE: Mapping[str, tuple[float, float]] = {"coulomb": (0.05, 0.05)}
+"""The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest."""
+
 EARLIER = 0
 """Seed of the flight from which the noise is known to plan with."""
 
 BOUND_FLIGHTS = 3
 """Flights over which the bound is averaged: in a closed loop the noise moves the input too."""
+
+
+CHANNELS: Mapping[str, str] = {"gyro": "q"}
+"""Inputs that a log knows by another name."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +66,6 @@ class Case:
     values: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """What is known of the machine before, beside what the structure knows: see `fit`."""
-
-    poles: bool = False
-    """Whether w_n and xi are held at those of the rig with its rotors running: in a closed loop they cannot be told."""
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -79,43 +90,35 @@ def cases(rig: Mapping[str, float]) -> dict[str, Case]:
         experiment("attitude-steps"),
         experiment("attitude-prbs"),
     ]
-    closed = ("attitude-steps", "attitude-prbs")
     travel = [experiment("velocity-doublet"), experiment("velocity-doublets")]
     dry = rig["rail_coulomb"] > 0.0
     along = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0", *(("coulomb",) if dry else ()))
-    known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"]}
+    known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"], "lever": cart_parameters(rig)["lever"]}
     # A level rail that lets the cart slide at .6 deg: .1 m/s2 at most, and not less than nothing.
     sliding = {"coulomb": (0.05, 0.05)} if dry else {}
     return {
-        **{one.name: _pitch(one, rig["lag"] > 0.0, one.name in closed) for one in pitch},
+        **{one.name: _pitch(one, rig) for one in pitch},
         **{one.name: Case(one.name, one, rail(thrust=True), TRAVEL, along, known, sliding) for one in travel},
     }
 
 
-def _pitch(flown: Experiment, lag: bool, poles: bool) -> Case:
-    structure = pitch_rate(lag=lag)
-    if not poles:
-        return Case(flown.name, flown, structure, PITCH)
-    return Case(
-        flown.name,
-        flown,
-        structure,
-        PITCH,
-        tuple(name for name in structure.estimate if name not in POLES),
-        poles=True,
-    )
+def _pitch(flown: Experiment, rig: Mapping[str, float]) -> Case:
+    """On `lab` a long flight is fitted with the cart; the gust of a short one is found with one input only.
 
-
-def with_poles(laboratory: Laboratory, case: Case) -> Case:
-    """The case with w_n and xi held, if it is to be, at those that the rig has while its rotors run.
-
-    Running rotors take away stiffness. The free response, with the rotors at rest, gives w_n 20 % too large on `lab`;
-    what it is in flight is known from the rig's calibration.
+    On a rig with no more than the paper's model the poles are held in a closed loop, where they cannot be told.
     """
-    if not case.poles:
-        return case
-    rig = model_parameters(laboratory.parameters.snapshot())
-    return replace(case, values={**case.values, **{name: rig[f"{name}_run"] for name in POLES}})
+    closed = flown.mode != "open-loop"
+    if rig["lag"] > 0.0:
+        if flown.excitation.duration < LONG * PERIOD:
+            return Case(flown.name, flown, pitch_rate(lag=True), PITCH)
+        cart = {**cart_parameters(rig), "play": rig["ring_play"]}
+        return Case(flown.name, flown, pitch_on_cart(), PITCH, values=cart, prior={**POLES_BEFORE, **FRICTION_BEFORE})
+    structure = pitch_rate()
+    if not closed:
+        return Case(flown.name, flown, structure, PITCH)
+    known = model_parameters(rig)
+    poles = {name: known[f"{name}_run"] for name in POLES}
+    return Case(flown.name, flown, structure, PITCH, tuple(n for n in structure.estimate if n not in POLES), poles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +165,6 @@ def campaign(rig: str, case: Case, seeds: Iterable[int], bound_flights: int = BO
     """
     laboratory = Laboratory(rig)
     seeds = tuple(seeds)
-    case = with_poles(laboratory, case)
     truth = true_values(laboratory, case)
     values, sigma, covered, failures = [], [], [], []
     for seed in seeds:
@@ -200,7 +202,9 @@ def record_of(flight: Flight, case: Case) -> Record:
     start, stop = float(clock[plan.begin]) - 1e-6, float(clock[min(plan.end, len(clock) - 1)])
     name = f"{case.name} {flight.seed}"
     if "k_v" not in case.figures:
-        return Record.from_log(log, ["M"], ["q"], start, stop, name=name)
+        channels = {one: CHANNELS.get(one, one) for one in case.structure.inputs}
+        smooth = [one for one in channels if one == "theta"]
+        return Record.from_log(log, channels, {"q": "q"}, start, stop, smooth=smooth, name=name)
     kind = KINDS["velocity"]
     channels = {one: (log[one].time, log[one].value) for one in kind.inputs}
     channels["x"] = (log["dist"].time, log["dist"].value - RAIL_CENTRE)
@@ -229,7 +233,7 @@ def true_values(laboratory: Laboratory, case: Case) -> dict[str, float]:
         "lag": max(rig["lag"], case.structure.unknowns["lag"].lower if "lag" in case.structure.unknowns else 0.0),
         "k_v": known["k_v"] * supply,
         "p_v": known["p_v"],
-        "coulomb": known["rail_coulomb"],
+        "coulomb": known["rail_coulomb" if "k_v" in case.figures else "coulomb_run"],
     }
 
 
@@ -252,7 +256,7 @@ def _bound(laboratory: Laboratory, case: Case, seeds: Sequence[int], truth: Mapp
             unknowns = tuple(name for name in unknowns if not (held and name == "v_0"))
             information = rail_information(case.structure, unknowns, values, record, rig, case.prior)
         else:
-            information = pitch_information(case.structure, unknowns, values, record, rig)
+            information = pitch_information(case.structure, unknowns, values, record, rig, case.prior)
         covariances.append(_full(case.unknowns, unknowns, np.linalg.inv(information)))
     # Not the inverse of the mean: unknowns that no flight tells apart differ in how they cannot be told.
     return _deviations(case, case.unknowns, np.mean(covariances, axis=0))
@@ -271,7 +275,6 @@ def promised(laboratory: Laboratory, case: Case) -> Array:
 
     In a closed loop the planned input is that of a flight without noise.
     """
-    case = with_poles(laboratory, case)
     earlier = fit(
         case.structure,
         record_of(laboratory.fly(case.experiment, EARLIER), case),

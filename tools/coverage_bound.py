@@ -21,9 +21,14 @@ Array = NDArray[np.float64]
 
 
 def pitch_information(
-    structure: Structure, unknowns: Sequence[str], values: Mapping[str, float], record: Record, rig: Mapping[str, float]
+    structure: Structure,
+    unknowns: Sequence[str],
+    values: Mapping[str, float],
+    record: Record,
+    rig: Mapping[str, float],
+    prior: Mapping[str, tuple[float, float]],
 ) -> Array:
-    """The information (unknowns, unknowns) that q of `record` holds on a rig with these parameters."""
+    """The information (unknowns, unknowns) that q of `record` and the `prior` hold on a rig with these parameters."""
     steps, dt = record.steps, record.dt
     spread = toeplitz(pushed_rate(values, steps, dt), np.zeros(steps))
     keep = np.exp(-dt / rig["gust_time"])
@@ -31,7 +36,7 @@ def pitch_information(
     covariance = spread @ toeplitz(gust) @ spread.T + toeplitz(gyro_covariance(rig, steps, dt))
     seen = np.rint(record.outputs["q"].position).astype(int)
     covariance = covariance[np.ix_(seen, seen)]
-    return _information(structure, unknowns, values, record, "q", covariance)
+    return _information(structure, unknowns, values, record, "q", covariance, prior)
 
 
 def rail_information(
@@ -54,7 +59,7 @@ def _information(
     record: Record,
     output: str,
     covariance: Array,
-    prior: Mapping[str, tuple[float, float]] | None = None,
+    prior: Mapping[str, tuple[float, float]],
 ) -> Array:
     problem = Problem(structure, [record], unknowns, values, {}, prior=prior)
     problem.set_noise({output: 1.0})

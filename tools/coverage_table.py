@@ -9,7 +9,9 @@ import math
 import re
 import sys
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from inspect import signature
+from itertools import repeat
 from pathlib import Path
 
 from tools.coverage import Case, Outcome, campaign, cases, promised
@@ -74,19 +76,26 @@ def covered(outcome: Outcome, i: int) -> str:
     return f"{100.0 * share:.0f} +- {100.0 * error:.0f}"
 
 
-def table(seeds: range, only: Sequence[str], before: str) -> Iterator[str]:
+def measured(rig: str, name: str, seeds: range) -> list[str]:
+    """The rows of one experiment, said as they come: what one process does."""
+    found = list(rows(rig, cases(load_rig(rig).snapshot())[name], seeds))
+    sys.stderr.write(f"{rig}\n" + "".join(f"{row}\n" for row in found))
+    return found
+
+
+def table(seeds: range, only: Sequence[str], before: str, jobs: int) -> Iterator[str]:
     """The whole table, a rig after the other; of experiments that are not in `only` the rows that the page has."""
+    asked = [(rig, name) for rig in NAMES for name in cases(load_rig(rig).snapshot())]
+    asked = [one for one in asked if not only or "/".join(one) in only]
+    with ProcessPoolExecutor(jobs) as pool:
+        found = dict(zip(asked, pool.map(measured, *zip(*asked, strict=True), repeat(seeds)), strict=True))
     for rig in NAMES:
         _, _, kept = before.partition(f"**Rig `{rig}`**")
         yield from ("", f"**Rig `{rig}`**", "")
         yield f"| {' | '.join(HEADER)} |"
         yield f"|{'---|' * len(HEADER)}"
         for name, case in cases(load_rig(rig).snapshot()).items():
-            sys.stderr.write(f"{rig} {name}\n")
-            found = rows(rig, case, seeds) if not only or f"{rig}/{name}" in only else _kept(kept, name, case)
-            for row in found:
-                sys.stderr.write(f"{row}\n")
-                yield row
+            yield from found[rig, name] if (rig, name) in found else _kept(kept, name, case)
     yield ""
 
 
@@ -101,7 +110,8 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--only", nargs="*", default=(), help="these experiments, as lab/doublet; the others stay")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
     asked = parser.parse_args()
-    rendered = list(table(range(1, asked.seeds + 1), asked.only, PAGE.read_text(encoding="utf-8")))
+    rendered = list(table(range(1, asked.seeds + 1), asked.only, PAGE.read_text(encoding="utf-8"), asked.jobs))
     made = "\n".join(["<!-- measured: coverage -->", *rendered, "<!-- end -->"])
     PAGE.write_text(BLOCK.sub(lambda _: made, PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -15,12 +15,13 @@ import numpy as np
 from scipy.stats import chi2
 
 from twodof.flightlog.mat.mat_file import read_mat
+from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
-from twodof.models.structures import pitch_rate
+from twodof.models.structures import pitch_on_cart, pitch_rate
 from twodof.rig.parameters import load_rig
-from twodof.rig.steady_state import model_parameters, moment_gain
+from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain
 from twodof.signals import HOVER
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "identification.md"
@@ -37,6 +38,12 @@ FLIGHTS: Mapping[str, tuple[float, float]] = {
 """Every flight in which the pitch is driven with the rotors running, and its window [s]."""
 
 UNKNOWNS = ("mu", "dead_time", "lag", "theta_0", "q_0")
+
+MOVED = 0.1
+"""The range sensor's noise stays within this in a flight with rings; a free cart moves three times as far [m]."""
+
+FREE = 1.0
+"""Play of a cart without rings: it meets no stop [m]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +63,35 @@ class RealFlight:
 
 def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Iterator[RealFlight]:
     """Each flight fitted by itself, with w_n and xi held at those that the same drone has while its rotors run."""
-    rig = model_parameters(load_rig("lab").snapshot())
+    known = load_rig("lab").snapshot()
+    rig = model_parameters(known)
     poles = {"w_n": rig["w_n_run"], "xi": rig["xi_run"]}
     for name in names:
         start, stop = FLIGHTS[name]
         log = read_mat(folder / f"{name}.mat")
-        record = Record.from_log(log, ["M", "T"], ["q"], start, stop, name=name)
+        channels = {"M": "M", "T": "T", "theta": "theta", "gyro": "q"}
+        record = Record.from_log(log, channels, {"q": "q"}, start, stop, smooth=["theta"], name=name)
+        ways = log["dist"].slice(start, stop).value
+        play = FREE if float(np.ptp(ways)) > MOVED else known["ring_play"]
         clock, given = log["T"].time, log["T"].value
         before = clock < start
         moment, thrust = record.inputs["M"], record.inputs["T"]
         yield RealFlight(
             name,
             fit(pitch_rate(), record, disturbance="white"),
-            fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles),
+            _fitted(record, {**poles, **cart_parameters(known), "play": play}, poles),
             float(np.mean(np.abs(moment) > thrust)),
             float(thrust.mean()),
             float((np.gradient(clock) * (given > 0.05))[before].sum()) + 0.5 * (stop - start),
         )
+
+
+def _fitted(record: Record, on_cart: Mapping[str, float], poles: Mapping[str, float]) -> Estimate:
+    """A long flight with what the calibration knows of the cart; the gust of a short one is found with one input."""
+    if record.steps < LONG:
+        return fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles)
+    friction = {"coulomb": (0.05, 0.05)}  # not less than nothing, and a fraction of that with the rotors at rest
+    return fit(pitch_on_cart(), record, estimate=(*UNKNOWNS, "coulomb"), values=on_cart, prior=friction)
 
 
 def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, float, float]:
@@ -125,7 +144,7 @@ def table(flights: Sequence[RealFlight]) -> Iterator[str]:
                 f"- {what}, {title}: {values.min():.4g} to {values.max():.4g} {unit}, mean {mean:.4g} +- {sigma:.2g}, "
                 f"chi-square {square:.1f} for {known.sum() - 1} degrees of freedom (probability {chance:.2g})"
             )
-    yield from ("", *textwrap.wrap(remaining(flights), 120))
+    yield from ("", *textwrap.wrap(" ".join([remaining(flights), *incomplete(flights)]), 120))
 
 
 def remaining(flights: Sequence[RealFlight]) -> str:
@@ -151,6 +170,25 @@ def remaining(flights: Sequence[RealFlight]) -> str:
         f"it, nor a voltage. An empty battery takes {100.0 * sag:.0f} % off mu on the rig `lab`, so starts that differ "
         f"by {charge:.0f} % of a battery would explain the rest. Nothing shows that they did."
     )
+
+
+def incomplete(flights: Sequence[RealFlight]) -> Iterator[str]:
+    """Which fits leave out a part of the response, if any, and how well the others agree."""
+    wrong = np.array([_leaves_out(one.found) for one in flights])
+    if not wrong.any():
+        return
+    values, sigmas = np.array([[one.found["mu"], one.found.sigma("mu")] for one in flights]).T
+    mean, sigma, square, chance = agreement(values[~wrong], sigmas[~wrong])
+    names = " and ".join(one.name for one, so in zip(flights, wrong, strict=True) if so)
+    yield (
+        f"The residual of {names} still depends on an input, so those claim too little. The other flights have a mean "
+        f"of {mean:.0f} +- {sigma:.1f} and a chi-square of {square:.1f} (probability {chance:.2g})."
+    )
+
+
+def _leaves_out(found: Estimate) -> bool:
+    """Whether the residual still depends on an input, as it does where the structure lacks a part of the response."""
+    return any(not test.causal.passed for one in found.identification for test in one.inputs.values())
 
 
 def delay(found: Estimate) -> str:

@@ -12,6 +12,7 @@ from twodof.rig.parameters import load_rig
 EACH_DAY, LONG = 4, 60
 CLOSED = ("attitude-steps", "attitude-prbs")
 OPEN = ("doublet", "3-2-1-1", "multisine")
+RAIL = ("velocity-doublet", "velocity-doublets")
 SURE = 0.999
 """What lies outside a binomial interval of this probability is not chance."""
 
@@ -53,6 +54,16 @@ def test_flights_in_open_loop_tell_gain_and_delay(name: str) -> None:
     error = found.bound / np.sqrt(count)
     assert (np.abs(found.bias) < found.bound / 3.0 + 4.0 * error).all(), found.bias / found.bound
     assert (found.spread / found.bound < 1.2 * (1.0 + 4.0 / np.sqrt(2.0 * count))).all(), found.spread / found.bound
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=pytest.mark.soak) for name in RAIL])
+def test_flights_along_the_rail_tell_the_gain(name: str) -> None:
+    # Without the lever the doublet's k_v is .65 of its spread low, and 87 % hold it.
+    found = flown(name, LONG)
+    assert found.failures == ()
+    assert (found.covered.sum(axis=0) >= binom.ppf(1.0 - SURE, LONG, LEAST)).all(), found.coverage
+    # One deviation of the mean by chance, not four: what the lever takes away is less than four.
+    assert abs(found.bias[0]) < (1.0 / 3.0 + 1.0 / np.sqrt(LONG)) * found.bound[0], found.bias / found.bound
 
 
 def test_a_doublet_that_output_error_loses_keeps_its_gust() -> None:

@@ -12,7 +12,15 @@ from twodof.models.plant import (
     thrust_curve,
 )
 from twodof.models.structure import Structure, UnknownParameter
-from twodof.models.structures import free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
+from twodof.models.structures import (
+    free_response,
+    longitudinal,
+    pitch_and_velocity,
+    pitch_on_cart,
+    pitch_rate,
+    rail,
+    velocity,
+)
 
 __all__ = [
     "PAPER_PITCH_RATE",
@@ -30,6 +38,7 @@ __all__ = [
     "linear_model",
     "longitudinal",
     "pitch_and_velocity",
+    "pitch_on_cart",
     "pitch_rate",
     "rail",
     "step_figures",

@@ -8,8 +8,9 @@ from types import MappingProxyType
 
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.library import Constant
+from twodof.blocks.library import Constant, Sum
 from twodof.models.around_plant import InputDelay, Offset
+from twodof.models.cart import CartPush
 from twodof.models.dry_friction import Lift, PitchPendulum, Rail
 from twodof.models.structure import Structure
 from twodof.models.zero_order_hold import (
@@ -18,6 +19,7 @@ from twodof.models.zero_order_hold import (
     ZohPitchRate,
     ZohPitchRateLag,
     ZohPlant,
+    ZohPushedPitchRate,
     ZohVelocity,
 )
 from twodof.signals import PERIOD
@@ -76,6 +78,40 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
         ("w_n", "xi", "mu", "tau", "theta_0", "q_0"),
         {"tau": 0.015},
         ring,
+    )
+
+
+def pitch_on_cart(ring: int = 64) -> Structure:
+    """`pitch_rate(lag=True)` and what cart and bearing do to it: from M, theta and the measured q (`gyro`) to q.
+
+    The cart's acceleration pushes the pitch (see `CartPush`), rattling within the rings' `play` or free on the rail
+    (a large `play`). Hold what the machine's calibration tells of the cart; estimate the bearing's dry friction
+    `coulomb` along with a prior. The measured q takes part in no lag, so it is not what the structure is to explain.
+    """
+    diagram = Diagram("pitch_on_cart", "angular rate from moment behind the rotors' lag, on a cart with play")
+    diagram.input("M")
+    diagram.input("theta", unit="rad")
+    diagram.input("gyro", unit="rad/s")
+    plant, cart, second = ZohPitchRateLag(ring), CartPush(), ZohPushedPitchRate(2)
+    _offer(diagram, "M_trim", 0.0, "", "constant part of M that moves nothing")
+    _offer(diagram, "dead_time", 0.01, "s", "delay of the input", (0.0, (ring - 2) * PERIOD))
+    for param in (*plant.params, *cart.params):
+        if param.name not in diagram.params:
+            _offer(diagram, param.name, float(param.value), param.unit, param.text, (param.low, param.high))
+    diagram.add("trim", Offset("", -1.0), params={"offset": "M_trim"}, u="M")
+    diagram.add("plant", plant, params={param.name: param.name for param in plant.params}, M="trim")
+    diagram.add("cart", cart, params={param.name: param.name for param in cart.params}, theta="theta", q="gyro")
+    diagram.add("pushed", second, params={"w_n": "w_n", "xi": "xi"}, push="cart")
+    diagram.add("sum", Sum(unit="rad/s"), a="plant.q", b="pushed.q")
+    diagram.output("q", "sum")
+    return Structure(
+        diagram,
+        ("w_n", "xi", "mu", "dead_time", "lag", "coulomb", "theta_0", "q_0"),
+        local=("M_trim", "theta_0", "q_0"),
+        scale={**{own: size for own, size in _SCALES.items() if own in diagram.params}, "play": 1e-4, "coupling": 0.1},
+        sums={"tau": ("dead_time", "lag")},
+        delay="dead_time",
+        prior={"lag": ROTOR_LAG},
     )
 
 

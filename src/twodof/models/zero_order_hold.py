@@ -205,6 +205,19 @@ class ZohPitchRate(ZohPlant):
         return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, p.mu)
 
 
+@library_block("models.HeldPushedPitchRate")
+class ZohPushedPitchRate(ZohPlant):
+    """The pitch under a push, an angular acceleration: q' = -w_n^2 theta - 2 xi w_n q + push."""
+
+    plant_states = ZohPitchRate.plant_states
+    plant_input = Port("push", unit="rad/s2")
+    plant_params = ZohPitchRate.plant_params[:2]
+
+    def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
+        """Paper equations (3) to (6), driven by the push itself."""
+        return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, 1.0)
+
+
 @library_block("models.HeldPitchRateLag")
 class ZohPitchRateLag(ZohPlant):
     """G_q behind a pure delay `dead_time` and the rotors' first-order `lag`.

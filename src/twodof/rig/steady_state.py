@@ -89,3 +89,15 @@ def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
         "rail_coulomb": rig["rail_coulomb"] / mass,
         "hardening": rig["hardening"] / inertia,
     }
+
+
+def cart_parameters(rig: Mapping[str, float]) -> dict[str, float]:
+    """What `pitch_on_cart` calls the rig's cart, in SI: docs/explanation/physics.md, equations (1) and (2)."""
+    inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
+    return {
+        "coupling": rig["mass_drone"] * rig["offset"] / inertia,
+        "lever": rig["mass_drone"] * rig["offset"] / mass,
+        "k_v": velocity_gain(rig),
+        "p_v": velocity_damping(rig),
+        "rail_coulomb": rig["rail_coulomb"] / mass,
+    }

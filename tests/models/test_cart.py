@@ -1,0 +1,90 @@
+"""The cart's part in the pitch: what the block says, and what a fit gains by it on the rig `lab`."""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from tools.coverage import cases, record_of, true_values
+from twodof.blocks.reference.interpreter import Reference
+from twodof.experiment.flight import Laboratory
+from twodof.identify.greybox import fit
+from twodof.identify.simulation import simulate
+from twodof.models.cart import CartPush
+from twodof.models.structure import Structure
+from twodof.models.structures import pitch_on_cart, pitch_rate, rail
+from twodof.rig.parameters import load_rig
+from twodof.rig.steady_state import model_parameters
+
+DT = 0.004
+
+
+def pushed(theta: np.ndarray, q: np.ndarray, values: Mapping[str, float]) -> np.ndarray:
+    machine = Reference(Structure.of_block(CartPush()).diagram, dt=DT).machine()
+    machine.set_many(values)
+    machine.reset()
+    return np.array(machine.run(theta.size, {"theta": theta, "q": q})["push"])
+
+
+def test_a_cart_that_runs_into_its_stop_gives_back_all_that_it_took() -> None:
+    values = {"coupling": 0.8, "play": 0.001, "k_v": 5.0, "p_v": 0.0}
+    push = pushed(np.full(60, 0.1), np.zeros(60), values)
+    drive = 0.8 * 5.0 * math.sin(0.1)
+    # Half of 5 sin(.1) t^2 is .001 m after .063 s: 15 whole steps slide, and the 16th is that of the impact.
+    assert push[:15] == pytest.approx(np.full(15, drive))
+    assert push[15] == pytest.approx(-15.0 * drive)
+    assert (push[16:] == 0.0).all()
+
+
+def test_a_cart_without_play_leaves_only_the_bearing() -> None:
+    q = np.array([0.0, 0.2, -0.2, 0.3])
+    push = pushed(np.full(4, 0.1), q, {"coupling": 0.8, "lever": 0.004, "play": 0.0, "coulomb": 0.05})
+    assert push == pytest.approx([0.0, -0.05, 0.05, -0.05])
+
+
+def test_dry_friction_of_the_rail_holds_the_cart() -> None:
+    values = {"coupling": 0.8, "play": 0.001, "k_v": 5.0, "rail_coulomb": 0.06}
+    assert (pushed(np.full(20, 0.011), np.zeros(20), values) == 0.0).all()
+    assert (pushed(np.full(20, 0.013), np.zeros(20), values) > 0.0).any()
+
+
+def test_with_the_cart_the_model_is_the_rig() -> None:
+    # Without noise what is left is what the structure leaves out.
+    laboratory = Laboratory("lab", noise=0.0)
+    rig = laboratory.parameters.snapshot()
+    case = cases(rig)["attitude-prbs"]
+    record = record_of(laboratory.fly(case.experiment), case)
+    known = model_parameters(rig)
+    poles = {"w_n": known["w_n_run"], "xi": known["xi_run"]}
+    unknowns = ("mu", "dead_time", "lag", "theta_0", "q_0")
+    cart = {**poles, **case.values, "coulomb": known["coulomb_run"]}
+
+    def left(structure_values: Mapping[str, float], on_cart: bool) -> float:
+        structure = pitch_on_cart() if on_cart else pitch_rate(lag=True)
+        found = fit(structure, record, estimate=unknowns, values=structure_values, disturbance="white")
+        return float(np.std(record.outputs["q"].value - simulate(structure, record, found)["q"]))
+
+    assert left(cart, True) < 0.5 * left(poles, False)
+
+
+def test_the_lever_takes_the_bias_off_a_velocity_doublet() -> None:
+    laboratory = Laboratory("lab", noise=0.0)
+    rig = laboratory.parameters.snapshot()
+    case = cases(rig)["velocity-doublet"]
+    record = record_of(laboratory.fly(case.experiment), case)
+    dry = {"coulomb": model_parameters(rig)["rail_coulomb"]}
+    unknowns = tuple(name for name in case.unknowns if name != "coulomb")
+
+    def gain(lever: float) -> float:
+        return fit(rail(thrust=True), record, estimate=unknowns, values={**case.values, **dry, "lever": lever})["k_v"]
+
+    truth = true_values(laboratory, case)["k_v"]
+    # .3 % is left: the rotors' lag, which the structure takes for a delay, and the part of the friction that goes with
+    # the lever.
+    assert gain(case.values["lever"]) == pytest.approx(truth, rel=0.003)
+    assert gain(0.0) < 0.99 * truth
+
+
+def test_the_campaign_knows_what_the_rig_has() -> None:
+    assert cases(load_rig("lab").snapshot())["velocity-doublet"].values["lever"] == pytest.approx(0.00403, rel=0.01)
