@@ -26,7 +26,7 @@ def pitch_information(
     values: Mapping[str, float],
     record: Record,
     rig: Mapping[str, float],
-    prior: Mapping[str, tuple[float, float]],
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> Array:
     """The information (unknowns, unknowns) that q of `record` and the `prior` hold on a rig with these parameters."""
     steps, dt = record.steps, record.dt
@@ -59,7 +59,7 @@ def _information(
     record: Record,
     output: str,
     covariance: Array,
-    prior: Mapping[str, tuple[float, float]],
+    prior: Mapping[str, tuple[float, float]] | None,
 ) -> Array:
     problem = Problem(structure, [record], unknowns, values, {}, prior=prior)
     problem.set_noise({output: 1.0})

@@ -29,7 +29,7 @@ def test_the_bound_is_what_output_error_attains(still: Laboratory) -> None:
     The difference is of the estimate itself and of the noise that was found in it.
     """
     impulse = Laboratory("paper").fly("impulse").log
-    flown = identify_flight(impulse).greybox
+    flown = identify_flight(impulse, disturbance="white").greybox
     planned = expected_accuracy("impulse", still, values={"mu": flown["mu"]}, noise={"q": flown.noise["q"]})
     assert planned.information is not None
     for name in ("w_n", "xi"):

@@ -117,7 +117,7 @@ def test_the_frequency_domain_agrees_and_drops_a_drift() -> None:
     truth = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.020}
 
     def worst(band: tuple[float, float] | None) -> float:
-        found = fit(pitch_rate(), drifting, estimate=tuple(truth), band=band)
+        found = fit(pitch_rate(), drifting, estimate=tuple(truth), band=band, disturbance="white")
         return max(abs(found[label] - true) / in_time.sigma(label) for label, true in truth.items())
 
     assert worst(None) > 10.0
