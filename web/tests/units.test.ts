@@ -1,5 +1,6 @@
 import { describe, expect, it } from "vitest";
-import { boundsMistake, editableNumber, readNumber, shownNumber, shownValue } from "../src/design/units";
+import { live } from "../src/chart/numbers";
+import { boundsMistake, editableNumber, raised, readNumber, shownNumber, shownValue } from "../src/design/units";
 
 describe("units", () => {
   it("shows degrees and keeps radians", () => {
@@ -30,5 +31,22 @@ describe("units", () => {
     expect(boundsMistake(readNumber("50.1", "rad"), "rad", -most, most)).toBe("From -50 to 50 deg.");
     expect(boundsMistake(-1, "s", 0, Infinity)).toBe("At least 0 s.");
     expect(boundsMistake(NaN, "s", 0, 1)).toBe("Give a number.");
+  });
+  it("writes a square as one", () => {
+    expect([raised("s^2/rad"), raised("rad/s2"), raised("m/s"), raised("rad")]).toEqual([
+      "s²/rad",
+      "rad/s²",
+      "m/s",
+      "rad",
+    ]);
+  });
+  it("keeps the decimals of what changes while it is read", () => {
+    expect([
+      live(0.00081, "deg"),
+      live(-8.13e-7, "deg"),
+      live(-12.3, "deg"),
+      live(-0.0178, ""),
+      live(NaN, "m"),
+    ]).toEqual(["0.001", "0.000", "\u221212.300", "\u22120.0178", "–"]);
   });
 });

@@ -7,6 +7,13 @@ export function figure(value: number, digits = 4): string {
   return value.toFixed(Math.max(0, Math.min(4, digits - whole)));
 }
 
+/** A number that changes while it is read: as many decimals at each size, so that it does not jump. */
+export function live(value: number, unit: string): string {
+  if (!Number.isFinite(value)) return "–";
+  const text = value.toFixed(unit === "" ? 4 : 3);
+  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", "\u2212");
+}
+
 /** A number with its unit. */
 export function quantity(value: number, unit: string): string {
   return unit ? `${figure(value)} ${unit}` : figure(value);

@@ -25,7 +25,12 @@ const SHOWN: Record<string, ScreenUnit> = {
 
 /** How values of an SI unit are shown; one that is not known stays as it is. */
 export function screenUnit(unit: string): ScreenUnit {
-  return SHOWN[unit] ?? { name: unit, factor: 1, decimals: 4 };
+  return SHOWN[unit] ?? { name: raised(unit), factor: 1, decimals: 4 };
+}
+
+/** A unit as it is written: `s^2/rad` and `rad/s2` with a small 2. */
+export function raised(unit: string): string {
+  return unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
 }
 
 const MINUS = "\u2212";

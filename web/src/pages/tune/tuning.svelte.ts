@@ -38,6 +38,12 @@ export class Tuning {
   /** The changes of this page that can be taken back, the last one at the end. */
   sent = $state.raw<readonly (readonly Change[])[]>([]);
   readonly changes = $derived(differences(this.rows, this.edits));
+  /** The changes that the preview shows. */
+  private previewed = $state("");
+  /** The preview, where it is that of the edits as they are now, and not still of those before. */
+  readonly judged = $derived(
+    this.preview !== undefined && this.previewed === JSON.stringify(asRecord(this.changes)) ? this.preview : undefined,
+  );
 
   private asked = "";
   private waiting: ReturnType<typeof setTimeout> | undefined;
@@ -168,6 +174,7 @@ export class Tuning {
       const found = await previewTuning(this.drone, changes, this.goal);
       this.preview = "bands" in found ? found : undefined;
       this.asked = question;
+      this.previewed = JSON.stringify(changes);
       this.refused = found.why;
     } catch (failure) {
       this.preview = undefined;
