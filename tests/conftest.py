@@ -87,9 +87,21 @@ def pytest_runtest_makereport(
     return report
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """What waits for real time to pass comes first, so that the others fill its time."""
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """What waits for real time to pass comes first, so that the others fill its time.
+
+    What a browser does is the dearest. Of the processes of xdist, which take equal parts of the list and then from each
+    other's ends, the second begins with it: what is left to the end is cheap, and one browser and one laboratory do.
+    """
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
+    processes = getattr(config, "workerinput", {}).get("workercount", 1)
+    if processes > 1:
+        first = len(items) // processes
+        fixtures = {item: getattr(item, "fixturenames", ()) for item in items}
+        browsers = [item for item in items if "browser" in fixtures[item] and not item.get_closest_marker("waits")]
+        browsers.sort(key=lambda item: "shared_server" not in fixtures[item])
+        rest = [item for item in items if item not in {*browsers}]
+        items[:] = rest[:first] + browsers + rest[first:]
 
 
 def pytest_collection_finish() -> None:

@@ -13,7 +13,8 @@ export default defineConfig({
     reportCompressedSize: true,
   },
   // A loaded machine takes longer than vitest's 5 s over a flight: only what hangs is to end.
-  test: { testTimeout: 120_000 },
+  // One thread without a world of its own for each file takes a third of the processor.
+  test: { testTimeout: 120_000, pool: "threads", isolate: false, maxWorkers: 1 },
   server: {
     proxy: { "/api": { target: "http://127.0.0.1:8080", ws: true } },
   },

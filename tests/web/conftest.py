@@ -11,9 +11,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from itertools import product
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect, sync_playwright
@@ -41,6 +43,38 @@ THEMES: tuple[Theme, ...] = ("light", "dark")
 expect.set_options(timeout=PATIENCE_S * 1000)
 
 OpenPage = Callable[..., Page]
+Kept = TypeVar("Kept")
+KEPT = pytest.StashKey[dict[str, tuple[object, ExitStack]]]()
+"""By the name of its fixture what takes seconds to start: it lives while the next test asks for it too, no longer.
+
+A drone that flies for nobody takes a seventh of a core. And while Playwright's event loop runs in this thread, no test
+of another file could run one of its own.
+"""
+
+
+def kept(request: pytest.FixtureRequest, start: Callable[[], AbstractContextManager[Kept]], kind: type[Kept]) -> Kept:
+    """What the asking fixture keeps, started where there is none."""
+    there = request.config.stash.setdefault(KEPT, {})
+    name = request.fixturename
+    assert name is not None
+    if name not in there:
+        with ExitStack() as stack:
+            there[name] = (stack.enter_context(start()), stack.pop_all())
+    found = there[name][0]
+    assert isinstance(found, kind)
+    return found
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
+    """Ends what the next test does not ask for."""
+    try:
+        return (yield)
+    finally:
+        there = item.config.stash.setdefault(KEPT, {})
+        for name in [*there]:
+            if name not in getattr(nextitem, "fixturenames", ()):
+                there.pop(name)[1].close()
 
 
 @pytest.fixture(scope="session")
@@ -59,17 +93,20 @@ def built_page() -> Path:
     return PROJECT / "src" / "twodof" / "lab" / "page"
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
-    """One Chromium for the tests of a file; each test has a context, as a person's own window, of its own.
-
-    Playwright's event loop runs in this thread for as long, and no test of another file could run one of its own.
-    """
-    toolchains.need("chromium")
+@contextmanager
+def launched() -> Iterator[Browser]:
+    """A Chromium."""
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
         yield chromium
         chromium.close()
+
+
+@pytest.fixture
+def browser(request: pytest.FixtureRequest) -> Browser:
+    """A Chromium that is kept; each test has a context, as a person's own window, of its own."""
+    toolchains.need("chromium")
+    return kept(request, launched, Browser)
 
 
 @pytest.fixture
@@ -110,12 +147,13 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
     assert not unexpected, unexpected
 
 
-@pytest.fixture(scope="session")
-def shared_server(built_page: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[LabServer]:
-    """One for all tests of a process, as it takes seconds to start: ask for `lab_server`."""
+@pytest.fixture
+def shared_server(
+    request: pytest.FixtureRequest, built_page: Path, tmp_path_factory: pytest.TempPathFactory
+) -> LabServer:
+    """One that is kept: ask for `lab_server`."""
     assert built_page.is_dir()
-    with served(tmp_path_factory.mktemp("lab")) as server:
-        yield server
+    return kept(request, lambda: served(tmp_path_factory.mktemp("lab")), LabServer)
 
 
 @pytest.fixture
@@ -147,6 +185,27 @@ def picture(page: Page, name: str) -> Path:
     path = PICTURES / f"{name}.png"
     page.screenshot(path=path)
     return path
+
+
+def looks(page: Page, name: str) -> Iterator[tuple[str, Theme]]:
+    """Each size and theme in turn, the page seen to be no wider than its window; a picture is kept of each.
+
+    What loads a page is dear, and a window that is made smaller shows the same as one that was small.
+    """
+    for size, theme in product(SIZES, THEMES):
+        width, height = SIZES[size]
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=theme)
+        assert not scrolls_sideways(page), (size, theme)
+        picture(page, f"{name}-{size}-{theme}")
+        yield size, theme
+
+
+def readable(page: Page, name: str) -> None:
+    """It `looks` right, and axe finds no serious fault in either theme: what it looks for does not hang on the size."""
+    for size, theme in looks(page, name):
+        if size == "wide":
+            assert axe(page) == [], theme
 
 
 def scrolls_sideways(page: Page) -> bool:

@@ -77,6 +77,15 @@ class LabServer:
                 return
             time.sleep(0.02)
 
+    def warm(self) -> None:
+        """Have the first preview behind us: it compiles, on a loaded machine for longer than a page waits."""
+        impulse = {"kind": "impulse", "unit": "m", "amplitude": 0.1, "width": 2.0, "settle": 2.0}
+        asked = {"excitation": impulse, "loop": "x", "drone": self.drone}
+        for _ in patiently():
+            with suppress(OSError):
+                if self.call("POST", "excitations/preview", asked)["motion"]:
+                    return
+
     def child(self, program: str) -> int:
         """The process of one of its programs: "lab", "fcu", "companion"."""
         for _ in patiently():

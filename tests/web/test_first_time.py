@@ -10,10 +10,12 @@ from playwright.sync_api import Page, expect
 from tests.patience import PATIENCE_S
 from tests.web.conftest import OpenPage
 from tests.web.lab_server import LabServer
-from tests.web.test_fly import flying, reaches
+from tests.web.pilot import flies_to, flying, press
 
 FLIGHTS_S, MOST_TRIES = 50.0, 3
 """An impulse and a doublet with their holds [s]; how often the page flies what a gust ended early."""
+MOST_RUNS = 5
+"""The failsafe ends a flight whose pilot's computer stands still: who sees that begins again."""
 
 
 def to(page: Page, name: str) -> None:
@@ -23,8 +25,7 @@ def to(page: Page, name: str) -> None:
 
 def step(page: Page, metres: str) -> None:
     """A step of the position by its button, seen to be answered."""
-    page.get_by_role("button", name=metres, exact=True).click()
-    reaches(page, "Position x", float(metres.replace("\u2212", "-")), 0.02)
+    flies_to(page, press(page, metres), "Position x", float(metres.replace("\u2212", "-")), 0.02)
 
 
 def disarm(page: Page) -> None:
@@ -55,9 +56,15 @@ def test_from_up_to_a_model_and_a_controller_of_ones_own_that_fly(lab_server: La
 
     # Identify: the paper's two flights of the pitch in real time, their fit, and the model kept.
     to(page, "Identify")
-    page.get_by_role("button", name="Whole pitch run").click()
+    run = page.get_by_role("button", name="Whole pitch run")
     estimate = page.get_by_role("row", name=re.compile(r"^mu \d{3}"))
-    expect(estimate).to_be_visible(timeout=1000 * (PATIENCE_S + MOST_TRIES * FLIGHTS_S))
+    for _ in range(MOST_RUNS):
+        run.click()
+        expect(run).to_be_disabled()
+        expect(run).to_be_enabled(timeout=1000 * (PATIENCE_S + MOST_TRIES * FLIGHTS_S))
+        if estimate.is_visible():
+            break
+    expect(estimate).to_be_visible()
     page.get_by_role("button", name="Keep it").click()
     page.get_by_role("tab", name="Kept models, design").click()
     expect(page.get_by_role("table", name="Models that are kept")).to_contain_text("doublet")

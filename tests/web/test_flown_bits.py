@@ -93,7 +93,7 @@ def test_the_page_flies_the_bits_of_the_native_build(tmp_path: Path) -> None:
         env=os.environ | {"VITE_TWODOF_LOOPS": str(file), "NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=2 * PATIENCE_S,
     )
     assert done.returncode == 0, (done.stdout + done.stderr)[-6000:]
     assert f"Tests  {len(CASES)} passed" in done.stdout, done.stdout

@@ -3,69 +3,39 @@
 from __future__ import annotations
 
 import re
-from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Locator, expect
 
-from tests.patience import patiently
-from tests.web.conftest import SIZES, THEMES, OpenPage, axe, picture, scrolls_sideways
+from tests.web.conftest import OpenPage, axe, looks
 from tests.web.lab_server import LabServer
+from tests.web.pilot import PRESSED_MS, armed, flies_to, flown, flying, press, reaches
 from twodof.flightlog.files import read_log
 
 STOP = re.compile("^STOP")
 
 
-def armed(page: Page) -> None:
-    """Arms by the button, and sees that it is."""
-    page.get_by_role("button", name="Arm", exact=True).click()
-    expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
-    expect(page.get_by_role("button", name="Disarm")).to_be_focused()  # the keyboard stays where it was
-
-
-def flying(page: Page) -> None:
-    """Armed and hovering in the middle of the rail."""
-    armed(page)
-    page.get_by_role("tab", name="Position").click()
-    page.get_by_role("button", name="0.00", exact=True).click()
-    expect(page.get_by_text("follows position")).to_be_visible()
-
-
-def shown(page: Page, label: str) -> float:
-    """A live value as the page shows it, in the unit of the screen."""
-    text = page.locator("dl[aria-label=Now] div", has_text=label).locator("dd").inner_text().split()[0]
-    return float(text.replace("\u2212", "-").replace("–", "nan"))
-
-
-def reaches(page: Page, label: str, value: float, within: float) -> None:
-    """Waits until a live value is there."""
-    seen = float("nan")
-    for _ in patiently():
-        seen = shown(page, label)
-        if abs(seen - value) < within:
-            return
-    raise AssertionError(f"{label} is {seen}, not {value}")
+def typed(field: Locator, text: str) -> None:
+    """Types a number into a field that a disarmed drone would disable."""
+    field.fill(text, timeout=PRESSED_MS)
+    field.press("Enter", timeout=PRESSED_MS)
 
 
 def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
     page.get_by_role("tab", name="Position").click()
-    page.get_by_role("button", name="0.10", exact=True).click()
-    reaches(page, "Position x", 0.1, 0.02)
+    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.02)
     number = page.get_by_label("Position x, number")
-    number.fill("-0,05")  # as a German keyboard writes it
-    number.press("Enter")
-    reaches(page, "Position x", -0.05, 0.02)
+    flies_to(page, lambda: typed(number, "-0,05"), "Position x", -0.05, 0.02)  # as a German keyboard writes it
     slider = page.get_by_role("slider", name="Position x", exact=True)
     slider.focus()
-    slider.press("Home")  # its least: what the keyboard gives at once
-    assert lab_server.state["mode"] == "offboard"
+    # Its least: what the keyboard gives at once.
+    flown(page, lambda: slider.press("Home", timeout=PRESSED_MS), lambda: lab_server.state["mode"] == "offboard")
     slider.press("End")
-    page.get_by_role("button", name="0.00", exact=True).click()
-    reaches(page, "Position x", 0.0, 0.02)
+    flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.02)
     number.fill("0.3")  # typed and left: nothing may jump
     page.get_by_label("Thrust", exact=True).or_(page.get_by_role("tab", name="Position")).first.focus()
     expect(number).to_have_accessible_description(re.compile("Not given yet: Enter gives it"))
@@ -87,9 +57,7 @@ def test_a_pitch_is_asked_in_degrees_and_flown_in_radians(lab_server: LabServer,
     page = open_page(lab_server.link)
     expect(page.get_by_text("locked, the cart stands")).to_be_visible()
     armed(page)
-    page.get_by_label("Pitch θ, number").fill("8")
-    page.get_by_label("Pitch θ, number").press("Enter")
-    reaches(page, "Pitch θ", 8.0, 1.5)
+    flies_to(page, lambda: typed(page.get_by_label("Pitch θ, number"), "8"), "Pitch θ", 8.0, 1.5)
     page.get_by_role("tab", name="Velocity").click()
     expect(page.get_by_text("The rings lock the cart")).to_be_visible()
     page.get_by_role("button", name="Hold level").click()
@@ -119,6 +87,7 @@ def test_the_stop_works_by_button_by_key_over_a_dialog_and_from_every_page(
 
 
 def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_page: OpenPage) -> None:
+    lab_server.warm()
     page = open_page(lab_server.link)
     page.get_by_role("button", name="Build one").click()
     dialog = page.get_by_role("dialog")
@@ -154,9 +123,12 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
     use.click()
     armed(page)
     page.get_by_role("tab", name="Position").click()
-    page.get_by_role("button", name="0.00", exact=True).click()
-    page.get_by_role("button", name="Start", exact=True).click()
-    reaches(page, "Position x", 0.1, 0.02)
+
+    def start() -> None:
+        press(page, "0.00")()
+        press(page, "Start")()
+
+    flies_to(page, start, "Position x", 0.1, 0.02)
     page.get_by_role("button", name="Stop it").click()
     reaches(page, "Position x", 0.0, 0.02)
 
@@ -206,14 +178,8 @@ def test_it_fits_both_sizes_and_themes_and_axe_finds_no_serious_fault(
 ) -> None:
     page = open_page(lab_server.link)
     flying(page)
-    page.get_by_role("button", name="0.10", exact=True).click()
-    reaches(page, "Position x", 0.1, 0.02)
-    for size, theme in product(SIZES, THEMES):
-        width, height = SIZES[size]
-        page.set_viewport_size({"width": width, "height": height})
-        page.emulate_media(color_scheme=theme)
-        assert not scrolls_sideways(page), size
-        picture(page, f"fly-{size}-{theme}")
+    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.02)
+    for size, theme in looks(page, "fly"):
         if size == "wide":  # what axe looks for does not hang on the size
             assert axe(page) == [], theme
         stop = page.get_by_role("button", name=STOP).bounding_box()

@@ -11,7 +11,7 @@ from playwright.sync_api import expect
 
 from tests.web.conftest import OpenPage
 from tests.web.lab_server import LabServer
-from tests.web.test_fly import armed, flying, reaches, shown
+from tests.web.pilot import armed, flies_to, flying, press, reaches, shown
 from twodof.gcs import Drone
 
 GONE = ("WebSocket", "ERR_", "502", "504")
@@ -31,7 +31,7 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     expect(page.locator("[aria-label='The drone']").get_by_text("Failsafe")).to_be_visible()
     lab_server.calm()
     flying(page)
-    reaches(page, "Position x", 0.0, 0.03)
+    flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
 
 
 def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, open_page: OpenPage) -> None:
@@ -47,7 +47,7 @@ def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, ope
     # computer gives that more slowly than the clock by which the server takes the link for lost.
     expect(page.get_by_label("What the drone says")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
     flying(page)
-    reaches(page, "Position x", 0.0, 0.05)
+    flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
 
 def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> None:
@@ -80,9 +80,8 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
     number.fill("0")
     number.press("Enter")
     page.get_by_role("tab", name="Position").click()
-    page.get_by_role("button", name="0.00", exact=True).click()
+    flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
-    reaches(page, "Position x", 0.0, 0.03)
 
 
 def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:

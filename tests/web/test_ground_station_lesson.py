@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
-from urllib.error import URLError
 
-from tests.patience import patiently
 from tests.web.conftest import OpenPage, picture
 from tests.web.ground_station_lesson import run
 from tests.web.lab_server import LabServer
@@ -14,18 +11,9 @@ from tests.web.lab_server import LabServer
 PROJECT = Path(__file__).resolve().parents[2]
 
 
-def _warm(server: LabServer) -> None:
-    """Have the first preview behind us: it imports and compiles, on a loaded machine for longer than a page waits."""
-    impulse = {"kind": "impulse", "unit": "m", "amplitude": 0.1, "width": 2.0, "settle": 2.0}
-    for _ in patiently():
-        with suppress(TimeoutError, URLError):
-            server.call("POST", "excitations/preview", {"excitation": impulse, "loop": "x", "drone": server.drone})
-            return
-
-
 def test_the_lesson_can_be_followed(lab_server: LabServer, open_page: OpenPage) -> None:
     """What it clicks is there, what it says comes, and the page shows each of its pictures."""
-    _warm(lab_server)
+    lab_server.warm()
     page = open_page(lab_server.link)
     taken: list[str] = []
 

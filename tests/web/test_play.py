@@ -89,7 +89,7 @@ def test_the_page_flies_the_bits_of_the_native_build(play: PlayProgram, tmp_path
         env=os.environ | {"VITE_TWODOF_FLIGHT": str(file), "NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=2 * PATIENCE_S,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert "Tests  3 passed" in done.stdout, done.stdout

@@ -76,7 +76,7 @@ def test_the_page_reads_the_figures_that_python_reads(tmp_path: Path) -> None:
         env=os.environ | {"VITE_TWODOF_STEPS": str(file), "NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=2 * PATIENCE_S,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"Tests  {3 * len(cases)} passed" in done.stdout, done.stdout

@@ -17,6 +17,6 @@ ROOT = Path(__file__).resolve().parents[2]
 )
 def test_the_units_of_the_page_pass() -> None:
     done = subprocess.run(
-        ["tools/web.sh", sys.executable, "test"], cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S
+        ["tools/web.sh", sys.executable, "test"], cwd=ROOT, capture_output=True, text=True, timeout=2 * PATIENCE_S
     )
     assert done.returncode == 0, done.stdout + done.stderr

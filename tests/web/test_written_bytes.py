@@ -24,7 +24,7 @@ def test_the_page_writes_the_bytes_that_python_writes(tmp_path: Path) -> None:
         env=os.environ | {"VITE_TWODOF_TEXTS": str(file), "NO_COLOR": "1"},
         capture_output=True,
         text=True,
-        timeout=PATIENCE_S,
+        timeout=2 * PATIENCE_S,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"Tests  {len(texts())} passed" in done.stdout, done.stdout
