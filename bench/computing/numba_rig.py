@@ -238,7 +238,8 @@ def run_rig(
         q -= coupling * p.per_inertia * (speed - (slid if turning == 0.0 else v_free))
         v -= coupling * p.per_mass * (turning - (turned if speed == 0.0 else q_free))
         fore, aft = 0.0 if fore < STILL else fore, 0.0 if aft < STILL else aft
-        wake += p.wake_step * (load - wake)
+        slant = p.wake_fade * out[THETA]
+        wake += p.wake_step * (load / (1.0 + slant * slant) - wake)
         wake = 0.0 if wake < STILL else wake
         rings[0, counts[1]], rings[1, counts[1]] = min(max(ask_fore, 0.0), 1.0), min(max(ask_aft, 0.0), 1.0)
         counts[1] = (counts[1] + 1) & (COMMANDS - 1)

@@ -23,7 +23,7 @@ def shipped() -> dict[str, float]:
     """The unknowns that the shipped set stands for."""
     rig = lab()
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
-    same = ("delay", "lag", "wake_lag", "tof_age", "imu_below")
+    same = ("delay", "lag", "wake_lag", "wake_fade", "tof_age", "imu_below")
     return {name: rig[name] for name in same} | {
         "b": rig["arm"] * rig["pair_thrust"] / inertia,
         "a": rig["curve"],
@@ -115,9 +115,7 @@ def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_dat
     assert found.converged
     for name in CALIBRATED:
         assert found.rig[name] == pytest.approx(lab()[name], rel=2e-3), name
-    # Flights of a kind that others show are predicted nearly as well as they are fitted; the sweep, faster than the one
-    # other flight with a free cart, within 5 points. The doublet is the only one in open loop: nothing else shows the
-    # wake that has hardly begun to build up.
+    # Flights of a kind that others show are predicted nearly as well as they are fitted.
     for name, channel, loss in (
         ("attitude-steps-10deg-default", "theta", 0.2),
         ("attitude-steps-10deg-default", "q", 0.3),
@@ -125,14 +123,17 @@ def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_dat
         ("rate-doublets-30dps-student", "q", 0.3),
         ("velocity-doublets-0.25", "v", 2.0),
         ("velocity-doublets-0.25", "theta", 3.0),
-        ("position-sweep-default", "x", 5.0),
-        ("position-sweep-default", "v", 5.0),
+        ("position-sweep-default", "theta", 2.0),
+        ("position-sweep-default", "x", 1.5),
+        ("position-sweep-default", "v", 2.0),
     ):
         assert found.left_out[name][channel] >= found.fit[name][channel] - loss, (name, channel)
     # What the project asks of flights left out. Before the rotors took stiffness away they were 88 and 14. The free
     # response rests on priors, as no other window has the rotors at rest.
     assert found.left_out["rate-doublets-30dps-student"]["theta"] >= 92.0
     assert found.left_out["free-response-impulse"]["q"] >= 85.0
+    # The doublet has a wake that has hardly begun to build up: flights that stay pitched show that moment too.
+    assert found.left_out["doublet-0.03"]["q"] >= 70.0
     counted = [
         found.left_out[f.name][channel]
         for f in FLIGHTS
@@ -140,6 +141,6 @@ def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_dat
         if (f.name, channel) != ("free-response-impulse", "theta")
     ]
     assert len(counted) == 17
-    assert np.mean(counted) >= 79.0  # a point above 78.0
+    assert np.mean(counted) >= 85.3  # a point below what it is, 86.3
     for fits in found.ceiling.values():
         assert 0.0 < fits["q"] < 100.0

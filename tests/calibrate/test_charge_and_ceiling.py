@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from twodof.calibrate import estimate_charge, gust_ceiling
+from twodof.calibrate import estimate_charge, gust_ceiling, gust_fits
 from twodof.errors import IdentificationError
 from twodof.experiment.flight import Laboratory
 from twodof.rig.parameters import lab
@@ -62,5 +62,8 @@ def test_the_ceiling_falls_with_the_gusts(loop: ClosedLoop, steps: LoggedFlight)
     assert ceilings[0] > ceilings[1] + 1.0
     # The deviation from the noise-free flight grows about in proportion to the gusts.
     assert 100.0 - ceilings[2] == pytest.approx(2.0 * (100.0 - ceilings[1]), rel=0.25)
+    fits = gust_fits(steps, loop, RIG, seeds=3)["theta"]
+    assert fits.shape == (3,)
+    assert sorted(fits)[1] == ceilings[1]
     with pytest.raises(IdentificationError, match="at least one"):
         gust_ceiling(steps, loop, RIG, seeds=0)

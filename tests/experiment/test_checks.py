@@ -9,9 +9,9 @@ from twodof.experiment.flight import Laboratory
 from twodof.experiment.script import script
 
 
-@pytest.mark.parametrize("seed", [27, 43])
+@pytest.mark.parametrize("seed", [43, 148])
 def test_a_stop_that_is_struck_between_two_samples_is_seen(seed: int) -> None:
-    # The gusts of these seeds swing the drone to its stop at 2.5 rad/s: no sample is nearer to it than .002 rad.
+    # The gusts of these seeds swing the drone to its stop at 1.2 and 4.3 rad/s: no sample is nearer than .002 rad.
     laboratory, flown = Laboratory("lab"), experiment("doublet")
     plan = script(flown)
     theta = laboratory.signals(flown, plan, 0.0, seed)["true_theta"][plan.begin : plan.end]

@@ -23,7 +23,7 @@ PULL = {"pair_thrust": 4.0, "curve": 0.3, "arm": 0.1}
 def rotors() -> Diagram:
     d = Diagram("rotors", "rotors alone")
     d.add("rotors", Rotors())
-    for name in ("fore", "aft", "supply"):
+    for name in ("fore", "aft", "supply", "theta"):
         d.input(name)
         d.add(f"{name}_held", ZeroOrderHold(), u=name)
         d.connect(f"{name}_held", f"rotors.{name}")
@@ -97,6 +97,14 @@ def test_the_trim_moment_builds_up_with_the_wake(program: CompiledProgram) -> No
     t = (np.arange(6000) - 1) * DT
     expected = 3e-3 - 4e-3 * np.exp(-t / 1.3)
     assert out[1:] == pytest.approx(expected[1:], abs=4e-3 * DT / 1.3)  # Euler: within a step of the exponential
+
+
+def test_the_wake_leaves_a_drone_that_stays_pitched(program: CompiledProgram) -> None:
+    m = machine(program, lag=0.0, delay=0.001, trim=3e-3, trim_start=-1e-3, wake_lag=1.3, wake_fade=8.0, wake_start=1.0)
+    out = m.run(20_000, {"fore": HOVER, "aft": HOVER, "supply": 1.0, "theta": -0.25})["moment"]
+    assert out[1] == pytest.approx(3e-3, abs=4e-3 * 2.0 * DT / 1.3)
+    # After 15 time constants a share of 1 / (1 + 2^2) is left, and 3e-7 of the rest.
+    assert out[-1] == pytest.approx(-1e-3 + 4e-3 / 5.0, abs=1e-8)
 
 
 def test_supply_scales_the_thrust(program: CompiledProgram) -> None:

@@ -52,7 +52,8 @@ static inline void step(Loop *l, const Setpoints *set, Outputs *y)
     next.fore = next.fore < STILL ? 0 : next.fore;
     next.aft = next.aft < STILL ? 0 : next.aft;
     l->motion = next;
-    l->wake += l->c.wake_step * (now.load - l->wake);
+    const real slant = p->rig_wake_fade * l->y.true_theta;
+    l->wake += l->c.wake_step * (now.load / (1 + slant * slant) - l->wake);
     l->wake = l->wake < STILL ? 0 : l->wake;
     l->fore_ring[l->ring_place] = l->y.fore;
     l->aft_ring[l->ring_place] = l->y.aft;

@@ -11,7 +11,7 @@ from twodof.calibrate.calibration import (
     find_flights,
     to_rig,
 )
-from twodof.calibrate.ceiling import gust_ceiling
+from twodof.calibrate.ceiling import gust_ceiling, gust_fits
 from twodof.calibrate.charge import ChargeEstimate, estimate_charge
 from twodof.calibrate.gusts import HOLDS, GustEstimate, HoverHold, measure_gusts
 
@@ -30,6 +30,7 @@ __all__ = [
     "estimate_charge",
     "find_flights",
     "gust_ceiling",
+    "gust_fits",
     "measure_gusts",
     "to_rig",
 ]

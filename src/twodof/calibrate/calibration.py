@@ -4,8 +4,9 @@ One set of parameters fits all flights in the least-squares sense: logged agains
 its own spread. The simulation is in closed loop and noise-free, over the windows of the logs' registry. What one flight
 alone cannot tell is held by a weak prior.
 
-The figures of flights that were left out are not wholly blind. The estimator's tuning (`sim.resimulation.DRONE`) and
-the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from the optimum with that flight.
+The figures of flights that were left out are not wholly blind. The gains of the drone's estimator
+(`sim.drone_estimator.GAINS`) and the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from
+the optimum with that flight.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -97,9 +98,11 @@ UNKNOWNS: tuple[CalibratedUnknown, ...] = (
     CalibratedUnknown("f_v", 0.06, 0.04, 0.0, 0.5, "m/s2, Coulomb friction of the rail"),
     CalibratedUnknown("trim_start", -0.4, 0.5, -6.0, 6.0, "rad/s2, the rotors' trim before their wake stands"),
     CalibratedUnknown("wake_lag", 1.0, 0.7, 0.1, 5.0, "s"),
+    CalibratedUnknown("wake_fade", 5.0, 5.0, 0.0, 100.0, "1/rad, how soon the wake fades with the pitch"),
     # Prior: the range against the twice integrated accelerometer, flight by flight, gives 20 to 37 ms.
     CalibratedUnknown("tof_age", 0.03, 0.01, 0.0, 0.1, "s, age of a range sample"),
-    CalibratedUnknown("imu_below", 0.016, 0.01, -0.1, 0.1, "m"),
+    # Prior: acc_x of the five flights with rings, from 1 to 6 Hz, against the pitch and the turning: 9 to 12 mm.
+    CalibratedUnknown("imu_below", 0.011, 0.001, -0.1, 0.1, "m"),
 )
 
 PRIOR_WEIGHT = 0.02
@@ -135,6 +138,7 @@ def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
         "rail_coulomb": u["f_v"] * mass,
         "trim_start": u["trim_start"] * inertia,
         "wake_lag": u["wake_lag"],
+        "wake_fade": u["wake_fade"],
         "tof_age": u["tof_age"],
         "imu_below": u["imu_below"],
     }

@@ -52,6 +52,7 @@ def _paper() -> dict[str, tuple[float, str]]:
         "rail_viscous": (cart.p_v * _MASS, "paper Table 1: p_v 1.168"),
         "rail_coulomb": (0.0, "the paper's model is linear"),
         "trim_start": (0.0, "not in the paper"),
+        "wake_fade": (0.0, "not in the paper"),
         "gust": (0.0, "the paper's model has no disturbance"),
         "gyro_hover": (0.06, "hover noise of q in the logs, taken as measurement noise"),
         "tof_age": (0.0, "not in the paper"),
@@ -71,7 +72,7 @@ CALIBRATED: Mapping[str, str] = MappingProxyType(
         **dict.fromkeys(("inertia", "offset", "softening", "hardening", "viscous_idle", "viscous_run"), _BY_ARM),
         **dict.fromkeys(("coulomb_idle", "coulomb_run"), _BY_ARM),
         **dict.fromkeys(("curve", "lag", "rail_viscous", "rail_coulomb"), _CALIBRATED),
-        **dict.fromkeys(("trim_start", "wake_lag", "tof_age", "imu_below"), _CALIBRATED),
+        **dict.fromkeys(("trim_start", "wake_lag", "wake_fade", "tof_age", "imu_below"), _CALIBRATED),
     }
 )
 """The parameters that the calibration finds, and how; the file lab.json keeps them."""

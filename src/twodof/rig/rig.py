@@ -64,6 +64,7 @@ def rig() -> Diagram:
     d.connect("rotors.load", "battery.load", "turbulence.load", "imu.load")
     for port in ("thrust", "moment", "running"):
         d.connect(f"rotors.{port}", f"dynamics.{port}")
+    d.connect("dynamics.theta", "rotors.theta")
     for port in ("theta", "q", "v"):
         d.connect(f"dynamics.{port}", f"imu.{port}")
     for source, port in (("n0", "n_x"), ("n1", "n_z"), ("n2", "n_q")):

@@ -28,10 +28,11 @@ class Rotors(Block):
 
     The trim moment is `trim` at hover once the wake stands and `trim_start` before. The wake follows the thrust with
     `wake_lag`. The drone shows it: the mean M of the first second after a start differs from that of the hover after
-    it. A doublet flown 0.14 s after a restart meets hardly any trim.
+    it. A doublet flown 0.14 s after a restart meets hardly any trim. At a pitch theta the wake goes to
+    1 / (1 + (`wake_fade` theta)^2) of that: the steps show that the trim leaves a drone that stays pitched.
     """
 
-    inputs = (Port("fore"), Port("aft"), Port("supply"))
+    inputs = (Port("fore"), Port("aft"), Port("supply"), Port("theta", unit="rad"))
     outputs = (
         Port("thrust", unit="N"),
         Port("moment", unit="N*m"),
@@ -47,6 +48,7 @@ class Rotors(Block):
         Param("trim", 0.0, unit="N*m", low=-1.0, high=1.0, text="pitch moment of the rotors' wake in hover"),
         Param("trim_start", 0.0, unit="N*m", low=-1.0, high=1.0, text="that moment before the wake stands"),
         Param("wake_lag", 1.0, unit="s", low=0.01, high=60.0, text="time in which the wake builds up"),
+        Param("wake_fade", 0.0, unit="1/rad", low=0.0, high=1000.0, text="how soon the wake fades with the pitch"),
         Param("wake_start", 0.0, low=0.0, high=2.0, text="share of the wake that stands at the start"),
     )
     derived = (
@@ -104,7 +106,8 @@ class Rotors(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         load = self.output(u, x, p, t)["load"]
-        wake = x.wake + p.wake_step * (load - x.wake)
+        slant = p.wake_fade * u.theta
+        wake = x.wake + p.wake_step * (load / (1.0 + slant * slant) - x.wake)
         asked = {pair: maximum(0.0, minimum(1.0, u[pair])) for pair in PAIRS}
         return {
             **{f"{pair}_ring": store(x[f"{pair}_ring"], x.place, asked[pair]) for pair in PAIRS},

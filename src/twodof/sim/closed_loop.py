@@ -24,6 +24,7 @@ from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
 from twodof.signals import MODES
+from twodof.sim.drone_estimator import drone_estimator
 from twodof.sim.initial_state import FILTERS as FLIGHT_FILTERS
 from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
 
@@ -62,10 +63,11 @@ def closed_loop(
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
-    `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`. With `failsafe`
-    the flight code has it as its last gate, with the inputs `SAFETY` and the outputs of
-    `flight.failsafe.diagram.OUTPUTS`; the voltage is the rig's. Raises ParameterError for an unknown position filter,
-    DiagramError for a diagram that fits no template.
+    `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`.
+    The `position_filter` "drone" is the real drone's estimator (`sim.drone_estimator`). The others are those of
+    `flight.estimator.diagram`. With `failsafe` the flight code has it as its last gate, with the inputs `SAFETY` and
+    the outputs of `flight.failsafe.diagram.OUTPUTS`; the voltage is the rig's. Raises ParameterError for an unknown
+    position filter, DiagramError for a diagram that fits no template.
     """
     d = Diagram("closed_loop", "the virtual rig and the code that flies it")
     given = (*SETPOINTS, *(SAFETY if failsafe else ()))
@@ -74,7 +76,7 @@ def closed_loop(
             d.input(name, kind, unit=unit)
             d.add(f"{name}_held", ZeroOrderHold(kind=kind, unit=unit), rate=SAMPLE, u=name)
     d.add("rig", rig())
-    d.add("flight", core(gains, position_filter, controllers, failsafe), rate=SAMPLE)
+    d.add("flight", _flight_code(gains, position_filter, controllers, failsafe), rate=SAMPLE)
     for name in given:
         d.connect(f"{name}_held", f"flight.{name}")
     for name in MEASUREMENTS:
@@ -93,6 +95,15 @@ def closed_loop(
     for name in ("load", "voltage", "charge"):
         d.output(name, f"rig.{name}")
     return d
+
+
+def _flight_code(gains: Gains, position_filter: str, controllers: Iterable[Diagram], failsafe: bool) -> Diagram:
+    """What flies; with the filter "drone" it has the real drone's estimator in the place of ours."""
+    if position_filter != "drone":
+        return core(gains, position_filter, controllers, failsafe)
+    code = core(gains, controllers=controllers, failsafe=failsafe)
+    code.parts["estimator"].item = drone_estimator()
+    return code
 
 
 def _built(

@@ -12,7 +12,8 @@ from twodof.errors import ExperimentError
 from twodof.flight.failsafe.state_machine import FLYING
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.rig.rotors import RING
-from twodof.signals import HOVER
+from twodof.signals import HOVER, PERIOD
+from twodof.sim.drone_estimator import HISTORY, settled
 
 SETTLE_STEPS = 25_000
 """Steps at rest after which the estimator's covariances stand: the gyro's bias settles within some tens of seconds."""
@@ -21,6 +22,7 @@ FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
     {
         "joint": ("estimator.filter", "estimator.filter"),
         "fixed-gain": ("estimator.pitch", "estimator.position"),
+        "drone": ("estimator.filter", "estimator.filter"),
         "kalman": ("estimator.pitch", "estimator.position"),
     }
 )
@@ -103,13 +105,17 @@ class InitialState:
         states: dict[str, Any] = {
             "previous.theta": estimate["theta"],
             f"{pitch}.theta": estimate["theta"],
-            f"{pitch}.started": True,
             f"{position}.x": estimate["x"],
             f"{position}.v": estimate["v"],
-            f"{position}.started": True,
             "estimator.publisher.x": estimate["x"],
             "estimator.publisher.v": estimate["v"],
         }
+        states |= {path: True for path in (f"{pitch}.started", f"{position}.started") if path in known}
+        if position_filter == "drone":
+            ago = PERIOD * np.arange(-HISTORY, 0)
+            level = np.full(HISTORY, estimate["theta"])
+            own = settled(level, estimate["x"] + estimate["v"] * ago, np.full(HISTORY, estimate["v"]))
+            states |= {f"{position}.{name}": value for name, value in own.states.items()}
         if f"{position}.x_filter" in known:
             states[f"{position}.x_filter"] = estimate["x"]
         if self.running:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -13,29 +12,16 @@ from twodof.flightlog.log import FlightLog
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.steady_state import rail_force, trim_moment
+from twodof.signals import PERIOD
 from twodof.sim.closed_loop import FILTERS, ClosedLoop
+from twodof.sim.drone_estimator import HISTORY, settled
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
 from twodof.sim.initial_state import InitialState
 
 CHANNELS = ("theta", "q", "x", "v")
 """Logged estimates that are compared; of a 1DoF log, those that it holds."""
 
-_FILTER = FILTERS["fixed-gain"][1]
-
-DRONE: Mapping[str, float] = MappingProxyType(
-    {
-        "estimator.pitch.sigma_acc": 50.0,
-        "estimator.position.k_x": 0.18,
-        "estimator.position.k_v": 0.42,
-        "estimator.position.lag": 0.22,
-    }
-)
-"""Tuning of the estimator that stands for the drone's own when a flight is simulated.
-
-Its pitch hardly follows the accelerometer; its position filter has the gains with which closed loops come closest to
-the logged ones. Fed with the logged sensors, the flight code's own defaults come closer (x within 5 mm on every log,
-7 mm with these): our filter is not the drone's, and no one set of gains copies it in both uses.
-"""
+_FILTER = FILTERS["drone"][1]
 
 
 @dataclass(frozen=True)
@@ -71,11 +57,13 @@ def fit_percent(logged: NDArray[np.float64], simulated: NDArray[np.float64]) -> 
 def resimulation_loop() -> ClosedLoop:
     """The compiled loop that `LoggedFlight.simulate` needs; one serves any number of flights, rigs and gains.
 
-    Its position filter is the fixed-gain one, tuned as `DRONE` says.
+    Its estimator is the drone's own (`sim.drone_estimator`), but it does not learn the gyro's bias: an error lasts for
+    a flight. In the log where it shows, the gyro drifts as fast as its bias is learnt.
     """
     # The filter's outputs at each step; the published ones are held at 100 Hz.
     log = (f"{_FILTER}.x", f"{_FILTER}.v")
-    return ClosedLoop(conditions={"noise": 0.0}, position_filter="fixed-gain", tuning=DRONE, log=log)
+    tuning = {"estimator.filter.k_bias": 0.0}
+    return ClosedLoop(conditions={"noise": 0.0}, position_filter="drone", tuning=tuning, log=log)
 
 
 class LoggedFlight:
@@ -89,11 +77,23 @@ class LoggedFlight:
         self.gains = gains
         self.flown = read_segment(log, gains, window)
         t0, t1 = self.flown.window
+        self.before = self._estimates_before(log)
         end = min(t1, float(self.flown.time[-1]))
         needed = CHANNELS if self.flown.rails else ("theta", "q")
         cut = {name: log[name].slice(t0, end) for name in CHANNELS if name in needed or logged(log, name)}
         self.time = {name: channel.time for name, channel in cut.items()}
         self.logged = {name: channel.value for name, channel in cut.items()}
+
+    def _estimates_before(self, log: FlightLog) -> dict[str, NDArray[np.float64]]:
+        """theta, x and v at the steps before the window. A cart in its rings stands still, whatever v is estimated."""
+        time = float(self.flown.time[0]) + PERIOD * np.arange(-HISTORY, 0)
+
+        def at(name: str) -> NDArray[np.float64]:
+            return np.asarray(np.interp(time, log[name].time, log[name].value))
+
+        if self.flown.rails:
+            return {name: at(name) for name in ("theta", "x", "v")}
+        return {"theta": at("theta"), "x": np.full(HISTORY, self.flown.start["x"]), "v": np.zeros(HISTORY)}
 
     def simulate(
         self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
@@ -104,25 +104,23 @@ class LoggedFlight:
         full battery and no noise. Raises ParameterError for one that the rig does not know.
         """
         flight = self.flown
+        start, bias = flight.start, flight.velocity_bias
+        own = settled(**self.before, velocity_bias=bias, range_rate=rig["tof_rate"])
         loop.tune(self.gains)
-        loop.configure({**rig, **self._conditions(rig), **(conditions or {})})
-        k_x, k_v = (float(loop.machine.get(f"{_FILTER}.{n}")) for n in ("k_x", "k_v"))
-        # An acceleration error b gives v the lasting error b k_x / k_v.
-        loop.machine.set(f"{_FILTER}.bias", flight.velocity_bias * k_v / k_x)
-        wake = 1.0 - float(np.exp(-flight.spun_up / rig["wake_lag"]))
-        start = flight.start
+        loop.configure({**rig, **self._conditions(rig, own.theta), **(conditions or {})})
         loop.start(
             InitialState(
-                theta=start["theta"] / rig["gyro_scale"],
+                theta=(start["theta"] - own.theta) / rig["gyro_scale"],
                 q=start["q"] / rig["gyro_scale"],
-                x=start["x"],
-                v=start["v"] - flight.velocity_bias if flight.rails else 0.0,
+                x=start["x"] - own.x,
+                v=start["v"] - bias if flight.rails else 0.0,
                 estimates={name: start[name] for name in ("theta", "x", "v")},
                 commands=flight.commands,
-                wake=wake,
+                wake=1.0 - float(np.exp(-flight.spun_up / rig["wake_lag"])),
                 states={
                     "flight.previous.theta": start["theta_previous"],
                     **{f"flight.cascade.{path}": value for path, value in flight.states.items()},
+                    **{f"{_FILTER}.{name}": value for name, value in own.states.items()},
                 },
             )
         )
@@ -130,15 +128,17 @@ class LoggedFlight:
         steps = {"theta": out["theta"], "q": out["q"], "x": out[f"{_FILTER}.x"], "v": out[f"{_FILTER}.v"]}
         return {name: np.interp(self.time[name], flight.time, steps[name]) for name in self.time}
 
-    def _conditions(self, rig: Mapping[str, float]) -> dict[str, Any]:
+    def _conditions(self, rig: Mapping[str, float], tilt: float) -> dict[str, Any]:
+        """Those of the flight, where every estimated pitch is `tilt` [rad] too large."""
         flight = self.flown
-        trim = 0.0 if flight.trim_moment is None else trim_moment(rig, flight.trim_moment, flight.trim_theta)
+        pitch, *motion = flight.balance
+        trim = 0.0 if flight.trim_moment is None else trim_moment(rig, flight.trim_moment, flight.trim_theta - tilt)
         return {
             "noise": 0.0,
             "charge_start": 1.0,
             "rings": not flight.rails,
             "ring_place": flight.start["x"],
-            "rail_force": rail_force(rig, *flight.balance),
+            "rail_force": rail_force(rig, pitch - tilt, *motion),
             "trim": trim,
             "tof_phase": (flight.tof_elapsed * rig["tof_rate"]) % 1.0,
         }
