@@ -147,7 +147,8 @@ def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> N
     page.keyboard.type("1.1")
     page.keyboard.press("Enter")
     said("^k of gain$")
-    sheet(page).focus()
+    page.keyboard.press("Escape")
+    expect(sheet(page)).to_be_focused()
     page.keyboard.press("n")
     said("input|from")
     for _ in range(5):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
@@ -31,6 +32,8 @@ DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
 _REFUSED = 16
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _WORTH_SAYING_S = 0.5
+BUILDS = "the drone builds it"
+"""What `fly_controller` tells from when on it cannot be cancelled."""
 
 
 class AsyncDrone(FlyingDrone):
@@ -215,13 +218,21 @@ class AsyncDrone(FlyingDrone):
             self.clock.restart()
         self.telemetry.clear()
 
-    async def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
+    async def fly_controller(
+        self,
+        template: str,
+        diagram: str | bytes,
+        timeout: float = 120.0,
+        said: Callable[[str, float], None] | None = None,
+    ) -> None:
         """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
 
         A stock controller's own diagram brings the stock one back. Before anything is sent the drone is asked whether
         it has what the sandbox takes. Raises Rejected where it lacks that, is armed, or finds a fault in the diagram;
-        then what flew before flies on.
+        then what flew before flies on. `said` is told what is done and the share done. It can be cancelled until it is
+        told `BUILDS`: then the drone has all, and goes on by itself.
         """
+        said = said or _silent
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
@@ -229,8 +240,11 @@ class AsyncDrone(FlyingDrone):
         self.session.check(self.session.now)  # what is known of a drone that is lost says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")
+        said("asks the drone", 0.0)
         await self.commands.run("USER_1", [1.0], deadline.left, "asking whether it can build controllers")
-        await self.files.write(path, content, deadline.left)
+        sending = partial(_sending, said)
+        sending(0.0)
+        await self.files.write(path, content, deadline.left, sending)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")
         self.parameters.forget()
 
@@ -241,6 +255,15 @@ class AsyncDrone(FlyingDrone):
         if name.startswith("TWODOF_"):
             self._needs_ours("a message of our own", name)
         await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
+
+
+def _silent(text: str, share: float) -> None:
+    """Tells nobody."""
+
+
+def _sending(said: Callable[[str, float], None], share: float) -> None:
+    """What is sent of a controller; once all is there the drone builds it."""
+    said("sends it" if share < 1.0 else BUILDS, 0.05 + 0.35 * share)
 
 
 def _reset_answer(got: Any) -> Any | None:

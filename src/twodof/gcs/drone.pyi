@@ -38,8 +38,17 @@ class DroneFiles(SyncFace):
     def remove(self, path: str, timeout: float = 5.0) -> None:
         """Deletes the file `path`."""
 
-    def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
-        """Makes `content` the file `path`, whole or not at all."""
+    def write(
+        self,
+        path: str,
+        content: bytes,
+        timeout: float = 60.0,
+        sent: Callable[[float], None] | None = None,
+    ) -> None:
+        """Makes `content` the file `path`, whole or not at all. `sent` is told the share that has arrived.
+
+        Who cancels it before the share is 1 leaves what was there.
+        """
 
 class DroneLogs(SyncFace):
     """The logs on board."""
@@ -114,12 +123,19 @@ class Drone(SyncDrone):
         of another unit, Rejected with the drone's reason.
         """
 
-    def fly_controller(self, template: str, diagram: str | bytes, timeout: float = 120.0) -> None:
+    def fly_controller(
+        self,
+        template: str,
+        diagram: str | bytes,
+        timeout: float = 120.0,
+        said: Callable[[str, float], None] | None = None,
+    ) -> None:
         """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
 
         A stock controller's own diagram brings the stock one back. Before anything is sent the drone is asked whether
         it has what the sandbox takes. Raises Rejected where it lacks that, is armed, or finds a fault in the diagram;
-        then what flew before flies on.
+        then what flew before flies on. `said` is told what is done and the share done. It can be cancelled until it is
+        told `BUILDS`: then the drone has all, and goes on by itself.
         """
 
     def kill(self, timeout: float = 5.0) -> None:

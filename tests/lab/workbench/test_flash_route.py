@@ -22,15 +22,20 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
         yield found
 
 
+def over(lab: ServedLab, job: dict[str, Any], state: str) -> dict[str, Any]:
+    """The job at its end, which is to be so."""
+    for _ in patiently():
+        told: dict[str, Any] = lab.call("GET", f"jobs/{job['id']}")[1]
+        if told["state"] != "running":
+            break
+    assert told["state"] == state, told
+    return told
+
+
 def rehearsed(lab: ServedLab, text: str) -> tuple[str, dict[str, Any]]:
     status, job = lab.call("POST", "diagrams/rehearsal", {"text": text, "drone": 1})
     assert status == 202
-    for _ in patiently():
-        told = lab.call("GET", f"jobs/{job['id']}")[1]
-        if told["state"] != "running":
-            break
-    assert told["state"] == "done", told
-    return job["id"], told["result"]
+    return job["id"], over(lab, job, "done")["result"]
 
 
 def test_only_what_was_rehearsed_flies_and_what_is_unstable_only_if_confirmed(lab: ServedLab) -> None:
@@ -41,7 +46,21 @@ def test_only_what_was_rehearsed_flies_and_what_is_unstable_only_if_confirmed(la
     assert any(change["path"] == "notch" and change["kind"] == "added" for change in found["changes"])
     status, refused = lab.call("POST", "diagrams/flash", {"text": WILD, "drone": 1, "rehearsal": job})
     assert (status, refused["what"]) == (409, "this diagram was not rehearsed for this drone")
-    assert lab.call("POST", "diagrams/flash", {"text": OWN, "drone": 1, "rehearsal": job})[0] == 200
+    flashed = {"text": OWN, "drone": 1, "rehearsal": job}
+    status, sent = lab.call("POST", "diagrams/flash", flashed)
+    assert status == 202
+    status, refused = lab.call("POST", "diagrams/flash", flashed)
+    assert (status, refused["what"]) == (409, "another diagram is flashed there")
+    over(lab, lab.call("DELETE", f"jobs/{sent['id']}")[1], "cancelled")
+    sent = lab.call("POST", "diagrams/flash", flashed)[1]
+    for _ in patiently():
+        told = lab.call("GET", f"jobs/{sent['id']}")[1]
+        if told["bound"]:
+            break
+    assert told["text"] == "the drone builds it"
+    status, refused = lab.call("DELETE", f"jobs/{sent['id']}")
+    assert (status, refused["what"]) == (409, "it cannot be ended now: the drone builds it")
+    over(lab, sent, "done")
     wild, found = rehearsed(lab, WILD)
     assert found["against"] == "what flies on drone 1"
     assert any(change["path"] == "notch" and change["kind"] == "removed" for change in found["changes"])

@@ -208,6 +208,5 @@ export const startRehearsal = (text: string, drone: number) =>
   send<Job<Rehearsal>>("POST", "diagrams/rehearsal", { text, drone });
 
 /** Has a rehearsed diagram fly from now on; the drone builds it, which takes up to two minutes. */
-export async function flash(text: string, drone: number, rehearsal: string, force: boolean): Promise<void> {
-  await request("POST", "diagrams/flash", { text, drone, rehearsal, force }, 150);
-}
+export const startFlash = (text: string, drone: number, rehearsal: string, force: boolean) =>
+  send<Job<{ drone: number; template: string }>>("POST", "diagrams/flash", { text, drone, rehearsal, force });

@@ -8,6 +8,8 @@ export interface Job<T> {
   /** 0 to 1. */
   fraction: number;
   text: string;
+  /** What it does now cannot be ended half way. */
+  bound: boolean;
   result: T | null;
   error: { what: string; where: string; remedy: string } | null;
 }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, NamedTuple
 
@@ -38,14 +38,21 @@ class AsyncFiles:
         self._texts = texts
         self._sequence = 0
 
-    async def write(self, path: str, content: bytes, timeout: float = 60.0) -> None:
-        """Makes `content` the file `path`, whole or not at all."""
+    async def write(
+        self, path: str, content: bytes, timeout: float = 60.0, sent: Callable[[float], None] | None = None
+    ) -> None:
+        """Makes `content` the file `path`, whole or not at all. `sent` is told the share that has arrived.
+
+        Who cancels it before the share is 1 leaves what was there.
+        """
         deadline = self._session.deadline(timeout, f"sending {path}")
         number = (await self._ask(FtpOperation.CREATE, deadline, data=path.encode())).session
         with self._ending(number):
             for start in range(0, len(content), MOST_DATA):
                 piece = content[start : start + MOST_DATA]
                 await self._ask(FtpOperation.WRITE, deadline, number, start, piece)
+                if sent is not None:
+                    sent(min(1.0, (start + MOST_DATA) / len(content)))
         await self._ask(FtpOperation.TERMINATE, deadline, number)
 
     async def read(self, path: str, timeout: float = 60.0) -> bytes:

@@ -10,7 +10,10 @@ State = Literal["running", "done", "failed", "cancelled"]
 
 @dataclass
 class Job:
-    """How far a job is: `fraction` 0 to 1, `text` what it does now; at its end its `result`, or its `error`."""
+    """How far a job is: `fraction` 0 to 1, `text` what it does now; at its end its `result`, or its `error`.
+
+    `bound`: what it does now cannot be ended half way.
+    """
 
     id: str
     kind: str
@@ -19,6 +22,7 @@ class Job:
     text: str = ""
     result: Any = None
     error: dict[str, str] | None = None
+    bound: bool = False
 
     @property
     def over(self) -> bool:

@@ -6,14 +6,15 @@ import asyncio
 import json
 import multiprocessing
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
-from twodof.errors import Rejected
+from twodof.errors import Rejected, TwodofError
 from twodof.lab.access.lab_client import LabClient
 from twodof.lab.access.role import Role
+from twodof.lab.finite_json import dumps
 from twodof.lab.jobs import worker
 from twodof.lab.jobs.job import Job
 from twodof.lab.refusals import NotThere
@@ -25,6 +26,7 @@ MOST_OF_ONE, MOST_OF_WATCHERS = 6, 12
 MOST_KEPT = 50
 LONGEST_S = 1800.0
 LOOK_S = 0.05
+Told = Callable[[float, str, bool], None]
 
 
 class Jobs:
@@ -63,6 +65,26 @@ class Jobs:
         """
         if not worker.keeps_up(work):
             self._check_share(client)
+        return self._begin(kind, lambda job: self._in_turn(job, work, arguments), client)
+
+    def watch(self, kind: str, work: Callable[[Told], Awaitable[Any]]) -> Job:
+        """Follow what the server does itself, such as talking to a drone: `work(told)`; returns at once.
+
+        It calls `told(fraction, text, bound)` as it goes on, and returns plain data. From when on it is `bound`,
+        `cancel` refuses.
+        """
+
+        async def follow(job: Job) -> None:
+            def told(fraction: float, text: str, bound: bool) -> None:
+                job.fraction, job.text, job.bound = fraction, text, bound
+                self._tell({"event": "job", "job": job.told(with_result=False)})
+
+            result = await work(told)
+            job.result, job.fraction, job.text, job.state = json.loads(dumps(result)), 1.0, "", "done"
+
+        return self._begin(kind, follow)
+
+    def _begin(self, kind: str, run: Callable[[Job], Awaitable[None]], client: LabClient | None = None) -> Job:
         job = Job(secrets.token_hex(8), kind, text="waits for its turn")
         self._jobs[job.id] = job
         if client is not None:
@@ -70,7 +92,7 @@ class Jobs:
         for old in [one.id for one in self._jobs.values() if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
             del self._jobs[old]
             self._clients.pop(old, None)
-        task = asyncio.create_task(self._run(job, work, arguments))
+        task = asyncio.create_task(self._run(job, run))
         self._tasks[job.id] = task
         task.add_done_callback(lambda _: self._tasks.pop(job.id, None))
         return job
@@ -84,21 +106,26 @@ class Jobs:
             task.add_done_callback(lambda _: done(job))
 
     async def cancel(self, name: str) -> Job:
-        """End a job, its process with it; one that is over stays as it is. Raises NotThere."""
+        """End a job, its process with it; one that is over stays as it is. Raises NotThere, Rejected if it is bound."""
         job = self[name]
-        task = self._tasks.get(name)
+        if job.bound and not job.over:
+            raise Rejected(f"it cannot be ended now: {job.text}", f"job {job.kind}", "wait for its end")
+        await self._end(job)
+        return job
+
+    async def close(self) -> None:
+        """End all, bound or not."""
+        for name in [*self._tasks]:
+            await self._end(self[name])
+
+    async def _end(self, job: Job) -> None:
+        task = self._tasks.get(job.id)
         if task is not None:
             task.cancel()
             with suppress(asyncio.CancelledError):
                 await task
             if not job.over:  # it was cancelled before it had begun to wait for its turn
                 job.state, job.text = "cancelled", ""
-        return job
-
-    async def close(self) -> None:
-        """Cancel all."""
-        for name in [*self._tasks]:
-            await self.cancel(name)
 
     def _check_share(self, client: LabClient | None) -> None:
         running = [job.id for job in self._jobs.values() if not job.over]
@@ -112,13 +139,18 @@ class Jobs:
         if len(theirs) >= MOST_OF_WATCHERS:
             raise Rejected("too many jobs of those who watch wait already", "jobs", "wait for one")
 
-    async def _run(self, job: Job, work: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        try:
-            if worker.keeps_up(work):  # who flies does not wait for who computes, a viewer perhaps
+    async def _in_turn(self, job: Job, work: Callable[..., object], arguments: tuple[Any, ...]) -> None:
+        if worker.keeps_up(work):  # who flies does not wait for who computes, a viewer perhaps
+            await self._work(job, work, arguments)
+        else:
+            async with self._turns:
                 await self._work(job, work, arguments)
-            else:
-                async with self._turns:
-                    await self._work(job, work, arguments)
+
+    async def _run(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> None:
+        try:
+            await run(job)
+        except TwodofError as error:
+            job.error, job.state = {"what": error.what, "where": error.where, "remedy": error.remedy}, "failed"
         except asyncio.CancelledError:
             if not job.over:
                 job.state, job.text = "cancelled", ""

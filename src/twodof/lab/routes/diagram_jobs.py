@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from functools import partial
 from typing import Any, Literal
 
 from fastapi import APIRouter
@@ -10,9 +11,11 @@ from pydantic import Field
 
 from twodof.errors import Rejected
 from twodof.fleet.flash import FLYING
+from twodof.gcs.async_drone import BUILDS
 from twodof.lab.access import computes, takes
 from twodof.lab.access.lab_client import CurrentClient
 from twodof.lab.current_lab import CurrentLab
+from twodof.lab.jobs.jobs import Told
 from twodof.lab.lab import Lab
 from twodof.lab.routes.diagrams import COMPILE_S, MOST_TEXT, AskedDiagram
 from twodof.lab.workbench import diagram_jobs, diagram_work
@@ -69,13 +72,14 @@ async def rehearsal(lab: CurrentLab, asked: AskedRehearsal) -> dict[str, Any]:
     return job.told()
 
 
-@router.post("/flash")
+@router.post("/flash", status_code=202)
 @takes(MOST_TEXT)
 async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
-    """Let a rehearsed diagram fly from now on. It takes up to two minutes, in which the drone builds it in its sandbox.
+    """Let a rehearsed diagram fly from now on; answers the job. It takes up to two minutes: the drone builds it.
 
-    409 for a diagram that was not rehearsed for this drone, or found unstable unless `force` says so; and while the
-    drone is armed.
+    The job can be ended while the diagram is sent; then what flew before flies on. Once the drone builds it the job is
+    `bound`. 409 for a diagram that was not rehearsed for this drone, or found unstable unless `force` says so; while
+    the drone is armed, and while another is flashed there.
     """
     where = f"drone {asked.drone}"
     job = lab.jobs[asked.rehearsal]
@@ -84,9 +88,17 @@ async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
     fault = job.result["trial"]["fault"]
     if fault and not asked.force:
         raise Rejected(f"it is unstable on the virtual rig: {fault}", where, "mend it, or confirm that it is to fly")
+    if lab.drones[asked.drone].drone.state.armed:
+        raise Rejected("it is armed", where, "disarm it first")
+    if any(one.kind == f"flash {asked.drone}" and not one.over for one in lab.jobs.all):
+        raise Rejected("another diagram is flashed there", where, "wait for its end")
+    return lab.jobs.watch(f"flash {asked.drone}", partial(_flashed, lab, asked, job.result["template"])).told()
+
+
+async def _flashed(lab: Lab, asked: AskedFlash, template: str, told: Told) -> dict[str, Any]:
     async with lab.drones[asked.drone].commanded() as drone:
-        await drone.fly_controller(job.result["template"], asked.text, FLASH_S)
-    return lab.drones[asked.drone].state
+        await drone.fly_controller(template, asked.text, FLASH_S, lambda text, share: told(share, text, text == BUILDS))
+    return {"drone": asked.drone, "template": template}
 
 
 async def _template(lab: Lab, text: str) -> str:

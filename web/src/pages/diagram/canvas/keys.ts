@@ -25,7 +25,7 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + S", "save"],
   ["L", "lay out automatically"],
   ["F", "show the whole sheet"],
-  ["Esc", "select nothing"],
+  ["Esc", "select nothing; from a field beside the sheet: back to the sheet"],
   ["?", "show these keys"],
 ];
 
