@@ -22,11 +22,11 @@ from twodof.rig.rig import BASE_DT
 from twodof.rig.rotors import RING
 from twodof.rig.steady_state import model_parameters
 from twodof.signals import HOVER, PERIOD, Q_AGE
-from twodof.sim.cascade_margins import LOOPS, cascade_loop, cascade_margins
 from twodof.sim.closed_loop import ClosedLoop, closed_loop
 from twodof.sim.identified_rig import identified_rig, load_rig_or_model
 from twodof.sim.initial_state import InitialState
-from twodof.sim.linear_rig import _filter_at_rest, publishing_ages
+from twodof.sim.linear.cascade_margins import LOOPS, cascade_loop, cascade_margins
+from twodof.sim.linear.linear_rig import _filter_at_rest, publishing_ages
 
 DRY = {"coulomb_idle": 0.0, "coulomb_run": 0.0, "rail_coulomb": 0.0, "trim": 0.0, "trim_start": 0.0, "noise": 0.0}
 

@@ -16,9 +16,9 @@ from twodof.flight.gains import DEFAULT
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION
 from twodof.rig.parameters import lab
 from twodof.signals import HOVER, PERIOD
-from twodof.sim.cascade_margins import LOOPS, cascade_margins
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.initial_state import InitialState
+from twodof.sim.linear.cascade_margins import LOOPS, cascade_margins
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twodof.cli.app import run
-from twodof.sim.cascade_margins import cascade_loop
+from twodof.sim.linear.cascade_margins import cascade_loop
 
 
 def test_the_table_has_a_row_for_each_loop(capfd: pytest.CaptureFixture[str]) -> None:

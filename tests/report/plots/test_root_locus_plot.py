@@ -10,7 +10,7 @@ from twodof.design import LoopTransfer, margins
 from twodof.report.plots.canvas import on_paper
 from twodof.report.plots.loop_plot import write_loop_plot
 from twodof.report.plots.root_locus_plot import draw_root_locus
-from twodof.sim.cascade_margins import cascade_loop
+from twodof.sim.linear.cascade_margins import cascade_loop
 
 CUBIC = LoopTransfer(
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -2.0, -3.0]]), np.eye(3)[:, 2:], np.eye(3)[:1], 0.0

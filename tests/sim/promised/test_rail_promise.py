@@ -13,7 +13,7 @@ from twodof.design.uncertain.pitch_family import PitchFamily
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.steady_state import model_parameters
-from twodof.sim.cascade_margins import cascade_margins
+from twodof.sim.linear.cascade_margins import cascade_margins
 from twodof.sim.promised.lanes_flight import BEFORE, fly_lanes
 from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import CHANNELS, STEPS, RailPromise, rail_promise

@@ -15,10 +15,10 @@ from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.ahead import AheadEmitter, foreseen
 from twodof.compile.c.helpers import HELPERS
-from twodof.compile.c.integration import IntegrationEmitter
 from twodof.compile.c.names import STRAIGHT, CNames
 from twodof.compile.c.operators import ATOM
 from twodof.compile.c.shared import APART, SharedFunctions, SharingTick
+from twodof.compile.c.states.integration import IntegrationEmitter
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.text.pieces import in_pieces
 from twodof.compile.c.text.unused import with_idle_parameters, without_unused

@@ -10,8 +10,8 @@ from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves, walk
 from twodof.compile.c.expressions import Text, constant
 from twodof.compile.c.names import CNames
-from twodof.compile.c.next_states import commit, numbers_of
 from twodof.compile.c.operators import ATOM
+from twodof.compile.c.states.next_states import commit, numbers_of
 from twodof.compile.c.tick import Scope, TickEmitter, describe
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import Action, FlatSignal, Node

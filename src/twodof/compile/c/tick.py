@@ -9,10 +9,10 @@ from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.state_machine import StateMachine
 from twodof.compile.c.expressions import Renderer, Text, constant
-from twodof.compile.c.machine_switch import MachineSwitch
 from twodof.compile.c.names import CNames
-from twodof.compile.c.next_states import changes, commit, numbers_of
 from twodof.compile.c.operators import ATOM, C_TYPES, LOOSE
+from twodof.compile.c.states.machine_switch import MachineSwitch
+from twodof.compile.c.states.next_states import changes, commit, numbers_of
 from twodof.compile.c.style import SCALAR, CStyle
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.derived import in_doubles

@@ -17,7 +17,7 @@ from twodof.fleet.flash import rehearse
 from twodof.flight.gains import DEFAULT
 from twodof.flight.templates import check_template
 from twodof.lab.jobs.worker import Progress
-from twodof.sim.cascade_margins import LOOPS, cascade_margins
+from twodof.sim.linear.cascade_margins import LOOPS, cascade_margins
 
 _CLOSED = {"attitude_control": ("motors", "rate", "attitude"), "position_control": ("velocity", "position")}
 """The loops that a controller of a template closes; a motor controller closes all."""

@@ -11,7 +11,7 @@ from twodof.design.synthesis.requirements import Requirement
 from twodof.design.synthesis.specification_table import check_figures, read_tables, table_of
 from twodof.errors import ParameterError, shown
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.sim.cascade_margins import cascade_margins
+from twodof.sim.linear.cascade_margins import cascade_margins
 from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import STEPS, RailPromise
 

@@ -8,7 +8,7 @@ from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.c.expressions import Renderer
-from twodof.compile.c.next_states import commit
+from twodof.compile.c.states.next_states import commit
 from twodof.compile.c.tick import FROZEN, NEXT_TICK, Scope, TickEmitter, describe
 from twodof.compile.c.writer import CWriter
 from twodof.compile.program.flat_program import FlatSignal, Group, Guard, Node

@@ -11,8 +11,8 @@ from twodof.design import LoopMargins, LoopTransfer, margins
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD
-from twodof.sim.linear_controller import linear_controller
-from twodof.sim.linear_rig import SIGNALS, linear_rig
+from twodof.sim.linear.linear_controller import linear_controller
+from twodof.sim.linear.linear_rig import SIGNALS, linear_rig
 
 MOTORS = "motors"
 
