@@ -90,8 +90,8 @@ def pytest_runtest_makereport(
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """What waits for real time to pass comes first, so that the others fill its time.
 
-    What a browser does is the dearest. Of the processes of xdist, which take equal parts of the list and then from each
-    other's ends, the second begins with it: what is left to the end is cheap, and one browser and one laboratory do.
+    What a browser does is the dearest. The processes of xdist take equal parts of the list, and then from each other's
+    ends. So the second one begins with it: what is left to the end is cheap, and one browser and one laboratory do.
     """
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
     processes = getattr(config, "workerinput", {}).get("workercount", 1)

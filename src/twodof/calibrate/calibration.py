@@ -5,8 +5,8 @@ its own spread. The simulation is in closed loop and noise-free, over the window
 alone cannot tell is held by a weak prior.
 
 The figures of flights that were left out are not wholly blind. The gains of the drone's estimator
-(`sim.drone_estimator.GAINS`) and the priors in `UNKNOWNS` were chosen on all seven logs, and each of them starts from
-the optimum with that flight.
+(`sim.drone_estimator.GAINS`) and the priors in `UNKNOWNS` were chosen on all seven logs. Each search starts from the
+optimum with that flight.
 """
 
 from collections.abc import Callable, Mapping, Sequence

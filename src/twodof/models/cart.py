@@ -14,9 +14,9 @@ class CartPush(Block):
     """Pitch acceleration `push` by a cart that moves and by the bearing's dry friction, from the measured pitch.
 
     The drone's centre lies below the bearing: q' + coupling v' = the rest (physics, equation 1). The cart follows v' =
-    -k_v sin(theta) - p_v v - lever q' - dry friction, and is stopped `play` either way of where it starts, as the rings
-    stop it. A stop takes the whole speed. `coulomb` opposes q. The measured pitch drives it, since a simulated one
-    does not know the gusts: what is measured up to a step acts behind it, so this holds in closed loop too.
+    -k_v sin(theta) - p_v v - lever q' - dry friction. Rings stop it `play` either way of where it starts, and a stop
+    takes the whole speed. `coulomb` opposes q. The measured pitch drives it, since a simulated one does not know the
+    gusts. What is measured up to a step acts behind it, so this holds in closed loop too.
     """
 
     inputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))

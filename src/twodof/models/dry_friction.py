@@ -114,9 +114,9 @@ class Rail(Block):
 
     `lift` is the thrust over that at which k_v is stated (a constant 1 where it does not vary).
 
-    The drone's centre lies below the bearing, so it is the centre of all mass that accelerates: the cart is `lever`
-    sin(theta) behind it (physics, equation 2), and v is the speed of that centre. Left out, k_v is 1.3 % too small in a
-    doublet of the rig `lab`, whose lever is 4 mm.
+    The drone's centre lies below the bearing. What accelerates is the centre of all mass, and v is its speed. The cart
+    is `lever` sin(theta) behind it (physics, equation 2). Left out, k_v is 1.3 % too small in a doublet of the rig
+    `lab`, whose lever is 4 mm.
 
     The measured q is integrated to theta here, since an on-board estimate of theta errs while the cart accelerates:
     it takes the accelerometer for the direction of gravity.

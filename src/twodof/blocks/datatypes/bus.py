@@ -96,7 +96,7 @@ def leaves_of(declared: Any) -> list[Any]:
 
     The value of a state or parameter is one for all fields, or a mapping by field in which 0 may be left out. A state
     that starts from a parameter starts from its fields. Of an array of buses each field is an array of the `width`, or
-    a matrix whose rows are the vectors; the value may be a list of mappings.
+    a matrix whose rows are the vectors. Its value may be a list of mappings.
     """
     if not isinstance(declared.kind, Bus):
         return [declared]

@@ -78,8 +78,8 @@ async def flash(lab: CurrentLab, asked: AskedFlash) -> dict[str, Any]:
     """Let a rehearsed diagram fly from now on; answers the job. It takes up to two minutes: the drone builds it.
 
     The job can be ended while the diagram is sent; then what flew before flies on. Once the drone builds it the job is
-    `bound`. 409 for a diagram that was not rehearsed for this drone, or found unstable unless `force` says so; while
-    the drone is armed, and while another is flashed there.
+    `bound`. 409 for a diagram that was not rehearsed for this drone, and for an unstable one unless `force` says so.
+    409 also while the drone is armed, and while another is flashed there.
     """
     where = f"drone {asked.drone}"
     job = lab.jobs[asked.rehearsal]

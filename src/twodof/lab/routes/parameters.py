@@ -47,8 +47,8 @@ async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Con
 async def undo(lab: CurrentLab, number: Number, confirm: Confirmed = "") -> dict[str, Any]:
     """Take back the last change that this server made; answers as that did. The drone's model guards it like a change.
 
-    409 where there is none, where somebody has changed the same since, and for gains that the model does not keep
-    stable, until `confirm` has the token of their preview.
+    409 where there is none, and where somebody has changed the same since. 409 also for gains that the model does not
+    keep stable, until `confirm` has the token of their preview.
     """
     one = lab.drones[number]
     parameters = one.connection.parameters
