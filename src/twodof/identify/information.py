@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solve_triangular
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance
@@ -126,7 +125,7 @@ def predict(
         if (spread := (covariance or {}).get(block.output)) is not None:
             root = np.linalg.cholesky(spread)
             rows = jacobian[block.rows] * noise[block.output]
-            jacobian[block.rows] = solve_triangular(root, rows, lower=True)
+            jacobian[block.rows] = np.linalg.solve(root, rows)
     labels = tuple(slot.label for slot in problem.slots)
     where = f"structure '{structure.name}', planned experiment"
     condition = check_identifiable(jacobian, problem.scale, labels, where)

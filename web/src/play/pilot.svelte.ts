@@ -40,6 +40,7 @@ export class Pilot {
   /** Starts anew in hover: the same seed gives the same flight to the bit. */
   again(): void {
     const troubles = { ...this.values };
+    this.owed = 0; // what the flight before has left of a control step
     this.flight.start(this.start);
     // The rig's own are set by the start; what the person has set stays.
     this.flight.set(troubles);
@@ -94,11 +95,18 @@ export class Pilot {
     this.owed += seconds / this.flight.period;
     const steps = Math.floor(this.owed);
     this.owed -= steps;
-    if (this.stepping) {
-      const up = Math.floor((this.flight.steps * this.flight.period) / HALF) % 2 === 1;
-      this.wanted = up ? this.mode.step : this.mode.key === "velocity" ? -this.mode.step : 0;
+    const half = Math.round(HALF / this.flight.period);
+    for (let left = steps; left > 0;) {
+      const at = this.flight.steps;
+      let count = left;
+      if (this.stepping) {
+        const up = Math.floor(at / half) % 2 === 1;
+        this.wanted = up ? this.mode.step : this.mode.key === "velocity" ? -this.mode.step : 0;
+        count = Math.min(left, half - (at % half)); // it steps in the control step, not in the frame
+      }
+      this.flight.advance(count, this.command());
+      left -= count;
     }
-    this.flight.advance(steps, this.command());
     const now = this.flight.safety();
     if (now.state !== this.safety.state || now.reasons.join() !== this.safety.reasons.join()) this.safety = now;
   }
