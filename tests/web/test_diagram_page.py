@@ -277,7 +277,25 @@ def test_a_value_is_simulated_at_once_and_a_structure_once_it_is_compiled(server
     assert len(compiled) == 1, "only for the structure"
 
 
+def test_no_action_on_300_blocks_costs_more_than_touching_each_of_them(server: Served, open_page: OpenPage) -> None:
+    """To select all touches each block once, on this computer as busy as it is: 45 to 75 ms.
+
+    Actions cost up to 1.9 times that, a collection of garbage among them. Redoing a paste cost 15 times as much while
+    all wires were bent anew.
+    """
+    figures = _longest_tasks(server, open_page)
+    assert max(figures.values()) < 5.0 * figures["all"], figures
+
+
+@pytest.mark.soak
 def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_page: OpenPage) -> None:
+    """Processor time grows with what else uses the caches: the figure is for a quiet computer."""
+    figures = _longest_tasks(server, open_page)
+    assert max(figures.values()) < LONGEST_TASK_MS, figures
+
+
+def _longest_tasks(server: Served, open_page: OpenPage) -> dict[str, float]:
+    """The longest task of each action on 300 blocks [ms]."""
     keep(server, "wide", to_json(wide_diagram(300)))
     page = drawn(open_page(link(server, "/wide")))
     expect(page.locator(".svelte-flow__node-part")).to_have_count(300)
@@ -332,7 +350,7 @@ def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_
     field.fill("1.25")
     figures["type"] = _longest(page, lambda: field.press("Enter"))
     logging.info("longest task of each action [ms]: %s", figures)
-    assert max(figures.values()) < LONGEST_TASK_MS, figures
+    return figures
 
 
 def _longest(page: Page, action: Callable[[], object]) -> float:
