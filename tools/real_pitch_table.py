@@ -14,11 +14,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
+from twodof.identify.rotor_speed import SHORTEST, rotor_speeds
 from twodof.models.structures import pitch_on_cart, pitch_rate
 from twodof.rig.parameters import load_rig
 from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain
@@ -50,7 +52,8 @@ FREE = 1.0
 class RealFlight:
     """Both fits of a flight; `today` takes its noise for white and its delay for pure. `clipped` is a share.
 
-    `thrust` is the mean T in the window, `armed` the time [s] with thrust from the log's start to the window's middle.
+    `thrust` is the mean T in the window. `turns` is how fast the rotors turned there, at hover command [1/s]; NaN where
+    the rotors ran for too short a time to tell.
     """
 
     name: str
@@ -58,7 +61,7 @@ class RealFlight:
     found: Estimate
     clipped: float
     thrust: float
-    armed: float
+    turns: float
 
 
 def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Iterator[RealFlight]:
@@ -73,8 +76,6 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
         record = Record.from_log(log, channels, {"q": "q"}, start, stop, smooth=["theta"], name=name)
         ways = log["dist"].slice(start, stop).value
         play = FREE if float(np.ptp(ways)) > MOVED else known["ring_play"]
-        clock, given = log["T"].time, log["T"].value
-        before = clock < start
         moment, thrust = record.inputs["M"], record.inputs["T"]
         yield RealFlight(
             name,
@@ -82,7 +83,7 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
             _fitted(record, {**poles, **cart_parameters(known), "play": play}, poles),
             float(np.mean(np.abs(moment) > thrust)),
             float(thrust.mean()),
-            float((np.gradient(clock) * (given > 0.05))[before].sum()) + 0.5 * (stop - start),
+            rotors(log, start, stop),
         )
 
 
@@ -102,36 +103,28 @@ def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, flo
     return mean, float(weights.sum() ** -0.5), square, float(chi2.sf(square, values.size - 1))
 
 
-def charge_range() -> float:
-    """How far mu falls from a full to an empty battery on the rig `lab`, as a share."""
-    return 1.0 - supply(1.0)
+def rotors(log: FlightLog, start: float, stop: float) -> float:
+    """How fast the rotors turned between these times, from all the time that they ran [1/s]; NaN if that is too short.
 
-
-def supply(used: float) -> float:
-    """Factor on mu on the rig `lab` once this share of a full battery is used up, in hover."""
-    rig = load_rig("lab").snapshot()
-    sag = rig["resistance"] * rig["hover_current"]
-    left = rig["voltage_full"] - used * (rig["voltage_full"] - rig["voltage_empty"])
-    return float(((left - sag) / (rig["voltage_full"] - sag)) ** 2)
-
-
-def known_effects(one: RealFlight) -> tuple[float, float]:
-    """Factors on mu that a log tells of: the slope of the thrust curve at its mean T, what it discharged before."""
-    rig = load_rig("lab").snapshot()
-    used = rig["hover_current"] * one.armed / (3600.0 * rig["capacity"])
-    return moment_gain(rig, one.thrust) / moment_gain(rig, HOVER), supply(used)
+    The speed of the first .3 s and of the last .1 s is still changing.
+    """
+    for begin, end in log.armed():
+        if begin <= start and stop <= end + 0.1 and end - begin > SHORTEST + 0.4:
+            return rotor_speeds(log, begin + 0.3, end - 0.1).mean(start, stop)
+    return math.nan
 
 
 def table(flights: Sequence[RealFlight]) -> Iterator[str]:
     """The rows, and below them how well the flights agree."""
-    yield "| flight | today: mu | tau, ms | now: mu | tau, ms | \\|M\\| > T, % |"
-    yield "|---|---|---|---|---|---|"
+    yield "| flight | today: mu | tau, ms | now: mu | tau, ms | \\|M\\| > T, % | rotors, turns/s |"
+    yield "|---|---|---|---|---|---|---|"
     for one in flights:
         cells = [f"{one.today['mu']:.0f} +- {one.today.sigma('mu'):.0f}", delay(one.today)]
         cells += [
             f"{one.found['mu']:.0f} +- {one.found.sigma('mu'):.0f}",
             delay(one.found),
             f"{100.0 * one.clipped:.1f}",
+            f"{one.turns:.1f}" if math.isfinite(one.turns) else "",
         ]
         yield f"| {one.name} | {' | '.join(cells)} |"
     yield ""
@@ -156,19 +149,24 @@ def remaining(flights: Sequence[RealFlight]) -> str:
     freedom = weights.sum() - float(weights @ weights) / float(weights.sum())
     between = math.sqrt(max(0.0, square - (len(flights) - 1)) / float(freedom)) / mean
     clipped = 100.0 * max(one.clipped for one in flights)
-    sag = charge_range()
-    charge = 100.0 * between / sag
-    slope, discharge = np.array([known_effects(one) for one in flights]).T
-    level, full = agreement(values / slope, sigmas)[2], agreement(values / slope / discharge, sigmas)[2]
-    least, most = 100.0 * (1.0 - discharge.max()), 100.0 * (1.0 - discharge.min())
-    steeper = 100.0 * (slope.max() - 1.0)
+    rig = load_rig("lab").snapshot()
+    slope = np.array([moment_gain(rig, one.thrust) / moment_gain(rig, HOVER) for one in flights])
+    level, steeper = agreement(values / slope, sigmas)[2], 100.0 * (slope.max() - 1.0)
+    told = np.array([math.isfinite(one.turns) for one in flights])
+    turns = np.array([one.turns for one in flights])[told]
+    # Thrust, and so the moment of a command, goes with the square of the speed.
+    supplied = (turns / turns.mean()) ** 2
+    as_they_are, at_one_speed = (
+        agreement(values[told] / factor, sigmas[told])[2] for factor in (slope[told], slope[told] * supplied)
+    )
     return (
         f"Beyond their own doubt the flights differ by {100.0 * between:.1f} % in mu. Clipping explains none of it: "
         f"|M| exceeds T in {clipped:.1f} % of the samples. The thrust curve is steeper at the higher mean T of two "
-        f"flights, by {steeper:.1f} % at most: chi-square {level:.1f}. What a log itself discharged before its window "
-        f"takes {least:.1f} to {most:.1f} % off mu: chi-square {full:.1f}. The charge at the start of a log is not in "
-        f"it, nor a voltage. An empty battery takes {100.0 * sag:.0f} % off mu on the rig `lab`, so starts that differ "
-        f"by {charge:.0f} % of a battery would explain the rest. Nothing shows that they did."
+        f"flights, by {steeper:.1f} % at most: chi-square {level:.1f}. The battery's voltage is not "
+        f"in a log, but the rotors' speed is ([below](#how-fast-the-rotors-turned)). It puts the supply of the "
+        f"{told.sum()} flights that tell it within {100.0 * (supplied.min() - 1.0):+.1f} to "
+        f"{100.0 * (supplied.max() - 1.0):+.1f} % of their mean. Brought to one speed they have a chi-square of "
+        f"{at_one_speed:.1f}, and {as_they_are:.1f} without that. So the charge does not explain the spread."
     )
 
 

@@ -19,6 +19,7 @@ from twodof.identify.greybox import fit
 from twodof.identify.information import Information, predict
 from twodof.identify.record import Record, Samples
 from twodof.identify.repeated import Repeated, Spread, repeat
+from twodof.identify.rotor_speed import RotorSpeed, RotorSpeeds, rotor_speeds
 from twodof.identify.search.multi_start import LocalMinimum, MultiStart, fit_from_several
 from twodof.identify.search.subspace import SubspaceModel, subspace
 from twodof.identify.selection.ranking import Ranking, rank, select
@@ -56,6 +57,8 @@ __all__ = [
     "Ranking",
     "Record",
     "Repeated",
+    "RotorSpeed",
+    "RotorSpeeds",
     "Samples",
     "SimplePitch",
     "SimpleVelocity",
@@ -84,6 +87,7 @@ __all__ = [
     "rank",
     "repeat",
     "rmse",
+    "rotor_speeds",
     "select",
     "simulate",
     "stepwise",
