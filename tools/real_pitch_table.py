@@ -88,11 +88,14 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
 
 
 def _fitted(record: Record, on_cart: Mapping[str, float], poles: Mapping[str, float]) -> Estimate:
-    """A long flight with what the calibration knows of the cart; the gust of a short one is found with one input."""
+    """A long flight with what the calibration knows of the cart; the gust of a short one is found with one input.
+
+    Where the log lost the moment for some samples, the flight is fitted in pieces.
+    """
     if record.steps < LONG:
         return fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles)
     friction = {"coulomb": (0.05, 0.05)}  # not less than nothing, and a fraction of that with the rotors at rest
-    return fit(pitch_on_cart(), record, estimate=(*UNKNOWNS, "coulomb"), values=on_cart, prior=friction)
+    return fit(pitch_on_cart(), record.pieces(), estimate=(*UNKNOWNS, "coulomb"), values=on_cart, prior=friction)
 
 
 def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, float, float]:

@@ -313,3 +313,24 @@ def test_one_unknown_is_named_alone_and_none_twice() -> None:
         fit(pitch_rate(), record, estimate=["w_n", "mu", "mu"])
     other = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(17), name="other")
     assert fit(pitch_rate(), [record, other], estimate="mu", separate="mu").labels == ("mu[record]", "mu[other]")
+
+
+def test_an_input_that_was_lost_is_said_and_its_pieces_give_the_truth() -> None:
+    rng = np.random.default_rng(3)
+    truth = PitchRate(w_n=3.4, xi=0.08, mu=300.0, tau=0.02)
+    u = 0.05 * np.sign(np.sin(np.cumsum(rng.uniform(0.05, 0.4, 1500))))
+    whole = pitch_record(truth, u, 0.01, rng)
+    lost = np.zeros(u.size, dtype=bool)
+    for start in range(100, 1500, 200):
+        lost[start : start + 12] = True
+    time = DT * np.arange(u.size)
+    channels = {"M": (time[~lost], u[~lost]), "q": (time, whole.outputs["q"].value)}
+    holed = Record.from_channels(channels, ["M"], ["q"], name="holed")
+    held = fit(pitch_rate(), holed, disturbance="white")
+    assert any("M has 7 gaps in 'holed', the longest of 52 ms" in remark for remark in held.remarks)
+    pieces = fit(pitch_rate(), holed.pieces(), disturbance="white")
+    assert len(holed.pieces()) == 8
+    assert not any("gap" in remark for remark in pieces.remarks)
+    assert abs(pieces["mu"] - 300.0) < 4.0 * pieces.sigma("mu")
+    # What was held instead of known costs far more than that.
+    assert abs(held["mu"] - 300.0) > 10.0 * pieces.sigma("mu")

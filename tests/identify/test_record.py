@@ -34,6 +34,31 @@ def test_jitter_and_gaps_do_not_move_the_grid() -> None:
     assert (record.inputs["u"] == held).all()
 
 
+def test_a_gap_in_an_input_is_known_and_a_record_is_cut_there() -> None:
+    kept = np.ones(100, dtype=bool)
+    kept[30:36] = False  # six samples of u: lost from T[29] to T[36]
+    kept[60] = False  # a single one does little harm
+    other = np.ones(100, dtype=bool)
+    other[34:44] = False
+    channels = {"u": (T[kept], T[kept]), "w": (T[other], T[other]), "y": (T, T)}
+    record = Record.from_channels(channels, ["u", "w"], ["y"])
+    assert record.gaps == {"u": ((T[29], T[36]),), "w": ((T[33], T[44]),)}
+    first, second = record.pieces()
+    # Only what was applied for certain, and what was measured meanwhile.
+    assert first.time == pytest.approx(T[:30])
+    assert second.time == pytest.approx(T[44:])
+    assert second.outputs["y"].value == pytest.approx(T[44:])
+    assert not first.gaps
+    assert not second.gaps
+    assert Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"]).pieces()[0].steps == 100
+    # A channel of events has no rhythm to miss.
+    events = np.sort(np.random.default_rng(1).uniform(0.0, 0.39, 40))
+    whole = Record.from_channels(
+        {"u": (T, T), "e": (np.r_[0.0, events], np.r_[0.0, events]), "y": (T, T)}, ["u", "e"], ["y"]
+    )
+    assert not whole.gaps
+
+
 def test_slower_inputs_are_held_and_smooth_ones_taken_mid_step() -> None:
     slow = T[::5]
     record = Record.from_channels(

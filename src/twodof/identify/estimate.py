@@ -34,7 +34,8 @@ class Estimate:
     `noise` is each output's residual standard deviation, `disturbance` the noise model under which all this holds.
     Under one that is not white, `covariance` and all tests are those of its prediction errors. `identification` and
     `validation` compare model and data, one entry an output of a record. `prior` is what was known before of the
-    unknowns that were estimated: mean and standard deviation. It is part of the estimate and of its doubt.
+    unknowns that were estimated: mean and standard deviation. It is part of the estimate and of its doubt. `gaps` says
+    where inputs lost so many samples in a row that it is not known what was applied (`Record.gaps`).
     """
 
     structure: str
@@ -57,6 +58,7 @@ class Estimate:
     disturbance: DisturbanceModel = field(default_factory=DisturbanceModel)
     at_rest: tuple[str, ...] = ()
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    gaps: tuple[str, ...] = ()
 
     def __getitem__(self, label: str) -> float:
         """The value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
@@ -121,6 +123,7 @@ class Estimate:
         found = []
         if not self.converged:
             found.append("the search did not converge: give better first guesses or fix unknowns")
+        found.extend(f"{gap}: fit the pieces between (Record.pieces)" for gap in self.gaps)
         found.extend(f"{label} is held by its bound: widen the bound or fix it" for label in self.at_bound)
         found.extend(
             f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
@@ -158,9 +161,9 @@ class Estimate:
             found.extend(self._noise_remarks())
         found.extend(
             f"the residual of {c.output} in '{c.record}' wanders, so the standard deviations are too small by an "
-            "unknown factor: something pushes the drone itself, as a gust does, or the structure is wrong. Repeat the "
-            "flight and believe the spread of the estimates, or fit a linear structure with the rotors' lag, which "
-            "lets the gust be a part of the model"
+            "unknown factor: something pushes the machine itself, as a gust does, or the structure is wrong. Repeat "
+            "the experiment and believe the spread of the estimates, or fit a linear structure with the actuators' "
+            "lag, which lets the push be a part of the model"
             for c in self.identification
             if c.wanders
         )

@@ -7,7 +7,7 @@ residual has a colour, a noise model takes it out of residual and sensitivities 
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -139,7 +139,20 @@ def fit(
         sums=structure.sums,
         disturbance=found.model,
         prior=problem.known,
+        gaps=tuple(_gaps(structure, _several(records))),
     )
+
+
+def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
+    """Where inputs of the structure were held although nobody knows what they did."""
+    for record in records:
+        for name in structure.inputs:
+            if stretches := record.gaps.get(name, ()):
+                a, b = max(stretches, key=lambda one: one[1] - one[0])
+                yield (
+                    f"{name} has {len(stretches)} gap{'s' if len(stretches) > 1 else ''} in '{record.name}', the "
+                    f"longest of {1e3 * (b - a):.0f} ms at {a:.2f} s, and was held there"
+                )
 
 
 def _names(names: Collection[str]) -> tuple[str, ...]:

@@ -17,6 +17,12 @@ Array = NDArray[np.float64]
 MAX_STEPS = 1_000_000
 """Longest record: more than an hour at 250 Hz."""
 
+GAP = 3
+"""Samples lost in a row from which on it is not known what an input did meanwhile. Fewer do little harm."""
+
+SHORTEST_PIECE = 10
+"""Steps of a piece between two gaps that is kept."""
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -38,7 +44,9 @@ class Record:
     `inputs[name]` has shape (steps,); `outputs[name]` are samples at their own times. `dt` [s] is the step, `start` [s]
     the time of step 0 on the log's axis. `hold[name]` says how an input behaves between its steps. The default "zoh"
     holds it, and "linear" draws straight lines. With "band-limited" it has nothing above half the sampling rate, as
-    behind an anti-alias filter. Raises IdentificationError for a hold that is none of these, or of no input.
+    behind an anti-alias filter. `gaps[name]` are the stretches (from, to) [s] in which an input lost `GAP` samples or
+    more, and was held: what was applied there is not known. Raises IdentificationError for a hold that is none of
+    these, or of no input.
     """
 
     name: str
@@ -47,6 +55,7 @@ class Record:
     inputs: Mapping[str, Array]
     outputs: Mapping[str, Samples]
     hold: Mapping[str, str] = field(default_factory=dict)
+    gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, hold in self.hold.items():
@@ -125,9 +134,9 @@ class Record:
         phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
         jitter forgiven. Inputs named in `smooth` are samples of a signal that moves on between them, such as a measured
         pitch. Of those, step k takes the value half-way to the next step, interpolated linearly. Outputs keep their
-        stamps. A channel may have gaps; the inputs hold across them. `hold`: how inputs behave between samples, one of
-        HOLDS for all or by input (see `Record`). An input that is not held has at step k its value at that time,
-        interpolated linearly between its stamps; simulations then move it on between the steps.
+        stamps. A channel may have gaps; the inputs hold across them (see `gaps` and `pieces`). `hold`: how inputs
+        behave between samples, one of HOLDS for all or by input (see `Record`). An input that is not held has at step k
+        its value at that time, interpolated linearly between its stamps; simulations then move it on between the steps.
         Raises IdentificationError for a missing channel, NaN, time that does not increase, an empty window.
         """
         if not inputs or not outputs:
@@ -168,9 +177,11 @@ class Record:
             raise IdentificationError(
                 f"{steps} steps of {step:g} s", f"record '{name}'", f"give a window of at most {MAX_STEPS} steps"
             )
-        held = {}
+        held, gaps = {}, {}
         for channel in inputs:
             time, value = checked[channel]
+            if found := _gaps(time, float(clock[0]), float(clock[-1])):
+                gaps[channel] = found
             if channel in smooth:
                 held[channel] = np.interp(origin + step * (np.arange(steps) + 0.5), time, value)
                 continue
@@ -195,7 +206,8 @@ class Record:
             keep = (position >= 0.0) & (position <= steps - 1)
             _check_any(keep, start, stop, f"record '{name}', channel '{channel}'", time)
             measured[channel] = Samples(position[keep], value[keep])
-        return cls(name, step, origin, held, measured, {n: kind for n, kind in holds.items() if kind != "zoh"})
+        own = {n: kind for n, kind in holds.items() if kind != "zoh"}
+        return cls(name, step, origin, held, measured, own, gaps)
 
     @classmethod
     def from_log(
@@ -245,8 +257,28 @@ class Record:
             _check_any(keep, start, stop, f"record '{self.name}', channel '{output}'", self.output_time(output))
             outputs[output] = Samples(samples.position[keep] - first, samples.value[keep])
         inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
-        begin = self.start + first * self.dt
-        return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs)
+        begin, end = self.start + first * self.dt, self.start + last * self.dt
+        within = {
+            channel: kept
+            for channel, stretches in self.gaps.items()
+            if (kept := tuple((a, b) for a, b in stretches if a < end and b > begin + self.dt))
+        }
+        return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs, gaps=within)
+
+    def pieces(self) -> tuple[Self, ...]:
+        """What lies between the gaps of the inputs, in pieces of `SHORTEST_PIECE` steps and more; all, if it has none.
+
+        Fit them together: each has initial states of its own, so nothing is supposed of what was applied in a gap.
+        """
+        if not self.gaps:
+            return (self,)
+        end = self.start + (self.steps - 1) * self.dt
+        begin, pieces = self.start, list[Self]()
+        for a, b in (*sorted(one for found in self.gaps.values() for one in found), (end, end)):
+            if a - begin >= SHORTEST_PIECE * self.dt:
+                pieces.append(self.part(begin, a, f"{self.name}, piece {len(pieces) + 1}"))
+            begin = max(begin, b)
+        return tuple(pieces)
 
 
 def check_record(one: object) -> None:
@@ -299,6 +331,18 @@ def _checked(channel: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Ar
             "sort the log or cut it at the jump",
         )
     return t, y
+
+
+def _gaps(time: Array, start: float, stop: float) -> tuple[tuple[float, float], ...]:
+    """Stretches from `start` to `stop` without `GAP` samples or more; none of a channel without a rhythm."""
+    inside = time[(time >= start) & (time <= stop)]
+    if inside.size < SHORTEST_PIECE:
+        return ()
+    interval = np.diff(inside)
+    usual = float(np.median(interval))
+    if np.mean(interval > 1.5 * usual) > 0.1:
+        return ()
+    return tuple((float(inside[k]), float(inside[k + 1])) for k in np.flatnonzero(interval > (GAP + 0.5) * usual))
 
 
 def _grid(clock: Array, dt: float | None) -> tuple[float, float]:
