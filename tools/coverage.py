@@ -6,12 +6,13 @@ would. The truth is the rig's own, in closed form. `tools/coverage_table.py` mak
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from inspect import signature
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import truncnorm
 
 from tools.coverage_bound import pitch_information, rail_information
 from twodof.errors import IdentificationError
@@ -26,6 +27,8 @@ from twodof.identify.information import predict
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail
+from twodof.parameters import ParameterSet
+from twodof.rig.parameters import TABLE
 from twodof.rig.steady_state import cart_parameters, model_parameters
 from twodof.signals import PERIOD, Q_AGE, RAIL_CENTRE
 
@@ -66,6 +69,8 @@ class Case:
     values: Mapping[str, float] = field(default_factory=dict)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """What is known of the machine before, beside what the structure knows: see `fit`."""
+    other_rails: bool = False
+    """Whether each flight has a rail of its own, with a dry friction as likely as the prior says."""
 
     @property
     def unknowns(self) -> tuple[str, ...]:
@@ -96,10 +101,16 @@ def cases(rig: Mapping[str, float]) -> dict[str, Case]:
     known = {"curve": rig["curve"], "rotor_delay": rig["delay"] + rig["lag"], "lever": cart_parameters(rig)["lever"]}
     # A level rail that lets the cart slide at .6 deg: .1 m/s2 at most, and not less than nothing.
     sliding = {"coulomb": (0.05, 0.05)} if dry else {}
+    along_the_rail = [Case(one.name, one, rail(thrust=True), TRAVEL, along, known, sliding) for one in travel]
     return {
         **{one.name: _pitch(one, rig) for one in pitch},
-        **{one.name: Case(one.name, one, rail(thrust=True), TRAVEL, along, known, sliding) for one in travel},
+        **{one.name: one for one in along_the_rail},
+        **{other.name: other for other in (_on_other_rails(one) for one in along_the_rail if dry)},
     }
+
+
+def _on_other_rails(case: Case) -> Case:
+    return replace(case, name=f"{case.name}, other rails", other_rails=True)
 
 
 def _pitch(flown: Experiment, rig: Mapping[str, float]) -> Case:
@@ -125,7 +136,8 @@ def _pitch(flown: Experiment, rig: Mapping[str, float]) -> Case:
 class Outcome:
     """What n fits gave: `values` and `sigma` (n, figures), `covered` (n, figures); the reasons of those that failed.
 
-    `truth`, `bound` (Cramer-Rao, for the noise that the rig really has) and `promised` hold one number a figure.
+    `truths` (n, figures) are those of each flight's rig. `bound` (Cramer-Rao, for the noise that the rig really has)
+    holds one number a figure.
     """
 
     case: Case
@@ -133,19 +145,24 @@ class Outcome:
     values: Array
     sigma: Array
     covered: NDArray[np.bool_]
-    truth: Array
+    truths: Array
     bound: Array
     failures: tuple[str, ...]
 
     @property
+    def truth(self) -> Array:
+        """The mean of the truths."""
+        return np.asarray(self.truths.mean(axis=0))
+
+    @property
     def spread(self) -> Array:
-        """Standard deviation of the estimates."""
-        return np.asarray(self.values.std(axis=0, ddof=1))
+        """Standard deviation of the estimates about the truth."""
+        return np.asarray((self.values - self.truths).std(axis=0, ddof=1))
 
     @property
     def bias(self) -> Array:
         """Mean less truth."""
-        return np.asarray(self.values.mean(axis=0) - self.truth)
+        return np.asarray((self.values - self.truths).mean(axis=0))
 
     @property
     def claimed(self) -> Array:
@@ -163,11 +180,15 @@ def campaign(rig: str, case: Case, seeds: Iterable[int], bound_flights: int = BO
 
     The bound is that of the first `bound_flights`.
     """
-    laboratory = Laboratory(rig)
+    nominal = Laboratory(rig)
     seeds = tuple(seeds)
-    truth = true_values(laboratory, case)
-    values, sigma, covered, failures = [], [], [], []
+    known = true_values(nominal, case)
+    values, sigma, covered, truths, failures = [], [], [], [], []
     for seed in seeds:
+        laboratory, truth = nominal, known
+        if case.other_rails:
+            laboratory = Laboratory(_other_rail(nominal.parameters, case, seed))
+            truth = true_values(laboratory, case)
         flight = laboratory.fly(case.experiment, seed)
         record = record_of(flight, case)
         if not flight.good:
@@ -180,6 +201,7 @@ def campaign(rig: str, case: Case, seeds: Iterable[int], bound_flights: int = BO
             continue
         values.append([found[figure] for figure in case.figures])
         sigma.append([found.sigma(figure) for figure in case.figures])
+        truths.append([truth[figure] for figure in case.figures])
         within = [(found.interval(figure), truth[figure]) for figure in case.figures]
         covered.append([low <= true <= high for (low, high), true in within])
     return Outcome(
@@ -188,10 +210,17 @@ def campaign(rig: str, case: Case, seeds: Iterable[int], bound_flights: int = BO
         np.array(values),
         np.array(sigma),
         np.array(covered),
-        np.array([truth[figure] for figure in case.figures]),
-        _bound(laboratory, case, seeds[:bound_flights], truth),
+        np.array(truths),
+        _bound(nominal, case, seeds[:bound_flights], known),
         tuple(failures),
     )
+
+
+def _other_rail(rig: ParameterSet, case: Case, seed: int) -> ParameterSet:
+    """The rig with a dry friction of the rail drawn from the prior, which has nothing below 0."""
+    mean, deviation = case.prior["coulomb"]
+    drawn = float(truncnorm.rvs(-mean / deviation, math.inf, mean, deviation, random_state=seed))
+    return ParameterSet({**rig, "rail_coulomb": drawn * (rig["mass_drone"] + rig["mass_cart"])}, TABLE)
 
 
 def record_of(flight: Flight, case: Case) -> Record:

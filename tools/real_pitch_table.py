@@ -180,7 +180,7 @@ def incomplete(flights: Sequence[RealFlight]) -> Iterator[str]:
         return
     values, sigmas = np.array([[one.found["mu"], one.found.sigma("mu")] for one in flights]).T
     mean, sigma, square, chance = agreement(values[~wrong], sigmas[~wrong])
-    names = " and ".join(one.name for one, so in zip(flights, wrong, strict=True) if so)
+    names = ", ".join(one.name for one, so in zip(flights, wrong, strict=True) if so)
     yield (
         f"The residual of {names} still depends on an input, so those claim too little. The other flights have a mean "
         f"of {mean:.0f} +- {sigma:.1f} and a chi-square of {square:.1f} (probability {chance:.2g})."

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -87,6 +88,19 @@ def test_several_records_have_a_colour_each() -> None:
     each = repeat(pitch_rate(), [closed_loop(1), closed_loop(2)], estimate=("mu", "tau"), values=HELD)
     assert all(one.disturbance.kind == "ar" for one in each.estimates)
     assert found.sigma("mu") < min(one.sigma("mu") for one in each.estimates)
+
+
+def test_a_flight_in_pieces_is_not_taken_for_white() -> None:
+    # Each of the pieces is too short to tell its noise well, and together they are what the whole flight is.
+    whole, ends = closed_loop(5), (0.0, 2.0, 4.0, 6.0)
+    pieces = [whole.part(a, b - DT, f"from {a:g} s") for a, b in pairwise(ends)]
+    found = fit(pitch_rate(), pieces, estimate=("mu", "tau", "theta_0", "q_0"), values=HELD)
+    assert found.disturbance.kind == "ar"
+    assert abs(found["mu"] - TRUTH.mu) < 3.3 * found.sigma("mu")
+    assert found.sigma("mu") < 1.5 * estimated(whole, "auto").sigma("mu")
+    # Output error is wrong by more than that.
+    white = fit(pitch_rate(), pieces, estimate=("mu", "tau", "theta_0", "q_0"), values=HELD, disturbance="white")
+    assert white["mu"] < TRUTH.mu - 3.3 * found.sigma("mu")
 
 
 def test_a_structure_that_is_not_linear_takes_the_noise_model_too() -> None:

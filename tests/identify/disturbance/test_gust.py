@@ -101,7 +101,7 @@ def test_a_structure_without_the_lag_is_not_trusted_with_a_gust() -> None:
     wanted, held = ("mu", "tau", "theta_0", "q_0"), {"w_n": 3.437, "xi": 0.0836}
     auto = fit(pitch_rate(), flown(1), estimate=wanted, values=held)
     assert auto.disturbance.kind == "white"
-    assert any("fit a linear structure with the rotors' lag" in remark for remark in auto.remarks)
+    assert any("fit a linear structure with the actuators' lag" in remark for remark in auto.remarks)
     asked = fit(pitch_rate(), flown(1), estimate=wanted, values=held, disturbance="input")
     assert asked["mu"] < TRUE_MU - 2.0 * asked.sigma("mu")
 

@@ -66,7 +66,8 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
 
     "auto" stays with white noise where the output error's residual is white, and where a band is fitted or the noise is
     given. Otherwise it takes the autoregression for long records (`LONG`). For shorter ones it takes the gust at the
-    input, which has few unknowns. The structure must then be linear and have the actuator's lag. In open loop output
+    input, which has few unknowns. The structure must then be linear and have the actuator's lag. Of another structure
+    short records in closed loop take the autoregression too, if they are `LONG` together. In open loop output
     error and noise model are both right if the structure is. Where they differ by more than chance (Hausman, 1978), the
     structure is wrong, unless a gust explains the difference. Output error then stays, which at least reproduces the
     response.
@@ -81,7 +82,9 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
         return white
     if disturbance == "auto" and not _long(problem):
         if not can_be_pushed(problem, problem.x0, sure=True):  # output error may have lost the lag
-            return white
+            # Too short to tell the slow part of the noise is still better than what a controller makes of it.
+            together = answering and _samples(problem).sum() >= LONG
+            return _settled(problem, white, _coloured(problem, minimum, answering)) if together else white
         return _settled(problem, white, _pushed(problem, minimum, answering))
     if disturbance == "auto":
         weights = dict(problem.sigma)
@@ -253,4 +256,9 @@ def _passes(problem: Problem, residual: Array) -> bool:
 
 
 def _long(problem: Problem) -> bool:
-    return min(int(block.rows.stop - block.rows.start) for block in problem.blocks) >= LONG
+    return bool(_samples(problem).min() >= LONG)
+
+
+def _samples(problem: Problem) -> NDArray[np.int64]:
+    """How many samples each block has."""
+    return np.array([block.rows.stop - block.rows.start for block in problem.blocks], dtype=np.int64)
