@@ -14,7 +14,8 @@ from twodof.flightlog.contents import describe, excitations, find_excitation
 from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.signals import MODES
+from twodof.flightlog.steps import SAFETY
+from twodof.signals import MODES, PERIOD
 
 # One sample of 4 ms: where between two samples a change fell is not known.
 SAMPLE = 0.0041
@@ -95,6 +96,28 @@ def test_prbs_edges_are_the_openloop_message() -> None:
     edges = [event for event in openloop_edges(log) if event.channel == "lmnf.M"]
     assert [event.time - 10.0 for event in edges] == pytest.approx(signal.edges()[0][1:].tolist(), abs=1e-9)
     assert openloop_edges(log)[0].kind == "loop opened"
+
+
+def test_what_the_failsafe_asks_for_is_no_part_of_an_open_loop_doublet() -> None:
+    """The nose falls after the doublet, the failsafe levels it: the moments that this takes are not the pilot's."""
+    tick = 10.0 + PERIOD * np.arange(500)
+    moment = Doublet(0.03, 0.6, lead=0.2).at(tick - 10.0)
+    acts = tick >= 11.2
+    moment[acts] = 0.8 + 0.01 * np.arange(acts.sum())
+    message = np.column_stack([moment, np.full(500, 0.4), np.ones((500, 3))])
+    log = FlightLog(
+        {
+            # M and its message are stamped a little before the other words of their step.
+            "lmnf": channel("lmnf", tick - 0.0015, message),
+            "mode": channel("mode", tick, np.full(500, MODES.index("open-loop"))),
+            "safety": Channel(tick, np.column_stack([acts, 4 * acts, 4 * acts]).astype(float), "", SAFETY, "safety"),
+            **{name: channel(name, tick, np.full(500, 0.4)) for name in ("T", "q0", "theta0")},
+        }
+    )
+    (found,) = excitations(log)
+    assert found.name == "open-loop-doublet"
+    assert found.edges == pytest.approx((10.2, 10.5, 10.8), abs=SAMPLE)
+    assert found.window[1] == pytest.approx(11.2, abs=SAMPLE)
 
 
 REAL = [

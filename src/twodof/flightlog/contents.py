@@ -20,6 +20,7 @@ from twodof.flightlog.events import (
     window,
 )
 from twodof.flightlog.log import FlightLog, Gap
+from twodof.signals import PERIOD
 
 MAX_LISTED = 1000
 """Most gaps that are listed one by one."""
@@ -149,13 +150,26 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
     # The message that opened the loop is up to 20 ms older than the first M made from it.
     first = bisect_left(edges, stretch.t0 - 0.02, key=lambda event: event.time)
     last = bisect_right(edges, stretch.t1, key=lambda event: event.time)
-    steps = [event for event in edges[first:last] if event.channel == "lmnf.M"]
+    # What the failsafe asks for while the loop is open is no part of what was played.
+    ends = _first_act(log, stretch)
+    steps = [event for event in edges[first:last] if event.channel == "lmnf.M" and event.time < ends]
     if not steps:
         return None
     shape = _shape(steps, stretch.t1)
-    bounds = window(log, steps)
+    start, stop = window(log, steps)
     # What follows an impulse is what it was flown for.
-    return _excitation("open-loop", shape, steps, (bounds[0], stretch.t1) if shape == "impulse" else bounds)
+    stop = min(stretch.t1 if shape == "impulse" else stop, ends)
+    return _excitation("open-loop", shape, steps, (start, stop))
+
+
+def _first_act(log: FlightLog, stretch: Stretch) -> float:
+    """When the failsafe first acts in `stretch` [s]; infinity where it does not, or the log does not tell."""
+    if "safety" not in log:
+        return np.inf
+    safety = log["safety"].slice(stretch.t0, stretch.t1)
+    acts = np.flatnonzero(safety.field("action") > 0)
+    # M of a step is stamped before that step's word of the failsafe, by less than half a period.
+    return float(safety.time[acts[0]]) - 0.5 * PERIOD if acts.size else np.inf
 
 
 def _closed_loop(log: FlightLog, stretch: Stretch) -> DetectedExcitation | None:
