@@ -17,7 +17,8 @@ interface Found {
 }
 interface Case {
   name: string;
-  columns: Record<string, number[]>;
+  /** A column that comes less often than the rows has null in some. */
+  columns: Record<string, (number | null)[]>;
   time: number[];
   found: Found[];
 }
@@ -33,7 +34,7 @@ function watched(one: Case, batch: number): StepWatch {
   const history = new History(names, 1 << 14);
   const watch = new StepWatch(history);
   for (let k = 0; k < one.time.length; k += batch) {
-    const columns = names.map((name) => one.columns[name]!.slice(k, k + batch));
+    const columns = names.map((name) => one.columns[name]!.slice(k, k + batch).map((value) => value ?? NaN));
     history.append({ time: one.time.slice(k, k + batch), columns });
     watch.update();
   }

@@ -111,16 +111,19 @@ export class StepWatch {
   private measured(step: FlownStep, end: number): FlownStep {
     const { history } = this;
     const until = Math.min(end, step.time + LONGEST);
-    const [times, values, moments]: [number[], number[], number[]] = [[], [], []];
+    const [times, moments, since, values]: [number[], number[], number[], number[]] = [[], [], [], []];
     const follows = history.column(step.loop.follows);
     const moment = history.column("command.M");
     for (let row = history.rowAt(step.time); row < history.last && history.time(row) <= until; row += 1) {
       times.push(history.time(row));
-      values.push(follows?.at(row) ?? NaN);
       moments.push(moment?.at(row) ?? NaN);
+      const value = follows?.at(row) ?? NaN;
+      // x and v come at 100 Hz: not every row has them.
+      if (Number.isNaN(value)) continue;
+      since.push(history.time(row) - step.time);
+      values.push(value);
     }
-    if (times.length < 2) return { ...step, end };
-    const since = times.map((time) => time - step.time);
+    if (values.length < 2) return { ...step, end };
     const figures = stepFigures(since, values, step.before, step.after);
     const over = step.time + LONGEST < history.newest;
     return { ...step, end, figures, peakMoment: peakMoment(times, moments, { ...step, end }), over };
