@@ -1,5 +1,5 @@
 import type { History } from "./history";
-import type { Channel, Series } from "./kinds";
+import { DASHES, type Channel, type Kind, type Series } from "./kinds";
 import { colour } from "./draw/palette";
 
 /** One name that CSV readers keep as it is. */
@@ -11,13 +11,23 @@ function number(value: number): string {
   return Number.isFinite(value) ? String(value) : "";
 }
 
-/** Each row from `low` to `high` [s] of a history as CSV, at its full rate, in the units of the screen. */
+/** A value that was a float32, with the digits that it has. */
+function single(value: number): string {
+  return Number.isFinite(value) ? String(Number(value.toPrecision(7))) : "";
+}
+
+/**
+ * Each row from `low` to `high` [s] of a history as CSV, at its full rate, in the units of the screen. Columns have the
+ * names of signals.TOPICS: each is there once. What comes less often than the rows is empty in some.
+ */
 export function historyCsv(history: History, channels: readonly Channel[], low: number, high: number): string {
-  const lines = [["time [s]", ...channels.map((one) => `${one.label} [${one.unit}]`)].map(quoted).join(",")];
+  const lines = [
+    ["time [s]", ...channels.map(({ column, unit }) => (unit ? `${column} [${unit}]` : column))].map(quoted).join(","),
+  ];
   const columns = channels.map((one) => history.column(one.column));
   for (let row = history.rowAt(low); row < history.last && history.time(row) <= high; row += 1) {
-    const values = columns.map((column, c) => number((column?.at(row) ?? NaN) * (channels[c]!.factor ?? 1)));
-    lines.push([String(history.time(row)), ...values].join(","));
+    const values = columns.map((column, c) => single((column?.at(row) ?? NaN) * (channels[c]!.factor ?? 1)));
+    lines.push([String(Number(history.time(row).toFixed(6))), ...values].join(","));
   }
   return lines.join("\n") + "\n";
 }
@@ -39,26 +49,66 @@ export function seriesCsv(
   return lines.join("\n") + "\n";
 }
 
-/** Plots under each other with their titles, as they are on the screen. */
-export async function plotsPng(plots: readonly { title: string; canvas: HTMLCanvasElement }[]): Promise<Blob> {
+/** A plot as it goes into a picture: its title, the lines of its legend, its curves as they are on the screen. */
+export interface Pictured {
+  title: string;
+  lines: readonly { label: string; kind: Kind; colour?: string | undefined; dash?: readonly number[] | undefined }[];
+  canvas: HTMLCanvasElement;
+}
+
+/** Plots under each other with their titles and legends. */
+export async function plotsPng(plots: readonly Pictured[]): Promise<Blob> {
   const ratio = devicePixelRatio;
-  const head = 24 * ratio;
+  const row = 24 * ratio;
+  const gap = 14 * ratio;
+  const sample = 22 * ratio;
   const sheet = document.createElement("canvas");
   sheet.width = Math.max(1, ...plots.map((one) => one.canvas.width));
-  sheet.height = plots.reduce((sum, one) => sum + one.canvas.height + head, 0);
   const ctx = sheet.getContext("2d");
   if (ctx === null) throw new Error("this browser cannot draw the picture: export CSV instead");
+  const bold = `600 ${13 * ratio}px system-ui, sans-serif`;
+  const plain = `${12 * ratio}px system-ui, sans-serif`;
+  const width = (text: string, font: string): number => {
+    ctx.font = font;
+    return ctx.measureText(text).width;
+  };
+  // Where each part of a legend stands, below the one before where the line is full.
+  const heads = plots.map(({ title, lines }) => {
+    let [x, y] = [8 * ratio + width(title, bold) + gap, 0];
+    const places = lines.map((line) => {
+      const needed = sample + 5 * ratio + width(line.label, plain);
+      if (x + needed > sheet.width && x > 8 * ratio) [x, y] = [8 * ratio, y + row];
+      const place = { ...line, x, y };
+      x += needed + gap;
+      return place;
+    });
+    return { places, height: y + row };
+  });
+  sheet.height = plots.reduce((sum, one, k) => sum + one.canvas.height + heads[k]!.height, 0);
   ctx.fillStyle = colour("card");
   ctx.fillRect(0, 0, sheet.width, sheet.height);
-  ctx.font = `600 ${13 * ratio}px system-ui, sans-serif`;
   ctx.textBaseline = "middle";
   let top = 0;
-  for (const { title, canvas } of plots) {
+  plots.forEach(({ title, canvas }, k) => {
+    const { places, height } = heads[k]!;
     ctx.fillStyle = colour("ink");
-    ctx.fillText(title, 8 * ratio, top + head / 2);
-    ctx.drawImage(canvas, 0, top + head);
-    top += head + canvas.height;
-  }
+    ctx.font = bold;
+    ctx.fillText(title, 8 * ratio, top + row / 2);
+    ctx.font = plain;
+    for (const { label, kind, colour: token, dash, x, y } of places) {
+      const middle = top + y + row / 2;
+      ctx.strokeStyle = colour(token ?? kind);
+      ctx.lineWidth = 2.5 * ratio;
+      ctx.setLineDash((dash ?? DASHES[kind] ?? []).map((one) => one * ratio));
+      ctx.beginPath();
+      ctx.moveTo(x, middle);
+      ctx.lineTo(x + sample, middle);
+      ctx.stroke();
+      ctx.fillText(label, x + sample + 5 * ratio, middle);
+    }
+    ctx.drawImage(canvas, 0, top + height);
+    top += height + canvas.height;
+  });
   const blob = await new Promise<Blob | null>((done) => sheet.toBlob(done, "image/png"));
   if (blob === null) throw new Error("this browser cannot write the picture: make the window smaller, or export CSV");
   return blob;

@@ -6,6 +6,8 @@ import { colour, onTheme } from "./palette";
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "Liberation Sans", sans-serif';
 /** Charts under each other have their time axes under each other. */
 const Y_AXIS = 58;
+/** Pixels between two numbers of a y axis, at least: little more than a line of text, so that a low chart has several. */
+const Y_SPACE = 18;
 
 export interface PlotOptions {
   /** Asked for at each frame: what a plot shows may change. */
@@ -69,7 +71,7 @@ export class Plot {
         series: [{}],
         axes: [
           { ...axis, ...(options.labels()[0] ? { label: () => options.labels()[0] } : {}), size: 28, space: 64 },
-          { ...axis, label: () => options.labels()[1], size: Y_AXIS - 20, space: 26 },
+          { ...axis, label: () => options.labels()[1], size: Y_AXIS - 20, space: Y_SPACE },
         ],
         hooks: {
           draw: [
