@@ -78,7 +78,7 @@ A binary message, little-endian:
 | then 8 n | float64 | the drone's time of each row [s] |
 | then 4 n each | float32 | the columns, one after the other, in their units; NaN where a row has no sample |
 
-The drone's time rises within one start of the drone; after a reset or a restart it begins at 0 again. A client that
+The drone's time rises within one start of the drone; after a reset or a restart it begins at 10 s again, as in its logs. A client that
 does not keep up loses its oldest rows first: {MOST_BYTES // 1024} KiB wait for it, and no other client notices.
 
 The columns are {{columns}}. `truth` is that of a virtual rig.

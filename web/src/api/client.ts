@@ -8,7 +8,7 @@ export class ApiError extends Error {
     readonly where = "",
     readonly remedy = "",
   ) {
-    super([what, where && `(${where})`, remedy && `: ${remedy}`].filter(Boolean).join(" "));
+    super(`${what}${where && ` (${where})`}${remedy && `: ${remedy}`}`);
   }
 }
 

@@ -11,6 +11,8 @@ const DEGREES = 180 / Math.PI;
 const SHOWN: Record<string, ScreenUnit> = {
   rad: { name: "deg", factor: DEGREES, decimals: 2 },
   "rad/s": { name: "deg/s", factor: DEGREES, decimals: 1 },
+  // An angular frequency, as a Bode plot has it: nobody reads those in degrees.
+  "radian/s": { name: "rad/s", factor: 1, decimals: 1 },
   "rad/s^2": { name: "deg/s²", factor: DEGREES, decimals: 0 },
   "m/s^2": { name: "m/s²", factor: 1, decimals: 3 },
   m: { name: "m", factor: 1, decimals: 3 },

@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.control_period import TICK_S
+from twodof.gcs.telemetry.recording import seconds
 from twodof.link.mavlink import dialect
 
 _LINK_LOST = "lost"
@@ -22,7 +22,7 @@ def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dic
 def report(drone: AsyncDrone) -> dict[str, Any]:
     """The state of a connected drone.
 
-    `time` is the drone's [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
+    `time` is the drone's as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
     """
     state, safety, rig = drone.state, drone.state.safety, drone.state.rig
     holder = drone.lease.holder
@@ -53,7 +53,7 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
         "rings_locked": rig.rings_locked,
         "seed": rig.seed,
         "battery": {"voltage": _known(state.battery.voltage), "charge": _known(state.battery.charge)},
-        "time": round(drone.tick * TICK_S, 3),
+        "time": seconds(drone.tick),
         "rig": rig.name,
     }
 

@@ -11,13 +11,13 @@ from typing import Any
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.mavlink.clock import DroneRestarted
+from twodof.gcs.telemetry.recording import seconds
 from twodof.gcs.telemetry.status_texts import StatusText
 from twodof.lab.drones.connection import DroneConnection
 from twodof.lab.drones.drone_report import lost_report
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry.audience import Audience
 from twodof.lab.telemetry.feeds import Feeds
-from twodof.link.control_period import TICK_S
 
 CONNECT_S = 5.0
 AGAIN_S, AGAIN_MOST_S = 0.3, 2.0
@@ -27,7 +27,7 @@ MOST_TEXTS = 200
 class LabDrone:
     """The drone at `url`. `number` is its MAVLink system, 0 until it was heard for the first time.
 
-    `texts` are the last lines that it said, and that the server said of it, with the drone's time [s].
+    `texts` are the last lines that it said, and that the server said of it, with the time [s] as in its logs.
     """
 
     def __init__(self, url: str, settings: LabSettings, audience: Audience) -> None:
@@ -129,7 +129,7 @@ class LabDrone:
 
     def say(self, severity: str, text: str) -> None:
         """Tell all clients a line about it."""
-        at = None if self._connection is None else round(self._connection.drone.tick * TICK_S, 3)
+        at = None if self._connection is None else seconds(self._connection.drone.tick)
         line = {"severity": severity, "text": text, "time": at}
         self.texts.append(line)
         self._audience.tell({"event": "text", "drone": self.number, **line})

@@ -8,6 +8,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.flightlog.steps import BOOT
 from twodof.signals import PERIOD
 
 FULL_RATE = round(1.0 / PERIOD)
@@ -29,8 +30,11 @@ class Decimation:
     def take(
         self, ticks: NDArray[np.int64], values: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Further rows, ticks rising; returns what is whole by now: times (n,) [s] and values (n, columns)."""
-        times: NDArray[np.float64] = np.asarray(ticks * PERIOD, dtype=np.float64)
+        """Further rows, ticks rising; returns what is whole by now: times (n,) [s] and values (n, columns).
+
+        The times are those of the drone's logs: what is seen in flight is found there at the same second.
+        """
+        times: NDArray[np.float64] = np.asarray(BOOT + ticks * PERIOD, dtype=np.float64)
         if self.ticks == 1:
             return times, values
         buckets = ticks // self.ticks
