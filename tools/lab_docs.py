@@ -99,9 +99,9 @@ JSON texts. New fields and events may come.
 
 The `state` of a drone has `link` ("heard" or "lost"), `why_lost`, `armed`, `mode`, `safety_switch`, `killed`,
 `killed_by` [system, component], `failsafe` (what it does), `failsafe_reason` and `warnings` in words, `lease_holder`
-[system, component], `ours_leases` (the server commands it), `tuning_withheld`, `controller`, `changed_parameters`,
-`setpoint` (as asked for last), `excitation` (its ticks while it plays), `recording` (name of the log that is written),
-`battery` (`voltage` [V], `charge` 0 to 1), `rings_locked`, `virtual`, `lockstep`, `rig`, `seed`, `name`, `system`,
+[system, component], `ours_leases` (the server commands it), `experiment` (one that the server began flies it),
+`tuning_withheld`, `controller`, `changed_parameters`, `setpoint` (as asked for last), `excitation` (its ticks while it
+plays), `recording` (name of the log that is written), `battery` (`voltage` [V], `charge` 0 to 1), `rings_locked`, `virtual`, `lockstep`, `rig`, `seed`, `name`, `system`,
 `url`, `autopilot`, `ours` (it is one of ours) and `time` [s].
 """
 

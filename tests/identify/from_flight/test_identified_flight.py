@@ -31,6 +31,7 @@ def test_both_methods_find_the_rig(doublet: IdentifiedFlight) -> None:
     rows = {row["name"]: row for row in doublet.view()["estimates"]}
     assert rows["mu"]["simple"] == pytest.approx(rows["mu"]["value"], rel=0.05)
     assert rows["mu"]["low"] < rows["mu"]["value"] < rows["mu"]["high"]
+    assert rows["mu"]["text"] == "gain from normalised moment to angular acceleration"
 
 
 def test_the_view_is_json_and_its_curves_agree(doublet: IdentifiedFlight) -> None:

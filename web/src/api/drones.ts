@@ -29,6 +29,8 @@ export interface DroneState {
   lease_holder: readonly [number, number] | null;
   /** Whether this server holds the lease. */
   ours_leases: boolean;
+  /** An experiment that this server began flies it. */
+  experiment?: boolean;
   tuning_withheld: boolean;
   controller: string;
   /** How many parameters differ from their defaults. */

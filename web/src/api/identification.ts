@@ -83,6 +83,8 @@ export interface FlownExperiment {
 export interface EstimateRow {
   name: string;
   unit: string;
+  /** What it is, in words. */
+  text: string;
   value: number;
   sigma: number | null;
   /** The 95 % interval. */

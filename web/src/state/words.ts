@@ -39,6 +39,7 @@ export function failsafeWord(state: DroneState): { kind: Kind; text: string } {
 export function leaseWord(state: DroneState): { kind: Kind; text: string } {
   if (state.ours_leases) return { kind: "good", text: "You command" };
   if (state.lease_holder === null) return { kind: "plain", text: "Nobody commands" };
+  if (state.experiment) return { kind: "good", text: "Experiment commands" };
   return { kind: "warn", text: `Client ${state.lease_holder[0]} commands` };
 }
 

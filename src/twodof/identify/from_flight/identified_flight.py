@@ -92,6 +92,7 @@ class IdentifiedFlight:
         return {
             "name": label,
             "unit": found.unit(label),
+            "text": self._text(label),
             "value": found[label],
             "sigma": _plain(found.sigma(label)),
             "low": _plain(low),
@@ -100,6 +101,13 @@ class IdentifiedFlight:
             "sum": label in found.summed,
             "simple": by_hand,
         }
+
+    def _text(self, label: str) -> str:
+        """What an unknown is, in words."""
+        if label in self.greybox.summed and label not in self.greybox.labels:
+            return " + ".join(self.greybox.sums[label])
+        known = self.structure.unknowns.get(label)
+        return "" if known is None else known.text
 
     def _outputs(self) -> list[dict[str, Any]]:
         rows = []

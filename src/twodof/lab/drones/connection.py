@@ -113,6 +113,7 @@ class DroneConnection:
             if plays and playback is not None
             else None,
             "recording": self.recorder.name,
+            "experiment": self._hearer.lent,
         }
 
     async def _report(self) -> None:

@@ -112,11 +112,12 @@ export class Identification {
     );
   }
 
-  async fly(drone: number): Promise<boolean> {
+  /** Flies the experiment; `since` says why it is flown again. */
+  async fly(drone: number, since = ""): Promise<boolean> {
     const asked = this.asked();
     if (asked === undefined) return false;
     return this.run(
-      `Flying ${asked.name}`,
+      `Flying ${asked.name}${since && ` again: ${since}`}`,
       () => flyExperiment(asked, drone, seed()),
       true,
       async (flown) => {
@@ -143,12 +144,18 @@ export class Identification {
     for (const name of ["impulse", "doublet"]) {
       this.choose(name);
       // A gust may end a flight of a virtual rig; a real drone is looked at before it flies again.
-      let tries = virtual ? MOST_TRIES : 1;
-      do {
-        if (!(await this.fly(drone))) return;
-        tries -= 1;
-      } while (this.flown?.reason && tries > 0 && !this.stopped);
-      if (this.flown?.reason) return;
+      const tries = virtual ? MOST_TRIES : 1;
+      for (let flown = 1, ended = ""; ; flown += 1) {
+        if (!(await this.fly(drone, ended))) return;
+        ended = this.flown?.reason ?? "";
+        if (!ended) break;
+        if (this.stopped) return;
+        if (flown === tries) {
+          const often = tries > 1 ? `${tries} times, and each time it ended early` : "and it ended early";
+          this.failure = `The ${name} was flown ${often}: ${ended}. Look at the log, or press Whole pitch run again.`;
+          return;
+        }
+      }
     }
     await this.makeFit();
   }
