@@ -5,6 +5,8 @@ export interface Page {
   name: string;
   label: string;
   load: () => Promise<{ default: Component }>;
+  /** It is offered only where there are several drones. */
+  several?: boolean;
 }
 
 /** The same promise each time: what the link says besides the page's name must not build the page anew. */
@@ -19,4 +21,10 @@ export const PAGES: readonly Page[] = [
   { name: "diagram", label: "Diagram", load: once(() => import("../pages/diagram/DiagramPage.svelte")) },
   { name: "identify", label: "Identify", load: once(() => import("../pages/identify/IdentifyPage.svelte")) },
   { name: "logs", label: "Logs", load: once(() => import("../pages/logs/LogsPage.svelte")) },
+  {
+    name: "drones",
+    label: "All drones",
+    load: once(() => import("../pages/drones/DronesPage.svelte")),
+    several: true,
+  },
 ];

@@ -21,7 +21,11 @@ class EmergencyStop {
 
   /** Stops the chosen drone, or with `all` every one. */
   async press(all = false): Promise<void> {
-    const drones = all ? [...session.numbers] : session.number === undefined ? [] : [session.number];
+    await this.stop(all ? [...session.numbers] : session.number === undefined ? [] : [session.number]);
+  }
+
+  /** Stops these drones. */
+  async stop(drones: number[]): Promise<void> {
     if (drones.length === 0) return;
     this.last = { kind: "sent", drones };
     const answers = await Promise.all(drones.map((drone) => killed(drone)));

@@ -28,8 +28,10 @@ class Session {
   everConnected = $state(false);
   /** The numbers of the drones, in order. */
   readonly numbers = $derived([...this.drones.keys()].sort((a, b) => a - b));
-  /** The number of the chosen drone: that of the link's `?drone=`, else the first. */
-  readonly number = $derived(chosen(route.now.query.get("drone"), this.numbers));
+  /** The drone that a link named last: one to a part of a page, such as a log, names none, and must choose no other. */
+  private named = $state<string | null>(route.now.query.get("drone"));
+  /** The number of the chosen drone: that of the link's `?drone=`, else the one named before, else the first. */
+  readonly number = $derived(chosen(route.now.query.get("drone") ?? this.named, this.numbers));
   /** The chosen drone, undefined while none is known. */
   readonly drone = $derived(this.number === undefined ? undefined : this.drones.get(this.number));
 
@@ -50,6 +52,7 @@ class Session {
     from.start();
     setInterval(() => this.lookAtClocks(), LOOK_MS);
     addEventListener("online", () => from.hurry());
+    addEventListener("hashchange", () => (this.named = route.now.query.get("drone") ?? this.named));
     document.addEventListener("visibilitychange", () => {
       this.lookAtClocks();
       if (!document.hidden) from.hurry();
@@ -58,6 +61,7 @@ class Session {
 
   /** Makes another drone the chosen one, in the link too. */
   choose(drone: number): void {
+    this.named = String(drone);
     const query = Object.fromEntries(route.now.query);
     route.go(linkTo(route.now.page, route.now.parts, { ...query, drone: String(drone) }), true);
   }

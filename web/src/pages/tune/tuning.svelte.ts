@@ -22,7 +22,8 @@ const WAIT_MS = 200;
 export class Tuning {
   rows = $state.raw<readonly ParameterRow[]>([]);
   edits = $state.raw<Edits>(new Map());
-  models = $state.raw<readonly ModelRow[]>([]);
+  /** Those of the pitch; undefined until the server has told. */
+  models = $state.raw<readonly ModelRow[] | undefined>(undefined);
   /** The model that guards the drone's gains. */
   model = $state<string | null>(null);
   /** The size of the step that is predicted [rad]. */
