@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable
 
@@ -41,10 +42,12 @@ def _fly(page: Page, take: Take) -> None:
     page.get_by_role("button", name="Arm", exact=True).click()
     expect(page.get_by_role("button", name="Disarm")).to_be_enabled()
     page.get_by_role("tab", name="Position").click()
-    for place in ("0.10", "0.00"):
+    for place in ("0.00", "0.10", "0.00"):
         page.get_by_role("button", name=place, exact=True).click()
         time.sleep(STANDS_S)
-    expect(page.get_by_role("table", name="Steps as they are flown").get_by_text("0.10 → 0.00")).to_be_visible()
+    flown = page.get_by_role("table", name="Steps as they are flown").get_by_role("row")
+    for step in ("0.00 → 0.10", "0.10 → 0.00"):
+        expect(flown.filter(has_text=step)).to_contain_text(re.compile(r"\d\.\d{3} s.*%"))
     take("fly")
     page.get_by_role("button", name="Start", exact=True).click()
     expect(page.get_by_role("button", name="Stop it")).to_be_visible()

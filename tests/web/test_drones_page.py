@@ -1,0 +1,23 @@
+"""The page of all drones: each is seen, led to and stopped there."""
+
+from __future__ import annotations
+
+import re
+
+from playwright.sync_api import expect
+
+from tests.web.conftest import OpenPage, readable
+from tests.web.lab_server import LabServer
+
+
+def test_a_drone_is_seen_and_stopped_where_all_are_seen(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(f"{lab_server.link}#/drones", size="tablet")
+    card = page.get_by_role("listitem").filter(has=page.get_by_role("link", name=f"Drone {lab_server.drone}"))
+    expect(card.get_by_role("listitem").filter(has_text=re.compile(r"estimate\s+.?\d\.\d{3} deg"))).to_be_visible()
+    expect(card.get_by_text("Disarmed")).to_be_visible()
+    readable(page, "drones")
+    card.get_by_role("button", name="STOP").click()
+    lab_server.until(killed=True)
+    expect(card.get_by_text("Stopped")).to_be_visible()
+    card.get_by_role("link").click()
+    expect(page.get_by_role("button", name="Release the stop")).to_be_visible()
