@@ -336,6 +336,7 @@ def test_a_flight_in_which_the_failsafe_acted_is_broken_off() -> None:
     with drone_thread(freeze) as url, Drone.connect(url) as drone:
         flight = fly(short("attitude-steps"), drone)
         assert_failed(flight, "imu_lost")
+        assert "the IMU is silent" in flight.reason
         assert not drone.state.armed
         assert len(flight.log["theta"]) < script(flight.experiment).steps
         assert ", longest gap" not in {check.name: check.seen for check in flight.checks}["samples received"]

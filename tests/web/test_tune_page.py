@@ -72,9 +72,13 @@ def test_several_are_edited_sent_together_and_taken_back(lab: ServedLab, open_pa
 
 def test_a_value_out_of_bounds_is_refused_where_it_is_typed(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?search=RATE_KP"))
+    edit(page, "RATE_KP", "0.07")
+    expect(page.get_by_role("button", name="Send 1 change")).to_be_enabled()
     edit(page, "RATE_KP", "7")
     expect(page.get_by_text("From 0 to 0.12")).to_be_visible()
-    expect(page.get_by_role("button", name="Send changes")).to_be_disabled()
+    # What would be sent, 0.07, is not what stands there.
+    expect(page.get_by_role("button", name="Send 1 change")).to_be_disabled()
+    expect(page.get_by_text("Correct RATE_KP first")).to_be_visible()
     assert axe(page) == []
 
 

@@ -13,6 +13,7 @@ from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
 from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
+from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.flightlog.provenance import versions
 from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone import Drone
@@ -200,6 +201,12 @@ def _model(name: str) -> Laboratory:
     return Laboratory(name if name in NAMES else "lab")
 
 
+def _in_words(causes: str) -> str:
+    """What each of the failsafe's causes means."""
+    texts = {cause.name: cause.text for cause in CAUSES}
+    return "; ".join(texts.get(name.strip(), name.strip()) for name in causes.split(","))
+
+
 def _silent(text: str, share: float) -> None:
     """Says nothing."""
 
@@ -334,7 +341,7 @@ class _Course:
     def _wrong(self) -> str:
         state = self.drone.state
         if state.safety.action != "none" and state.safety.reason:
-            self.acted = f"{state.safety.action} because of {state.safety.reason}"
+            self.acted = f"{state.safety.action}, since {_in_words(state.safety.reason)} ({state.safety.reason})"
             return f"the failsafe acts: {self.acted}"
         if not state.armed:
             # Disarmed by a command: the failsafe then stops the motors without a reason of its own.

@@ -22,6 +22,8 @@ const WAIT_MS = 200;
 export class Tuning {
   rows = $state.raw<readonly ParameterRow[]>([]);
   edits = $state.raw<Edits>(new Map());
+  /** Parameters in whose fields stands what cannot be sent. */
+  wrong = $state.raw<readonly string[]>([]);
   /** Those of the pitch; undefined until the server has told. */
   models = $state.raw<readonly ModelRow[] | undefined>(undefined);
   /** The model that guards the drone's gains. */
@@ -77,6 +79,7 @@ export class Tuning {
       this.models = models.filter((one) => one.pitch);
       this.model = guard.model;
     } catch (failure) {
+      this.models ??= [];
       toastError(failure);
     }
   }
@@ -89,6 +92,11 @@ export class Tuning {
     } catch (failure) {
       toastError(failure);
     }
+  }
+
+  /** Notes that what stands in a field is beyond its bounds, or is no longer: it is not what would be sent. */
+  markWrong(name: string, wrong: boolean): void {
+    this.wrong = wrong ? [...this.wrong, name] : this.wrong.filter((one) => one !== name);
   }
 
   edit(name: string, value: number): void {
