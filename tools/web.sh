@@ -38,6 +38,7 @@ case $2 in
 build)
     npx --no-install vite build --logLevel warn
     sources >$page/built-from
+    echo "web: the page is built. Start a drone and its page by: .venv/bin/twodof up --open"
     ;;
 check)
     npx --no-install svelte-check --tsconfig ./tsconfig.json --fail-on-warnings --output human

@@ -10,7 +10,9 @@ export default defineConfig({
     outDir: "../src/twodof/lab/page",
     emptyOutDir: true,
     target: "es2022",
-    reportCompressedSize: true,
+    // The view in three dimensions is one large file, and comes from the reader's own computer.
+    chunkSizeWarningLimit: 1500,
+    rolldownOptions: { checks: { pluginTimings: false } },
   },
   // A loaded machine takes longer than vitest's 5 s over a flight: only what hangs is to end.
   // One thread without a world of its own for each file takes a third of the processor.
