@@ -105,10 +105,15 @@ def catalogue() -> tuple[CatalogueEntry, ...]:
 def _entry(cls: type[Block], group: str) -> CatalogueEntry:
     block = cls()
     config = dict(getattr(block, "config", {}))
-    words = {name: _choices(cls, name) for name, value in config.items() if isinstance(value, str) and value}
+    words = {name: _choices(cls, name) for name, value in config.items() if _is_word(value)}
     choices = {name: found for name, found in words.items() if found}
     text = inspect.cleandoc(cls.__doc__ or "")
     return CatalogueEntry(cls.type_name, cls.__name__, group, text, config, choices, block_shape(block))
+
+
+def _is_word(value: Any) -> bool:
+    """Whether an argument of this default may take words: a word, yes or no, or nothing."""
+    return value is None or isinstance(value, bool) or (isinstance(value, str) and bool(value))
 
 
 def _choices(cls: type[Block], argument: str) -> tuple[str, ...]:

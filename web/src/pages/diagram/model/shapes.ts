@@ -1,7 +1,7 @@
 // What ports and parameters a part has. A library block's follow from its arguments, which Python decides: the page asks
 // the server once for each block and keeps the answer by the block's text.
 import { declaredName, findPart, type Block, type Diagram, type Part } from "./diagram";
-import { isList, isObject, Num, writeJson, type Json, type JsonObject } from "./json_text";
+import { isList, isObject, Num, readJson, writeJson, type Json, type JsonObject } from "./json_text";
 
 export interface Port {
   readonly name: string;
@@ -35,6 +35,8 @@ const NOTHING: Shape = { inputs: [], outputs: [], params: [], structure: "" };
 
 export class Shapes {
   private readonly known = new Map<string, Answer>();
+  /** By type the arguments of blocks, and their shapes. */
+  private readonly byType = new Map<string, { readonly config: Json; readonly shape: Shape }[]>();
   private readonly keys = new WeakMap<Block, string>();
   private readonly own = new WeakMap<Block | Diagram, Shape>();
 
@@ -49,6 +51,25 @@ export class Shapes {
 
   learn(key: string, answer: Answer): void {
     this.known.set(key, answer);
+    if (!("inputs" in answer)) return;
+    const read = readJson(key);
+    if (!isObject(read) || typeof read["type"] !== "string") return;
+    const alike = this.byType.get(read["type"]) ?? [];
+    if (alike.some(({ shape }) => shape.structure === answer.structure)) return;
+    this.byType.set(read["type"], [...alike, { config: read["config"] ?? {}, shape: answer }]);
+  }
+
+  /** That of the block of its type with the most arguments in common: what it was before it was changed, mostly. */
+  private nearest(block: Block): Shape {
+    const config = block.json["config"];
+    const own = isObject(config) ? Object.entries(config).map(([name, value]) => [name, writeJson(value)]) : [];
+    let [best, most] = [NOTHING, -1];
+    for (const { config: other, shape } of this.byType.get(block.type) ?? []) {
+      if (!isObject(other)) continue;
+      const common = own.filter(([name, text]) => name! in other && writeJson(other[name!]!) === text).length;
+      if (common >= most) [best, most] = [shape, common]; // of two the one that was seen later
+    }
+    return best;
   }
 
   /** The library blocks of a diagram, sub-diagrams included, of which nothing is known yet. */
@@ -67,10 +88,15 @@ export class Shapes {
     return answer !== undefined && "what" in answer ? answer : undefined;
   }
 
+  /** The ports and parameters of a part; of a block that is not known yet, or that cannot be, those that it is near to. */
   of(item: Block | Diagram): Shape {
     if (item.is === "block" && fromLibrary(item)) {
       const answer = this.known.get(this.key(item));
-      return answer !== undefined && "inputs" in answer ? answer : NOTHING;
+      if (answer !== undefined && "inputs" in answer) return answer;
+      // Not answered yet, or refused: its wires stay where they are.
+      let presumed = this.own.get(item);
+      if (presumed === undefined) this.own.set(item, (presumed = this.nearest(item)));
+      return presumed;
     }
     let shape = this.own.get(item);
     if (shape === undefined) {
