@@ -3,7 +3,7 @@ import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/m
 import { diagramAt, diagramFrom, type Diagram } from "../../src/pages/diagram/model/diagram";
 import { grouped } from "../../src/pages/diagram/model/grouping";
 import { readJson, type Json } from "../../src/pages/diagram/model/json_text";
-import { searched } from "../../src/pages/diagram/model/search";
+import { instead, searched } from "../../src/pages/diagram/model/search";
 import { Shapes, type Port, type Shape } from "../../src/pages/diagram/model/shapes";
 import { originOf } from "../../src/pages/diagram/model/signals";
 import { parameterValues, structureOf } from "../../src/pages/diagram/model/structure";
@@ -129,5 +129,32 @@ describe("the palette", () => {
     expect(searched([...blocks, sum], "Subtract").map((one) => one.type)).toEqual(["sum"]);
     expect(searched(blocks, "nothing of the kind")).toEqual([]);
     expect(searched(blocks, " ")).toHaveLength(3);
+  });
+
+  it("knows Simulink's names, however they are written", () => {
+    const block = (type: string): { type: string; name: string; group: string; text: string } => ({
+      type,
+      name: type,
+      group: "math",
+      text: "",
+    });
+    const all = ["rate_limit", "lookup", "transfer_function", "zero_order_hold", "logic", "diagram"].map(block);
+    for (const [asked, type] of [
+      ["Rate Limiter", "rate_limit"],
+      ["1-D Lookup Table", "lookup"],
+      ["lookup tab", "lookup"],
+      ["Transfer Fcn", "transfer_function"],
+      ["Zero-Order Hold", "zero_order_hold"],
+      ["Logical Operator", "logic"],
+      ["Subsystem", "diagram"],
+    ] as const)
+      expect(searched(all, asked)[0]?.type, asked).toBe(type);
+  });
+
+  it("says what to do for a block of Simulink that there is not here", () => {
+    expect(instead("Scope")).toContain("press S");
+    expect(instead("statefl")).toContain("state machine");
+    expect(instead("MATLAB Function")).toContain("Python");
+    for (const word of ["", "s", "gain", "step"]) expect(instead(word)).toBe("");
   });
 });

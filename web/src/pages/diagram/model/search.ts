@@ -8,9 +8,9 @@ export interface Choice {
 
 /** The choices that hold every word of `query`, the best first: by name's beginning, by name, by text. All for "". */
 export function searched<T extends Choice>(choices: readonly T[], query: string): T[] {
-  const words = query.toLowerCase().split(/\s+/).filter(Boolean);
-  if (words.length === 0) return [...choices];
-  const rated = choices.map((choice, i) => ({ choice, i, rank: rank(choice, words) }));
+  const asked = plain(query);
+  if (asked === "") return [...choices];
+  const rated = choices.map((choice, i) => ({ choice, i, rank: Math.min(also(choice, asked), rank(choice, asked)) }));
   return rated
     .filter((one) => one.rank < NONE)
     .sort((a, b) => a.rank - b.rank || a.i - b.i)
@@ -18,23 +18,105 @@ export function searched<T extends Choice>(choices: readonly T[], query: string)
 }
 
 const NONE = 100;
-/** Words of Simulink for what has another name here. */
-const ALSO: ReadonlyMap<string, string> = new Map([
-  ["add", "sum"],
-  ["subtract", "sum"],
-  ["saturate", "saturation"],
-  ["memory", "unit_delay"],
-  ["inport", "input"],
-  ["outport", "output"],
-  ["subsystem", "diagram"],
-]);
+/** Simulink's names for what has another name here, as words without what stands between them. */
+const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
+  Object.entries({
+    sum: ["add", "subtract"],
+    saturation: ["saturate", "limiter"],
+    rate_limit: ["rate limiter", "slew rate"],
+    quantiser: ["quantizer"],
+    lookup: ["lookup table", "look up table", "1 d lookup table", "table lookup"],
+    lookup_2d: ["lookup table", "2 d lookup table"],
+    unit_delay: ["memory"],
+    fractional_delay: ["transport delay"],
+    variable_delay: ["variable integer delay", "variable transport delay"],
+    transfer_function: ["transfer fcn", "tf"],
+    discrete_transfer_function: ["discrete transfer fcn", "transfer fcn"],
+    state_space: ["ss", "lqr"],
+    discrete_integrator: ["discrete time integrator"],
+    discrete_derivative: ["derivative"],
+    logic: ["logical operator", "and", "or", "not"],
+    compare: ["relational operator"],
+    multiport_switch: ["multi port switch"],
+    convert: ["data type conversion", "cast"],
+    elementary: ["math function", "exp", "log", "square", "sqrt"],
+    minimum: ["minmax", "min max"],
+    maximum: ["minmax", "min max"],
+    rounding: ["rounding function", "floor", "ceil"],
+    bitwise: ["bitwise operator"],
+    data_store: ["data store memory"],
+    store_read: ["data store read"],
+    store_write: ["data store write"],
+    first_true: ["if"],
+    case_choice: ["switch case"],
+    concatenate: ["vector concatenate"],
+    bus_create: ["bus creator"],
+    bus_select: ["bus selector"],
+    bus_assign: ["bus assignment"],
+    noise: ["random number", "band limited white noise"],
+    uniform_noise: ["uniform random number"],
+    sine: ["sine wave", "sin"],
+    sweep: ["chirp signal"],
+    pulse: ["pulse generator"],
+    table: ["from workspace", "repeating sequence", "signal builder"],
+    playback: ["from workspace"],
+    constant: ["ground"],
+    clock: ["digital clock"],
+    input: ["inport", "in1"],
+    output: ["outport", "out1"],
+    diagram: ["subsystem", "enabled subsystem"],
+  }),
+);
 
-function rank(choice: Choice, words: readonly string[]): number {
+/** What of Simulink is not a block here: how one does it instead. */
+const INSTEAD: readonly (readonly [words: readonly string[], instead: string])[] = [
+  [
+    ["scope", "display", "to workspace", "floating scope"],
+    "A scope is not a block here: select a wire or a block and press S.",
+  ],
+  [["goto", "from", "goto tag"], "A wire needs no Goto: connect the source with each reader (C)."],
+  [["terminator"], "An output that nobody reads needs no Terminator."],
+  [
+    ["stateflow", "chart", "state machine"],
+    "A state machine is written in Python (How to, “Write a state machine”), and comes here with its diagram.",
+  ],
+  [
+    ["matlab function", "s function", "fcn", "interpreted matlab function"],
+    "A block of your own is written in Python (How to, “Add a block”), and comes here with its diagram.",
+  ],
+];
+
+const plain = (text: string): string =>
+  text
+    .toLowerCase()
+    .split(/[^a-z0-9]+/)
+    .filter(Boolean)
+    .join(" ");
+
+/** What to do for a block of Simulink that there is not here; "" for other words. */
+export function instead(query: string): string {
+  const asked = plain(query);
+  if (asked.length < 3) return "";
+  const begun = INSTEAD.find(([names]) =>
+    names.some((name) => name === asked || (asked.length > 4 && name.startsWith(asked))),
+  );
+  return begun?.[1] ?? "";
+}
+
+/** How well what was asked fits Simulink's names of a block. */
+function also({ type }: Choice, asked: string): number {
+  const names = ALSO.get(type) ?? [];
+  if (names.includes(asked)) return 0;
+  return names.some((name) => asked.length > 2 && name.startsWith(asked)) ? 1 : NONE;
+}
+
+function rank(choice: Choice, asked: string): number {
   const name = choice.name.toLowerCase();
   const type = choice.type.replace(/_/g, " ");
+  if (asked === name || asked === type) return 0;
   let worst = 0;
-  for (const word of words) {
-    if (name === word || type === word || ALSO.get(word) === choice.type) continue;
+  for (const word of asked.split(" ")) {
+    if (name === word || type === word) continue;
     if (name.startsWith(word) || type.startsWith(word)) worst = Math.max(worst, 1);
     else if (name.includes(word) || type.includes(word)) worst = Math.max(worst, 2);
     else if (choice.group.startsWith(word)) worst = Math.max(worst, 3);
