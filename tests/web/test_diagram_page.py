@@ -197,7 +197,7 @@ def test_a_block_is_inserted_into_a_wire_by_keys_and_at_the_end_of_one_by_mouse(
     page.keyboard.press("Control+z")
     page.keyboard.press("Control+z")
     expect(block(page, "gain")).to_have_count(0)
-    expect(page.get_by_role("button", name="Save", exact=True)).to_be_visible()
+    expect(page.get_by_role("button", name="Save…", exact=True)).to_be_visible()
 
 
 def test_an_input_that_is_moved_stays_there(server: Served, open_page: OpenPage) -> None:

@@ -31,6 +31,8 @@ export interface Template {
 }
 
 export interface Catalogue {
+  /** Why no diagram can be simulated here; "" where it can. */
+  not_simulated: string;
   blocks: CatalogueEntry[];
   starters: Record<string, { name: string; text: string }>;
   templates: Record<string, Template>;

@@ -14,7 +14,8 @@ from twodof.compile.builder import emit_program
 from twodof.compile.c_files.source_map import source_map
 from twodof.compile.program.check import check as check_diagram
 from twodof.compile.program.flatten import AlgebraicLoop
-from twodof.errors import DiagramError, TwodofError
+from twodof.compile.wasm.module import find_wasm_compiler
+from twodof.errors import CompileError, DiagramError, TwodofError
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, check_template, nearest_template, template_fit
 from twodof.signals import PERIOD
@@ -22,8 +23,12 @@ from twodof.sim.portable_loop import portable_loop
 
 
 def catalogue() -> dict[str, Any]:
-    """The library's blocks, the starter diagrams, and the drone's templates with their ports."""
+    """The library's blocks, the starter diagrams, and the drone's templates with their ports.
+
+    `not_simulated` says why no diagram can be simulated here; "" where it can.
+    """
     return {
+        "not_simulated": _no_compiler(),
         "blocks": [entry.to_json() for entry in library_catalogue()],
         "starters": {name: {"name": d.name, "text": d.text} for name in STARTERS for d in (starter(name),)},
         "templates": {
@@ -35,6 +40,14 @@ def catalogue() -> dict[str, Any]:
             for t in TEMPLATES.values()
         },
     }
+
+
+def _no_compiler() -> str:
+    try:
+        find_wasm_compiler()
+    except CompileError as error:
+        return f"{error.what}: {error.remedy}; then load this page again"
+    return ""
 
 
 def canonical(text: str) -> dict[str, Any]:

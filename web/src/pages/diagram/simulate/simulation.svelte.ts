@@ -77,22 +77,30 @@ class Simulation {
 
   /** Whether it was checked and may fly; the check that is under way calls again. */
   private mayCompile(root: Diagram): boolean {
+    const missing = editor.catalogue?.not_simulated ?? "";
+    if (missing !== "") return this.refuse(missing);
     const { checked, of, failure } = findings;
     if (failure !== "") return true; // the compiler will say what is wrong
     if (of !== root || checked === undefined) return false;
     if (checked.fine && checked.template?.fits) return true;
+    return this.refuse(
+      checked.fine
+        ? "it does not have the ports of a controller of the drone, see Problems"
+        : "it does not compile yet, see Problems",
+    );
+  }
+
+  private refuse(why: string): false {
     this.began = 0;
     this.busy = "";
-    this.problem = !checked.fine
-      ? "it does not compile yet, see Problems"
-      : "it does not have the ports of a controller of the drone, see Problems";
+    this.problem = why;
     return false;
   }
 
   private async compile(structure: string): Promise<void> {
     this.abort?.abort();
     const abort = (this.abort = new AbortController());
-    this.busy = "compiling";
+    [this.busy, this.problem] = ["compiling", ""];
     const loop = await api.compileLoop(editor.text, this.scenario.rig, abort.signal);
     if (abort.signal.aborted) throw new DOMException("another one is compiled", "AbortError");
     const module = Uint8Array.from(atob(loop.module), (c) => c.charCodeAt(0)).buffer;
