@@ -16,7 +16,8 @@ from twodof.lab.access.route_table import RouteRow, RouteTable
 from twodof.lab.refusals import DESCRIPTIONS
 from twodof.lab.server import ROUTERS, create_app
 from twodof.lab.settings import LabSettings
-from twodof.lab.telemetry.client import MOST_CLIENTS, MOST_STREAMS
+from twodof.lab.telemetry.audience import MOST_UNANSWERED
+from twodof.lab.telemetry.client import ALIVE_S, MOST_CLIENTS, MOST_STREAMS
 from twodof.lab.telemetry.outbox import MOST_BYTES
 from twodof.lab.telemetry.request import LONGEST, MOST_COLUMNS
 from twodof.lab.telemetry.tick_rows import COLUMNS
@@ -56,6 +57,7 @@ JSON texts of at most {LONGEST} characters:
 |---|---|
 | `{{"do": "subscribe", "id": 7, "drone": 1, "columns": ["estimate.theta"], "rate": 250}}` | rows of these columns |
 | `{{"do": "unsubscribe", "id": 7}}` | no more rows of that number |
+| `{{"do": "here"}}` | the answer to the event `alive` |
 
 `id` is 0 to 65535; one that is in use is replaced. A client has {MOST_STREAMS} subscriptions of {MOST_COLUMNS} columns
 at most. At the full rate of 250 rows a second nothing is left out. At a lower `rate` (0.1 and more) each stretch of
@@ -96,6 +98,11 @@ JSON texts. New fields and events may come.
 | `job` | `job` | a job goes on or ends; its result is at `/api/jobs/ID` |
 | `log` | `name` | a flight was recorded |
 | `refused` | `id`, `what`, `where`, `remedy` | a subscription cannot be |
+| `alive` | | every {ALIVE_S:g} s |
+
+A client that may command answers `alive`. Who has answered once and then leaves more than {MOST_UNANSWERED} of them
+unanswered stands still, as a frozen tab does whose browser keeps the socket open. A drone that only such clients
+command is levelled and disarmed, as where they have left. Who never answers is there for as long as its socket is.
 
 The `state` of a drone has `link` ("heard" or "lost"), `why_lost`, `armed`, `mode`, `safety_switch`, `killed`,
 `killed_by` [system, component], `failsafe` (what it does), `failsafe_reason` and `warnings` in words, `lease_holder`

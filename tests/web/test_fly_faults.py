@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import re
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 
+import numpy as np
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 
 from tests.web.conftest import OpenPage
 from tests.web.lab_server import LabServer
-from tests.web.pilot import armed, flies_to, flying, press, reaches, shown
+from tests.web.pilot import armed, flies_to, flying, press, reaches
+from twodof.flightlog.files import read_log
 from twodof.gcs import Drone
 
 GONE = ("WebSocket", "ERR_", "502", "504")
@@ -104,21 +108,66 @@ def test_a_clock_that_is_set_changes_no_plot(lab_server: LabServer, open_page: O
     page.goto(lab_server.link)
     reaches(page, "Position x", 0.0, 0.05)
     page.clock.set_system_time(1_700_000_000 - 3600)
-    expect(page.get_by_text("The clock of this computer was set by")).to_be_visible()
+    expect(page.get_by_text("The clock of this computer was set back by 3")).to_be_visible()
     lab_server.tell("reset", {"x": -0.1})
     reaches(page, "Position x", -0.1, 0.03)
 
 
+@contextmanager
+def frozen(*pages: Page) -> Iterator[None]:
+    """No script of these tabs runs, and the browser keeps their sockets open and answers the pings of the server.
+
+    The debugger does to a page what a browser does to a tab that it freezes. Chromium's own switch for that
+    (Page.setWebLifecycleState) does nothing where there is no screen.
+    """
+    sessions = [page.context.new_cdp_session(page) for page in pages]
+    for chrome in sessions:
+        chrome.send("Debugger.enable")
+        chrome.send("Debugger.pause")
+    yield
+    for chrome in sessions:
+        chrome.send("Debugger.resume")
+        chrome.send("Debugger.disable")
+
+
+def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
+    """Ends the flight; how long [s] its log is, in which no sample is missing."""
+    lab_server.tell("disarm")
+    lab_server.until(recording="")
+    times = read_log(lab_server.folder / "flights" / name)["theta"].time
+    assert np.diff(times).max() < 0.01
+    return float(times[-1] - times[0])
+
+
+def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: LabServer, open_page: OpenPage) -> None:
+    page, watching = open_page(lab_server.link), open_page(lab_server.watch_link)
+    flying(page)
+    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)
+    recording = lab_server.state["recording"]
+    began = lab_server.state["time"]
+    with frozen(page, watching):
+        state = lab_server.until(mode="hold")  # by the server: nobody is there who flies it
+    for one in (page, watching):
+        expect(one.get_by_text("This page stood still for")).to_be_visible()
+        expect(one.get_by_label("Mode")).to_have_value("hold")
+    expect(page.get_by_label("What the drone says")).to_contain_text("stands still for 3 s: it is levelled")
+    assert lab_server.state["mode"] == "hold"  # and nothing that was asked before is asked again
+    flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
+    assert recorded_without_a_gap(lab_server, recording) > state["time"] - began
+
+
 @pytest.mark.soak
-def test_a_tab_that_is_frozen_for_a_minute_catches_up(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_who_is_frozen_for_a_minute_comes_back_to_a_drone_at_rest(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     flying(page)
-    chrome = page.context.new_cdp_session(page)
-    chrome.send("Page.setWebLifecycleState", {"state": "frozen"})
-    for _ in range(60):
-        signal.sigtimedwait([], 1.0)
-    chrome.send("Page.setWebLifecycleState", {"state": "active"})
-    expect(page.get_by_text("This page stood still for")).to_be_visible()
-    lab_server.tell("setpoint", {"loop": "x", "value": 0.1}, "PUT")
-    reaches(page, "Position x", 0.1, 0.03)
-    assert abs(shown(page, "Pitch")) < 20
+    recording = lab_server.state["recording"]
+    with frozen(page):
+        lab_server.until(armed=False, ours_leases=False)
+        for _ in range(60):
+            signal.sigtimedwait([], 1.0)
+    expect(page.get_by_text(re.compile(r"This page stood still for [6-9]\d s"))).to_be_visible()
+    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    assert recorded_without_a_gap(lab_server, recording) > 10.0
+    assert not lab_server.state["armed"]
+    flying(page)
+    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)

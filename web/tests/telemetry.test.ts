@@ -71,6 +71,16 @@ describe("the socket", () => {
     expect(two.mock.calls.length).toBe(1);
   });
 
+  it("answers that it is there, since the browser would say so for a page that is frozen", () => {
+    const heard = vi.fn();
+    telemetry.onEvent(heard);
+    telemetry.start();
+    last().open();
+    last().tell(JSON.stringify({ event: "alive" }));
+    expect(last().said).toEqual([{ do: "here" }]);
+    expect(heard).not.toHaveBeenCalled();
+  });
+
   it("comes back after a loss, later each time, and asks again", () => {
     telemetry.subscribe(1, ["estimate.q"], 250, () => {});
     telemetry.start();

@@ -18,6 +18,7 @@ from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
 from twodof.gcs.telemetry.recording import seconds
 from twodof.lab.drones import pilot
+from twodof.lab.telemetry import client as telemetry_client
 
 FLIES = {"loop": "theta", "value": 0.05, "thrust": 0.4}
 
@@ -247,6 +248,24 @@ def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
         assert levelled
         with Drone.connect(there.url) as script:  # it is free for others
             script.arm()
+
+
+def test_a_page_that_stands_still_with_its_socket_open_is_not_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(telemetry_client, "ALIVE_S", 0.1)
+    monkeypatch.setattr(pilot, "LEVEL_S", 0.4)
+    monkeypatch.setattr(pilot, "LEAVE_S", 1.2)
+    with flying(tmp_path, safety_off=True) as (server, there), server.socket() as client:
+        server.ask("POST", "/api/drones/1/arm")
+        server.ask("PUT", "/api/drones/1/setpoint", FLIES)
+        while there.steps[-1].tick < 2.0 / 0.004:  # it flies on while that is answered
+            client.event("alive")
+            client.send(do="here")
+        assert server.ask("GET", "/api/drones/1").json["mode"] == "offboard"
+        client.event("drone", armed=False)  # and then no more
+        said = [line["text"] for line in server.ask("GET", "/api/drones/1/texts").json]
+        assert any("stands still for 0.4 s: it is levelled" in line for line in said)
 
 
 def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:

@@ -138,7 +138,12 @@ export class Telemetry {
   }
 
   private event(text: string): void {
-    const event = JSON.parse(text) as LabEvent;
+    const event = JSON.parse(text) as LabEvent | { event: "alive" };
+    if (event.event === "alive") {
+      // Said by the page itself, not by a timer: a hidden tab is there, a frozen one is not.
+      this.socket?.send(JSON.stringify({ do: "here" }));
+      return;
+    }
     if (event.event === "refused") this.refused.add(event.id);
     else if (event.event === "drone" && !this.told.has(event.drone)) this.comes(event.drone);
     for (const listener of this.listeners) listener(event);

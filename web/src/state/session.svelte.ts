@@ -53,10 +53,12 @@ class Session {
     setInterval(() => this.lookAtClocks(), LOOK_MS);
     addEventListener("online", () => from.hurry());
     addEventListener("hashchange", () => (this.named = route.now.query.get("drone") ?? this.named));
-    document.addEventListener("visibilitychange", () => {
+    const back = () => {
       this.lookAtClocks();
       if (!document.hidden) from.hurry();
-    });
+    };
+    document.addEventListener("visibilitychange", back);
+    document.addEventListener("resume", back);
   }
 
   /** Makes another drone the chosen one, in the link too. */
@@ -106,7 +108,10 @@ class Session {
 
   private lookAtClocks(): void {
     const noticed = this.clocks.look();
-    if (noticed !== undefined) this.clockEvent = noticed;
+    if (noticed === undefined) return;
+    this.clockEvent = noticed;
+    // What was told meanwhile may have been let go; how all stands now is asked for.
+    if (this.connected) void this.catchUp();
   }
 }
 

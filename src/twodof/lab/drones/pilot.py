@@ -1,4 +1,4 @@
-"""Pilot: commands one drone for all clients together, and lets it down where every client that may command has left."""
+"""Pilot: commands one drone for all clients together, and lets it down where nobody is there who may command."""
 
 from __future__ import annotations
 
@@ -13,15 +13,18 @@ LEASE_S = 4.0
 """A lease of somebody who is gone ends within it."""
 LOOK_S = 0.25
 LEVEL_S = 3.0
-"""So long after the last client that may command has left it is levelled: a page that is loaded again takes less."""
+"""So long after the last client that may command has left, or stands still, it is levelled.
+
+A page that is loaded again takes less.
+"""
 LEAVE_S = 10.0
 """So long after, it is disarmed, and others may command it."""
 
 
 class Pilot:
-    """Takes the lease with the first command and keeps it until it is given up, or everybody has left.
+    """Takes the lease with the first command and keeps it until it is given up, or nobody is there.
 
-    `commanding` says how many clients are connected that may command, `say` tells all clients a line about the drone.
+    `commanding` says how many clients are there that may command, `say` tells all clients a line about the drone.
     """
 
     def __init__(self, drone: AsyncDrone, commanding: Callable[[], int], say: Callable[[str, str], None]) -> None:
@@ -71,7 +74,7 @@ class Pilot:
 
     async def _level(self) -> None:
         drone = self._drone
-        self._say("warning", f"every client that may command has left for {LEVEL_S:g} s: it is levelled")
+        self._say("warning", f"every page that may command is gone or stands still for {LEVEL_S:g} s: it is levelled")
         try:
             await drone.stop_excitation()
             await drone.level_hold()
@@ -81,7 +84,9 @@ class Pilot:
     async def _leave(self) -> None:
         drone = self._drone
         if drone.state.armed:
-            self._say("warning", f"every client that may command has left for {LEAVE_S:g} s: it is disarmed")
+            self._say(
+                "warning", f"every page that may command is gone or stands still for {LEAVE_S:g} s: it is disarmed"
+            )
             with suppress(LinkLost):
                 await drone.disarm()
         await self.give_up()

@@ -16,7 +16,7 @@ from twodof.lab.side_by_side import until_one_ends
 from twodof.lab.telemetry.feeds import FeedKey
 from twodof.lab.telemetry.frame import header
 from twodof.lab.telemetry.outbox import Outbox, StreamState
-from twodof.lab.telemetry.request import Asked, MalformedRequest, Subscribe, read_request
+from twodof.lab.telemetry.request import Here, MalformedRequest, Subscribe, Unsubscribe, read_request
 
 MOST_CLIENTS = 100
 MOST_STREAMS = 32
@@ -62,9 +62,13 @@ class TelemetryClient:
         await until_one_ends((self._send(), self._receive(), self._beat()))
 
     async def _beat(self) -> None:
-        """Say now and then that the server is there: a page cannot see a socket's own pings."""
+        """Say now and then that the server is there, and count what is not answered.
+
+        A page cannot see a socket's own pings, and a browser answers those for a page that is frozen.
+        """
         while True:
             await asyncio.sleep(ALIVE_S)
+            self._lab.audience.asked(self._outbox)
             self._say({"event": "alive"})
 
     async def _send(self) -> None:
@@ -86,13 +90,16 @@ class TelemetryClient:
             if text is None:
                 raise MalformedRequest("is binary; send JSON text")
             asked = read_request(text)
+            if isinstance(asked, Here):
+                self._lab.audience.answered(self._outbox)
+                continue
             try:
                 self._do(asked)
             except TwodofError as error:
                 said = {"what": error.what, "where": error.where, "remedy": error.remedy}
                 self._say({"event": "refused", "id": asked.id, **said})
 
-    def _do(self, asked: Asked) -> None:
+    def _do(self, asked: Subscribe | Unsubscribe) -> None:
         self._end(asked.id)
         if not isinstance(asked, Subscribe):
             return

@@ -1,4 +1,4 @@
-"""What a client asks for over the web socket: to subscribe, or to subscribe no more."""
+"""What a client says over the web socket: to subscribe, to subscribe no more, or that it is there."""
 
 from __future__ import annotations
 
@@ -45,7 +45,14 @@ class Unsubscribe(BaseModel):
     id: int = Field(ge=0, lt=2**16)
 
 
-Asked = Subscribe | Unsubscribe
+class Here(BaseModel):
+    """The answer to `alive`: its program runs, not only its socket."""
+
+    model_config = ConfigDict(extra="forbid")
+    do: Literal["here"]
+
+
+Asked = Subscribe | Unsubscribe | Here
 _ADAPTER: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="do")])
 
 
