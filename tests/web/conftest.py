@@ -37,7 +37,7 @@ ARGUMENTS = (
     "--disable-sync",
     "--no-first-run",
 )
-SIZES = {"wide": (1280, 720), "tablet": (1024, 768)}
+SIZES = {"wide": (1280, 720), "tablet": (1024, 768), "upright": (768, 1024)}
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
 expect.set_options(timeout=PATIENCE_S * 1000)
@@ -125,7 +125,7 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
         context = browser.new_context(
             viewport={"width": width, "height": height},
             color_scheme=theme,
-            has_touch=size == "tablet",
+            has_touch=size != "wide",
             reduced_motion="reduce",
         )
         context.set_default_timeout(PATIENCE_S * 1000)

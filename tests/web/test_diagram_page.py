@@ -14,7 +14,7 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.lab.served import COMMAND, Served, served
 from tests.patience import patiently
-from tests.web.conftest import OpenPage, picture, readable
+from tests.web.conftest import OpenPage, axe, picture, readable
 from tests.web.written_diagrams import odd_diagram, wide_diagram
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.flight.starters import starter
@@ -113,6 +113,10 @@ def test_a_starter_is_drawn_checked_and_flown(server: Served, open_page: OpenPag
     block(page, "pid").click()
     expect(page.get_by_label("anti_windup")).to_have_value("back-calculation")
     readable(page, "diagram")
+    sheet(page).focus()
+    page.keyboard.press("?")
+    expect(page.get_by_role("dialog", name="Keys of the sheet")).to_be_visible()
+    assert axe(page, "dialog") == []
 
 
 def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> None:

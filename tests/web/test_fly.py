@@ -181,6 +181,8 @@ def test_it_fits_both_sizes_and_themes_and_axe_finds_no_serious_fault(
     lab_server: LabServer, open_page: OpenPage
 ) -> None:
     page = open_page(lab_server.link)
+    expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()
+    assert axe(page) == []  # what a disarmed drone disables can be read as well
     flying(page)
     flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.02)
     for size, theme in looks(page, "fly"):

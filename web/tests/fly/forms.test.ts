@@ -53,7 +53,7 @@ describe("what is followed", () => {
       followed({ ...now, mode: NaN }, true),
       followed({ ...now, mode: 0 }, true),
     ])
-      expect(none).toBe("follows none");
+      expect(none).toBe("follows nothing");
   });
   it("has steps and a slider within what may be typed", () => {
     for (const row of LOOPS) {

@@ -5,9 +5,9 @@ import { colour, onTheme } from "./palette";
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "Liberation Sans", sans-serif';
 /** Charts under each other have their time axes under each other. */
-const Y_AXIS = 58;
-/** Pixels between two numbers of a y axis, at least: little more than a line of text, so that a low chart has several. */
-const Y_SPACE = 18;
+const Y_AXIS = 70;
+/** Pixels from tick to tick: a low plot has three ticks too, as a scale with one number cannot be read. */
+const TICKS_Y = (height: number): number => Math.max(14, Math.min(26, height / 3.5));
 
 export interface PlotOptions {
   /** Asked for at each frame: what a plot shows may change. */
@@ -71,7 +71,12 @@ export class Plot {
         series: [{}],
         axes: [
           { ...axis, ...(options.labels()[0] ? { label: () => options.labels()[0] } : {}), size: 28, space: 64 },
-          { ...axis, label: () => options.labels()[1], size: Y_AXIS - 20, space: Y_SPACE },
+          {
+            ...axis,
+            label: () => options.labels()[1],
+            size: Y_AXIS - 20,
+            space: (_u, _axis, _low, _high, height) => TICKS_Y(height),
+          },
         ],
         hooks: {
           draw: [

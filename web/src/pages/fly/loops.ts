@@ -96,7 +96,7 @@ const FLOWN: readonly (Loop | undefined)[] = [undefined, "M", "q", "theta", "v",
 /** What the drone follows now, as it tells, whoever gave it. */
 export function followed(now: Now, armed: boolean): string {
   const loop = FLOWN[now.mode];
-  if (!armed || loop === undefined) return "follows none";
+  if (!armed || loop === undefined) return "follows nothing";
   if (loop === "M") return "flies a moment, no loop";
   const row = loopRow(loop);
   return `follows ${row.short.toLowerCase()} ${shownValue(now.wanted[loop], row.unit)}`;
