@@ -28,6 +28,8 @@ def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_
     page = open_page(lab_server.link)
     armed(page)
     page.get_by_role("tab", name="Position").click()
+    # An arrow key goes on from where the slider stands.
+    expect(page.get_by_role("slider", name="Position x", exact=True)).to_have_value("0")
     flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.02)
     number = page.get_by_label("Position x, number")
     flies_to(page, lambda: typed(number, "-0,05"), "Position x", -0.05, 0.02)  # as a German keyboard writes it

@@ -141,7 +141,8 @@ def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(page.get_by_text(f"{name} is deleted")).to_be_visible()
     expect(page.get_by_label(f"Lay {name} over others")).to_have_count(0)
-    page.get_by_role("button", name="Undo").click()
+    expect(page.get_by_role("button", name="Undo")).to_be_focused()  # what was pressed is gone
+    page.keyboard.press("Enter")
     expect(page.get_by_label(f"Lay {name} over others")).to_be_visible()
     for _ in patiently():
         if notes.exists():
