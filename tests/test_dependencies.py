@@ -11,6 +11,8 @@ from collections.abc import Iterable, Iterator
 from importlib.metadata import packages_distributions
 from pathlib import Path
 
+import pytest
+
 from tests.patience import PATIENCE_S
 
 PROJECT = Path(__file__).resolve().parents[1]
@@ -66,8 +68,9 @@ def _plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def test_a_flight_starts_without_scipy() -> None:
+@pytest.mark.parametrize("program", ["cli.drone.fly", "cli.drone.fcu", "lab.serve"])
+def test_a_flight_and_the_lab_start_without_scipy(program: str) -> None:
     """Its import takes half a second to two seconds of processor time, in each command and each virtual drone."""
-    code = "import sys, twodof.cli.drone.fly, twodof.cli.drone.fcu; print([n for n in sys.modules if n == 'scipy'])"
+    code = f"import sys, twodof.{program}; print([n for n in sys.modules if n == 'scipy'])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     assert done.stdout.strip() == "[]"

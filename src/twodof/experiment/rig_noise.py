@@ -7,8 +7,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm, matmul_toeplitz
-from scipy.signal import lfilter
 
 from twodof.identify.disturbance.autoregression import Autoregression, from_covariance
 
@@ -23,10 +21,13 @@ _VIBRATION = 400
 def gyro_covariance(rig: Mapping[str, float], steps: int, dt: float, load: float = 1.0) -> Array:
     """Autocovariance (steps,) of the gyro: white noise, rounding, and vibration in a band (`rig.sensors`)."""
     radius, turn = rig["vibration_r2"], (1.0 + rig["vibration_r2"]) * np.cos(2.0 * np.pi * rig["vibration_hz"] * dt)
-    pulse = np.zeros(_VIBRATION + 2000)
-    pulse[0] = np.sqrt(0.5 * (1.0 - radius))
-    band = lfilter([1.0, 0.0, -1.0], [1.0, -turn, radius], pulse)
-    covariance = np.array([band[: pulse.size - k] @ band[k:] for k in range(min(steps, _VIBRATION))])
+    pulse = np.sqrt(0.5 * (1.0 - radius))
+    driven = {0: pulse, 2: -pulse}
+    band, before, last = np.zeros(_VIBRATION + 2000), 0.0, 0.0
+    for k in range(band.size):  # scipy.signal, which has this as lfilter, takes a second to import
+        before, last = last, turn * last - radius * before + driven.get(k, 0.0)
+        band[k] = last
+    covariance = np.array([band[: band.size - k] @ band[k:] for k in range(min(steps, _VIBRATION))])
     full = np.zeros(steps)
     full[: covariance.size] = (load * rig["gyro_hover"]) ** 2 * covariance
     full[0] += rig["gyro_idle"] ** 2 + rig["gyro_step"] ** 2 / 12.0
@@ -40,6 +41,8 @@ def range_variance(rig: Mapping[str, float]) -> float:
 
 def pushed_rate(values: Mapping[str, float], steps: int, dt: float) -> Array:
     """Response (steps,) of q to an angular acceleration of 1 in the first step, for the pitch of `values`."""
+    from scipy.linalg import expm  # imported late: most commands start without it
+
     a = np.array([[0.0, 1.0], [-(values["w_n"] ** 2), -2.0 * values["xi"] * values["w_n"]]])
     step = expm(dt * np.block([[a, np.array([[0.0], [1.0]])], [np.zeros((1, 3))]]))
     response, state = np.zeros(steps), step[:2, 2]
@@ -66,6 +69,8 @@ def rail_covariance(
 
     The gyro's noise, summed up, is an error of the pitch, and the cart follows that. The range has its own noise.
     """
+    from scipy.linalg import matmul_toeplitz  # imported late: most commands start without it
+
     k_v, p_v = values["k_v"], values["p_v"]
     # A sample's error turns the pitch by `dt` for good: v' = -k_v dt - p_v v.
     late = np.maximum(dt * np.arange(steps) - values["tau"], 0.0)

@@ -1,5 +1,8 @@
 """What the fork server of the jobs has imported before the first one begins: a job then starts in milliseconds."""
 
+import scipy.linalg
+import scipy.optimize
+
 import twodof.blocks
 import twodof.compile
 import twodof.design
@@ -11,6 +14,8 @@ import twodof.lab.workbench.diagram_jobs
 import twodof.lab.workbench.diagram_work
 
 WARM = (
+    scipy.linalg,
+    scipy.optimize,
     twodof.blocks,
     twodof.compile,
     twodof.design,

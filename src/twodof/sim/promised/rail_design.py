@@ -8,7 +8,6 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from twodof.design.synthesis.requirements import Requirement
 from twodof.errors import ParameterError
@@ -135,6 +134,8 @@ def rail_design(
 
 
 def _simplex(search: _Search, start: Array, low: Array, high: Array, most: int) -> Array:
+    from scipy.optimize import minimize  # imported late: most commands start without it
+
     # The figures have several valleys: the search goes down from the best of a coarse grid.
     grid = [np.array(row) + high for row in product(np.log(_GRID), repeat=len(high))]
     start = min([start, *grid], key=search.judge)
