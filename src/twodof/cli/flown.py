@@ -14,7 +14,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.report.plots.flight_view import SUFFIXES, FlightView, flight_view
 from twodof.report.plots.flight_view import check_place as check_plot
 
-Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv).")]
+Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv, .ulg).")]
 Plot = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help=f"Draw the flight into a picture or a page ({', '.join(SUFFIXES)})."),

@@ -8,19 +8,32 @@ from types import MappingProxyType
 from typing import TypeVar
 
 from twodof.errors import LogError
-from twodof.flightlog.atomic import check_free
+from twodof.flightlog.atomic import check_free, partial_of
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mat.mat_file import read_mat, write_mat
 from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
 from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
+from twodof.flightlog.ulog.export import write_ulg
 from twodof.flightlog.ulog.ulog_file import read_ulog
 
 _Function = TypeVar("_Function")
 _READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
     {".mat": read_mat, ".mcap": read_mcap, ".parquet": read_parquet, ".csv": read_csv, ".ulg": read_ulog}
 )
+
+
+def _write_ulog(log: FlightLog, path: str | Path) -> None:
+    """By way of a file beside it: `write_ulg` writes new files only, and as it goes."""
+    begun = partial_of(path)
+    try:
+        write_ulg(log, begun)
+        begun.replace(Path(path).resolve())
+    finally:
+        begun.unlink(missing_ok=True)
+
+
 _WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
-    {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv}
+    {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv, ".ulg": _write_ulog}
 )
 
 _TABLES: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
@@ -34,7 +47,9 @@ def read_log(path: str | Path) -> FlightLog:
 
 
 def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: bool = False) -> None:
-    """Writes a log to a .mat, .mcap, .parquet or .csv file, atomically. Raises LogError, also if it is there.
+    """Writes a log to a .mat, .mcap, .parquet, .csv or .ulg file, atomically. Raises LogError, also if it is there.
+
+    A .ulg holds the signals of TOPICS; channels of other names are left out.
 
     `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
     one row for each number.
@@ -85,8 +100,6 @@ def _check(path: str | Path, known: Mapping[str, _Function]) -> _Function:
     if known is _TABLES and suffix in _WRITERS and suffix not in known:
         what = f"{suffix} logs are not tables"
         raise LogError(what, str(path), f"write {', '.join(known)}, or leave the wide form out")
-    if suffix in _READERS and suffix not in known:
-        raise LogError(f"{suffix} logs are read, not written", str(path), f"write {', '.join(known)}")
     if suffix not in known:
         raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(known)}")
     return known[suffix]

@@ -42,7 +42,6 @@ def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None
     ("name", "word"),
     [
         ("flight.h5", "no log format has the suffix '.h5'"),
-        ("flight.ulg", "read, not written"),
         ("nowhere/flight.mat", "mkdir -p"),
         ("folder.mat", "is a directory"),
     ],

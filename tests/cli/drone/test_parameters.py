@@ -2,6 +2,7 @@
 
 import json
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -16,7 +17,7 @@ PATH, NAME = "attitude_control.k_q", "TLA_K_Q"
 
 
 def test_a_controller_is_tuned_from_the_shell(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def said(*arguments: str, status: int = 0) -> Any:
         assert run(["parameters", "--url", url, *arguments]) == status
@@ -35,6 +36,17 @@ def test_a_controller_is_tuned_from_the_shell(
         assert {row["name"] for row in said("--changed", "--json")["parameters"]} == {NAME, "RATE_KP", "FC_PARAM_4"}
         (row,) = said(PATH, "--json")["parameters"]
         assert (row["name"], row["path"], row["value"], row["high"], row["unit"]) == (NAME, PATH, 0.2, 1.0, "s/rad")
+
+        kept = tmp_path / "mine.params"
+        said("--save", str(kept))
+        assert "is there already" in said("--save", str(kept), status=2)
+        assert re.search(r"^1\t1\tRATE_KP\t0\.07\d*\t9$", kept.read_text(), re.MULTILINE)  # as QGroundControl has it
+        said("RATE_KP=0.06")
+        kept.write_text(kept.read_text() + "1\t1\tMC_ROLL_P\t6.5\t9\n")
+        assert [row["name"] for row in said("--load", str(kept), "--json")["parameters"]] == ["RATE_KP"]
+        assert said("--load", str(kept)) == ""
+        assert said("RATE_KP", "--json")["parameters"][0]["value"] == pytest.approx(0.07)
+        assert "is not a parameter" in said("--load", __file__, status=2)
 
         assert "2 is outside 0 to 1 s/rad" in said("RATE_KP=0.05", f"{PATH}=2", status=2)
         assert "no such parameter" in said("RATE_KP=0.05", "attitude_control.kq=0.1", status=2)

@@ -107,8 +107,13 @@ def test_the_signals_of_topics_come_back_to_the_bit(tmp_path: Path) -> None:
     convert(tmp_path / "a.ulg", tmp_path / "b.mcap")
     convert(tmp_path / "b.mcap", tmp_path / "c.mat")
     assert read_log(tmp_path / "c.mat")["acc"].value.tobytes() == values["imu.acc"].tobytes()
-    with pytest.raises(LogError, match="are read, not written"):
+    write_log(log, tmp_path / "d.ulg")
+    back = read_log(tmp_path / "d.ulg")
+    assert {name: back[name].value.tobytes() for name in back} == {name: log[name].value.tobytes() for name in log}
+    with pytest.raises(LogError, match="is there already"):
         write_log(log, tmp_path / "d.ulg")
+    write_log(log, tmp_path / "d.ulg", overwrite=True)
+    assert [path.name for path in tmp_path.glob(".*")] == []
 
 
 def message(letter: str, body: bytes) -> bytes:

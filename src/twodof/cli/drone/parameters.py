@@ -1,6 +1,6 @@
 """`twodof parameters`: see and set what can be tuned on a drone, the parameters of your own controller too."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,10 +8,13 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.errors import ParameterError, shown
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
+from twodof.gcs.control.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.drone import Drone
 from twodof.parameters import Parameter
 
@@ -33,6 +36,13 @@ def parameters(
     changed: Annotated[
         bool, typer.Option("--changed", help="Of all, show those that are not at their defaults.")
     ] = False,
+    save: Annotated[
+        Path | None, typer.Option(help="Write all to this file, which QGroundControl loads (.params).")
+    ] = None,
+    load: Annotated[
+        Path | None, typer.Option(help="Set what differs in this file of QGroundControl's (.params), and show it.")
+    ] = None,
+    force: Force = False,
     json: Json = False,
 ) -> None:
     """Show a drone's parameters, or set some: those that you give act together at one tick, or none does.
@@ -42,9 +52,22 @@ def parameters(
     refuses a value or does not know a name: exit status 2, and nothing was changed.
     """
     names, changes = _asked(wanted or ())
+    if save is not None:
+        check_folder(save, force)
+    file = None if load is None else _read(load)
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
         described = there.parameters.describe() if there.there.ours else {}
-        rows = _rows(there, names, changes, described)
+        if file is not None:
+            differs, missing = file.against(there.parameters.all())
+            names, changes = [*names, *(name for name in differs if name not in changes)], {**differs, **changes}
+            _say_loaded(len(differs), missing)
+        rows = _rows(there, names, changes, described) if names or file is None else []
+        if save is not None:
+            entries = there.parameters.all().values()
+            with atomic_write(save, "w") as out:
+                out.write(ParameterFile.of(entries, there.there.session.system).text())
+    if file is not None and not rows and not json:
+        return
     if changed:
         rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
     if json:
@@ -62,6 +85,21 @@ def parameters(
         numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
         table.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
     table_console().print(table)
+
+
+def _read(path: Path) -> ParameterFile:
+    """Raises ParameterError."""
+    try:
+        with path.open("rb") as file:
+            return ParameterFile.read(file.read(MAX_BYTES + 1), str(path))
+    except OSError as reason:
+        raise ParameterError(f"cannot be read: {reason.strerror}", str(path), "check the name and the rights") from None
+
+
+def _say_loaded(differs: int, missing: Sequence[str]) -> None:
+    """On stderr, so that stdout stays what was asked for."""
+    lacks = f"; the drone does not have {len(missing)}: {', '.join(missing[:5])}" if missing else ""
+    typer.echo(f"{differs} differ on the drone and are set{lacks}", err=True)
 
 
 def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:

@@ -22,6 +22,7 @@ from twodof.flightlog.recovery import recover as recover_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
 from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
 from twodof.report.step_responses import SETTLED
+from twodof.signals import BY_MAT
 
 app = typer.Typer(
     help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
@@ -203,12 +204,19 @@ def convert(
     force: Force = False,
     json: Json = False,
 ) -> None:
-    """Write a log in another format (.mat, .mcap, .parquet, .csv); the target is there whole or not at all."""
+    """Write a log in another format (.mat, .mcap, .parquet, .csv, .ulg); the target is there whole or not at all.
+
+    A .ulg, for PX4's tools, holds the drone's own signals. What else the log has is left out, and named.
+    """
     log = convert_log(source, target, wide, force)
+    left_out = [name for name in log.channels if name not in BY_MAT] if target.suffix.lower() == ".ulg" else []
+    kept = [name for name in log.channels if name not in left_out]
     if json:
-        print_json({"file": str(target), "channels": list(log.channels)})
+        print_json({"file": str(target), "channels": kept, "left_out": left_out})
     else:
-        table_console().print(f"{target}: {len(log.channels)} channels")
+        table_console().print(f"{target}: {len(kept)} channels")
+        if left_out:
+            table_console().print(f"left out, which ULog has no topic for: {', '.join(left_out)}", soft_wrap=True)
 
 
 @app.command()
