@@ -41,3 +41,7 @@ Fresh = Annotated[
 KeyFile = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Sign everything with this key and take in nothing unsigned.")
 ]
+PromiseFile = Annotated[
+    Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
+]
+PromisePlot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")]

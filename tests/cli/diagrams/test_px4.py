@@ -65,7 +65,7 @@ def test_check_tells_what_does_not_fit_by_its_exit_status_too(
 ) -> None:
     arguments = ["px4", "check", str(tmp_path), str(GOLDEN / "rail")]
     assert run(arguments) == 1
-    assert "is no source tree of PX4" in capsys.readouterr().out
+    assert "is not a source tree of PX4" in capsys.readouterr().out
     assert run([*arguments, "--json"]) == 1
     told = json.loads(capsys.readouterr().out)
     assert told["fits"] is False

@@ -11,7 +11,7 @@ import typer
 
 from twodof.cli.diagrams.design_rail import rail
 from twodof.cli.flown import write_view
-from twodof.cli.options import Seed
+from twodof.cli.options import PromiseFile, PromisePlot, Seed
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.design.synthesis.cascade import SEPARATION, CascadeDesign
 from twodof.design.synthesis.designed_controller import CROSSOVER, design_controller
@@ -79,12 +79,8 @@ def controller(
     anti_windup: Annotated[
         AntiWindup, typer.Option(help="Of the cascade's rate PID, with M limited to what the motors give in hover.")
     ] = AntiWindup.none,
-    promise_file: Annotated[
-        Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")
-    ] = None,
+    promise_file: PromiseFile = None,
+    plot: PromisePlot = None,
     goal: Annotated[float, typer.Option(metavar="DEG", help="The step of the pitch that is promised.")] = 10.0,
     gust: Annotated[
         float | None, typer.Option(metavar="RAD/S2", help="Standard deviation of the gusts' angular acceleration.")

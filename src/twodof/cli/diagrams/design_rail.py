@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from twodof.cli.flown import write_view
-from twodof.cli.options import Seed
+from twodof.cli.options import PromiseFile, PromisePlot, Seed
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
 from twodof.errors import LogError, ParameterError
 from twodof.flight.gains import load_gains
@@ -57,12 +57,8 @@ def rail(
             metavar="FILE", help="Search the stock loops' gains for --spec, from --gains on; write them there."
         ),
     ] = None,
-    promise_file: Annotated[
-        Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
-    ] = None,
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")
-    ] = None,
+    promise_file: PromiseFile = None,
+    plot: PromisePlot = None,
     rig: Annotated[str, typer.Option(metavar="RIG", help="What no model tells, such as sensors, is this rig's.")] = (
         "paper"
     ),

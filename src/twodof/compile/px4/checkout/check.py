@@ -104,7 +104,7 @@ def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
         return CheckoutFindings(facts.module, "unknown", tuple(rows))
     missing = [p for p in _LANDMARKS if not tree.has(p)]
     if "px4" not in tree.text("CMakeLists.txt").lower() or len(missing) > len(_LANDMARKS) // 2:
-        rows.append(_error("is no source tree of PX4", px4, "name the folder that git clone made of PX4"))
+        rows.append(_error("is not a source tree of PX4", px4, "name the folder that git clone made of PX4"))
         return CheckoutFindings(facts.module, "unknown", tuple(rows))
     version, reason = tree.version
     rows += [*_checked_out(tree, missing), *_version(tree, version, reason), *_interfaces(tree, facts)]
