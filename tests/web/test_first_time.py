@@ -81,7 +81,7 @@ def test_from_up_to_a_model_and_a_controller_of_ones_own_that_fly(lab_server: La
     page.get_by_role("button", name="Flash…").click()
     dialog = page.get_by_role("dialog")
     expect(dialog.get_by_text("no swing grows")).to_be_visible(timeout=PATIENCE_S * 1000)
-    expect(dialog.get_by_text("What changes against the stock controller")).to_be_visible()
+    expect(dialog.get_by_text("What changes against")).to_be_visible()
     expect(dialog.get_by_role("listitem").filter(has_text=re.compile("added.*block pid"))).to_be_visible()
     assert "pid" not in lab_server.state["controller"], "a rehearsal changes nothing on the drone"
     dialog.get_by_role("button", name=re.compile("Flash to drone")).click()
