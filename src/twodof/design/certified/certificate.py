@@ -87,4 +87,6 @@ def certificate(
         radii = PitchLoop(members, controller).radii()
         if radii.max() >= 1.0:
             return Certificate(RegionStability.unstable, radius, looked, members.one(int(radii.argmax())))
-    return Certificate(RegionStability.undecided, radius, looked, None, f"a search of it in {looked} parts does not decide it")
+    return Certificate(
+        RegionStability.undecided, radius, looked, None, f"a search of it in {looked} parts does not decide it"
+    )
