@@ -80,8 +80,9 @@ A binary message, little-endian:
 | then 8 n | float64 | the drone's time of each row [s] |
 | then 4 n each | float32 | the columns, one after the other, in their units; NaN where a row has no sample |
 
-The drone's time rises within one start of the drone; after a reset or a restart it begins at 10 s again, as in its logs. A client that
-does not keep up loses its oldest rows first: {MOST_BYTES // 1024} KiB wait for it, and no other client notices.
+The drone's time rises within one start of the drone; after a reset or a restart it begins at 10 s again, as in its
+logs. A client that does not keep up loses its oldest rows first: {MOST_BYTES // 1024} KiB wait for it, and no other
+client notices.
 
 The columns are {{columns}}. `truth` is that of a virtual rig.
 
@@ -108,8 +109,8 @@ The `state` of a drone has `link` ("heard" or "lost"), `why_lost`, `armed`, `mod
 `killed_by` [system, component], `failsafe` (what it does), `failsafe_reason` and `warnings` in words, `lease_holder`
 [system, component], `ours_leases` (the server commands it), `experiment` (one that the server began flies it),
 `tuning_withheld`, `controller`, `changed_parameters`, `setpoint` (as asked for last), `excitation` (its ticks while it
-plays), `recording` (name of the log that is written), `battery` (`voltage` [V], `charge` 0 to 1), `rings_locked`, `virtual`, `lockstep`, `rig`, `seed`, `name`, `system`,
-`url`, `autopilot`, `ours` (it is one of ours) and `time` [s].
+plays), `recording` (name of the log that is written), `battery` (`voltage` [V], `charge` 0 to 1), `rings_locked`,
+`virtual`, `lockstep`, `rig`, `seed`, `name`, `system`, `url`, `autopilot`, `ours` (it is one of ours) and `time` [s].
 """
 
 
