@@ -15,6 +15,7 @@ from tests.gcs.virtual import OnBoard, on_board
 from tests.lab.served import WATCH, Served, holds_samples, served, wait_for_drone
 from tests.patience import patiently
 from twodof.flightlog.files import read_log
+from twodof.flightlog.steps import BOOT
 from twodof.gcs.drone import Drone
 from twodof.gcs.telemetry.recording import seconds
 from twodof.lab.drones import pilot
@@ -56,7 +57,7 @@ def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extr
             assert frame.dropped == 0
             (full if frame.id == 7 else few).append(np.vstack([frame.times, frame.columns]))
     rows, decimated = np.concatenate(full, axis=1), np.concatenate(few, axis=1)
-    ticks = np.rint(rows[0] / 0.004).astype(int)
+    ticks = np.rint((rows[0] - BOOT) / 0.004).astype(int)
     assert np.array_equal(ticks, np.arange(ticks[0], ticks[0] + len(ticks)))  # each tick, once, in order
     steps = {step.tick: step for step in there.steps}
     theta = np.array([steps[tick].theta for tick in ticks], dtype=np.float32)
@@ -66,7 +67,7 @@ def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extr
     # The truth begins a moment later, as it is asked for apart.
     assert np.isfinite(rows[3][-100:]).all()
     for k in range(0, decimated.shape[1], 2):
-        first, last = (round(time / 0.004) for time in decimated[0, k : k + 2])
+        first, last = (round((time - BOOT) / 0.004) for time in decimated[0, k : k + 2])
         assert k == 0 or last - first == 19  # the first bucket had begun when it was asked for
         bucket = np.array([steps[tick].theta for tick in range(first, last + 1)], dtype=np.float32)
         assert set(decimated[1, k : k + 2].astype(np.float32)) == {bucket.min(), bucket.max()}
@@ -275,11 +276,11 @@ def test_rows_go_on_after_the_drone_has_restarted(tmp_path: Path) -> None:
         wait_for_drone(server)
         client = second.enter_context(server.socket())
         client.subscribe(["estimate.theta"])
-        while client.frame().times[-1] < 0.4:
+        while client.frame().times[-1] < BOOT + 0.4:
             pass
         first.close()
         assert client.event("drone", link="lost")["state"]["why_lost"]
         assert server.ask("POST", "/api/drones/1/arm").status == 504
         second.enter_context(on_board(there.url.replace("tcp:", "tcpin:"), conditions={"rings": True}))
         client.event("drone", link="heard")
-        assert client.frame().times[0] < 0.4
+        assert client.frame().times[0] < BOOT + 0.4
