@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Generator, Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from itertools import product
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -37,6 +37,12 @@ ARGUMENTS = (
     "--disable-sync",
     "--no-first-run",
 )
+NO_WEBGL = """(() => {
+  const context = HTMLCanvasElement.prototype.getContext;
+  HTMLCanvasElement.prototype.getContext = function (kind, ...options) {
+    return kind.startsWith("webgl") ? null : context.call(this, kind, ...options);
+  };
+})()"""
 SIZES = {"wide": (1280, 720), "tablet": (1024, 768), "upright": (768, 1024)}
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
@@ -109,29 +115,76 @@ def browser(request: pytest.FixtureRequest) -> Browser:
     return kept(request, launched, Browser)
 
 
+class Window:
+    """The window that tests open their first page in, one after another, each in a tab of its own.
+
+    What it has fetched and compiled once it has for the next test: a page then costs half of what it does in a new one.
+    """
+
+    def __init__(self, browser: Browser) -> None:
+        self.context = new_window(browser)
+        self.tab = self.context.new_page()
+
+    def renew(self) -> None:
+        """A tab that knows nothing of the last one; that one ends after it is there, or all is compiled again."""
+        for page in self.context.pages:
+            if page.url.startswith("http"):
+                page.evaluate("localStorage.clear()")
+        self.context.clear_cookies()
+        self.tab = self.context.new_page()
+        for page in self.context.pages:
+            if page is not self.tab:
+                page.close()
+
+
+def new_window(browser: Browser, touch: bool = False, three_d: bool = False) -> BrowserContext:
+    """A window as of a person who has just come."""
+    context = browser.new_context(reduced_motion="reduce", has_touch=touch)
+    context.set_default_timeout(PATIENCE_S * 1000)
+    if not three_d:
+        context.add_init_script(NO_WEBGL)
+    return context
+
+
 @pytest.fixture
-def open_page(browser: Browser) -> Iterator[OpenPage]:
-    """Opens a link in a window of its own: `open_page(link, "tablet", "dark")`.
+def window(browser: Browser, request: pytest.FixtureRequest) -> Window:
+    """One that is kept: ask for `open_page`."""
+    return kept(request, lambda: nullcontext(Window(browser)), Window)
+
+
+@pytest.fixture
+def open_page(browser: Browser, window: Window) -> Iterator[OpenPage]:
+    """Opens a link in a window that nobody has used: `open_page(link, "tablet", "dark")`.
+
+    The rig is drawn from its side, as where there is no WebGL; `three_d` has it drawn in three dimensions, which
+    without a graphics card is the dearest of the page. `own`, for who changes the window itself, opens a new one.
 
     What the page writes to the console as an error, and what it raises, fails the test at its end. `expects` names
     words of the faults that the test makes itself.
     """
     contexts: list[BrowserContext] = []
     errors: list[str] = []
-    expected: list[str] = []
+    expected: list[str] = ["THREE.WebGLRenderer"]  # what it says where there is none
+    opened: list[Page] = []
 
-    def open_one(link: str, size: str = "wide", theme: Theme = "light", expects: tuple[str, ...] = ()) -> Page:
+    def open_one(
+        link: str,
+        size: str = "wide",
+        theme: Theme = "light",
+        expects: tuple[str, ...] = (),
+        three_d: bool = False,
+        own: bool = False,
+    ) -> Page:
+        if opened or own or three_d or size != "wide":
+            contexts.append(new_window(browser, size != "wide", three_d))
+            page = contexts[-1].new_page()
+        else:
+            page = window.tab
+        opened.append(page)
         width, height = SIZES[size]
-        context = browser.new_context(
-            viewport={"width": width, "height": height},
-            color_scheme=theme,
-            has_touch=size != "wide",
-            reduced_motion="reduce",
-        )
-        context.set_default_timeout(PATIENCE_S * 1000)
-        contexts.append(context)
+        page.set_viewport_size({"width": width, "height": height})
+        page.emulate_media(color_scheme=theme)
         expected.extend(expects)
-        page = context.new_page()
         page.on("pageerror", lambda error: errors.append(str(error)))
         page.on(
             "console",
@@ -143,6 +196,8 @@ def open_page(browser: Browser) -> Iterator[OpenPage]:
     yield open_one
     for context in contexts:
         context.close()
+    if window.tab in opened:
+        window.renew()
     unexpected = [error for error in errors if not any(words in error for words in expected)]
     assert not unexpected, unexpected
 

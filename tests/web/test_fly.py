@@ -139,6 +139,7 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
 def test_who_only_watches_sees_cannot_touch_and_may_stop(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.watch_link)
     expect(page.get_by_text("Watching only")).to_be_visible()
+    expect(page.get_by_role("img", name=re.compile("^The drone on its rail"))).to_be_visible()  # without WebGL
     arm = page.get_by_role("button", name="Arm", exact=True)
     expect(arm).to_be_disabled()
     expect(arm).to_have_accessible_description("This link can only watch.")
@@ -182,7 +183,8 @@ def test_what_is_seen_is_saved_for_matlab(lab_server: LabServer, open_page: Open
 def test_it_fits_both_sizes_and_themes_and_axe_finds_no_serious_fault(
     lab_server: LabServer, open_page: OpenPage
 ) -> None:
-    page = open_page(lab_server.link)
+    page = open_page(lab_server.link, three_d=True)
+    expect(page.get_by_role("application", name=re.compile("^The drone on its rail"))).to_be_visible()
     expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()
     assert axe(page) == []  # what a disarmed drone disables can be read as well
     flying(page)

@@ -89,7 +89,7 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
 
 
 def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:
-    page = open_page("about:blank")
+    page = open_page("about:blank", own=True)
     page.clock.install()
     page.goto(lab_server.link)
     reaches(page, "Position x", 0.0, 0.05)
@@ -103,7 +103,7 @@ def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, op
 
 
 def test_a_clock_that_is_set_changes_no_plot(lab_server: LabServer, open_page: OpenPage) -> None:
-    page = open_page("about:blank")
+    page = open_page("about:blank", own=True)
     page.clock.install(time=1_700_000_000)
     page.goto(lab_server.link)
     reaches(page, "Position x", 0.0, 0.05)
@@ -140,7 +140,7 @@ def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
 
 
 def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: LabServer, open_page: OpenPage) -> None:
-    page, watching = open_page(lab_server.link), open_page(lab_server.watch_link)
+    page, watching = open_page(lab_server.link, own=True), open_page(lab_server.watch_link, own=True)
     flying(page)
     flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)
     recording = lab_server.state["recording"]
@@ -158,7 +158,7 @@ def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: Lab
 
 @pytest.mark.soak
 def test_who_is_frozen_for_a_minute_comes_back_to_a_drone_at_rest(lab_server: LabServer, open_page: OpenPage) -> None:
-    page = open_page(lab_server.link)
+    page = open_page(lab_server.link, own=True)
     flying(page)
     recording = lab_server.state["recording"]
     with frozen(page):

@@ -68,7 +68,7 @@ def test_every_view_can_be_read_and_used(logs_server: Served, open_page: OpenPag
 def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     """By link, by a step of the table, by the keyboard, and by playing it to its end."""
     log = read_log(flights / "flights" / FIRST)
-    page = open_page(link(logs_server, f"/{FIRST}?at=20.40"))
+    page = open_page(link(logs_server, f"/{FIRST}?at=20.40"), three_d=True)
     opened(page)
 
     def seen(time: float) -> None:

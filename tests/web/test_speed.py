@@ -115,7 +115,7 @@ def processor_time(browser: Browser) -> float:
 
 
 def test_telemetry_is_on_the_plot_at_once(lab_server: LabServer, open_page: OpenPage) -> None:
-    page = open_page(lab_server.link)
+    page = open_page(lab_server.link, three_d=True)
     until(page, "globalThis.twodofLatency?.drawn > 100")
     found = waits(page, 1500)
     tell(f"telemetry to plot: median {found['median']:.1f} ms, 99 % {found['p99']:.1f} ms of {found['drawn']} frames")
@@ -132,7 +132,7 @@ def test_the_first_view_comes_soon(lab_server: LabServer, open_page: OpenPage, b
     before = processor_time(browser)
     times = []
     for _ in range(5):
-        page = open_page(lab_server.link)
+        page = open_page(lab_server.link, three_d=True)
         times.append(float(page.evaluate(seen)))
         page.context.close()  # the next one has the processor for itself
     used = 1000.0 * (processor_time(browser) - before) / len(times)
