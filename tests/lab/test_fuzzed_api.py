@@ -52,6 +52,8 @@ def modes(schema: Any, method: str, path: str) -> list[Any]:
 def ask(operation: Any, mode: Any, examples: int) -> None:
     """Send `examples` requests of one kind to one route; none is to be answered by a fault of the server's."""
 
+    told = operation.definition.raw["responses"]
+
     @settings(
         max_examples=examples,
         deadline=None,
@@ -66,6 +68,7 @@ def ask(operation: Any, mode: Any, examples: int) -> None:
             case.path_parameters["number"] = 1  # the drone that there is
         got = case.call(timeout=PATIENCE_S)
         assert got.status_code < 500, f"{case.as_curl_command()}\n{got.status_code}: {got.text[:500]}"
+        assert str(got.status_code) in {*told, "405"}, f"{case.as_curl_command()}\n{got.status_code} is not described"
         if got.status_code >= 400:
             assert set(got.json()) == {"what", "where", "remedy"}, got.text[:500]
             assert got.json()["what"]
@@ -85,6 +88,40 @@ def test_no_request_breaks_the_server(server: Served, schema: Any, method: str, 
 def test_no_request_of_very_many_breaks_the_server(server: Served, schema: Any, method: str, path: str) -> None:
     for mode in modes(schema, method, path):
         ask(schema[path][method], mode, LONG)
+
+
+@pytest.mark.parametrize("body", [b"\xf4\x5a\x90\xf1", b"\xff\xfe{", b'"', b"["])
+def test_a_body_that_cannot_be_decoded_is_refused_as_malformed(server: Served, body: bytes) -> None:
+    answer = server.ask("PUT", "/api/drones/1/setpoint", body)
+    assert answer.status == 422
+    assert {"what", "where", "remedy"} == set(answer.json)
+    assert answer.json["remedy"]
+
+
+@pytest.mark.parametrize("value", [False, True, "0.1"])
+@pytest.mark.parametrize(
+    ("method", "path", "fine", "field"),
+    [
+        ("PUT", "drones/1/setpoint", {"loop": "theta", "value": 0.0, "thrust": 0.0}, "value"),
+        ("PUT", "drones/1/setpoint", {"loop": "theta", "value": 0.0, "thrust": 0.0}, "thrust"),
+        ("PUT", "drones/1/setpoint", {"loop": "v", "value": 0.0}, "acceleration"),
+        ("POST", "drones/1/reset", {}, "x"),
+        ("POST", "drones/1/reset", {}, "noise"),
+        ("PATCH", "drones/1/parameters", {}, "ATT_KP"),
+    ],
+)
+def test_a_number_of_a_command_is_a_number(
+    server: Served, method: str, path: str, fine: dict[str, object], field: str, value: object
+) -> None:
+    answer = server.ask(method, f"/api/{path}", {**fine, field: value})
+    assert answer.status == 422
+    assert field in answer.json["where"]
+
+
+def test_a_truth_value_of_a_command_is_one(server: Served) -> None:
+    for value in (0, 1, "yes"):
+        answer = server.ask("POST", "/api/drones/1/reset", {"rings": value})
+        assert (answer.status, answer.json["where"]) == (422, "body.rings")
 
 
 @settings(deadline=None)

@@ -39,6 +39,7 @@ _STATUS: Mapping[type[TwodofError], int] = MappingProxyType(
 )
 _WORDS = MappingProxyType(
     {
+        400: ("the body cannot be read: it is not JSON in UTF-8", "correct it; GET /api/openapi.json has the forms"),
         404: ("there is no such page or route", "GET /api/openapi.json lists the routes"),
         405: ("the route does not take this method", "GET /api/openapi.json lists the routes"),
     }
@@ -110,7 +111,9 @@ def install(app: FastAPI) -> None:
         assert isinstance(error, HTTPException)
         what, remedy = _WORDS.get(error.status_code, (str(error.detail), ""))
         said = {"what": what, "where": request.url.path[:200], "remedy": remedy}
-        return FiniteJSON(said, error.status_code, headers=dict(error.headers or {}))
+        # The framework alone answers 400, for a body that it cannot decode; a body that it can and that is wrong is 422.
+        status = MALFORMED if error.status_code == 400 else error.status_code
+        return FiniteJSON(said, status, headers=dict(error.headers or {}))
 
     app.add_exception_handler(TwodofError, ours)
     app.add_exception_handler(RequestValidationError, malformed)

@@ -15,18 +15,22 @@ from twodof.lab.current_lab import CurrentLab
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api", tags=["commands"])
+STRICT = ConfigDict(extra="forbid", strict=True)
+"""Nothing that commands is read into a word or a truth value: a pitch of `false` is a mistake, and not 0 rad."""
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class AskedMode(BaseModel):
     """A mode by its name."""
 
+    model_config = STRICT
     mode: Literal["manual", "rate", "attitude", "position", "hold", "offboard"]
 
 
 class AskedReset(BaseModel):
     """How a virtual drone begins anew: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
+    model_config = STRICT
     seed: int = Field(default=1, ge=0, lt=2**32)
     x: float = Field(default=0.0, ge=-0.5, le=0.5, allow_inf_nan=False)
     noise: float = Field(default=1.0, ge=0.0, le=100.0, allow_inf_nan=False)
@@ -39,7 +43,7 @@ class AskedSetpoint(BaseModel):
     `thrust` is 0 to 1, for theta, q and M; without it, it stays. `acceleration` [m/s^2] is fed forward, for v and x.
     """
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = STRICT
     loop: Literal["theta", "q", "M", "v", "x"]
     value: Finite
     thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)
@@ -49,7 +53,7 @@ class AskedSetpoint(BaseModel):
 class AskedExcitation(BaseModel):
     """An excitation as `excitation` in the reference describes it, the loop it is added to, the thrust meanwhile."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = STRICT
     excitation: dict[str, Any]
     loop: Literal["theta", "q", "M", "v", "x"] | None = None
     thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)

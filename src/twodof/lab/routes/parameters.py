@@ -14,7 +14,7 @@ from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api/drones/{number}/parameters", tags=["parameters"])
 Changes = Annotated[
-    dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(allow_inf_nan=False)]],
+    dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(strict=True, allow_inf_nan=False)]],
     Body(min_length=1, max_length=200, description="New values by name, in the unit of each."),
 ]
 
