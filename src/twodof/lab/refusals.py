@@ -111,7 +111,7 @@ def install(app: FastAPI) -> None:
         assert isinstance(error, HTTPException)
         what, remedy = _WORDS.get(error.status_code, (str(error.detail), ""))
         said = {"what": what, "where": request.url.path[:200], "remedy": remedy}
-        # The framework alone answers 400, for a body that it cannot decode; a body that it can and that is wrong is 422.
+        # The framework alone answers 400, for a body that it cannot decode; one that it can and that is wrong is 422.
         status = MALFORMED if error.status_code == 400 else error.status_code
         return FiniteJSON(said, status, headers=dict(error.headers or {}))
 
