@@ -170,6 +170,23 @@ def test_a_request_that_is_too_large_is_refused_in_words(server: Served) -> None
     assert server.ask("PUT", "/api/drones/77/setpoint", b"{}", {"Content-Length": "x"}, token=COMMAND).status == 400
 
 
+@pytest.mark.parametrize(("token", "status"), [(WATCH, 403), ("not-a-token", 401)])
+def test_who_still_sends_is_told_why_it_is_refused(server: Served, token: str, status: int) -> None:
+    """Answered at once and closed, the connection would be reset under the rest of the request, and the answer lost."""
+    body = b'{"mode": "hold"}'
+    head = f"POST /api/drones/1/mode HTTP/1.1\r\nHost: {server.host}\r\nAuthorization: Bearer {token}\r\n"
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE_S) as client:
+        client.sendall(f"{head}Content-Type: application/json\r\nContent-Length: {len(body)}\r\n\r\n".encode())
+        client.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            client.recv(1)
+        client.settimeout(PATIENCE_S)
+        client.sendall(body)
+        told = b"".join(iter(lambda: client.recv(4096), b""))
+    assert told.startswith(f"HTTP/1.1 {status} ".encode())
+    assert b'"what"' in told
+
+
 def test_every_answer_carries_the_headers_that_guard_the_page(server: Served) -> None:
     for path, token in (("/", ""), ("/api/session", COMMAND), ("/api/nothing", COMMAND), ("/api/session", "wrong")):
         headers = server.ask("GET", path, token=token).headers

@@ -1,4 +1,4 @@
-"""The gate: every request passes it before a route sees it. What is refused here costs little and reads no body."""
+"""The gate: every request passes it before a route sees it. What is refused here costs little and keeps no body."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from twodof.lab.settings import LabSettings
 
 API = "/api/"
 MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
-"""Of a request that is too large so many bytes, and for so long [s], are read before it is answered."""
+"""Of a request that is refused so many bytes, and for so long [s], are read before it is answered."""
 SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _CSP = (
     "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
@@ -74,8 +74,8 @@ class Gate:
         most = most_body(endpoint)
         if refusal is None and int(connection.headers.get("content-length", "0") or 0) > most:
             refusal = _too_large(most)
-            await _discard(receive)
         if refusal is not None:
+            await _discard(receive)
             await _refuse(refusal, scope, receive, sender)
             return
         await self._app(scope, _bounded(receive, most), sender)
