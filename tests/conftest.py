@@ -74,11 +74,18 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """With `--quick` the test with which a file has taken too long fails: so the list stays true."""
+    """Each test's processor time is in its report, and in `--junitxml`, from which tools/slow_tests.py makes the list.
+
+    With `--quick` the test with which a file has taken too long fails: so the list stays true.
+    """
     report = yield
-    if item.config.getoption("--quick") and report.when == "teardown" and report.passed:
+    if report.when != "teardown":
+        return report
+    took = processor_time() - item.stash[BEGAN]
+    report.user_properties.append(("processor_s", round(took, 3)))
+    if item.config.getoption("--quick") and report.passed:
         spent = item.config.stash[SPENT]
-        spent[item.path] += processor_time() - item.stash[BEGAN]
+        spent[item.path] += took
         if spent[item.path] > QUICK_S * FOR_NOISE:
             report.outcome = "failed"
             file = item.path.relative_to(PROJECT)

@@ -1,10 +1,14 @@
 """Processes of this machine, as tests look at them."""
 
+import os
+import signal
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
+
+from tests.patience import patiently
 
 
 def alive(process: int) -> bool:
@@ -23,3 +27,24 @@ def started(command: list[str], **options: Any) -> Iterator[subprocess.Popen[Any
             yield process
         finally:
             process.kill()
+
+
+def child(parent: int, program: str) -> int:
+    """The process among the children of `parent` that runs one of our programs: "lab", "fcu", "companion"."""
+    for _ in patiently():
+        for number in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
+            with suppress(OSError):
+                words = Path(f"/proc/{number}/cmdline").read_bytes().decode().split("\0")
+                if program in words[:4]:
+                    return int(number)
+    raise AssertionError(f"no {program} runs")
+
+
+@contextmanager
+def stopped(process: int) -> Iterator[None]:
+    """It stands still in the block, as if its computer or its link did."""
+    os.kill(process, signal.SIGSTOP)
+    try:
+        yield
+    finally:
+        os.kill(process, signal.SIGCONT)

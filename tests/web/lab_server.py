@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tests.fleet.drone_numbers import free_numbers
 from tests.patience import PATIENCE_S, patiently
+from tests.processes import child, stopped
 
 
 @dataclass(frozen=True)
@@ -88,27 +88,11 @@ class LabServer:
 
     def child(self, program: str) -> int:
         """The process of one of its programs: "lab", "fcu", "companion"."""
-        for _ in patiently():
-            for number in _children(self.process.pid):
-                with suppress(OSError):
-                    words = Path(f"/proc/{number}/cmdline").read_bytes().decode().split("\0")
-                    if program in words[:4]:
-                        return number
-        raise AssertionError(f"no {program} runs")
+        return child(self.process.pid, program)
 
-    @contextmanager
-    def stopped(self, program: str) -> Iterator[None]:
-        """One of its programs stands still in the block, as if its computer or its link did."""
-        number = self.child(program)
-        os.kill(number, signal.SIGSTOP)
-        try:
-            yield
-        finally:
-            os.kill(number, signal.SIGCONT)
-
-
-def _children(parent: int) -> list[int]:
-    return [int(one) for one in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    def stopped(self, program: str) -> AbstractContextManager[None]:
+        """One of its programs stands still in the block."""
+        return stopped(self.child(program))
 
 
 @contextmanager

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize_scalar
 
 from twodof.errors import IdentificationError
 from twodof.sim.closed_loop import ClosedLoop
@@ -36,6 +35,8 @@ def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, fl
     the flights that it was calibrated on. The deviation takes misfits of one second as one (as `calibrate` does).
     Raises IdentificationError if the charge leaves no trace in the flight.
     """
+    from scipy.optimize import minimize_scalar  # imported late: most commands start without it
+
     spread = {name: float(np.linalg.norm(values - values.mean())) for name, values in flight.logged.items()}
     moving = [
         name for name in (("theta", "q", "x", "v") if flight.flown.rails else ("theta", "q")) if spread[name] > 0.0

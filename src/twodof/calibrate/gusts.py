@@ -19,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.signal import lfilter
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.files import read_log
@@ -82,6 +80,8 @@ def measure_gusts(
     `lab` rig with gusts of 1.8 rad/s2 and .1 s, 20 s of hold give 1.70 +- .10 and .11 +- .03: 5 % too little. Raises
     LogError for a log that cannot be read or lacks q, theta, M or T; IdentificationError for a stretch below 1 s.
     """
+    from scipy.optimize import minimize  # imported late: most commands start without it
+
     if not isinstance(log, FlightLog):
         log = read_log(log)
     if not stretches:
@@ -130,6 +130,7 @@ def _disturbance(log: FlightLog, t0: float, t1: float, rig: Mapping[str, float],
 
 def _acceleration(log: FlightLog, time: Array, rig: Mapping[str, float]) -> Array:
     """The pitch acceleration [rad/s2] by the rotors, at ticks, from the logged commands."""
+    from scipy.signal import lfilter  # imported late: most commands start without it
 
     def arrived(name: str) -> Array:
         channel = log[name]
