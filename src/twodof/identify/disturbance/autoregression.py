@@ -9,6 +9,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,9 @@ MAX_ORDER = 60
 """Largest order that is looked at: at 250 Hz a memory of .24 s, nine periods of the rotors' vibration of 38 Hz. Noise
 that has next to nothing at some frequency, such as vibration at 0 Hz, needs so many. With 25 at most, mu of 60
 flights of attitude steps on the rig `paper` had 20 % more spread."""
+
+_CERTAIN = 1e-12
+"""Least share of the variance that is left to chance: rounding must not make it negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,20 +64,26 @@ class Autoregression:
         of each other.
         """
         white = np.empty_like(rows)
-        n = self.order
+        n, ahead = self.order, self.coefficients / self.sigma
         for piece in pieces:
             own = rows[piece]
-            size = own.shape[0]
+            known = min(n, own.shape[0])
             out = np.empty_like(own)
-            for k in range(min(n, size)):
-                out[k] = self.predictors[k][::-1] @ own[: k + 1] / self.deviations[k]
-            if size > n:
-                rest = own[n:].copy()
-                for k, a in enumerate(self.coefficients[1:], start=1):
-                    rest += a * own[n - k : size - k]
-                out[n:] = rest / self.sigma
+            out[:known] = self._beginning[:known, :known] @ own[:known]
+            if own.shape[0] > n:
+                columns = np.ascontiguousarray(own.reshape(own.shape[0], -1).T)
+                rest = np.array([np.convolve(column, ahead, "valid") for column in columns])
+                out[n:] = rest.T.reshape(out[n:].shape)
             white[piece] = out
         return white
+
+    @cached_property
+    def _beginning(self) -> Array:
+        """What whitens the first n samples of a piece, shape (n, n): each from those before it."""
+        found = np.zeros((self.order, self.order))
+        for k, (predictor, deviation) in enumerate(zip(self.predictors[:-1], self.deviations[:-1], strict=True)):
+            found[k, : k + 1] = predictor[::-1] / deviation
+        return found
 
     def colour(self, rows: Array) -> Array:
         """`rows` (samples, columns) through the transpose of the filter that makes this noise of white noise.
@@ -141,15 +151,32 @@ def autoregression(noise: Array, pieces: Sequence[slice], order: int | None = No
 
 
 def from_covariance(covariance: Array) -> Autoregression:
-    """The autoregression with these autocovariances at lags 0, 1, ..., n, by Levinson's recursion."""
+    """The autoregression with these autocovariances at lags 0, 1, ..., n.
+
+    Row k of the inverse of the covariance matrix's Cholesky factor holds the best predictor from k earlier samples, the
+    earliest first, over the deviation of its error.
+    """
+    lag = np.arange(covariance.size)
+    try:
+        factor = np.linalg.cholesky(covariance[np.abs(lag[:, None] - lag)])
+    except np.linalg.LinAlgError:
+        return _by_levinson(covariance)
+    deviations = np.diag(factor)
+    if deviations[-1] ** 2 < _CERTAIN * covariance[0]:
+        return _by_levinson(covariance)
+    rows = np.linalg.inv(factor) * deviations[:, None]
+    return Autoregression(tuple(row[k::-1] for k, row in enumerate(rows)), deviations)
+
+
+def _by_levinson(covariance: Array) -> Autoregression:
+    """The same for a process that is all but determined, whose matrix rounding may make indefinite."""
     polynomial, variance = np.ones(1), float(covariance[0])
     predictors, variances = [polynomial], [variance]
     for k in range(1, covariance.size):
         reflection = -float(polynomial @ covariance[k:0:-1]) / variance
         padded = np.append(polynomial, 0.0)
         polynomial = padded + reflection * padded[::-1]
-        # Rounding must not make it negative where a process is all but determined.
-        variance = max(variance * (1.0 - reflection**2), 1e-12 * float(covariance[0]))
+        variance = max(variance * (1.0 - reflection**2), _CERTAIN * float(covariance[0]))
         predictors.append(polynomial)
         variances.append(variance)
     return Autoregression(tuple(predictors), np.sqrt(variances))

@@ -148,8 +148,9 @@ class ColouredProblem:
             earlier = np.zeros((own.size, model.order))
             for piece in pieces:
                 part = own[piece]
-                for k in range(1, model.order + 1) if part.size > model.order else ():
-                    earlier[piece.start + model.order : piece.stop, k - 1] = part[model.order - k : part.size - k]
+                if part.size > model.order:
+                    windows = np.lib.stride_tricks.sliding_window_view(part[:-1], model.order)
+                    earlier[piece.start + model.order : piece.stop] = windows[:, ::-1]
             share = np.linalg.lstsq(earlier.T @ earlier, earlier.T @ white[block.rows], rcond=1e-12)[0]
             white[block.rows] -= earlier @ share
         return white
