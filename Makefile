@@ -5,7 +5,8 @@
 #   make play    the page in out/play that flies the virtual rig in a browser, without a server
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make quick   what is cheap of every room, under a minute: at each change
-#   make test    every test but the long versions          make soak   the long versions
+#   make test    every test that takes less than 2 s of processor time, and the page's, in minutes
+#   make thorough    the others; CI runs both              make soak   the long versions of tests, for hours
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make docs    the documentation as a site with search, in out/docs
 #   make fuzz    coverage-guided fuzzing of what reads files and packets (SECONDS=3600: of each)
@@ -32,7 +33,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 PYTEST := $(BIN)/python -m pytest -n $(TEST_JOBS) --dist worksteal
 
 .DEFAULT_GOAL := help
-.PHONY: help demo web play sandbox quick test shake check bench soak docs tools lock sbom clean fuzz
+.PHONY: help demo web play sandbox quick test thorough shake check bench soak docs tools lock sbom clean fuzz
 .DELETE_ON_ERROR:
 
 help:
@@ -59,7 +60,10 @@ quick: $(VENV)/ready-dev
 	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick
 
 test: $(VENV)/ready-dev tools web
-	$(PYTEST)
+	$(PYTEST) --brief
+
+thorough: $(VENV)/ready-dev tools
+	$(PYTEST) --long
 
 check: $(VENV)/ready-dev
 	$(BIN)/ruff format --check --quiet .

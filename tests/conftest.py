@@ -1,5 +1,6 @@
 """What every test may ask for: the real flight logs, and hypothesis runs that give the same examples twice. It sets the
-tests' order, and `--quick`, which leaves out the files of tests/slow.txt.
+tests' order; `--quick`, which leaves out the files of tests/slow.txt; `--brief` and `--long`, which divide the tests by
+tests/long.txt.
 """
 
 import gc
@@ -7,7 +8,7 @@ import os
 import resource
 import signal
 from collections import Counter
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
@@ -16,10 +17,11 @@ from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
-SLOW = Path(__file__).with_name("slow.txt")
-QUICK_S, FOR_NOISE = 1.2, 10.0
-"""A file takes at most so much processor time with `--quick`; on a loaded machine it takes more."""
+SLOW, LONG = (Path(__file__).with_name(name) for name in ("slow.txt", "long.txt"))
+QUICK_S, BRIEF_S, FOR_NOISE = 1.2, 2.0, 10.0
+"""So much processor time takes a file at most with `--quick`, a test with `--brief`; on a loaded machine more."""
 SLOW_FILES = pytest.StashKey[dict[Path, float]]()
+LONG_TESTS = pytest.StashKey[dict[str, float]]()
 SPENT = pytest.StashKey[Counter[Path]]()
 BEGAN = pytest.StashKey[float]()
 
@@ -44,18 +46,32 @@ def processor_time() -> float:
 
 def slow_files() -> dict[Path, float]:
     """The files that `--quick` leaves out, and the processor time [s] that each takes."""
-    rows = [line.split() for line in SLOW.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
-    return {PROJECT / file: float(seconds) for seconds, file in rows}
+    return {PROJECT / file: seconds for file, seconds in _measured(SLOW)}
+
+
+def long_tests() -> dict[str, float]:
+    """The tests that `--brief` leaves out, and the processor time [s] that each takes."""
+    return dict(_measured(LONG))
+
+
+def _measured(path: Path) -> Iterator[tuple[str, float]]:
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            seconds, _, what = line.partition(" ")
+            yield what, float(seconds)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What `make quick` asks for."""
+    """What `make quick`, `make test` and `make thorough` ask for."""
     parser.addoption("--quick", action="store_true", help="leave out the files that tests/slow.txt names")
+    parser.addoption("--brief", action="store_true", help="leave out the tests that tests/long.txt names")
+    parser.addoption("--long", action="store_true", help="run the tests that tests/long.txt names, and no others")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Reads the list once."""
+    """Reads the lists once."""
     config.stash[SLOW_FILES] = slow_files() if config.getoption("--quick") else {}
+    config.stash[LONG_TESTS] = long_tests() if config.getoption("--brief") or config.getoption("--long") else {}
     config.stash[SPENT] = Counter()
 
 
@@ -76,22 +92,30 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Each test's processor time is in its report, and in `--junitxml`, from which tools/slow_tests.py makes the list.
 
-    With `--quick` the test with which a file has taken too long fails: so the list stays true.
+    A test with which its file takes too long for `--quick`, or that takes too long itself for `--brief`, fails: so the
+    lists stay true.
     """
     report = yield
     if report.when != "teardown":
         return report
     took = processor_time() - item.stash[BEGAN]
     report.user_properties.append(("processor_s", round(took, 3)))
-    if item.config.getoption("--quick") and report.passed:
-        spent = item.config.stash[SPENT]
-        spent[item.path] += took
-        if spent[item.path] > QUICK_S * FOR_NOISE:
-            report.outcome = "failed"
-            file = item.path.relative_to(PROJECT)
-            report.longrepr = f"{file} took {spent[item.path]:.1f} s: make it cheaper or name it in tests/slow.txt"
-            spent[item.path] = 0.0
+    spent = item.config.stash[SPENT]
+    spent[item.path] += took
+    file, told = item.path.relative_to(PROJECT), ""
+    if item.config.getoption("--quick") and spent[item.path] > QUICK_S * FOR_NOISE:
+        told = f"{file} took {spent[item.path]:.1f} s: make it cheaper or name it in tests/slow.txt"
+        spent[item.path] = 0.0
+    elif item.config.getoption("--brief") and took > BRIEF_S * FOR_NOISE and not in_browser(item):
+        told = f"{item.nodeid} took {took:.1f} s: make it cheaper or name it in tests/long.txt"
+    if told and report.passed:
+        report.outcome, report.longrepr = "failed", told
     return report
+
+
+def in_browser(item: pytest.Item) -> bool:
+    """Whether a test drives the page, which counts the life of a browser that others used, too."""
+    return "browser" in getattr(item, "fixturenames", ())
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
@@ -100,12 +124,16 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     What a browser does is the dearest. The processes of xdist take equal parts of the list, and then from each other's
     ends. So the second one begins with it: what is left to the end is cheap, and one browser and one laboratory do.
     """
+    if config.getoption("--brief") or config.getoption("--long"):
+        long, wanted = config.stash[LONG_TESTS], bool(config.getoption("--long"))
+        config.hook.pytest_deselected(items=[item for item in items if (item.nodeid in long) is not wanted])
+        items[:] = [item for item in items if (item.nodeid in long) is wanted]
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
     processes = getattr(config, "workerinput", {}).get("workercount", 1)
     if processes > 1:
         first = len(items) // processes
         fixtures = {item: getattr(item, "fixturenames", ()) for item in items}
-        browsers = [item for item in items if "browser" in fixtures[item] and not item.get_closest_marker("waits")]
+        browsers = [item for item in items if in_browser(item) and not item.get_closest_marker("waits")]
         browsers.sort(key=lambda item: "shared_server" not in fixtures[item])
         rest = [item for item in items if item not in {*browsers}]
         items[:] = rest[:first] + browsers + rest[first:]

@@ -1,11 +1,11 @@
-"""`make quick` runs the tests of every file but those that tests/slow.txt names."""
+"""`make quick` runs every file but those of tests/slow.txt; `make test` and `make thorough` run each test once."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
 
-from tests.conftest import PROJECT, QUICK_S, slow_files
+from tests.conftest import BRIEF_S, PROJECT, QUICK_S, long_tests, slow_files
 from tests.patience import PATIENCE_S
 
 
@@ -23,3 +23,28 @@ def test_quick_leaves_out_what_is_named_and_nothing_else() -> None:
     assert "tests/test_patience.py::" in told
     assert PROJECT / "tests/fuzz/test_fuzz.py" in slow_files()
     assert "test_fuzz" not in told
+
+
+def test_brief_and_long_divide_the_tests() -> None:
+    long = long_tests()
+    assert all(seconds >= BRIEF_S for seconds in long.values())
+    file = "tests/identify/test_coverage.py"
+    command = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-p", "no:cacheprovider", file]
+    options = {"cwd": PROJECT, "capture_output": True, "text": True, "check": False, "timeout": PATIENCE_S}
+    every, brief, rest = (
+        {line for line in subprocess.run([*command, *more], **options).stdout.splitlines() if "::" in line}
+        for more in ([], ["--brief"], ["--long"])
+    )
+    assert brief | rest == every
+    assert rest == {test for test in every if test in long}
+    assert brief
+    assert rest
+    assert not brief & rest
+
+
+def test_the_tests_that_are_left_out_are_there() -> None:
+    """A renamed test would come back into `make test` by itself; this says that the list is old."""
+    for test in long_tests():
+        file, _, name = test.partition("::")
+        function = name.partition("[")[0].rpartition("::")[2]
+        assert f"def {function}(" in (PROJECT / file).read_text(encoding="utf-8"), test

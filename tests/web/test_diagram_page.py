@@ -277,7 +277,8 @@ def test_a_value_is_simulated_at_once_and_a_structure_once_it_is_compiled(server
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     compiled: list[str] = []
     page.on("request", lambda request: compiled.append(request.url) if "compile" in request.url else None)
-    change_value_and_structure(page, 0)
+    with page.expect_request(lambda request: "compile" in request.url):  # it may be asked for after the last flight
+        change_value_and_structure(page, 0)
     assert len(compiled) == 1, "only for the structure"
 
 

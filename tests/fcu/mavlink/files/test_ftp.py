@@ -79,7 +79,10 @@ class Server(World):
 
 
 class Master:
-    """What pymavlink's client sees of a connection, in front of a vehicle in memory."""
+    """What pymavlink's client sees of a connection, in front of a vehicle in memory.
+
+    It is its clock too: time passes where it listens in vain, so that a slow computer is not taken for a dead link.
+    """
 
     target_system, target_component = 1, 1
     source_system, source_component = CLIENT
@@ -87,16 +90,21 @@ class Master:
     def __init__(self, server: Server) -> None:
         self.server, self.mav = server, self
         self.messages: list[Any] = []
+        self.now = 0.0
+
+    def time(self) -> float:
+        return self.now
 
     def file_transfer_protocol_send(self, network: int, system: int, component: int, payload: Any) -> None:
         fields = {"target_system": system, "target_component": component, "payload": bytes(payload)}
         self.server.say(message("FILE_TRANSFER_PROTOCOL", target_network=network, **fields))
 
-    def recv_match(self, **_: Any) -> Any:
+    def recv_match(self, timeout: float = 0.0, **_: Any) -> Any:
         self.messages += self.server.taken("FILE_TRANSFER_PROTOCOL")
         if not self.messages:
             self.server.ftp.send_bursts()
             self.messages += self.server.taken("FILE_TRANSFER_PROTOCOL")
+        self.now += 0.001 if self.messages else timeout
         return self.messages.pop(0) if self.messages else None
 
 
@@ -187,10 +195,12 @@ def test_a_burst_is_made_as_it_is_sent() -> None:
     assert end.data[0] == FtpError.END
 
 
-def test_pymavlinks_client_reads_checks_and_sends(server: Server, tmp_path: Path) -> None:
-    client = MAVFTP(Master(server), 1, 1)
-    # After an upload it listens for so long whether more comes; in memory all has come by then.
-    client.ftp_settings.read_retry_time, client.ftp_settings.idle_detection_time = 0.3, 0.4
+def test_pymavlinks_client_reads_checks_and_sends(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    master = Master(server)
+    monkeypatch.setattr("pymavlink.mavftp.time", master)
+    client = MAVFTP(master, 1, 1)
     assert client.cmd_list(["/log"]).error_code == 0
     assert [(one.name, one.is_dir) for one in client.list_result] == [("log_00001.ulg", False)]
     size = client.list_result[0].size_b
