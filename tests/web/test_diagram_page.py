@@ -172,7 +172,7 @@ def test_no_block_of_a_starter_stands_over_another_nor_over_a_wire(
     assert page.evaluate(COVERED) == []
 
 
-def test_a_block_is_inserted_into_a_wire_by_keys_and_at_the_end_of_one_by_mouse(
+def test_a_block_is_inserted_into_a_wire_wired_by_a_click_with_control_flipped_and_aligned(
     server: Served, open_page: OpenPage
 ) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
@@ -202,9 +202,23 @@ def test_a_block_is_inserted_into_a_wire_by_keys_and_at_the_end_of_one_by_mouse(
     page.keyboard.press("Control+z")
     expect(block(page, "gain")).to_have_count(0)
     expect(page.get_by_role("button", name="Save…", exact=True)).to_be_visible()
+    page.keyboard.press("a")
+    page.keyboard.type("gain")
+    page.keyboard.press("Enter")
+    page.locator(".svelte-flow__node[data-id='i:q']").click()
+    block(page, "gain").click(modifiers=["Control"])
+    said("^connect q to gain$")
+    sheet(page).press("Control+i")
+    said("^flip gain$")
+    sheet(page).press("Control+a")
+    page.keyboard.press("m")
+    page.get_by_role("menuitem", name="Left edges").press("Enter")
+    said("^align: left edges$")
 
 
-def test_an_input_that_is_moved_stays_there(server: Served, open_page: OpenPage) -> None:
+def test_an_input_that_is_moved_stays_there_and_a_link_asks_before_it_takes_changes_away(
+    server: Served, open_page: OpenPage
+) -> None:
     text = to_json(starter("pid-attitude"))
     keep(server, "moved", text)
     page = drawn(open_page(link(server, "/moved")))
@@ -222,6 +236,13 @@ def test_an_input_that_is_moved_stays_there(server: Served, open_page: OpenPage)
     page.reload()
     expect(inlet).to_be_visible()
     assert inlet.evaluate("node => node.style.transform") == place
+    inlet.click()
+    sheet(page).press("ArrowDown")
+    for answer, parts in (("Stay here", 0), ("Open notch-attitude and lose them", 1)):
+        page.evaluate("location.hash = '#/diagram?starter=notch-attitude'")
+        page.get_by_role("button", name=answer).press("Enter")
+        expect(page).to_have_url(re.compile("#/diagram$" if parts else "#/diagram/moved$"))
+        expect(block(page, "notch")).to_have_count(parts)
 
 
 def test_an_algebraic_loop_is_shown_where_it_is(server: Served, open_page: OpenPage) -> None:

@@ -20,6 +20,7 @@ def odd_diagram() -> Diagram:
     d.param("whole", 2**32 - 1, kind="uint32")
     d.add("table", lib.Lookup(list(range(30)), [x / 7 for x in range(30)]), u="in_1", position=(-0.0, 1e-7))
     d.add("sub", _inner(), rate=(4, 1), inputs={"u": "in_1"}, enable="on", disabled={"y": 2.5}, position=(12, 3.25))
+    d.parts["table"].flipped = True
     d.add("on", lib.Constant(True, "bool"))
     d.add("cases", lib.CaseChoice(((0, 5), (-1, 2))))
     d.output("y", "sub.y")

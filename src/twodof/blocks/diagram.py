@@ -60,6 +60,7 @@ class Part:
     values, or "restart" from the initial ones. `initial` are the values of outputs before they are first computed, and
     where "reset" puts them, if that is not 0.
     With a `trigger` it acts at the ticks alone at which that has an `edge`: "rising", "falling" or "either".
+    `position` is its place on the editor's sheet; there a `flipped` one has its inputs on the right side.
     """
 
     name: str
@@ -74,6 +75,7 @@ class Part:
     enabling: str = "keep"
     initial: dict[str, Any] = field(default_factory=dict)
     position: tuple[float, float] | None = None
+    flipped: bool = False
 
 
 class Diagram:

@@ -46,6 +46,7 @@ def everything() -> Diagram:
     d.input("on", "bool")
     d.add("sub", inner, enable="on", reset="on", disabled="reset", position=(1.0, 2.5), initial={"h": float("inf")})
     d.parts["sub"].enabling = "restart"
+    d.parts["sub"].flipped = True
     d.add("elsewhere", inner, enable="on", disabled={"h": float("-inf")})
     d.add("edge", inner, trigger="on", edge="falling")
     d.add("slow", Memory(), rate=(5, 2))

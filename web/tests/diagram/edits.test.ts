@@ -19,6 +19,7 @@ import {
   disconnect,
   edited,
   EditFault,
+  flipParts,
   freeName,
   moveParts,
   moveThings,
@@ -101,6 +102,13 @@ describe("an edit", () => {
   it("moves within the bounds of a position", () => {
     const after = moveParts(start(), new Map([["gain", [1e9, -3.14159] as const]]));
     expect(writeDiagram(after)).toContain('"position": [1000000.0, -3.14]');
+  });
+
+  it("flips a part, which is written behind its place", () => {
+    const after = flipParts(start(), new Set(["gain"]));
+    expect(writeDiagram(after)).toMatch(/"position": \[1.0, 2.0\],\s+"flipped": true/);
+    expect(readDiagram(writeDiagram(after)).parts[0]?.flipped).toBe(true);
+    expect(writeDiagram(flipParts(after, new Set(["gain"])))).toBe(writeDiagram(start()));
   });
 
   it("removes an input or a parameter with what hangs on it", () => {

@@ -3,14 +3,14 @@ import { routed, type Box } from "../../src/pages/diagram/canvas/route";
 import { Router, type Ends } from "../../src/pages/diagram/canvas/router";
 
 const block = (x: number, y: number): Box => ({ x, y, width: 80, height: 40 });
-const wire: Ends = { id: "w", from: [0, 0], to: [400, 100] };
+const wire: Ends = { id: "w", from: [0, 0], to: [400, 100], way: "right" };
 
 describe("the bends of wires", () => {
   it("are those of each wire alone among all boxes", () => {
     const boxes = new Map(Array.from({ length: 60 }, (_, i) => [`b${i}`, block(120 * (i % 10), 90 * (i % 7) - 200)]));
     const wires = Array.from({ length: 80 }, (_, i): Ends => {
       const [x, y] = [37 * (i % 30), 53 * (i % 11) - 250];
-      return { id: `w${i}`, from: [x, y], to: [x + (i % 3 ? 300 : -300), y + 20 * (i % 9)] };
+      return { id: `w${i}`, from: [x, y], to: [x + (i % 3 ? 300 : -300), y + 20 * (i % 9)], way: "right" };
     });
     const router = new Router();
     router.update(boxes, wires);
@@ -39,5 +39,16 @@ describe("the bends of wires", () => {
     router.update(new Map(boxes), many);
     expect(router.work(-1)).toBe(false);
     many.forEach(({ id }, i) => expect(router.route(id)).toBe(before[i]));
+  });
+  it("are mirrored between two flipped blocks", () => {
+    const bent = (boxes: [string, Box][], one: Ends): number => {
+      const router = new Router();
+      router.update(new Map(boxes), [one]);
+      router.work(Infinity);
+      return router.route("w").x!;
+    };
+    const mirrored: [string, Box] = ["b", { ...block(0, 80), x: -240 }];
+    const back: Ends = { id: "w", from: [0, 0], to: [-400, 100], way: "left" };
+    expect(bent([mirrored], back)).toBe(-bent([["b", block(160, 80)]], wire));
   });
 });

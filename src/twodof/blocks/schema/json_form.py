@@ -143,6 +143,8 @@ def _part_to(part: Part) -> dict[str, Any]:
         form["initial"] = encoded(part.initial, part.name)
     if part.position is not None:
         form["position"] = list(part.position)
+    if part.flipped:
+        form["flipped"] = True
     if isinstance(part.item, Diagram):
         return form | {"diagram": _diagram_to(part.item)}
     return form | {"block": _block_to(part.item, part.name)}

@@ -39,6 +39,7 @@ _PART = {
     "enabling",
     "initial",
     "position",
+    "flipped",
     "diagram",
     "block",
 }
@@ -161,6 +162,7 @@ class Loader:
             position=None if position is None else _position(position, where),
             inputs={},
         )
+        d.parts[name].flipped = member(form, "flipped", bool, where, False)
 
     def _disabled(self, form: dict[str, Any], where: str) -> str | dict[str, Any]:
         told = member(form, "disabled", (str, dict), where, "hold")

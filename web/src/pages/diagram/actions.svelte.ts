@@ -1,9 +1,10 @@
 // What a menu, a key or a button does with the open sheet.
-import { toastError } from "../../state/toasts.svelte";
+import { toast, toastError } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
-import { partPlaces, placesOn } from "./canvas/flow";
+import { boxesOn, partPlaces, placesOn } from "./canvas/flow";
 import { partSize } from "./canvas/symbol";
 import { editor, EMPTY, inputId, outputId, partId } from "./editor.svelte";
+import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
 import { findPart, type Part, type Point } from "./model/diagram";
 import {
@@ -12,6 +13,7 @@ import {
   addParam,
   addPart,
   disconnect,
+  flipParts,
   freeBorder,
   freeName,
   moveParts,
@@ -24,6 +26,7 @@ import {
 import { grouped } from "./model/grouping";
 import { real, type JsonObject } from "./model/json_text";
 import { tops } from "./model/shapes";
+import { joined } from "./model/wiring";
 import type { Loose } from "./insert.svelte";
 import { scopes } from "./simulate/scopes.svelte";
 
@@ -46,6 +49,7 @@ class Acts {
   focusPalette: () => void = () => undefined;
   focusPanel: () => void = () => undefined;
   focusName: () => void = () => undefined;
+  openAlignMenu: () => void = () => undefined;
   save: () => void = () => undefined;
   private copied = "";
 
@@ -141,6 +145,34 @@ class Acts {
     if (id.startsWith("p:") && port === undefined) return editor.say(`${name} has no output`);
     if (source === undefined || source === null) return editor.say("nothing flows there");
     scopes.toggle(part !== undefined && port !== undefined ? `${name}.${port}` : source);
+  }
+
+  /** Wires what was selected (`ids`), the uppermost first, to what was clicked, and selects that to go on from there. */
+  join(ids: Iterable<string>, to: string): void {
+    const at = placesOn(editor.here, editor.shapes);
+    const place = (id: string): Point => at.get(id) ?? [0, 0];
+    const from = [...ids]
+      .filter((id) => id !== to && at.has(id))
+      .sort((a, b) => place(a)[1] - place(b)[1] || place(a)[0] - place(b)[0]);
+    const names = from.map((id) => id.slice(2)).join(", ");
+    const refused = editor.apply(`connect ${names} to ${to.slice(2)}`, (d) => joined(d, editor.shapes, from, to));
+    if (refused !== "") toast(refused, "info");
+    editor.select([to]);
+  }
+
+  flip(): void {
+    const names = editor.parts;
+    if (names.length === 0) return editor.say("select a block to flip");
+    editor.apply(`flip ${names.length === 1 ? names[0] : `${names.length} blocks`}`, (d) =>
+      flipParts(d, new Set(names)),
+    );
+  }
+
+  align(how: Alignment): void {
+    const all = boxesOn(editor.here, editor.shapes);
+    const chosen = [...editor.selected].flatMap((id) => (all.has(id) ? [[id, all.get(id)!] as const] : []));
+    if (chosen.length < leastFor(how)) return editor.say("select more blocks");
+    editor.apply(`align: ${ALIGNMENTS[how].toLowerCase()}`, (d) => moveThings(d, aligned(new Map(chosen), how)));
   }
 
   /** Moves what is selected by whole steps. */

@@ -24,6 +24,7 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
   const children: ElkNode[] = d.parts.map((part) => {
     const shape = shapes.of(part.item);
     const size = partSize(part, shape);
+    const [inward, outward] = part.flipped ? (["EAST", "WEST"] as const) : (["WEST", "EAST"] as const);
     const ports = (names: string[], mark: string, where: "WEST" | "EAST") =>
       names.map((name, i) => ({
         id: `p:${part.name}${mark}${name}`,
@@ -37,7 +38,7 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
       id: `p:${part.name}`,
       width: size.width,
       height: size.height + 16, // its name stands below
-      ports: [...ports(tops(shape.inputs), "<", "WEST"), ...ports(tops(shape.outputs), ">", "EAST")],
+      ports: [...ports(tops(shape.inputs), "<", inward), ...ports(tops(shape.outputs), ">", outward)],
       layoutOptions: { "elk.portConstraints": "FIXED_POS" },
     };
   });

@@ -106,20 +106,20 @@ export function firstOf(drawn: Drawn, before: { nodes: readonly SheetNode[] }, m
 }
 
 /** A port as xyflow knows it: it need not measure what it is told. */
-function handles(size: Size, inputs: readonly string[], outputs: readonly string[]): NodeHandle[] {
-  const at = (type: "source" | "target", id: string, x: number, y: number): NodeHandle => ({
+function handles(size: Size, inputs: readonly string[], outputs: readonly string[], flipped: boolean): NodeHandle[] {
+  const at = (type: "source" | "target", id: string, y: number): NodeHandle => ({
     id,
     type,
-    position: type === "source" ? Position.Right : Position.Left,
-    x: x - HANDLE / 2,
+    position: (type === "source") === flipped ? Position.Left : Position.Right,
+    x: ((type === "source") === flipped ? 0 : size.width) - HANDLE / 2,
     y: y - HANDLE / 2,
     width: HANDLE,
     height: HANDLE,
   });
   const y = (i: number, ports: readonly string[]): number => portPlace(i, ports.length, size.height);
   return [
-    ...inputs.map((port, i) => at("target", `in:${port}`, 0, y(i, inputs))),
-    ...outputs.map((port, i) => at("source", `out:${port}`, size.width, y(i, outputs))),
+    ...inputs.map((port, i) => at("target", `in:${port}`, y(i, inputs))),
+    ...outputs.map((port, i) => at("source", `out:${port}`, y(i, outputs))),
   ];
 }
 
@@ -143,6 +143,7 @@ function partNode(
     old.data.part.name === part.name &&
     old.data.part.conditions === part.conditions &&
     old.data.part.rate === part.rate &&
+    old.data.part.flipped === part.flipped &&
     old.data.shape === shape &&
     old.data.fault === fault &&
     old.data.loop === loop;
@@ -157,7 +158,7 @@ function partNode(
     position: { x, y },
     ...size,
     measured: size,
-    handles: same ? old.handles! : handles(size, data.inputs, data.outputs),
+    handles: same ? old.handles! : handles(size, data.inputs, data.outputs, part.flipped),
     selected: chosen,
     data,
     focusable: false,
@@ -218,6 +219,13 @@ export function placesOn(d: Diagram, shapes: Shapes): Map<string, Point> {
   return new Map([...parts, ...terminalPlaces(d, shapes, places)]);
 }
 
+/** Where they stand, and how large they are. */
+export function boxesOn(d: Diagram, shapes: Shapes): Map<string, Box> {
+  const sizes = new Map(d.parts.map((part) => [partId(part.name), partSize(part, shapes.of(part.item))]));
+  const border = (id: string): Size => ({ width: terminalWidth(id.slice(2)), height: TERMINAL_HEIGHT });
+  return new Map([...placesOn(d, shapes)].map(([id, [x, y]]) => [id, { x, y, ...(sizes.get(id) ?? border(id)) }]));
+}
+
 /** The box around them all. */
 export function extentOf(nodes: readonly SheetNode[]): Box {
   if (nodes.length === 0) return { x: 0, y: 0, width: 400, height: 200 };
@@ -267,10 +275,14 @@ function boxOf(node: SheetNode): Box {
   return { ...node.position, width: node.width ?? 0, height: node.height ?? 0 };
 }
 
+function isFlipped(node: SheetNode): boolean {
+  return node.type === "part" && node.data.part.flipped;
+}
+
 /** Where a wire begins at a node, or ends. */
 function portAt(node: SheetNode, handle: string, side: "in" | "out"): Point {
   const box = boxOf(node);
-  const x = side === "in" ? box.x : box.x + box.width;
+  const x = (side === "in") === isFlipped(node) ? box.x + box.width : box.x;
   if (node.type !== "part") return [x, box.y + box.height / 2];
   const ports = side === "in" ? node.data.inputs : node.data.outputs;
   return [x, box.y + portPlace(Math.max(0, ports.indexOf(handle.slice(side.length + 1))), ports.length, box.height)];
@@ -289,7 +301,13 @@ function edges(
   const wires = wiresOf(d, shapes).filter((wire) => hasPort(at, wire));
   const ends = wires.map((wire): Ends => {
     const [from, to] = [at.get(wire.source)!, at.get(wire.target)!];
-    return { id: wire.id, from: portAt(from, wire.sourceHandle, "out"), to: portAt(to, wire.targetHandle, "in") };
+    const ways = { out: isFlipped(from) ? "left" : "right", in: isFlipped(to) ? "left" : "right" } as const;
+    return {
+      id: wire.id,
+      from: portAt(from, wire.sourceHandle, "out"),
+      to: portAt(to, wire.targetHandle, "in"),
+      way: ways.out === ways.in ? ways.out : "round",
+    };
   });
   router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends);
   const left = router.work(SLICE_MS);

@@ -12,6 +12,7 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + arrows", "go to the nearest block in that direction"],
   ["Arrows", "move what is selected by 10; with Shift by 50"],
   ["C", "connect the selected block"],
+  ["Ctrl + click", "connect what is selected to the block that is clicked"],
   ["Enter", "set the arguments of the selected block"],
   ["F2", "rename it"],
   ["O", "open the selected sub-diagram"],
@@ -22,6 +23,8 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + C, X, V, D", "copy, cut, paste, duplicate"],
   ["Ctrl + Z, Ctrl + Y", "undo, redo"],
   ["Ctrl + G", "group into a sub-diagram"],
+  ["Ctrl + I", "flip what is selected: inputs to the other side"],
+  ["M", "align what is selected, or space it evenly"],
   ["Ctrl + S", "save"],
   ["L", "lay out automatically"],
   ["F", "show the whole sheet"],
@@ -81,6 +84,10 @@ function withControl(event: KeyboardEvent, nodes: readonly SheetNode[], from: Sh
     case "g":
       act.group();
       return true;
+    case "i":
+      if (event.shiftKey) return false; // the browser's own tools
+      act.flip();
+      return true;
   }
   return false; // undo, redo and save are the page's, wherever the focus is
 }
@@ -130,6 +137,9 @@ function plain(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNod
       return true;
     case "l":
       void act.arrange();
+      return true;
+    case "m":
+      act.openAlignMenu();
       return true;
     case "f":
       act.shownWhole++;

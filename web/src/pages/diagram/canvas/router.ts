@@ -7,6 +7,8 @@ export interface Ends {
   readonly id: string;
   readonly from: Point;
   readonly to: Point;
+  /** Where it leaves and comes in to the right, or, between two flipped blocks, to the left; else it turns round. */
+  readonly way: "right" | "left" | "round";
 }
 
 interface Wired extends Ends {
@@ -33,13 +35,15 @@ export class Router {
     this.boxes = boxes;
     const all = changed.length > MOST_CHANGES;
     const next = new Map<string, Wired>();
-    for (const { id, from, to } of wires) {
-      const was = this.wires.get(id);
-      if (was === undefined || !same(was.from, from) || !same(was.to, to)) {
-        next.set(id, { id, from, to, region: region(from, to), route: {}, stale: true });
+    for (const wire of wires) {
+      const was = this.wires.get(wire.id);
+      if (was === undefined || was.way !== wire.way || !same(was.from, wire.from) || !same(was.to, wire.to)) {
+        // What turns round has one way to go.
+        next.set(wire.id, { ...wire, region: around(wire), route: {}, stale: wire.way !== "round" });
       } else {
-        if (!was.stale && (all || changed.some((box) => touch(box, was.region)))) was.stale = true;
-        next.set(id, was);
+        if (was.way !== "round" && !was.stale && (all || changed.some((box) => touch(box, was.region))))
+          was.stale = true;
+        next.set(wire.id, was);
       }
     }
     this.wires = next;
@@ -51,7 +55,7 @@ export class Router {
     const until = performance.now() + milliseconds;
     for (let n = 1; this.stale.length > 0; n++) {
       const wire = this.stale.pop()!;
-      wire.route = routed(wire.from, wire.to, this.near(wire.region));
+      wire.route = bend(wire, this.near(wire.region));
       wire.stale = false;
       if (n % LOOK_EVERY === 0 && performance.now() > until) break;
     }
@@ -92,6 +96,25 @@ export class Router {
     for (const cell of cells(around)) for (const box of this.grid.get(cell) ?? []) found.add(box);
     return [...found];
   }
+}
+
+/** What goes to the left is found as its mirror image, which goes to the right. */
+function around({ from, to, way }: Ends): Box {
+  return way === "left" ? mirrored(region(turned(from), turned(to))) : region(from, to);
+}
+
+function bend({ from, to, way }: Ends, boxes: readonly Box[]): Route {
+  if (way === "right") return routed(from, to, boxes);
+  const { x, y } = routed(turned(from), turned(to), boxes.map(mirrored));
+  return { ...(x === undefined ? {} : { x: -x }), ...(y === undefined ? {} : { y }) };
+}
+
+function turned([x, y]: Point): Point {
+  return [-x, y];
+}
+
+function mirrored(box: Box): Box {
+  return { ...box, x: -box.x - box.width };
 }
 
 /** The numbers of the cells that a box is in. */

@@ -41,6 +41,8 @@ export interface Part {
   readonly rest: JsonObject;
   /** As it is written in the file; `placeOf` gives the numbers. */
   readonly position: readonly Num[] | null;
+  /** Drawn with its inputs on the right side. */
+  readonly flipped: boolean;
   /** Where it is drawn while the file does not say. It is not written. */
   readonly presumed?: Point;
   readonly item: Block | Diagram;
@@ -146,6 +148,7 @@ export function partFrom(json: Json): Part {
     conditions,
     rest,
     position: form["position"] === undefined || form["position"] === null ? null : list(form["position"]).map(number),
+    flipped: form["flipped"] === true,
     item: block === undefined ? diagramFrom(form["diagram"]) : blockFrom(block),
   };
 }
@@ -177,6 +180,7 @@ export function partTo(part: Part): JsonObject {
   for (const key of CONDITIONS) if (part.conditions[key]) form[key] = part.conditions[key];
   for (const key of REST) if (part.rest[key] !== undefined) form[key] = part.rest[key];
   if (part.position !== null) form["position"] = part.position;
+  if (part.flipped) form["flipped"] = true;
   if (part.item.is === "diagram") form["diagram"] = diagramTo(part.item);
   else form["block"] = part.item.json;
   return form;

@@ -68,6 +68,11 @@ export function movePart(part: Part, to: Point): Part {
   return { ...part, position: written(to) };
 }
 
+/** Turns parts over: their inputs go to the other side. */
+export function flipParts(d: Diagram, names: ReadonlySet<string>): Diagram {
+  return { ...d, parts: d.parts.map((one) => (names.has(one.name) ? { ...one, flipped: !one.flipped } : one)) };
+}
+
 function written(to: Point): Num[] {
   return to.map((v) => real(Math.min(1e6, Math.max(-1e6, Math.round(v * 100) / 100))));
 }
@@ -289,7 +294,10 @@ export function bind(part: Part, inner: string, outer: string): Part {
 
 export function newPart(d: Diagram, wanted: string, item: Block | Diagram, position: Point): Part {
   const name = freeName(d, wanted);
-  return movePart({ name, rate: null, params: {}, conditions: {}, rest: {}, position: null, item }, position);
+  return movePart(
+    { name, rate: null, params: {}, conditions: {}, rest: {}, position: null, flipped: false, item },
+    position,
+  );
 }
 
 /** A parameter declared of the diagram. */

@@ -21,7 +21,7 @@ function withoutValues(d: Diagram, shapes: Shapes): JsonObject {
 
 function skeleton(part: Part, shapes: Shapes): JsonObject {
   const { item } = part;
-  const form = partTo({ ...part, position: null, item: { is: "block", type: "", json: {} } });
+  const form = partTo({ ...part, position: null, flipped: false, item: { is: "block", type: "", json: {} } });
   if (item.is === "diagram") return { ...form, block: withoutValues(item, shapes) };
   const structure = shapes.of(item).structure;
   // Of a block whose shape is not known yet all counts.
