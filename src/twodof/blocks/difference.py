@@ -56,9 +56,9 @@ class Difference:
 def difference(before: Diagram, after: Diagram) -> Difference:
     """What changed from `before` to `after` in what a step computes. Names of diagrams, texts and layout do not count.
 
-    A sub-diagram is compared part by part, at paths such as "pid.gain"; one that came or went is one change. A block
-    that was renamed is one removed and one added. Custom blocks are compared by their traced expressions. Raises
-    DiagramError for a connection whose source is not there.
+    A sub-diagram is compared part by part, at paths such as "pid.gain". Of a part that came or went its parameters and
+    connections are named too, and nothing that is inside it. One that was renamed is removed and added. Custom blocks
+    are compared by their traced expressions. Raises DiagramError for a connection whose source is not there.
     """
     old, new = _listing(before), _listing(after)
     moved = old["block"].keys() ^ new["block"].keys()
@@ -67,8 +67,8 @@ def difference(before: Diagram, after: Diagram) -> Difference:
         was, now = old[what], new[what]
         for path in sorted({*was, *now}):
             a, b = was.get(path, ""), now.get(path, "")
-            # What is inside a part that came or went does so with it; only its own connections are news.
-            at = path.rpartition(".")[0] if what == "connection" else path
+            # What is inside a part that came or went does so with it; only its own parameters and connections are news.
+            at = path.rpartition(".")[0] if what in ("parameter", "connection") else path
             if a != b and not moved.intersection(_above(at)):
                 changes.append(Change(what, path, a, b))
     return Difference(tuple(changes))
