@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
 import { diagramAt, diagramFrom, type Diagram } from "../../src/pages/diagram/model/diagram";
+import { wiresAt } from "../../src/pages/diagram/model/ends";
 import { grouped } from "../../src/pages/diagram/model/grouping";
 import { readJson, type Json } from "../../src/pages/diagram/model/json_text";
 import { instead, searched } from "../../src/pages/diagram/model/search";
@@ -95,6 +96,16 @@ describe("a signal", () => {
     expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y" });
     expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u" });
     expect(originOf(d, [], "nothing", shapes)).toBeUndefined();
+  });
+});
+
+describe("the wires at a block", () => {
+  it("are those into it and those out of it", () => {
+    const { d } = given();
+    expect(wiresAt(d, "p:b")).toEqual(["b.u", "sub.x"]);
+    expect(wiresAt(d, "p:sub")).toEqual(["sub.x", "out"]);
+    expect(wiresAt(d, "i:u")).toEqual(["a.u"]);
+    expect(wiresAt(d, "o:out")).toEqual(["out"]);
   });
 });
 

@@ -3,7 +3,7 @@ import { toast, toastError } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
 import { boxesOn, partPlaces, placesOn } from "./canvas/flow";
 import { partSize } from "./canvas/symbol";
-import { editor, EMPTY, inputId, outputId, partId } from "./editor.svelte";
+import { editor, EMPTY, inputId, outputId, partId, wireId } from "./editor.svelte";
 import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
 import { findPart, type Part, type Point } from "./model/diagram";
@@ -23,6 +23,7 @@ import {
   removeOutput,
   removeParts,
 } from "./model/edits";
+import { wiresAt } from "./model/ends";
 import { grouped } from "./model/grouping";
 import { real, type JsonObject } from "./model/json_text";
 import { tops } from "./model/shapes";
@@ -51,6 +52,8 @@ class Acts {
   focusName: () => void = () => undefined;
   openAlignMenu: () => void = () => undefined;
   save: () => void = () => undefined;
+  /** The id of what wires are walked from. */
+  hub = "";
   private copied = "";
 
   openPart(name: string): void {
@@ -99,14 +102,19 @@ class Acts {
     const ids = [...editor.selected];
     if (ids.length === 0) return editor.say("nothing is selected");
     const of = (kind: string): string[] => ids.filter((id) => id.startsWith(kind)).map((id) => id.slice(2));
-    const what = ids.length === 1 ? (of("p:")[0] ?? of("w:")[0] ?? ids[0]!.slice(2)) : `${ids.length} things`;
+    const what =
+      ids.length === 1
+        ? (of("p:")[0] ?? of("w:").map((to) => `the wire to ${to}`)[0] ?? ids[0]!.slice(2))
+        : `${ids.length} things`;
+    const [wire] = of("w:");
+    const walked = ids.length === 1 && wire !== undefined && wiresAt(editor.here, this.hub).includes(wire);
     editor.apply(`delete ${what}`, (d) => {
       let after = removeParts(disconnect(d, new Set(of("w:"))), new Set(of("p:")));
       for (const name of of("i:")) after = removeInput(after, name);
       for (const name of of("o:")) after = removeOutput(after, name);
       return after;
     });
-    editor.select([]);
+    editor.select(walked ? [this.hub] : []); // one goes on from where the wire was found
   }
 
   group(): void {
@@ -173,6 +181,19 @@ class Acts {
     const chosen = [...editor.selected].flatMap((id) => (all.has(id) ? [[id, all.get(id)!] as const] : []));
     if (chosen.length < leastFor(how)) return editor.say("select more blocks");
     editor.apply(`align: ${ALIGNMENTS[how].toLowerCase()}`, (d) => moveThings(d, aligned(new Map(chosen), how)));
+  }
+
+  /** Selects the next of the wires at the selected block. */
+  nextWire(): void {
+    const [id = ""] = editor.selected;
+    const wire = id.startsWith("w:") ? id.slice(2) : "";
+    if (wire === "") this.hub = id;
+    const wires = wiresAt(editor.here, this.hub);
+    const to = wires[(wires.indexOf(wire) + 1) % wires.length];
+    if (to === undefined) return editor.say(id === "" ? "select a block to walk its wires" : "no wire there");
+    editor.select([wireId(to)]);
+    const outer = editor.here.outputs.find(([one]) => one === to)?.[1];
+    editor.say(`wire from ${editor.here.connections.find(([, end]) => end === to)?.[0] ?? outer} to ${to}`);
   }
 
   /** Moves what is selected by whole steps. */

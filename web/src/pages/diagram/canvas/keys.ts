@@ -9,6 +9,7 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["A or /", "add a block: search the palette"],
   ["I", "insert a block here: into the selected wire, or behind the selected block"],
   ["N, P", "go to the next or previous block, as one reads"],
+  ["W", "go to the next wire of the block: Del deletes it"],
   ["Ctrl + arrows", "go to the nearest block in that direction"],
   ["Arrows", "move what is selected by 10; with Shift by 50"],
   ["C", "connect the selected block"],
@@ -25,10 +26,11 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["Ctrl + G", "group into a sub-diagram"],
   ["Ctrl + I", "flip what is selected: inputs to the other side"],
   ["M", "align what is selected, or space it evenly"],
-  ["Ctrl + S", "save"],
+  ["Ctrl + S, Ctrl + O", "save, open"],
+  ["Ctrl + B", "flash: what would change is shown first"],
   ["L", "lay out automatically"],
   ["F", "show the whole sheet"],
-  ["Esc", "select nothing; from a field beside the sheet: back to the sheet"],
+  ["Esc", "select nothing; from all beside the sheet: back to the sheet"],
   ["?", "show these keys"],
 ];
 
@@ -50,7 +52,8 @@ function go(to: SheetNode | undefined): void {
 
 /** Handles a key on the sheet; what it takes goes no further. */
 export function keyOnSheet(event: KeyboardEvent, nodes: readonly SheetNode[]): void {
-  const from = nodes.find((node) => editor.selected.has(node.id));
+  const onWire = [...editor.selected].some((id) => id.startsWith("w:"));
+  const from = nodes.find((node) => editor.selected.has(node.id) || (onWire && node.id === act.hub));
   const control = event.ctrlKey || event.metaKey;
   const done = control ? withControl(event, nodes, from) : plain(event, nodes, from);
   if (done) {
@@ -109,6 +112,9 @@ function plain(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNod
       return true;
     case "p":
       go(next(nodes, from, -1));
+      return true;
+    case "w":
+      act.nextWire();
       return true;
     case "c":
       act.dialog = "connect";

@@ -26,9 +26,14 @@ export function towards(nodes: readonly SheetNode[], from: SheetNode, direction:
   return best;
 }
 
+/** Inputs stand with their right edges in a line. */
+function column(node: SheetNode): number {
+  return node.position.x + (node.type === "inlet" ? (node.width ?? 0) : 0);
+}
+
 /** The one after (or, with -1, before) `from` as one reads; the first (last) without one. */
 export function next(nodes: readonly SheetNode[], from: SheetNode | undefined, step: 1 | -1): SheetNode | undefined {
-  const read = [...nodes].sort((a, b) => a.position.x - b.position.x || a.position.y - b.position.y);
+  const read = [...nodes].sort((a, b) => column(a) - column(b) || a.position.y - b.position.y);
   const at = from === undefined ? (step === 1 ? -1 : read.length) : read.findIndex((node) => node.id === from.id);
   return read[(at + step + read.length) % read.length];
 }

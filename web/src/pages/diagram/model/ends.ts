@@ -19,6 +19,16 @@ function about(port: Port | undefined): string {
   return `${kind}${port.width === null ? "" : ` × ${port.width}`}${port.unit && ` [${port.unit}]`}`;
 }
 
+/** The destinations of the wires at a part (p:), an input (i:) or an output (o:): into it first, then out of it. */
+export function wiresAt(d: Diagram, id: string): string[] {
+  const name = id.slice(2);
+  if (id.startsWith("o:")) return d.outputs.flatMap(([one, source]) => (one === name && source !== null ? [one] : []));
+  const into = d.connections.filter(([, to]) => id.startsWith("p:") && to.split(".")[0] === name);
+  const all = [...d.connections, ...d.outputs.map(([one, source]) => [source ?? "", one] as const)];
+  const out = all.filter(([source]) => source.split(".")[0] === name);
+  return [...new Set([...into, ...out].map(([, to]) => to))];
+}
+
 export function sourcesOf(d: Diagram, shapes: Shapes): End[] {
   const inputs = tops(d.inputs.map(portOf)).map((name) => ({
     text: name,
