@@ -45,3 +45,10 @@ PromiseFile = Annotated[
     Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
 ]
 PromisePlot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")]
+PageHost = Annotated[
+    str, typer.Option("--host", help="Address to serve the page at; one that others reach needs the token in the link.")
+]
+PageToken = Annotated[
+    bool, typer.Option("--token", help="Let nobody in without the link, other users of this computer too.")
+]
+OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]

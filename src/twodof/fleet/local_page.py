@@ -4,9 +4,10 @@ import asyncio
 import errno
 import socket
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from typing import Self
 
+from twodof.errors import LinkError
 from twodof.fleet.child_output import child_error, indented_lines
 from twodof.fleet.local_fleet import AGAIN_S, MOST_RESTARTS, WITHIN_S, ChildProcess
 
@@ -17,10 +18,11 @@ ANSWER_S = 40.0
 
 
 class LocalPage:
-    """The server of the page for the drones at `urls`, at `port` of the loopback; for `async with`.
+    """The server of the page for the drones at `urls`, at `port`; for `async with`.
 
     One that ends is started again, with the same port and tokens, so that the links stay. Where it cannot be kept
-    running that is told, and the drones go on without it. `environment` carries the tokens.
+    running that is told, and the drones go on without it. `options` are further ones of
+    `twodof lab`, and `environment` carries the tokens.
     """
 
     def __init__(
@@ -75,17 +77,23 @@ class LocalPage:
             await asyncio.sleep(AGAIN_S)
 
 
-def page_port(wanted: int) -> int:
-    """The port `wanted` of the loopback, or a free one where somebody has it."""
+def page_port(wanted: int, host: str) -> int:
+    """The port `wanted` of the address `host`, or a free one where somebody has it.
+
+    Raises LinkError where nobody can listen there, told before drones are started for it.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in (wanted, 0):
-        with closing(socket.socket()) as probe, suppress(OSError):
+        with closing(socket.socket(family)) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
-                probe.bind(("127.0.0.1", port))
+                probe.bind((host, port))
                 probe.listen(1)
             except OSError as refusal:
-                if refusal.errno != errno.EADDRINUSE:
-                    raise
-                continue
+                if refusal.errno == errno.EADDRINUSE:
+                    continue
+                what = f"cannot listen: {refusal.strerror or refusal}"
+                remedy = "give --host an address of this computer, 127.0.0.1 or 0.0.0.0, and a --page-port from 1024 on"
+                raise LinkError(what, f"http://{host}:{port}", remedy) from refusal
             return int(probe.getsockname()[1])
     return wanted

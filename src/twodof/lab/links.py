@@ -33,3 +33,11 @@ def links(settings: LabSettings, port: int) -> dict[str, str]:
     base = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     command = f"?token={settings.command_token}" if settings.command_token else ""
     return {"command": base + command, "watch": f"{base}?token={settings.watch_token}" if settings.watch_token else ""}
+
+
+def who_gets_in(settings: LabSettings) -> str:
+    """What who starts a server is to know of its links, a line; "" where they guard nothing."""
+    if not settings.needs_token:
+        return ""
+    over = " It goes over the network as plain text." if settings.reached else ""
+    return f"Nobody gets in without a link. Whoever has the first one flies the drones.{over}\n"

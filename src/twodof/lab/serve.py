@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import os
 import socket
 from collections.abc import Callable, Iterator
@@ -81,5 +82,8 @@ def _listening(settings: LabSettings) -> socket.socket:
     except OSError as error:
         made.close()
         what = f"cannot listen: {error.strerror or error}"
-        raise LinkError(what, where, "give another --port, or --port 0 for a free one") from error
+        taken = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        other = "give another --port, or --port 0 for a free one"
+        remedy = other if taken else "give --host an address of this computer, such as 127.0.0.1 or 0.0.0.0"
+        raise LinkError(what, where, remedy) from error
     return made

@@ -41,7 +41,7 @@ class LabSettings:
     def __post_init__(self) -> None:
         if self.needs_token and not self.command_token:
             what = "reaches further than this user: a server there needs a token"
-            raise LinkError(what, self.host, "start it by `twodof lab --host`, which makes one")
+            raise LinkError(what, self.host, "start it by `twodof lab --host` or `twodof up --host`, which make one")
 
     @property
     def needs_token(self) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.fleet.drone_numbers import free_numbers
@@ -77,11 +78,11 @@ def program(folder: Path, *arguments: str) -> Iterator[Program]:
         running.close()
 
 
-def status(port: int, path: str, token: str = "") -> int:
-    """Of a GET."""
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+def status(port: int, path: str, token: str = "", host: str = "127.0.0.1", method: str = "GET", **more: str) -> int:
+    """Of a request; `more` are further headers."""
+    connection = http.client.HTTPConnection(host, port, timeout=PATIENCE_S)
     try:
-        connection.request("GET", path, headers={"Authorization": f"Bearer {token}"} if token else {})
+        connection.request(method, path, headers=more | ({"Authorization": f"Bearer {token}"} if token else {}))
         return connection.getresponse().status
     finally:
         connection.close()
@@ -152,6 +153,65 @@ def test_a_port_that_somebody_has_is_said_with_the_remedy(tmp_path: Path, capfd:
     said = capfd.readouterr().err
     assert f"http://127.0.0.1:{port}" in said
     assert "--port 0" in said
+
+
+def opens(url: str, origin: str) -> bool:
+    """Whether a web socket is let in that a page of `origin` asks for."""
+    try:
+        with connect(url, additional_headers={"Origin": origin}) as websocket:
+            return "role" in json.loads(websocket.recv(PATIENCE_S))
+    except (InvalidStatus, ConnectionClosed):
+        return False
+
+
+@pytest.mark.waits
+def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_this_computer(tmp_path: Path) -> None:
+    options = ("--page-port", "0", "--rings", "--host", "0.0.0.0")
+    with free_numbers(1) as first, program(tmp_path, "up", "--json", "--first", str(first + 1), *options) as up:
+        told = up.said()
+        links = {who: urlsplit(link) for who, link in told["page"].items()}
+        tokens = {who: parse_qs(link.query)["token"][0] for who, link in links.items()}
+        port = links["command"].port
+        assert links["command"].hostname == socket.gethostname().lower()
+        assert port is not None
+        number = told["drones"][0]["system"]
+        for host in ("127.0.0.1", "127.0.0.2"):  # any address of this computer
+            assert status(port, "/api/session", host=host) == 401
+            for path in ("/", f"/api/drones/{number}"):
+                for _ in patiently():
+                    if status(port, path, tokens["watch"], host) == 200:
+                        break
+            ours = f"http://{host}:{port}"
+            hold = f"/api/drones/{number}/lease"
+            assert status(port, hold, tokens["watch"], host, "POST") == 403
+            assert status(port, hold, tokens["command"], host, "POST", Origin="http://elsewhere.example") == 403
+            assert status(port, hold, tokens["command"], host, "POST", Origin=ours) == 200
+            assert status(port, "/api/session", tokens["command"], host, Host="elsewhere.example") == 421
+            socket_url = f"ws://{host}:{port}/api/telemetry?token={tokens['watch']}"
+            assert opens(socket_url, ours)
+            assert not opens(socket_url, "http://elsewhere.example")
+        drone = urlsplit(told["drones"][0]["companion"])
+        socket.create_connection((drone.hostname, drone.port), PATIENCE_S).close()
+        with pytest.raises(ConnectionRefusedError):  # a drone's own ports are those of the loopback's one address
+            socket.create_connection(("127.0.0.2", drone.port), PATIENCE_S)
+        assert up.ended() == 0
+        assert not any(token in line for line in up.lines[1:] for token in tokens.values())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--host", "192.0.2.1"), "give --host an address of this computer"),
+        (("--host", "0.0.0.0", "--no-page"), "there is no page with --no-page"),
+        (("--token", "--lockstep"), "there is no page with --no-page"),
+    ],
+)
+def test_up_says_at_once_where_its_page_cannot_be(
+    options: tuple[str, ...], said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with free_numbers(1) as first:
+        assert run(["up", "--first", str(first + 1), *options]) == 2
+    assert said in " ".join(capfd.readouterr().err.split())
 
 
 @pytest.mark.waits

@@ -14,7 +14,7 @@ from twodof.cli.drone.until_told import until_told
 from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json
 from twodof.flight.controller_store import data_folder
-from twodof.lab.links import drawn_tokens, links
+from twodof.lab.links import drawn_tokens, links, who_gets_in
 from twodof.lab.serve import serve
 from twodof.lab.settings import COMMAND_TOKEN, LOOPBACK, PORT, WATCH_TOKEN, LabSettings
 from twodof.link.signing.key import read_key
@@ -28,19 +28,15 @@ def lab(
         list[str] | None,
         typer.Option(metavar="URL", help="A drone; may be repeated. Left out: those of this computer, as they come."),
     ] = None,
-    host: Annotated[
-        str, typer.Option(help="Address to listen at; one that others reach needs the token in the link.")
-    ] = LOOPBACK,
+    host: options.PageHost = LOOPBACK,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: a free one.")] = PORT,
-    token: Annotated[
-        bool, typer.Option("--token", help="Let nobody in without the link, other users of this computer too.")
-    ] = False,
+    token: options.PageToken = False,
     key: options.KeyFile = None,
     logs: Annotated[
         list[Path] | None,
         typer.Option(metavar="FOLDER", exists=True, file_okay=False, help="Show its logs too; may be repeated."),
     ] = None,
-    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    open_page: options.OpenPage = False,
     json: Json = False,
 ) -> None:
     """Serve the page in which drones are flown, tuned and identified; say its link; run until Ctrl-C.
@@ -76,8 +72,5 @@ def say(settings: LabSettings, port: int, json: bool) -> None:
         print_json({"port": port, "page": found}, indent=None)
         return
     sys.stdout.write(f"listening on http://{settings.host}:{port}\nthe page         {found['command']}\n")
-    sys.stdout.write(f"only to watch    {found['watch']}\n")
-    if settings.needs_token:
-        over = " It goes over the network as plain text." if settings.reached else ""
-        sys.stdout.write(f"Whoever has the first link flies the drones.{over}\n")
+    sys.stdout.write(f"only to watch    {found['watch']}\n{who_gets_in(settings)}")
     sys.stdout.flush()

@@ -1,6 +1,7 @@
 """`twodof up`: virtual drones with flight controller and companion each, and a page for all, until Ctrl-C."""
 
 import asyncio
+import os
 import sys
 import webbrowser
 from collections.abc import AsyncIterator, Mapping
@@ -23,8 +24,8 @@ from twodof.fleet.local_page import LocalPage
 from twodof.fleet.local_page import page_port as page_port_of
 from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
 from twodof.flight.controller_store import data_folder
-from twodof.lab.links import drawn_tokens, links
-from twodof.lab.settings import LOOPBACK, PORT, WATCH_TOKEN, LabSettings
+from twodof.lab.links import drawn_tokens, links, who_gets_in
+from twodof.lab.settings import COMMAND_TOKEN, LOOPBACK, PORT, WATCH_TOKEN, LabSettings
 from twodof.link.signing.key import read_key
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -65,19 +66,27 @@ def up(
     page_port: Annotated[
         int, typer.Option(min=0, max=65535, help="TCP port of the page; a free one where somebody has it.")
     ] = PORT,
-    open_page: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    host: options.PageHost = LOOPBACK,
+    token: options.PageToken = False,
+    open_page: options.OpenPage = False,
     json: Json = False,
 ) -> None:
     """Start virtual drones, each with its flight controller and companion; say where to connect; run until Ctrl-C.
 
-    With them it serves the page in which they are flown, to this computer only. A program that ends is started again
-    up to three times a minute, and its drone then stands disarmed at its start. After that all end but the page.
+    With them it serves the page in which they are flown. Only this computer reaches it, unless --host says otherwise:
+    then only who has the link. The drones' own ports are those of this computer only. A program that ends is started
+    again up to three times a minute, and its drone then stands disarmed at its start. After that all end but the page.
     With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
     that before all answered, 1 a program could not be kept running, 2 one did not start.
     """
     index = first - 1
     if index + drones > MOST_DRONES:
         raise typer.BadParameter(f"drones have the numbers 1 to {MOST_DRONES}", param_hint="--first, --drones")
+    paged = page and not lockstep
+    if (host != LOOPBACK or token) and not paged:
+        raise typer.BadParameter(
+            "there is no page with --no-page or --lockstep", param_hint="--token" if host == LOOPBACK else "--host"
+        )
     known = None if key is None else read_key(key)
     check_ports_free(index, drones)
     given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
@@ -96,16 +105,21 @@ def up(
         for number in range(drones)
     ]
     fleet = LocalFleet(places, given, known, _tell)
-    served = _served(places, key, page_port_of(page_port)) if page and not lockstep else None
+    served = _served(places, key, host, page_port_of(page_port, host), token) if paged else None
     raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json, served, open_page)))
 
 
-def _served(places: list[LocalDrone], key: Path | None, port: int) -> tuple[LocalPage, LabSettings]:
-    """The server of the page of these drones, and what it is told."""
-    settings = LabSettings(data_folder(), port=port, key=key, watch_token=drawn_tokens(LOOPBACK).watch)
+def _served(
+    places: list[LocalDrone], key: Path | None, host: str, port: int, token: bool
+) -> tuple[LocalPage, LabSettings]:
+    """The server of the page of these drones, and what it is told. The tokens go there by its environment."""
+    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
+    settings = LabSettings(data_folder(), host, port, (), key, tokens.command, tokens.watch, token_always=token)
     urls = [str(place.described(False)["drone"]) for place in places]
-    options = [] if key is None else ["--key", str(key.absolute())]
-    return LocalPage(urls, port, options, {WATCH_TOKEN: settings.watch_token}, _tell), settings
+    options = ["--host", host, *(["--token"] if token else [])]
+    options += [] if key is None else ["--key", str(key.absolute())]
+    environment = {COMMAND_TOKEN: tokens.command, WATCH_TOKEN: tokens.watch}
+    return LocalPage(urls, port, options, environment, _tell), settings
 
 
 @asynccontextmanager
@@ -143,7 +157,7 @@ async def _run(
                 await fleet.start()
                 all_up = True
                 found = await _links(served)
-                say(places, lockstep, json, fleet.reports, found)
+                say(places, lockstep, json, fleet.reports, found, "" if served is None else who_gets_in(served[1]))
                 if open_page and found is not None:
                     await asyncio.to_thread(webbrowser.open, found["command"])
                 await fleet.run()
@@ -171,14 +185,15 @@ def say(
     json: bool,
     flown: Mapping[int, ControllerReport] = NOTHING_KNOWN,
     page: Mapping[str, str] | None = None,
+    who: str = "",
 ) -> None:
-    """Say where the drones are, and where their `page` is: to people, or as one line of JSON."""
+    """Say where the drones are, where their `page` is and `who` gets in there: to people, or as one line of JSON."""
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
     if json:
         print_json({"drones": rows, "lockstep": lockstep, "page": page}, indent=None)
         return
     if page is not None:
-        sys.stdout.write(f"the page         {page['command']}\n  only to watch  {page['watch']}\n")
+        sys.stdout.write(f"the page         {page['command']}\n  only to watch  {page['watch']}\n{who}")
     for row in rows:
         key = f', key="{row["key"]}"' if row["key"] else ""
         what = controller_in_words(row["controller"], row["changed"])
