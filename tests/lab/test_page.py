@@ -25,4 +25,8 @@ def test_a_page_that_is_not_built_says_how_and_is_there_once_it_is(tmp_path: Pat
         for outside in ("/../secret", "/%2e%2e/secret", "/assets/..%2f..%2fsecret", "//secret"):
             assert server.ask("GET", outside).status == 404, outside
         assert server.ask("GET", "/api/nothing").json["what"] == "there is no such page or route"
-        assert server.ask("POST", "/").status == 405
+        for path, allowed in (("/", "GET, HEAD"), ("/api/drones", "GET"), ("/api/models/some", "DELETE, GET, PUT")):
+            for method in ("TRACE", "PATCH"):
+                got = server.ask(method, path)
+                assert (got.status, got.headers.get("allow")) == (405, allowed), (method, path)
+        assert server.ask("TRACE", "/api/nothing").status == 404

@@ -164,6 +164,12 @@ class TestGuard:
         assert told["figures"]["rise_time"]["low"] <= told["figures"]["rise_time"]["high"]
         assert "RATE_KP" in told["parameters"]
 
+    @pytest.mark.parametrize("asked", [{"changes": {"RATE_KP": True}}, {"changes": {}, "goal": "0.1"}])
+    def test_only_a_number_is_previewed_as_a_number(self, lab: ServedLab, asked: dict[str, object]) -> None:
+        status, told = lab.call("POST", "tuning/1/preview", asked)
+        assert status == 422, told
+        assert "valid number" in told["what"]
+
     def test_a_watcher_may_preview_and_not_change(self, lab: ServedLab) -> None:
         watcher = replace(lab, token="only-to-look")
         assert watcher.call("GET", "tuning/1")[0] == 200

@@ -80,6 +80,7 @@ def create_app(settings: LabSettings) -> FastAPI:
     for router in ROUTERS:
         app.include_router(router)
     refusals.install(app)
-    serve_page(app, settings.page)
-    app.add_middleware(Gate, settings=settings, routes=RouteTable(ROUTERS))
+    routes = RouteTable(ROUTERS)
+    serve_page(app, settings.page, routes)
+    app.add_middleware(Gate, settings=settings, routes=routes)
     return app

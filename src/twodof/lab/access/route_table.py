@@ -30,6 +30,11 @@ class RouteTable:
         """The function that serves a request; None where none does."""
         return next((route.endpoint for route in self._routes if route.matches(scope)[0] is Match.FULL), None)
 
+    def methods(self, scope: Scope) -> list[str]:
+        """The methods that the path of a request takes, sorted; none where there is no such path."""
+        routes = [route for route in self._routes if route.matches(scope)[0] is not Match.NONE]
+        return sorted({method for route in routes if isinstance(route, APIRoute) for method in route.methods or ()})
+
     def rows(self) -> Iterator[RouteRow]:
         """Every route of the API, a row for each method."""
         for route in self._routes:

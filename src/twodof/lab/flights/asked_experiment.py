@@ -5,24 +5,24 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof.excitation import KINDS, LIMITS
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, UNIT, Experiment, experiment
 from twodof.identify.experiments import KINDS as IDENTIFIED
 from twodof.identify.from_flight.ready_made import FLOWN_AS
+from twodof.lab.request_body import RequestBody
 from twodof.lab.routes.commands import excitation_of
 
 Seconds = Annotated[float, Field(ge=0.0, le=600.0, allow_inf_nan=False)]
 
 
-class AskedExperiment(BaseModel):
+class AskedExperiment(RequestBody):
     """The ready-made experiment that is flown; what is given beside its name takes the place of its own.
 
     `excitation` is as the reference describes it, in the unit of the experiment's loop. `thrust` is 0 to 1; times [s].
     """
 
-    model_config = ConfigDict(extra="forbid")
     name: Annotated[str, Field(max_length=60)]
     excitation: dict[str, Any] | None = None
     thrust: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None = None

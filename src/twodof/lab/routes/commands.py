@@ -5,55 +5,49 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Body
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof.errors import ExperimentError
 from twodof.excitation import Excitation, Multisine, from_dict
 from twodof.lab.access import stops
 from twodof.lab.access.lab_client import CurrentClient
 from twodof.lab.current_lab import CurrentLab
+from twodof.lab.request_body import Finite, RequestBody
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api", tags=["commands"])
-STRICT = ConfigDict(extra="forbid", strict=True)
-"""Nothing that commands is read into a word or a truth value: a pitch of `false` is a mistake, and not 0 rad."""
-Finite = Annotated[float, Field(allow_inf_nan=False)]
 
 
-class AskedMode(BaseModel):
+class AskedMode(RequestBody):
     """A mode by its name."""
 
-    model_config = STRICT
     mode: Literal["manual", "rate", "attitude", "position", "hold", "offboard"]
 
 
-class AskedReset(BaseModel):
+class AskedReset(RequestBody):
     """How a virtual drone begins anew: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
-    model_config = STRICT
     seed: int = Field(default=1, ge=0, lt=2**32)
     x: float = Field(default=0.0, ge=-0.5, le=0.5, allow_inf_nan=False)
     noise: float = Field(default=1.0, ge=0.0, le=100.0, allow_inf_nan=False)
     rings: bool = False
 
 
-class AskedSetpoint(BaseModel):
+class AskedSetpoint(RequestBody):
     """What a loop is to follow, in SI units and rad: theta [rad], q [rad/s], M [-1 to 1], v [m/s], x [m].
 
     `thrust` is 0 to 1, for theta, q and M; without it, it stays. `acceleration` [m/s^2] is fed forward, for v and x.
     """
 
-    model_config = STRICT
     loop: Literal["theta", "q", "M", "v", "x"]
     value: Finite
     thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)
     acceleration: Finite | None = None
 
 
-class AskedExcitation(BaseModel):
+class AskedExcitation(RequestBody):
     """An excitation as `excitation` in the reference describes it, the loop it is added to, the thrust meanwhile."""
 
-    model_config = STRICT
     excitation: dict[str, Any]
     loop: Literal["theta", "q", "M", "v", "x"] | None = None
     thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)

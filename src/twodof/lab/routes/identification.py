@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof.errors import ParameterError, Rejected, listed, shown
 from twodof.identify.experiments import KINDS
@@ -20,46 +20,44 @@ from twodof.lab.flights.asked_experiment import AskedExperiment, offered
 from twodof.lab.flights.flying import fly_experiment
 from twodof.lab.flights.identifying import identify, plan
 from twodof.lab.jobs.job import Job
+from twodof.lab.request_body import Finite, RequestBody
 
 router = APIRouter(prefix="/api/identification", tags=["identification"])
 LogName = Annotated[str, Field(min_length=1, max_length=160)]
-Second = Annotated[float, Field(ge=0.0, le=1e6, allow_inf_nan=False)]
+Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
-class AskedPlan(BaseModel):
+class AskedPlan(RequestBody):
     """An experiment, and the drone that would fly it; `rehearse`: with noise and gusts, and a fit of that."""
 
-    model_config = ConfigDict(extra="forbid")
     experiment: AskedExperiment
     drone: DroneNumber | None = None
     model: Annotated[str, Field(max_length=60)] | None = None
     rehearse: bool = False
 
 
-class AskedFlight(BaseModel):
+class AskedFlight(RequestBody):
     """An experiment, and the drone that flies it; `seed` is that of a virtual rig's noise."""
 
-    model_config = ConfigDict(extra="forbid")
     experiment: AskedExperiment
     drone: DroneNumber
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 1
 
 
-class AskedFit(BaseModel):
+class AskedFit(RequestBody):
     """The log that is identified from, by its name among the flights.
 
     `kind` is what it holds; left out, it is what the log says or looks like. `impulse` is a free response, from which
     a doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
     """
 
-    model_config = ConfigDict(extra="forbid")
     log: LogName
     kind: Annotated[str, Field(max_length=40)] | None = None
     structure: Annotated[str, Field(max_length=40)] = AUTO
     impulse: LogName | None = None
-    others: Annotated[list[LogName], Field(max_length=8)] = []
-    window: tuple[Second, Second] | None = None
+    others: Annotated[list[LogName], Field(max_length=8)] = Field(default_factory=list)
+    window: Annotated[tuple[Second, Second], Field(strict=False)] | None = None  # JSON has no tuples
     disturbance: Literal["auto", "white", "ar", "input"] = "auto"
 
 

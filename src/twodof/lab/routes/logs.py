@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import FileResponse, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 from starlette.background import BackgroundTask
 
 from twodof.errors import LogError, RecordingError, Rejected, TwodofError
@@ -26,6 +26,7 @@ from twodof.lab.logbook import log_work
 from twodof.lab.logbook.log_folder import MOST_NOTES
 from twodof.lab.logbook.log_summary import summary as log_summary
 from twodof.lab.logbook.log_trash import KEPT_DAYS
+from twodof.lab.request_body import RequestBody
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
 
 router = APIRouter(prefix="/api/logs", tags=["logs"])
@@ -38,10 +39,9 @@ Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
 _RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
 
 
-class LogNotes(BaseModel):
+class LogNotes(RequestBody):
     """What is noted about a log."""
 
-    model_config = ConfigDict(extra="forbid")
     text: str = Field(max_length=MOST_NOTES)
 
 

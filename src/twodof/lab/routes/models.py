@@ -6,32 +6,31 @@ import math
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof.errors import Rejected
 from twodof.lab.access import takes
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.flights.designing import design
 from twodof.lab.models.model_folder import MAX_BYTES
+from twodof.lab.request_body import RequestBody
 
 router = APIRouter(prefix="/api/models", tags=["models"])
 ModelName = Annotated[str, Path(min_length=1, max_length=60, description="What the model was called when it was kept.")]
 Name = Annotated[str, Field(min_length=1, max_length=60)]
 
 
-class AskedKeeping(BaseModel):
+class AskedKeeping(RequestBody):
     """The job of a fit whose model is kept, and what it is to be called."""
 
-    model_config = ConfigDict(extra="forbid")
     job: Annotated[str, Field(max_length=40)]
     name: Name
     overwrite: bool = False
 
 
-class AskedController(BaseModel):
+class AskedController(RequestBody):
     """What is designed: crossover of the rate loop [rad/s], its phase margin [rad], the method; the diagram's name."""
 
-    model_config = ConfigDict(extra="forbid")
     name: Name
     crossover: Annotated[float, Field(ge=1.0, le=120.0, allow_inf_nan=False)] = 20.0
     phase_margin: Annotated[float, Field(gt=0.0, lt=math.pi / 2, allow_inf_nan=False)] | None = None

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof import __version__
 from twodof.gcs.async_drone import AsyncDrone
@@ -16,6 +16,7 @@ from twodof.gcs.control.snapshots import Snapshots
 from twodof.lab.access import computes, takes
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.refusals import NotThere
+from twodof.lab.request_body import RequestBody
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api/drones/{number}/parameters", tags=["parameters"])
@@ -23,10 +24,9 @@ SnapshotName = Annotated[str, Path(min_length=1, max_length=60, description="Wha
 TEXT = "text/plain; charset=utf-8"
 
 
-class AskedSnapshot(BaseModel):
+class AskedSnapshot(RequestBody):
     """What a snapshot is to be called."""
 
-    model_config = ConfigDict(extra="forbid")
     name: Annotated[str, Field(min_length=1, max_length=60)]
     note: Annotated[str, Field(max_length=200)] = ""
     overwrite: bool = False

@@ -10,11 +10,12 @@ from pydantic import Field
 from twodof.gcs.control.parameter_entry import BY_NAME, INT32, ParameterEntry, same_as
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.drones.parameter_table import SentChange
+from twodof.lab.request_body import Finite
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api/drones/{number}/parameters", tags=["parameters"])
 Changes = Annotated[
-    dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(strict=True, allow_inf_nan=False)]],
+    dict[Annotated[str, Field(max_length=200)], Finite],
     Body(min_length=1, max_length=200, description="New values by name, in the unit of each."),
 ]
 

@@ -6,13 +6,14 @@ import math
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Body
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from twodof.errors import DiagramError, LogError, Rejected, Timeout
 from twodof.lab.access import computes
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.models.measured_steps import measured_steps
 from twodof.lab.refusals import NotThere
+from twodof.lab.request_body import Finite, RequestBody
 from twodof.lab.routes.drones import Number
 
 router = APIRouter(prefix="/api/tuning", tags=["tuning"])
@@ -20,21 +21,21 @@ READING_S = 30.0
 """What reading a log may take."""
 ModelName = Annotated[str, Field(min_length=1, max_length=60)]
 
+StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
+USUAL_STEP = math.radians(10.0)
 
-class AskedModel(BaseModel):
+
+class AskedModel(RequestBody):
     """A model by its name; null for none."""
 
     model: ModelName | None
 
 
-class AskedChanges(BaseModel):
+class AskedChanges(RequestBody):
     """Changed parameters by name, and the step of theta [rad] to be shown. `model` left out: the one that guards."""
 
-    model_config = ConfigDict(extra="forbid")
-    changes: dict[Annotated[str, Field(max_length=200)], Annotated[float, Field(allow_inf_nan=False)]] = Field(
-        default_factory=dict, max_length=200
-    )
-    goal: Annotated[float, Field(ge=0.001, le=0.8, allow_inf_nan=False)] = math.radians(10.0)
+    changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
+    goal: StepSize = USUAL_STEP
     model: ModelName | None = None
 
 
@@ -83,7 +84,7 @@ async def measured(
     lab: CurrentLab,
     number: Number,
     log: Annotated[str, Body(min_length=1, max_length=200)],
-    goal: Annotated[float, Body(ge=0.001, le=0.8, allow_inf_nan=False)] = math.radians(10.0),
+    goal: Annotated[StepSize, Body()] = USUAL_STEP,
 ) -> dict[str, Any]:
     """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
 

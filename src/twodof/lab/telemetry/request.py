@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
 from twodof.errors import LogError, listed, nearest
+from twodof.lab.request_body import RequestBody
 from twodof.lab.telemetry.tick_rows import COLUMNS
 
 LONGEST = 8192
@@ -19,10 +20,9 @@ class MalformedRequest(Exception):
     """What a client sent is not a message: it is not JSON, too long, or not of a known form."""
 
 
-class Subscribe(BaseModel):
+class Subscribe(RequestBody):
     """Rows of these columns of a drone, at most `rate` a second; `id` names them in the binary messages."""
 
-    model_config = ConfigDict(extra="forbid")
     do: Literal["subscribe"]
     id: int = Field(ge=0, lt=2**16)
     drone: int = Field(ge=1, le=255)
@@ -37,18 +37,16 @@ class Subscribe(BaseModel):
         return tuple(self.columns)
 
 
-class Unsubscribe(BaseModel):
+class Unsubscribe(RequestBody):
     """No more rows of that `id`."""
 
-    model_config = ConfigDict(extra="forbid")
     do: Literal["unsubscribe"]
     id: int = Field(ge=0, lt=2**16)
 
 
-class Here(BaseModel):
+class Here(RequestBody):
     """The answer to `alive`: its program runs, not only its socket."""
 
-    model_config = ConfigDict(extra="forbid")
     do: Literal["here"]
 
 
