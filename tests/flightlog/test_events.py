@@ -11,7 +11,7 @@ from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.excitation import Doublet, Excitation, Impulse, Prbs, Steps, Sweep, ThreeTwoOneOne
 from twodof.flightlog.contents import describe, excitations, find_excitation
-from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, thrust_edges, window
+from twodof.flightlog.events import mode_at, modes, openloop_edges, setpoint_steps, steps_by, thrust_edges, window
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.steps import SAFETY
@@ -29,6 +29,9 @@ def test_synthetic_events() -> None:
     assert [(event.before, event.after) for event in steps] == [(0.0, 0.1), (0.1, 0.0)]
     assert setpoint_steps(log, "theta0", minimum=0.1) == []
     assert setpoint_steps(log, "q0") == []
+    assert steps_by(log, "theta0", 0.104, 0.9) == steps, "up and down, within 5 %"
+    assert steps_by(log, "theta0", 0.1, 1.1) == steps[1:], "the first is followed for 1 s"
+    assert steps_by(log, "theta0", 0.11, 0.9) == steps_by(log, "q0", 0.1, 0.0) == []
     assert openloop_edges(log) == []
     assert window(log, steps) == pytest.approx((101.7, log.armed()[0][1]), abs=SAMPLE)
     with pytest.raises(LogError, match="no event"):

@@ -85,6 +85,20 @@ def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: floa
     ]
 
 
+def steps_by(log: FlightLog, name: str, size: float, lasting: float, tolerance: float = 0.05) -> list[Event]:
+    """The steps of a set-point by `size`, up or down, that are followed for `lasting` [s] before the next one.
+
+    `tolerance` is of the size, as a share of it. Raises LogError.
+    """
+    steps = setpoint_steps(log, name)
+    ends = [*(step.time for step in steps[1:]), float(log[name].time[-1])] if steps else []
+    return [
+        step
+        for step, end in zip(steps, ends, strict=True)
+        if abs(abs(step.after - step.before) - size) <= tolerance * size and end - step.time >= lasting
+    ]
+
+
 def openloop_edges(log: FlightLog) -> list[Event]:
     """Where the open-loop message opened or closed the loop, or changed M or T while it was open.
 

@@ -15,7 +15,7 @@ from twodof.design.uncertain.step_bands import step_bands
 from twodof.design.uncertain.step_statistics import FIGURES, TRIM, interval, step_statistics
 from twodof.design.uncertain.verdict import Measured, Verdict
 from twodof.errors import ParameterError, shown
-from twodof.flightlog.events import setpoint_steps
+from twodof.flightlog.events import steps_by
 from twodof.flightlog.log import FlightLog
 from twodof.signals import PERIOD
 
@@ -34,7 +34,6 @@ _THETA_LATER = 0.25 * PERIOD
 """A log stamps the theta of a step a third of a millisecond after the step's M: a sample held there is one step old."""
 
 _LEAST_MEMBERS, _MOST_MEMBERS = 40, 20_000
-_SIZE_TOLERANCE = 0.05  # of a step in a log, to be one of those that were promised
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,16 +119,10 @@ class Promise:
         Each is turned and moved as if it went up from 0; M is about its mean of the half second before. Raises
         ParameterError where there is none of that size, LogError where channels are missing.
         """
-        found = []
-        steps = setpoint_steps(log, "theta0")
-        flown, end = log["theta0"], self.time[-1]
+        end, found = self.time[-1], []
         grid = np.asarray(np.arange(-TRIM, len(self.time)) * PERIOD, dtype=np.float64)
-        for k, step in enumerate(steps):
-            until = steps[k + 1].time if k + 1 < len(steps) else float(flown.time[-1])
-            size = step.after - step.before
-            if abs(abs(size) - self.goal) > _SIZE_TOLERANCE * self.goal or until - step.time < end:
-                continue
-            sign, at = math.copysign(1.0, size), grid + step.time
+        for step in steps_by(log, "theta0", self.goal, end):
+            sign, at = math.copysign(1.0, step.after - step.before), grid + step.time
             got = {
                 name: sign * log.resample(name, at + (_THETA_LATER if name == "theta" else 0.0)) for name in CHANNELS
             }

@@ -15,7 +15,7 @@ from twodof.design.uncertain.step_statistics import interval, step_statistics
 from twodof.design.uncertain.verdict import Measured, Verdict
 from twodof.errors import ParameterError, shown
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flightlog.events import setpoint_steps
+from twodof.flightlog.events import steps_by
 from twodof.flightlog.log import FlightLog
 from twodof.signals import PERIOD
 from twodof.sim.promised.lanes_flight import BEFORE, fly_lanes
@@ -46,7 +46,6 @@ FIGURES: Mapping[str, tuple[float, str]] = MappingProxyType(
 
 _NAMES = {"peak_q": "peak_theta", "peak_M": "rail_use"}
 _LEAST_MEMBERS, _MOST_MEMBERS = 40, 2000
-_SIZE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +100,10 @@ class RailPromise:
         ParameterError where there is none of that size, LogError where channels are missing.
         """
         name = STEPS[self.loop][0]
-        steps, end, found = setpoint_steps(log, name), self.time[-1], []
+        end, found = self.time[-1], []
         grid = np.asarray(np.arange(-BEFORE, len(self.time)) * PERIOD, dtype=np.float64)
-        for k, step in enumerate(steps):
-            until = steps[k + 1].time if k + 1 < len(steps) else float(log[name].time[-1])
-            size = step.after - step.before
-            if abs(abs(size) - self.goal) > _SIZE_TOLERANCE * self.goal or until - step.time < end:
-                continue
-            sign = math.copysign(1.0, size)
+        for step in steps_by(log, name, self.goal, end):
+            sign = math.copysign(1.0, step.after - step.before)
             flown = {channel: sign * log.resample(channel, grid + step.time) for channel in CHANNELS}
             flown["v"] -= sign * step.before if self.loop == "velocity" else 0.0
             flown["x"] -= float(flown["x"][:BEFORE].mean())
