@@ -114,14 +114,16 @@ def _on_other_rails(case: Case) -> Case:
 
 
 def _pitch(flown: Experiment, rig: Mapping[str, float]) -> Case:
-    """On `lab` a long flight is fitted with the cart; the gust of a short one is found with one input only.
+    """On `lab` a flight in closed loop is fitted with the cart; the gust of another is found with one input only.
 
-    On a rig with no more than the paper's model the poles are held in a closed loop, where they cannot be told.
+    What the logs tell of the poles is known to all but the shortest flights, which last less than a swing. On a rig
+    with no more than the paper's model the poles are held in a closed loop, where they cannot be told.
     """
     closed = flown.mode != "open-loop"
+    if rig["lag"] > 0.0 and not closed:
+        short = flown.excitation.duration < LONG * PERIOD
+        return Case(flown.name, flown, pitch_rate(lag=True), PITCH, prior={} if short else POLES_BEFORE)
     if rig["lag"] > 0.0:
-        if flown.excitation.duration < LONG * PERIOD:
-            return Case(flown.name, flown, pitch_rate(lag=True), PITCH)
         cart = {**cart_parameters(rig), "play": rig["ring_play"]}
         return Case(flown.name, flown, pitch_on_cart(), PITCH, values=cart, prior={**POLES_BEFORE, **FRICTION_BEFORE})
     structure = pitch_rate()

@@ -3,7 +3,8 @@
 A REPORT is what `python -m pytest -n 2 --junitxml=REPORT` wrote on a quiet machine. The first is of every test. What
 several tests share counts for the first of them, so a second one is of those that are left (`--brief`): the larger time
 of a test counts. A room of tests whose files are all slow keeps its cheapest one, if that takes no more than twice what
-is allowed. No test of the page is long: the processor time of a browser counts for the test that ends it.
+is allowed. The processor time of a browser counts for the test that ends it. So each file that drives the page is slow.
+None of tests/web is long: `make test` shows that the page works.
 """
 
 import argparse
@@ -36,12 +37,17 @@ def slow(times: Mapping[PurePosixPath, float]) -> list[PurePosixPath]:
     rooms: dict[str, list[PurePosixPath]] = defaultdict(list)
     for file in times:
         rooms[file.parts[1]].append(file)
-    found = {file for file, seconds in times.items() if seconds > QUICK_S}
+    found = {file for file, seconds in times.items() if seconds > QUICK_S or drives_page(file)}
     for room, files in rooms.items():
         if (PROJECT / "tests" / room).is_dir() and found.issuperset(files):
             cheapest = min(files, key=times.__getitem__)
             found -= {cheapest} if times[cheapest] < 2.0 * QUICK_S else set()
     return sorted(found, key=lambda file: file.as_posix())
+
+
+def drives_page(file: PurePosixPath) -> bool:
+    """Whether a file of tests opens the page in a browser."""
+    return "open_page" in (PROJECT / file).read_text(encoding="utf-8")
 
 
 def write(path: Path, rows: Iterator[str]) -> None:
