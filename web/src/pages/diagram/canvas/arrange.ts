@@ -45,7 +45,7 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
   const border = (id: string, layer: string): ElkNode => ({
     id,
     width: 40,
-    height: 24,
+    height: 20,
     layoutOptions: { "elk.layered.layering.layerConstraint": layer },
   });
   children.push(

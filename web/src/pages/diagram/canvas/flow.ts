@@ -36,7 +36,7 @@ export interface Marks {
   readonly scoped: ReadonlyMap<string, string>;
 }
 
-export const TERMINAL_HEIGHT = 24;
+const TERMINAL_HEIGHT = 20; // its middle is on the grid, as the ports of blocks are: wires between them are straight
 const GAP = 60;
 const HANDLE = 7; // the dot of a port
 const SLICE_MS = 6; // of a frame, for the bends of wires

@@ -1,5 +1,6 @@
 // The keys of the sheet. All that a mouse does can be done with them; the dialog of `?` lists them.
 import { act, described } from "../actions.svelte";
+import { toast } from "../../../state/toasts.svelte";
 import { editor } from "../editor.svelte";
 import { looseEnd } from "../insert.svelte";
 import { next, towards, type Direction } from "./neighbours";
@@ -34,6 +35,11 @@ export const KEYS: readonly (readonly [keys: string, does: string])[] = [
   ["?", "show these keys"],
 ];
 
+const NOT_COMMENTED = [
+  "A block is not commented out: what reads it would have no source",
+  "info",
+  "delete it (Del); Ctrl+Z brings it back",
+] as const;
 const STEP = 10;
 const LONG_STEP = 50;
 const ARROWS: Readonly<Record<Direction, readonly [number, number]>> = {
@@ -67,6 +73,7 @@ function withControl(event: KeyboardEvent, nodes: readonly SheetNode[], from: Sh
     go(from === undefined ? next(nodes, undefined, 1) : towards(nodes, from, event.key as Direction));
     return true;
   }
+  if (event.shiftKey) return withShift(event.key.toLowerCase());
   switch (event.key.toLowerCase()) {
     case "a":
       editor.select(nodes.filter((node) => node.id.startsWith("p:")).map((node) => node.id));
@@ -88,11 +95,18 @@ function withControl(event: KeyboardEvent, nodes: readonly SheetNode[], from: Sh
       act.group();
       return true;
     case "i":
-      if (event.shiftKey) return false; // the browser's own tools
       act.flip();
       return true;
   }
   return false; // undo, redo and save are the page's, wherever the focus is
+}
+
+/** What Simulink does with Ctrl and Shift; all else is the browser's. */
+function withShift(key: string): boolean {
+  if (key === "a") void act.arrange();
+  else if (key === "x" || key === "y") toast(...NOT_COMMENTED);
+  else return false;
+  return true;
 }
 
 function plain(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNode | undefined): boolean {
