@@ -3,12 +3,18 @@ import { linkTo, type Route } from "../../app/read_route";
 
 export type Asked = { readonly file: string } | { readonly starter: string };
 
-/** What is to be opened where `file` is open ("": one that was not kept yet); undefined where that is it. */
-export function askedBy(route: Route, file: string): Asked | undefined {
+/** What is open: the name it is kept under, else the starter that it was; "" for what it is not. */
+export interface Opened {
+  readonly file: string;
+  readonly starter: string;
+}
+
+/** What is to be opened; undefined where that is open. */
+export function askedBy(route: Route, { file, starter }: Opened): Asked | undefined {
   const [name] = route.parts;
-  const starter = route.query.get("starter");
+  const begun = route.query.get("starter");
   if (name !== undefined) return name === file ? undefined : { file: name };
-  return starter === null ? undefined : { starter };
+  return begun === null || begun === starter ? undefined : { starter: begun };
 }
 
 export function nameOf(asked: Asked): string {
@@ -16,7 +22,8 @@ export function nameOf(asked: Asked): string {
 }
 
 /** The address of what is open; what it says beside that, such as the drone, stays. */
-export function addressOf(file: string, { query }: Route): string {
+export function addressOf({ file, starter }: Opened, { query }: Route): string {
   const others = [...query].filter(([key]) => key !== "starter");
-  return linkTo("diagram", file === "" ? [] : [file], Object.fromEntries(others));
+  const said = starter === "" ? others : [...others, ["starter", starter]];
+  return linkTo("diagram", file === "" ? [] : [file], Object.fromEntries(said));
 }

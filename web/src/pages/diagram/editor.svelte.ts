@@ -1,6 +1,7 @@
 // The editor: which diagram is open, where in it one is, what is selected, what was done. All edits go through `apply`.
 import * as api from "../../api/diagrams";
 import { toastError } from "../../state/toasts.svelte";
+import type { Opened } from "./address";
 import { presumed } from "./canvas/arrange";
 import { diagramAt, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
 import { edited, EditFault, settled } from "./model/edits";
@@ -34,6 +35,8 @@ class Editor {
   catalogue = $state.raw<api.Catalogue | undefined>(undefined);
   /** The name it is kept under; "" for one that was not kept yet. */
   file = $state("");
+  /** The starter diagram that it was when it was opened; "" for one that is kept, or from elsewhere. */
+  starter = $state("");
   saved = $state.raw<Diagram>(EMPTY);
   /** Counts the diagrams that were opened. */
   opened = $state(0);
@@ -64,7 +67,7 @@ class Editor {
   }
 
   /** Opens a diagram's text as Python keeps it. Raises JsonFault or DiagramFault. */
-  async open(text: string, file: string): Promise<void> {
+  async open(text: string, { file, starter }: Opened): Promise<void> {
     const read = readDiagram(text);
     await this.learn(read);
     const diagram = await presumed(read, this.shapes);
@@ -72,6 +75,7 @@ class Editor {
     this.path = [];
     this.selected = new Set();
     this.file = file;
+    this.starter = starter;
     this.history.clear();
     this.opened++;
     this.look();
