@@ -149,6 +149,22 @@ def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
             break
 
 
+def test_a_log_that_is_sent_says_how_far_it_is_and_is_cancelled(
+    logs_server: Served, flights: Path, open_page: OpenPage
+) -> None:
+    page = open_page(link(logs_server))
+    page.route("**/api/logs/cancelled.mcap", lambda route: None)  # on its way for ever
+    content = (flights / "flights" / FIRST).read_bytes()
+    page.get_by_label("A log file").set_input_files(
+        {"name": "cancelled.mcap", "mimeType": "application/octet-stream", "buffer": content}
+    )
+    expect(page.get_by_role("progressbar", name="Sending cancelled.mcap")).to_be_visible()
+    expect(page.get_by_role("button", name="Open a file")).to_be_disabled()
+    page.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_text("cancelled.mcap is not added")).to_be_visible()
+    expect(page.get_by_role("button", name="Open a file")).to_be_enabled()
+
+
 def test_what_is_no_log_is_refused_where_it_was_dropped(
     logs_server: Served, open_page: OpenPage, tmp_path: Path
 ) -> None:
@@ -168,6 +184,8 @@ def test_a_damaged_log_says_why_it_cannot_be_read_and_can_be_deleted(
     alert = page.locator("main").get_by_role("alert")
     expect(alert).to_contain_text(f"{damaged.name} cannot be read")
     expect(alert).not_to_contain_text(str(flights))
+    expect(page.get_by_role("button", name="Download as")).to_have_count(1)
+    expect(page.get_by_role("button", name="Download as .mcap")).to_be_enabled()
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(page.get_by_text(f"{damaged.name} is deleted")).to_be_visible()
     assert not damaged.exists()

@@ -260,6 +260,11 @@ def test_what_cannot_be_read_says_so_and_harms_no_other(server: Served) -> None:
         assert (got.status, "span" in got.json) == (200, False)
         assert "twodof log recover damaged.ulg" in got.json["unreadable"]
         assert str(server.folder) not in got.content.decode()
+    # What can be had of it is the file as it is.
+    assert server.ask("GET", "/api/logs/damaged.ulg").json["formats"] == ["ulg"]
+    assert server.ask("GET", "/api/logs/damaged.ulg/file?form=ulg").status == 200
+    assert server.ask("GET", "/api/logs/damaged.ulg/file?form=mat").status == 422
+    assert server.ask("GET", "/api/logs/a.mcap").json["formats"] == ["mcap", "mat", "parquet", "csv", "ulg"]
     refused = server.ask("GET", "/api/logs/damaged.ulg/view")
     assert (refused.status, str(server.folder) in refused.content.decode()) == (422, False)
     gone = server.ask("GET", "/api/logs/deleted-meanwhile.mcap/summary")

@@ -53,16 +53,22 @@ export async function request(
     response = await fetch(apiUrl(path), init);
   } catch (failure) {
     const silent = failure instanceof DOMException && failure.name === "TimeoutError";
-    throw new ApiError(
-      0,
-      silent ? `the server did not answer within ${timeout} s` : "the server is not reached",
-      path,
-      "see that `twodof up` runs",
-    );
+    if (!silent) throw unreached(path);
+    throw new ApiError(0, `the server did not answer within ${timeout} s`, path, "see that `twodof up` runs");
   }
   if (response.ok) return response;
-  const said = (await response.json().catch(() => ({}))) as { what?: string; where?: string; remedy?: string };
-  throw new ApiError(response.status, said.what ?? `the server refuses (${response.status})`, said.where, said.remedy);
+  throw refusal(response.status, await response.json().catch(() => ({})));
+}
+
+/** What the server says in a refusal. */
+export function refusal(status: number, answer: unknown): ApiError {
+  const said = answer as { what?: string; where?: string; remedy?: string };
+  return new ApiError(status, said.what ?? `the server refuses (${status})`, said.where, said.remedy);
+}
+
+/** That it was not reached at all. */
+export function unreached(path: string): ApiError {
+  return new ApiError(0, "the server is not reached", path, "see that `twodof up` runs");
 }
 
 function ended(timeout: number, end: AbortSignal | undefined): AbortSignal {

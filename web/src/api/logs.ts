@@ -1,6 +1,7 @@
 // The logs of the server: the list, what each holds, views of it, and what is done with it.
 
 import { get, request, send } from "./client";
+import { upload } from "./upload";
 
 /** A row of the list. */
 export interface LogRow {
@@ -70,6 +71,8 @@ export interface LogFacts extends LogSummary, LogKept {
 export interface LogKept {
   notes: string;
   ours: boolean;
+  /** In which it can be had as a file. */
+  formats: Format[];
 }
 
 /** A curve; its numbers are little-endian in base 64: float64 times, float32 values. */
@@ -125,10 +128,8 @@ export interface LogReplay {
   columns: Record<string, string>;
 }
 
-export const FORMATS = ["mcap", "mat", "parquet", "csv", "ulg"] as const;
-export type Format = (typeof FORMATS)[number];
+export type Format = "mcap" | "mat" | "parquet" | "csv" | "ulg";
 
-const READ_S = 60;
 const FILE_S = 180;
 const of = (name: string): string => `logs/${encodeURIComponent(name)}`;
 
@@ -159,10 +160,14 @@ export async function logFile(name: string, form: Format): Promise<Blob> {
   return (await request("GET", `${of(name)}/file?form=${form}`, undefined, FILE_S)).blob();
 }
 
-/** Gives the server a log; answers the name under which it is kept. */
-export async function addLog(name: string, content: Blob): Promise<string> {
-  const answer = await request("POST", of(name), content, READ_S + FILE_S);
-  return ((await answer.json()) as { name: string }).name;
+/** Gives the server a log; answers the name under which it is kept. `sent` is told the share that is there, as it grows. */
+export async function addLog(
+  name: string,
+  content: Blob,
+  sent: (share: number) => void,
+  end: AbortSignal,
+): Promise<string> {
+  return ((await upload(of(name), content, sent, end)) as { name: string }).name;
 }
 
 export const deleteLog = (name: string): Promise<DeletedLog> => send("DELETE", of(name));

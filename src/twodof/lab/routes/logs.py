@@ -10,7 +10,7 @@ import secrets
 from collections.abc import Callable
 from math import isfinite
 from pathlib import Path as FilePath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import FileResponse, Response
@@ -36,6 +36,7 @@ Name = Annotated[str, Path(min_length=1, max_length=260, description="Of a log, 
 Moment = Annotated[float | None, Query(description="Of the log's time [s]; left out: the whole of it.")]
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Of each curve, about.")]
 Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]
+FORMATS: tuple[str, ...] = get_args(Format)
 _RAW = {"requestBody": {"required": True, "content": {"application/octet-stream": {"schema": {"type": "string"}}}}}
 
 
@@ -73,13 +74,19 @@ async def compare(
 async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
     """What is known of a log: its summary, channels, parameters, words of the drone, changes of parameters, notes.
 
-    `unreadable` says why there is nothing but the notes, "" where it can be read.
+    `unreadable` says why there is nothing but the notes, "" where it can be read. `formats` are those in which it can
+    be had as a file: of a damaged one its own, as it is, and none while it is being recorded.
     """
-    kept = {"notes": lab.logs.notes(name), "ours": lab.logs.place(name).ours}
+    place = lab.logs.place(name)
+    kept = {"notes": lab.logs.notes(name), "ours": place.ours}
     try:
-        return kept | {"unreadable": ""} | await _work(lab, log_work.facts, str(lab.whole_log(name)))
-    except (LogError, Rejected) as reason:
-        return kept | {"unreadable": _in_words(reason)}
+        return (
+            kept | {"unreadable": "", "formats": FORMATS} | await _work(lab, log_work.facts, str(lab.whole_log(name)))
+        )
+    except LogError as reason:
+        return kept | {"unreadable": _in_words(reason), "formats": [place.path.suffix.lower().removeprefix(".")]}
+    except Rejected as reason:
+        return kept | {"unreadable": _in_words(reason), "formats": []}
 
 
 @router.get("/{name}/summary")

@@ -1,6 +1,15 @@
 // A log that is open: what it holds, the part of it that is looked at, and the time of its replay.
 
-import { logFacts, logReplay, logSteps, logView, type LoggedStep, type LogFacts, type LogView } from "../../api/logs";
+import {
+  logFacts,
+  logReplay,
+  logSteps,
+  logView,
+  type Format,
+  type LoggedStep,
+  type LogFacts,
+  type LogView,
+} from "../../api/logs";
 import { LineView } from "../../chart/line_view.svelte";
 import { isThinned, panels, type Panel } from "./curves";
 import { advance, Replay } from "./replay";
@@ -17,6 +26,8 @@ export class OpenLog {
   failure = $state<unknown>(undefined);
   /** Whether it is of the server's own folder: then it may be deleted, also where it cannot be read. */
   ours = $state(false);
+  /** The formats in which it can be had, of a damaged one its own alone; none until that is known. */
+  formats = $state.raw<readonly Format[]>([]);
   /** Of the replay [s]. */
   time = $state(0);
   plays = $state(false);
@@ -37,6 +48,7 @@ export class OpenLog {
     try {
       const facts = await logFacts(this.name);
       this.ours = facts.ours;
+      this.formats = facts.formats;
       if (!("span" in facts)) {
         this.failure = new Error(`${this.name} cannot be read: ${facts.unreadable}`);
         return;
