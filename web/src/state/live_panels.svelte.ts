@@ -1,0 +1,48 @@
+// Charts of a drone as it flies: what they show, and the latest rows of it.
+import { telemetry } from "../api/telemetry";
+import { History } from "../chart/history";
+import { DEGREES, type Channel } from "../chart/kinds";
+
+/** A chart; its y axis is never narrower than `least`, in the unit of the screen. */
+export interface LivePanel {
+  label: string;
+  least: number;
+  channels: Channel[];
+}
+
+export const PITCH: LivePanel = {
+  label: "Pitch θ",
+  least: 4,
+  channels: [
+    { column: "setpoint.theta", label: "set-point", kind: "set-point", unit: "deg", factor: DEGREES },
+    { column: "estimate.theta", label: "estimate", kind: "estimate", unit: "deg", factor: DEGREES },
+  ],
+};
+export const POSITION: LivePanel = {
+  label: "Position x",
+  least: 0.1,
+  channels: [
+    { column: "setpoint.x", label: "set-point", kind: "set-point", unit: "m" },
+    { column: "estimate.x", label: "estimate", kind: "estimate", unit: "m" },
+  ],
+};
+export const MOMENT: LivePanel = {
+  label: "Moment M",
+  least: 0.02,
+  channels: [{ column: "command.M", label: "command", kind: "input", unit: "" }],
+};
+
+/**
+ * The latest `kept` rows of what these panels show of a drone, `rate` [Hz] a second, for as long as the component lives
+ * that asks for it.
+ */
+export function liveHistory(drone: () => number, panels: readonly LivePanel[], rate: number, kept: number): History {
+  const columns = panels.flatMap((panel) => panel.channels.map((one) => one.column));
+  const history = new History(columns, kept);
+  $effect(() =>
+    telemetry.subscribe(drone(), history.names, rate, (rows) =>
+      history.append({ time: rows.time, columns: rows.values }, rows.sent),
+    ),
+  );
+  return history;
+}
