@@ -26,8 +26,14 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
     os.kill(lab_server.child("lab"), signal.SIGKILL)
-    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_visible()
+    expect(page.get_by_role("alert").get_by_text("The server is not reached.", exact=True)).to_be_visible()
     expect(page.get_by_text("its own failsafe levels it")).to_be_visible()
+    # What could only fail is off, with the reason; the stop alone is tried.
+    off = page.get_by_role("button", name="Disarm")
+    expect(off).to_be_disabled()
+    expect(off).to_have_attribute("title", "The server is not reached.")
+    expect(page.locator("main").get_by_text("The server is not reached.", exact=True)).to_be_visible()
+    expect(page.get_by_role("button", name="STOP")).to_be_enabled()
     # `up` starts it again, and the page finds it by itself, at the same link.
     expect(page.get_by_text("The server is reached again.")).to_be_visible()
     expect(page.get_by_text("The server is not reached.", exact=True)).to_be_hidden()

@@ -18,6 +18,10 @@ class Session {
   /** Why this page changes nothing, "" where it may. */
   readonly watchOnly = $derived(this.role === "watch" ? "This link can only watch." : "");
   connected = $state(false);
+  /** Why nothing can be asked of the server now, "" while it is reached. */
+  readonly serverLost = $derived(this.connected ? "" : "The server is not reached.");
+  /** Why nothing can be changed from here now, "" where it can. The stop alone is never off. */
+  readonly off = $derived(this.serverLost || this.watchOnly);
   /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
   retryAt = $state(0);
   /** What all drones said, the newest last. */
