@@ -1,6 +1,14 @@
 import { describe, expect, it } from "vitest";
-import { live } from "../src/chart/numbers";
-import { boundsMistake, editableNumber, raised, readNumber, shownNumber, shownValue } from "../src/design/units";
+import { figure, live, tick } from "../src/chart/numbers";
+import {
+  boundsMistake,
+  editableNumber,
+  raised,
+  readNumber,
+  shownNumber,
+  shownValue,
+  written,
+} from "../src/design/units";
 
 describe("units", () => {
   it("shows degrees and keeps radians", () => {
@@ -28,7 +36,7 @@ describe("units", () => {
   it("takes a bound itself, and says bounds in the unit of the screen", () => {
     const most = (50 * Math.PI) / 180;
     expect(boundsMistake(readNumber("50", "rad"), "rad", -most, most)).toBe("");
-    expect(boundsMistake(readNumber("50.1", "rad"), "rad", -most, most)).toBe("From -50 to 50 deg.");
+    expect(boundsMistake(readNumber("50.1", "rad"), "rad", -most, most)).toBe("From \u221250 to 50 deg.");
     expect(boundsMistake(-1, "s", 0, Infinity)).toBe("At least 0 s.");
     expect(boundsMistake(NaN, "s", 0, 1)).toBe("Give a number.");
   });
@@ -48,5 +56,19 @@ describe("units", () => {
       live(-0.0178, ""),
       live(NaN, "m"),
     ]).toEqual(["0.001", "0.000", "\u221212.300", "\u22120.0178", "–"]);
+  });
+  it("writes an axis as the values beside it", () => {
+    expect([-10, -0.25, 0.1 + 0.2, -0, 1e-7, null].map(tick)).toEqual([
+      "\u221210",
+      "\u22120.25",
+      "0.3",
+      "0",
+      "1e-7",
+      "",
+    ]);
+    expect([figure(-10), shownNumber(-10, "m"), written("-10")].map((text) => text[0])).toEqual(
+      Array(3).fill(tick(-10)[0]),
+    );
+    expect(figure(-1e-7)).toBe("\u22121.00e-7");
   });
 });

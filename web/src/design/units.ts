@@ -37,13 +37,17 @@ export function raised(unit: string): string {
 
 const MINUS = "\u2212";
 
+/** The digits of a number as they are read: with the sign of subtraction, and without one where all of them are 0. */
+export function written(digits: string): string {
+  // The sign of an exponent stays the ordinary one, so that the number can be copied.
+  return digits.replace(/^-/, Number(digits) === 0 ? "" : MINUS);
+}
+
 /** A value in SI as its number on the screen, without its unit; a dash for what is not a number. */
 export function shownNumber(value: number | null | undefined, unit = "", decimals?: number): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const { factor, decimals: usual } = screenUnit(unit);
-  const text = (value * factor).toFixed(decimals ?? usual);
-  // No "-0.00": a sign that flickers about zero says nothing.
-  return Number(text) === 0 ? text.replace("-", "") : text.replace("-", MINUS);
+  return written((value * factor).toFixed(decimals ?? usual));
 }
 
 /** A value in SI with the unit of the screen. */
@@ -78,7 +82,7 @@ export function boundsMistake(value: number, unit: string, low: number, high: nu
   const slack = 1e-9 * Math.max(1, ...[low, high].filter(Number.isFinite).map(Math.abs));
   if (value >= low - slack && value <= high + slack) return "";
   const { name } = screenUnit(unit);
-  const [least, most] = [low, high].map((bound) => editableNumber(bound, unit));
+  const [least, most] = [low, high].map((bound) => written(editableNumber(bound, unit)));
   const suffix = name ? ` ${name}` : "";
   if (low === -Infinity) return `At most ${most}${suffix}.`;
   if (high === Infinity) return `At least ${least}${suffix}.`;

@@ -1,6 +1,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { askFrame, forgetFrame } from "./frames";
+import { tick } from "../numbers";
 import { colour, onTheme } from "./palette";
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "Liberation Sans", sans-serif';
@@ -50,6 +51,7 @@ export class Plot {
       labelFont: FONT,
       labelGap: 2,
       labelSize: 18,
+      values: (_u, ticks) => ticks.map(tick),
     };
     const cursor: uPlot.Cursor = {
       drag: { x: false, y: false },

@@ -1,4 +1,5 @@
 import { CircleGeometry, Group, type Mesh, MeshBasicMaterial, PlaneGeometry, CanvasTexture } from "three";
+import { written } from "../../design/units";
 import { BAR_HEIGHT, BAR_RADIUS, BAR_SIDE, CART_HALF, DEPTH, LENGTH, PROFILE, RAIL_STOP } from "../dimensions";
 import { Label } from "./labels";
 import type { Materials } from "./materials";
@@ -35,7 +36,7 @@ export function bench(materials: Materials): { group: Group; labels: Label[]; sh
     const long = tick % 4 === 0;
     group.add(box(scale, [0.0018, 0.0015, long ? 0.022 : 0.011], [x, 0.001, front - 0.025 + (long ? 0.011 : 0.0055)]));
     if (long) {
-      const label = new Label(tick === 0 ? "0" : x.toFixed(1).replace("-", "−") + (tick === 8 ? " m" : ""), 0.032, [
+      const label = new Label(tick === 0 ? "0" : written(x.toFixed(1)) + (tick === 8 ? " m" : ""), 0.032, [
         x,
         0.004,
         front + 0.03,
