@@ -99,12 +99,21 @@ class LabServer:
 def served(folder: Path, *options: str) -> Iterator[LabServer]:
     """`twodof up` with one drone on free ports, whose data are kept in `folder`, until the end of the block."""
     with free_numbers(1) as first:
-        command = [sys.executable, "-m", "twodof.cli", "up", "--json", "--first", str(first + 1), "--page-port", "0"]
+        # As a child of ours, which ends with us however we end: a test session that is killed leaves no drone behind.
+        command = [sys.executable, "-m", "twodof.fleet.child", "up", "--json", "--page-port", "0"]
+        command += ["--first", str(first + 1), *options]
         environment = {**os.environ, "TWODOF_DATA": str(folder)}
         with (folder / "said").open("w+") as said:
             process = subprocess.Popen(
-                [*command, *options], stdout=subprocess.PIPE, stderr=said, text=True, env=environment, bufsize=1
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=said,
+                text=True,
+                env=environment,
+                bufsize=1,
             )
+            assert process.stdin is not None
             assert process.stdout is not None
             try:
                 line = process.stdout.readline()  # it comes once all answer, or ends
@@ -121,4 +130,5 @@ def served(folder: Path, *options: str) -> Iterator[LabServer]:
                 except subprocess.TimeoutExpired:
                     process.kill()
                     process.wait()
+                process.stdin.close()
                 process.stdout.close()
