@@ -10,10 +10,11 @@ from twodof.compile.wasm.engine import WasmBackend, backends
 from twodof.compile.wasm.module import compile_module, find_wasm_compiler
 from twodof.errors import CompileError
 
-_REMEDY = (
+INSTALL = (
     "run `make sandbox` in twodof's folder; where it was installed without make: pip install wasmtime ziglang "
     "into the same environment"
 )
+"""What brings the sandbox, as a remedy of an error."""
 
 
 def check_ready(compiler: str | None = None) -> None:
@@ -35,7 +36,7 @@ def check_ready(compiler: str | None = None) -> None:
             f"the sandbox in which your own controllers fly cannot be set up: {' and '.join(missing)} {lack} "
             "not installed",
             "target wasm",
-            _REMEDY,
+            INSTALL,
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
-from twodof.compile.wasm.target import Wasm
+from twodof.compile.wasm.target import INSTALL, Wasm
 from twodof.errors import CompileError, ControllerFault
 from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.hardware import SensorSample
@@ -71,7 +71,7 @@ class Sandbox:
         diagram = core(position_filter=position_filter, controllers=controllers)
         program = build(diagram, PERIOD, precision, target=Wasm(fuel=fuel))
         if not isinstance(program, CompiledProgram):
-            raise CompileError("there is no WebAssembly", diagram.name, "install the wheels ziglang and wasmtime")
+            raise CompileError("there is no WebAssembly", diagram.name, INSTALL)
         self.program = program
         self.timed = False
         self.late_steps = 0
