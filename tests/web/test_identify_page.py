@@ -57,7 +57,7 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     page.get_by_role("button", name="Design it").click()
     expect(page.get_by_text("Keeps the whole family stable")).to_be_visible(timeout=LONG_MS)
     opened = page.get_by_role("link", name="in the diagram editor")
-    assert "#/diagram?" in str(opened.get_attribute("href"))
+    assert "#/diagram/for%20from%20the%20page" in str(opened.get_attribute("href"))
     assert (lab.folder / "diagrams" / "for from the page.json").is_file()
     assert axe(page) == []
     picture(page, "identify-designed")
