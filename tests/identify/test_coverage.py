@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from tools.coverage import Outcome, campaign, cases, record_of
+from tools.coverage import Outcome, campaign, cases, record_of, true_values
 from twodof.experiment.flight import Laboratory
 from twodof.identify.greybox import fit
 from twodof.rig.parameters import load_rig
@@ -72,6 +72,16 @@ def test_a_doublet_that_output_error_loses_keeps_its_gust() -> None:
     found = fit(case.structure, record_of(Laboratory("lab").fly(case.experiment, 47), case))
     assert found.disturbance.kind == "input"
     assert abs(found["tau"] - 0.021) < 3.0 * found.sigma("tau")
+
+
+def test_slow_noise_of_a_multisine_is_a_gust_and_not_a_swing() -> None:
+    # Four seconds are two swings of the pendulum. With an autoregression w_n is 10 of its deviations too high.
+    case = cases(load_rig("lab").snapshot())["multisine"]
+    flight, truth = Laboratory("lab").fly(case.experiment, 9), true_values(Laboratory("lab"), case)
+    found = fit(case.structure, record_of(flight, case), prior=case.prior)
+    assert found.disturbance.kind == "input"
+    for name in ("mu", "tau", "w_n", "xi"):
+        assert abs(found[name] - truth[name]) < 3.0 * found.sigma(name), name
 
 
 def test_a_free_standing_delay_does_not_end_a_fit() -> None:

@@ -55,10 +55,10 @@ def fit(
     `disturbance`: "white" is output error. With "ar" the noise of each output has the colour that its residual shows.
     It is an autoregression (Ljung, section 7.2), which closed loops need. With "input" a random push (a gust) acts at
     the input of a linear structure beside the sensor's noise. It is found by restricted likelihood. With "auto" the fit
-    takes output error where its residual is white. Otherwise it takes "ar" for records of 800 samples and more and
-    "input" for shorter ones. It stays with output error where `noise` or `band` is given, and for a short record where
-    the structure has no lag of the actuator. In open loop it does so too where the noise model would change the
-    estimates by more than chance: then the structure is wrong.
+    takes output error where its residual is white. Otherwise it takes "ar" for records of 800 samples and more, in
+    open loop 1,600, and "input" for shorter ones. It stays with output error where `noise` or `band` is given, and for
+    a record under 800 samples where the structure has no lag of the actuator. In open loop it does so too where the
+    noise model would change the estimates by more than chance: then the structure is wrong.
     `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are estimated all the same,
     and weigh what is known against what the data tell (Bayes, normal). It is added to what the structure knows of the
     machine (`Structure.prior`); an infinite standard deviation takes that away. Its mean is the first guess.
