@@ -64,9 +64,15 @@ def test_several_are_edited_sent_together_and_taken_back(lab: ServedLab, open_pa
     assert on_board(lab, "RATE_KP") == 0.0854, "nothing is sent yet"
     page.get_by_role("button", name="Send 2 changes").click()
     expect(page.get_by_text("Sent: ")).to_be_visible()
+    # The keyboard is where what was sent is taken back, and stays in the bar when nothing is left to take back.
+    expect(page.get_by_role("button", name="Undo last send")).to_be_focused()
     assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.07, 9.0)
-    page.get_by_role("button", name="Undo last send").click()
+    page.keyboard.press("Enter")
     expect(field(page, "RATE_KP")).to_have_value("0.0854")
+    expect(bar).to_be_focused()
+    edit(page, "RATE_KP", "0.08")
+    page.get_by_role("button", name="Put RATE_KP back").press("Enter")
+    expect(field(page, "RATE_KP")).to_be_focused()
     assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.0854, 11.0)
 
 

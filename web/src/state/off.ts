@@ -5,6 +5,11 @@ export interface Off {
   "aria-description"?: string;
 }
 
+/** A button that waits for what it, or another, has begun: a press does nothing, but the keyboard stays on it. */
+export function waitsFor(why: string): Record<string, string> {
+  return { "aria-disabled": "true", title: why, "aria-description": why };
+}
+
 /** A control is off for the first of these reasons that is not ""; where all are, nothing is changed. */
 export function offFor(...reasons: readonly string[]): Off {
   const why = reasons.find((reason) => reason !== "");

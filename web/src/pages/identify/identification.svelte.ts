@@ -61,6 +61,8 @@ export class Identification {
     disturbance: "auto",
   });
   running = $state.raw<Running | undefined>(undefined);
+  /** What is said of a button that would begin something else meanwhile. */
+  readonly waits = "Something runs already.";
   /** Why the last thing failed, and which. */
   failure = $state("");
   readonly experiment = $derived(this.choices?.experiments.find((one) => one.name === this.name));
@@ -101,7 +103,7 @@ export class Identification {
 
   async makePlan(drone: number | undefined, rehearse: boolean): Promise<void> {
     const asked = this.asked();
-    if (asked === undefined) return;
+    if (asked === undefined || this.running) return;
     this.plan = undefined;
     const doing = rehearse ? "Rehearsing on the virtual rig" : "Planning";
     await this.run(
@@ -129,6 +131,7 @@ export class Identification {
   }
 
   async makeFit(): Promise<boolean> {
+    if (this.running) return false;
     this.fit = undefined;
     let job = "";
     const started = async () => {
@@ -141,6 +144,7 @@ export class Identification {
 
   /** The paper's pitch in one go: the impulse for the poles, the doublet for gain and delay, and the fit of both. */
   async runPitch(drone: number, virtual: boolean): Promise<void> {
+    if (this.running) return;
     for (const name of ["impulse", "doublet"]) {
       this.choose(name);
       // A gust may end a flight of a virtual rig; a real drone is looked at before it flies again.
