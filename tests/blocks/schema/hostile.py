@@ -405,6 +405,10 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
         file(outputs=[["y", None]], output_positions={"y": [0.0, -1e300]}),
         "position",
     ),
+    "a flip that is a number": (
+        file(parts=[{"name": "g", "block": {"type": "gain"}, "flipped": 1}]),
+        "flipped",
+    ),
     "a position beyond all screens": (
         file(parts=[{"name": "g", "block": {"type": "gain"}, "position": [1e300, 0]}]),
         "position",
