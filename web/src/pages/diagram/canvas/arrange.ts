@@ -25,7 +25,7 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
     const shape = shapes.of(part.item);
     const size = partSize(part, shape);
     const [inward, outward] = part.flipped ? (["EAST", "WEST"] as const) : (["WEST", "EAST"] as const);
-    const ports = (names: string[], mark: string, where: "WEST" | "EAST") =>
+    const ports = (names: readonly string[], mark: string, where: "WEST" | "EAST") =>
       names.map((name, i) => ({
         id: `p:${part.name}${mark}${name}`,
         x: where === "WEST" ? 0 : size.width,

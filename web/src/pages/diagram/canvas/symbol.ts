@@ -106,11 +106,22 @@ function fromLibraryType(type: string): boolean {
   return type !== "custom" && type !== "state_machine";
 }
 
+/** By part, and of what shape it was then: every drawing of a sheet asks for all of them. */
+const sizes = new WeakMap<Part, { readonly shape: Shape; readonly size: Size }>();
+
 /** How large a part is drawn, in steps of the grid. */
 export function partSize(part: Part, shape: Shape): Size {
+  const known = sizes.get(part);
+  if (known?.shape === shape) return known.size;
+  const size = measured(part, shape);
+  sizes.set(part, { shape, size });
+  return size;
+}
+
+function measured(part: Part, shape: Shape): Size {
   const inputs = tops(shape.inputs);
   const outputs = tops(shape.outputs);
-  const named = (names: string[]): number => (names.length > 1 ? Math.max(...names.map((n) => n.length)) : 0);
+  const named = (names: readonly string[]): number => (names.length > 1 ? Math.max(...names.map((n) => n.length)) : 0);
   const signed = portSign(part, 0) !== "";
   const sides = (signed ? 1 : 5.4 * named(inputs)) + 5.4 * named(outputs);
   const own = part.item.is === "diagram" || !fromLibraryType(part.item.type);

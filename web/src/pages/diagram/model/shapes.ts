@@ -135,9 +135,13 @@ export function fromLibrary(block: Block): boolean {
   return block.type !== "custom" && block.type !== "state_machine";
 }
 
+const named = new WeakMap<readonly Port[], readonly string[]>();
+
 /** The names of ports, those of a bus's fields as the one of the bus. */
-export function tops(ports: readonly Port[]): string[] {
-  return [...new Set(ports.map((port) => port.name.split(".")[0] ?? ""))];
+export function tops(ports: readonly Port[]): readonly string[] {
+  let names = named.get(ports);
+  if (names === undefined) named.set(ports, (names = [...new Set(ports.map((port) => port.name.split(".")[0] ?? ""))]));
+  return names;
 }
 
 /** A source or destination in the form [part or null, port]: "pid" is ["pid", "M"], an input "q" is [null, "q"]. */
