@@ -48,7 +48,7 @@ def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_
     expect(number).to_have_value("0")
     number.fill("0.9")
     number.press("Enter")
-    expect(page.get_by_text("From -0.4 to 0.4 m.")).to_be_visible()
+    expect(page.get_by_text("From \u22120.4 to 0.4 m.")).to_be_visible()
     number.press("Escape")
     page.get_by_role("button", name="Disarm").click()
     expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()
@@ -103,7 +103,7 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
     assert dialog.get_by_text("of 50 deg").inner_text() != small
     dialog.get_by_label("Amplitude").fill("70")
     dialog.get_by_label("Amplitude").press("Enter")
-    expect(dialog.get_by_text("From -50 to 50 deg.")).to_be_visible()
+    expect(dialog.get_by_text("From \u221250 to 50 deg.")).to_be_visible()
     for kind in ("impulse", "3-2-1-1", "steps", "sweep", "prbs", "multisine"):
         with page.expect_response("**/api/excitations/preview") as answer:
             dialog.get_by_label("Kind").select_option(kind)
