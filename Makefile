@@ -5,7 +5,7 @@
 #   make play    the page in out/play that flies the virtual rig in a browser, without a server
 #   make sandbox what drones need to fly controllers of one's own: wasmtime and ziglang, into .venv
 #   make quick   what is cheap of every room, under a minute: at each change
-#   make test    every test that takes less than 2 s of processor time, and the page's, in minutes
+#   make test    every test that takes less than 1 s of processor time, and the page's, in minutes
 #   make thorough    the others; CI runs both              make soak   the long versions of tests, for hours
 #   make check   format, lint, types, order of imports     make bench  figures against peers, in bench/results
 #   make docs    the documentation as a site with search, in out/docs
