@@ -23,9 +23,8 @@ PYTHON ?= $(shell for p in python3 python3.13 python3.12 python3.11 python; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo "$$p" && break; done)
 # Without a system C compiler the one in the ziglang wheel is installed and used.
 RUN_REQUIREMENTS := requirements/$(if $(shell command -v cc 2>/dev/null),run,compiler).txt
-# Two more than the two cores of continuous integration: some tests wait for real time to pass, and others fill it. With
-# three the cores had nothing to do for a third of the time.
-TEST_JOBS ?= 4
+# One more than the two cores of continuous integration: some tests wait for real time to pass, and others fill it.
+TEST_JOBS ?= 3
 # The tests start our programs more than a hundred times: without the byte code of the last start each costs twice.
 unexport PYTHONDONTWRITEBYTECODE
 # The matrices here are small: threads of BLAS that wait for each other cost more than they save.

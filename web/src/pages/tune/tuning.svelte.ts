@@ -125,6 +125,9 @@ export class Tuning {
     this.failure = "";
     try {
       const { changed } = await changeParameters(this.drone, asRecord(this.changes), confirm);
+      // At once, and not with the list that comes next: until then an edit would be compared with what was before.
+      const now = new Map(changed.map((one) => [one.name, one.value]));
+      this.rows = this.rows.map((row) => ({ ...row, value: now.get(row.name) ?? row.value }));
       this.edits = new Map();
       this.sent = [...this.sent, changed];
       toast(`Sent: ${changed.map((one) => one.name).join(", ")}`, "good");
