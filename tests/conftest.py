@@ -18,7 +18,7 @@ from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
 SLOW, LONG = (Path(__file__).with_name(name) for name in ("slow.txt", "long.txt"))
-QUICK_S, BRIEF_S, FOR_NOISE = 0.8, 1.0, 20.0
+QUICK_S, BRIEF_S, FOR_NOISE = 0.8, 1.0, 10.0
 """So much processor time takes a file at most with `--quick`, a test with `--brief`; on a loaded machine more."""
 SLOW_FILES = pytest.StashKey[dict[Path, float]]()
 LONG_TESTS = pytest.StashKey[dict[str, float]]()

@@ -21,8 +21,8 @@ class LocalPage:
     """The server of the page for the drones at `urls`, at `port`; for `async with`.
 
     One that ends is started again, with the same port and tokens, so that the links stay. Where it cannot be kept
-    running that is told, and the drones go on without it. `options` are further ones of
-    `twodof lab`, and `environment` carries the tokens.
+    running that is told, and the drones go on without it. `options` are further ones of `twodof lab`, and `environment`
+    carries the tokens.
     """
 
     def __init__(
