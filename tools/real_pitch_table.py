@@ -39,27 +39,49 @@ FLIGHTS: Mapping[str, tuple[float, float]] = {
 }
 """Every flight in which the pitch is driven with the rotors running, and its window [s]."""
 
+HEADER = (
+    "flight",
+    "today: mu",
+    "tau, ms",
+    "now: mu",
+    "tau, ms",
+    "bend",
+    "M_u, rad/(m s)",
+    "noise",
+    "largest M",
+    "rotors, turns/s",
+)
+
 UNKNOWNS = ("mu", "dead_time", "lag", "theta_0", "q_0")
 
 MOVED = 0.1
 """The range sensor's noise stays within this in a flight with rings; a free cart moves three times as far [m]."""
 
-FREE = 1.0
-"""Play of a cart without rings: it meets no stop [m]."""
+_CHANCE = 0.05
+"""Probability from which on a chi-square is no contradiction."""
+
+FREE = 1e3
+"""Play of a cart without rings [m]. Its modelled way drifts by metres in half a minute, and must meet no stop."""
+
+BEND = (0.0, 1.0)
+"""What a large moment may lack, mean and standard deviation: of the hardest of the logs, .35, an eighth."""
 
 
 @dataclass(frozen=True, eq=False)
 class RealFlight:
-    """Both fits of a flight; `today` takes its noise for white and its delay for pure. `clipped` is a share.
+    """The fits of a flight; `today` takes its noise for white and its delay for pure. `clipped` is a share.
 
-    `thrust` is the mean T in the window. `turns` is how fast the rotors turned there, at hover command [1/s]; NaN where
-    the rotors ran for too short a time to tell.
+    `plain` is `found` without the moment of the cart's speed and without what a large moment lacks. `hardest` is the
+    largest |M|, `thrust` the mean T in the window. `turns` is how fast the rotors turned there, at hover command [1/s];
+    NaN where the rotors ran for too short a time to tell.
     """
 
     name: str
     today: Estimate
+    plain: Estimate
     found: Estimate
     clipped: float
+    hardest: float
     thrust: float
     turns: float
 
@@ -77,25 +99,33 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
         ways = log["dist"].slice(start, stop).value
         play = FREE if float(np.ptp(ways)) > MOVED else known["ring_play"]
         moment, thrust = record.inputs["M"], record.inputs["T"]
+        on_cart = {**poles, **cart_parameters(known), "play": play}
+        free = ("M_u",) if play == FREE else ()
         yield RealFlight(
             name,
             fit(pitch_rate(), record, disturbance="white"),
-            _fitted(record, {**poles, **cart_parameters(known), "play": play}, poles),
+            _fitted(record, on_cart, poles, ()),
+            _fitted(record, on_cart, poles, ("bend", *free)),
             float(np.mean(np.abs(moment) > thrust)),
+            float(np.abs(moment).max()),
             float(thrust.mean()),
             rotors(log, start, stop),
         )
 
 
-def _fitted(record: Record, on_cart: Mapping[str, float], poles: Mapping[str, float]) -> Estimate:
-    """A long flight with what the calibration knows of the cart; the gust of a short one is found with one input.
+def _fitted(
+    record: Record, on_cart: Mapping[str, float], poles: Mapping[str, float], more: tuple[str, ...]
+) -> Estimate:
+    """A long flight with what the calibration knows of the cart, and `more` unknowns; the gust of a short one is found
+    with one input.
 
     Where the log lost the moment for some samples, the flight is fitted in pieces.
     """
     if record.steps < LONG:
         return fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles)
-    friction = {"coulomb": (0.05, 0.05)}  # not less than nothing, and a fraction of that with the rotors at rest
-    return fit(pitch_on_cart(), record.pieces(), estimate=(*UNKNOWNS, "coulomb"), values=on_cart, prior=friction)
+    known = {"coulomb": (0.05, 0.05)}  # not less than nothing, and a fraction of that with the rotors at rest
+    known |= {"bend": BEND} if "bend" in more else {}
+    return fit(pitch_on_cart(), record.pieces(), estimate=(*UNKNOWNS, "coulomb", *more), values=on_cart, prior=known)
 
 
 def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, float, float]:
@@ -119,34 +149,49 @@ def rotors(log: FlightLog, start: float, stop: float) -> float:
 
 def table(flights: Sequence[RealFlight]) -> Iterator[str]:
     """The rows, and below them how well the flights agree."""
-    yield "| flight | today: mu | tau, ms | now: mu | tau, ms | \\|M\\| > T, % | rotors, turns/s |"
-    yield "|---|---|---|---|---|---|---|"
+    yield f"| {' | '.join(HEADER)} |"
+    yield f"|{'---|' * len(HEADER)}"
     for one in flights:
-        cells = [f"{one.today['mu']:.0f} +- {one.today.sigma('mu'):.0f}", delay(one.today)]
-        cells += [
-            f"{one.found['mu']:.0f} +- {one.found.sigma('mu'):.0f}",
+        loud = max((loud.times for loud in one.found.disturbance.louder.values()), default=math.nan)
+        cells = [
+            shown(one.today, "mu", ".0f"),
+            delay(one.today),
+            shown(one.found, "mu", ".0f"),
             delay(one.found),
-            f"{100.0 * one.clipped:.1f}",
+            shown(one.found, "bend", ".1f"),
+            shown(one.found, "M_u", ".1f"),
+            f"x {loud:.1f}" if math.isfinite(loud) else "",
+            f"{one.hardest:.2f}",
             f"{one.turns:.1f}" if math.isfinite(one.turns) else "",
         ]
         yield f"| {one.name} | {' | '.join(cells)} |"
     yield ""
     for what, factor, unit in (("mu", 1.0, "rad/s2"), ("tau", 1e3, "ms")):
-        for title, fits in (("today", [one.today for one in flights]), ("now", [one.found for one in flights])):
-            values, sigmas = np.array([[one[what], one.sigma(what)] for one in fits]).T * factor
+        fits = {"today": [one.today for one in flights], "now": [one.found for one in flights]}
+        fits["now, without bend and M_u"] = [one.plain for one in flights]
+        for title, found in fits.items():
+            values, sigmas = np.array([[one[what], one.sigma(what)] for one in found]).T * factor
             known = np.isfinite(sigmas)
             mean, sigma, square, chance = agreement(values[known], sigmas[known])
             yield (
                 f"- {what}, {title}: {values.min():.4g} to {values.max():.4g} {unit}, mean {mean:.4g} +- {sigma:.2g}, "
                 f"chi-square {square:.1f} for {known.sum() - 1} degrees of freedom (probability {chance:.2g})"
             )
-    yield from ("", *textwrap.wrap(" ".join([remaining(flights), *incomplete(flights)]), 120))
+    said = " ".join([remaining(flights), *incomplete(flights)])
+    yield from ("", *textwrap.wrap(said, 120, break_on_hyphens=False))
+
+
+def shown(found: Estimate, unknown: str, form: str) -> str:
+    """An unknown and its standard deviation; empty where it was not estimated."""
+    if unknown not in found.labels:
+        return ""
+    return f"{found[unknown]:{form}} +- {found.sigma(unknown):{form}}"
 
 
 def remaining(flights: Sequence[RealFlight]) -> str:
-    """What the flights differ by beyond their own doubt, and what it would take to explain it."""
+    """What the flights differ by beyond their own doubt, and what clipping and charge have to do with it."""
     values, sigmas = np.array([[one.found["mu"], one.found.sigma("mu")] for one in flights]).T
-    mean, _, square, _ = agreement(values, sigmas)
+    mean, _, square, chance = agreement(values, sigmas)
     weights = sigmas**-2.0
     # DerSimonian and Laird (1986): the variance between flights that makes chi-square what it is.
     freedom = weights.sum() - float(weights @ weights) / float(weights.sum())
@@ -162,29 +207,23 @@ def remaining(flights: Sequence[RealFlight]) -> str:
     as_they_are, at_one_speed = (
         agreement(values[told] / factor, sigmas[told])[2] for factor in (slope[told], slope[told] * supplied)
     )
+    verdict = "So the flights agree within their intervals." if chance > _CHANCE else "So the flights do not agree."
     return (
-        f"Beyond their own doubt the flights differ by {100.0 * between:.1f} % in mu. Clipping explains none of it: "
-        f"|M| exceeds T in {clipped:.1f} % of the samples. The thrust curve is steeper at the higher mean T of two "
-        f"flights, by {steeper:.1f} % at most: chi-square {level:.1f}. The battery's voltage is not "
+        f"{verdict} The likeliest difference beyond their own doubt is {100.0 * between:.1f} % in mu. |M| exceeds T in "
+        f"{clipped:.1f} % of the samples, so no pair is clipped. The thrust curve is steeper at the higher mean T of "
+        f"two flights, by {steeper:.1f} % at most: chi-square {level:.1f}. The battery's voltage is not "
         f"in a log, but the rotors' speed is ([below](#how-fast-the-rotors-turned)). It puts the supply of the "
         f"{told.sum()} flights that tell it within {100.0 * (supplied.min() - 1.0):+.1f} to "
         f"{100.0 * (supplied.max() - 1.0):+.1f} % of their mean. Brought to one speed they have a chi-square of "
-        f"{at_one_speed:.1f}, and {as_they_are:.1f} without that. So the charge does not explain the spread."
+        f"{at_one_speed:.1f}, and {as_they_are:.1f} without that."
     )
 
 
 def incomplete(flights: Sequence[RealFlight]) -> Iterator[str]:
-    """Which fits leave out a part of the response, if any, and how well the others agree."""
-    wrong = np.array([_leaves_out(one.found) for one in flights])
-    if not wrong.any():
-        return
-    values, sigmas = np.array([[one.found["mu"], one.found.sigma("mu")] for one in flights]).T
-    mean, sigma, square, chance = agreement(values[~wrong], sigmas[~wrong])
-    names = ", ".join(one.name for one, so in zip(flights, wrong, strict=True) if so)
-    yield (
-        f"The residual of {names} still depends on an input, so those claim too little. The other flights have a mean "
-        f"of {mean:.0f} +- {sigma:.1f} and a chi-square of {square:.1f} (probability {chance:.2g})."
-    )
+    """Which fits leave out a part of the response, if any."""
+    names = [one.name for one in flights if _leaves_out(one.found)]
+    if names:
+        yield f"The residual of {' and '.join(names)} still depends on an input: a part of that is still left out."
 
 
 def _leaves_out(found: Estimate) -> bool:

@@ -140,5 +140,5 @@ def test_without_noise_the_structure_is_the_rig() -> None:
     assert found["k_v"] == pytest.approx(4.748, rel=2.9e-4)
     assert found["p_v"] == pytest.approx(1.168, rel=2.9e-4)
     # A constant thrust would cost 3 % of p_v: hard pitch manoeuvres lift more.
-    constant = fit(rail(), record, estimate=("k_v", "p_v", "theta_0", "v_0"))
+    constant = fit(rail(), record, estimate=("k_v", "p_v", "theta_0", "v_0"), disturbance="white")
     assert constant["p_v"] < 0.98 * 1.168

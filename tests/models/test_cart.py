@@ -10,6 +10,7 @@ from tools.coverage import cases, record_of, true_values
 from twodof.blocks.reference.interpreter import Reference
 from twodof.experiment.flight import Laboratory
 from twodof.identify.greybox import fit
+from twodof.identify.record import Record
 from twodof.identify.simulation import simulate
 from twodof.models.cart import CartPush
 from twodof.models.structure import Structure
@@ -47,6 +48,34 @@ def test_dry_friction_of_the_rail_holds_the_cart() -> None:
     values = {"coupling": 0.8, "play": 0.001, "k_v": 5.0, "rail_coulomb": 0.06}
     assert (pushed(np.full(20, 0.011), np.zeros(20), values) == 0.0).all()
     assert (pushed(np.full(20, 0.013), np.zeros(20), values) > 0.0).any()
+
+
+def test_the_speed_along_the_rail_pitches_the_drone() -> None:
+    values = {"coupling": 0.0, "play": 1e3, "k_v": 5.0, "p_v": 0.0, "M_u": 7.0}
+    push = pushed(np.full(50, -0.1), np.zeros(50), values)
+    # The mean speed of each step of 4 ms, which grows by 5 sin(.1) each second.
+    assert push == pytest.approx(7.0 * 5.0 * math.sin(0.1) * DT * (np.arange(50) + 0.5))
+
+
+def test_a_large_moment_that_lacks_something_is_told_from_a_small_gain() -> None:
+    known = {"w_n": 2.4, "xi": 0.05, "mu": 300.0, "dead_time": 0.01, "lag": 0.012, "bend": 1.5, "play": 0.0}
+    kicks = 0.05 * np.sign(np.sin(np.arange(900) / 30.0))
+    kicks[::90] *= 7.0
+    inputs, time = {"M": kicks, "theta": np.zeros(900), "gyro": np.zeros(900)}, DT * np.arange(900)
+
+    def record_with(q: np.ndarray) -> Record:
+        return Record.from_columns(time, {**inputs, "q": q}, list(inputs), ["q"], "a pulse of .35 in every .36 s")
+
+    truth = np.asarray(simulate(pitch_on_cart(), record_with(np.zeros(900)), known)["q"])
+    record = record_with(truth + 0.01 * np.random.default_rng(1).normal(size=900))
+    held = {name: value for name, value in known.items() if name not in ("mu", "bend")}
+    both = fit(pitch_on_cart(), record, estimate=("mu", "bend", "theta_0", "q_0"), values=held)
+    alone = fit(pitch_on_cart(), record, estimate=("mu", "theta_0", "q_0"), values=held, disturbance="white")
+    for name in ("mu", "bend"):
+        assert abs(both[name] - known[name]) < 3.3 * both.sigma(name), name
+    assert both["bend"] > 5.0 * both.sigma("bend")
+    # Without it a pulse of .35 seems to be one of .35 (1 - 1.5 .35^2).
+    assert alone["mu"] < 300.0 - 5.0 * alone.sigma("mu")
 
 
 def test_with_the_cart_the_model_is_the_rig() -> None:

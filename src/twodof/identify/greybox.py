@@ -53,11 +53,13 @@ def fit(
     `validation`: records that the model must reproduce without having seen them. Only their local unknowns are fitted.
     The separate ones are those of the record `like` (default: the last).
     `disturbance`: "white" is output error. With "ar" the noise of each output has the colour that its residual shows.
-    It is an autoregression (Ljung, section 7.2), which closed loops need. With "input" a random push (a gust) acts at
+    It is an autoregression (Ljung, section 7.2), which closed loops need, and it may be louder where an input has just
+    moved. The pieces of a flight share it. With "input" a random push (a gust) acts at
     the input of a linear structure beside the sensor's noise. It is found by restricted likelihood. With "auto" the fit
     takes output error where its residual is white. Otherwise it takes "ar" for records of 800 samples and more, in
-    open loop 1,600, and "input" for shorter ones. It stays with output error where `noise` or `band` is given, and for
-    a record under 800 samples where the structure has no lag of the actuator. In open loop it does so too where the
+    open loop 1,600, and "input" for shorter ones. It stays with output error where `noise` or `band` is given. For a
+    record under 800 samples "input" asks for a linear structure with the lag of the actuator. Another one takes "ar" in
+    closed loop, from 250 samples on, and output error in open loop. In open loop output error also stays where the
     noise model would change the estimates by more than chance: then the structure is wrong.
     `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are estimated all the same,
     and weigh what is known against what the data tell (Bayes, normal). It is added to what the structure knows of the
@@ -200,12 +202,17 @@ def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[R
     residual = minimum.residual
     freedom = max(1, problem.size - len(problem.slots)) / problem.size
     change = 0.0
-    for block in blocks:
-        rows = residual[block.rows]
+    open_weights = {(block.record, block.output) for block in blocks}
+    for noise in problem.noises:
+        own = [one for one in (problem.blocks[k] for k in noise) if (one.record, one.output) in open_weights]
+        if not own:
+            continue
+        rows = np.concatenate([residual[block.rows] for block in own])
         factor = math.sqrt(float(rows @ rows) / (rows.size * freedom))
         # A perfect model of noise-free data leaves rounding errors: a weight far below them would be noise itself.
         factor = max(factor, 1e-9)
-        problem.sigma[block.record, block.output] *= factor
+        for block in own:
+            problem.sigma[block.record, block.output] *= factor
         change = max(change, abs(factor - 1.0))
     return change
 

@@ -39,7 +39,8 @@ class Problem:
     unknown, or by "unknown[record]" for one record. `band` (low, high) [Hz] keeps only the discrete Fourier
     coefficients of the residuals inside it. They are scaled so that white noise of standard deviation sigma still gives
     rows of standard deviation 1. `prior` holds (mean, standard deviation) of unknowns that are known from elsewhere,
-    beside those that the structure has. Each is one more row, behind those of the data.
+    beside those that the structure has. Each is one more row, behind those of the data. `noises` has the blocks of each
+    noise, by their number: an output has one in each flight, of which a record may be a piece.
     """
 
     def __init__(
@@ -93,11 +94,16 @@ class Problem:
         self.blocks = tuple(self._blocks())
         own = [[block.rows for block in self.blocks if block.record == r] for r in range(len(self.records))]
         self._spans = [slice(rows[0].start, rows[-1].stop) for rows in own]
+        groups: dict[tuple[str, str], list[int]] = {}
+        for k, block in enumerate(self.blocks):
+            groups.setdefault((self._flight(block.record), block.output), []).append(k)
+        self.noises = tuple(tuple(group) for group in groups.values())
         # A first weight: the signal's own standard deviation.
-        self.sigma = {
-            (b.record, b.output): float(self.records[b.record].outputs[b.output].value.std()) or 1.0
-            for b in self.blocks
-        }
+        self.sigma = {(block.record, block.output): 1.0 for block in self.blocks}
+        for group in self.noises:
+            keys = [(self.blocks[k].record, self.blocks[k].output) for k in group]
+            measured = np.concatenate([self.records[r].outputs[o].value for r, o in keys])
+            self.sigma |= dict.fromkeys(keys, float(measured.std()) or 1.0)
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -125,6 +131,15 @@ class Problem:
         """sigma by output, or by "output[record]" if there are several records."""
         several = len(self.records) > 1
         return {(f"{o}[{self.records[r].name}]" if several else o): s for (r, o), s in self.sigma.items()}
+
+    def noise_label(self, noise: int) -> str:
+        """What the noise of `noises[noise]` is called: its output, or "output[flight]" if there are several flights."""
+        block = self.blocks[self.noises[noise][0]]
+        several = len({self._flight(one.record) for one in self.blocks}) > 1
+        return f"{block.output}[{self._flight(block.record)}]" if several else block.output
+
+    def _flight(self, record: int) -> str:
+        return self.records[record].flight or self.records[record].name
 
     def values(self, x: Array, record: int) -> dict[str, float]:
         """Every parameter's value in one record."""

@@ -45,7 +45,8 @@ class Record:
     the time of step 0 on the log's axis. `hold[name]` says how an input behaves between its steps. The default "zoh"
     holds it, and "linear" draws straight lines. With "band-limited" it has nothing above half the sampling rate, as
     behind an anti-alias filter. `gaps[name]` are the stretches (from, to) [s] in which an input lost `GAP` samples or
-    more, and was held: what was applied there is not known. Raises IdentificationError for a hold that is none of
+    more, and was held: what was applied there is not known. `flight` is the record that this one is a piece of, or
+    empty; the pieces of a flight have one noise. Raises IdentificationError for a hold that is none of
     these, or of no input.
     """
 
@@ -56,6 +57,7 @@ class Record:
     outputs: Mapping[str, Samples]
     hold: Mapping[str, str] = field(default_factory=dict)
     gaps: Mapping[str, tuple[tuple[float, float], ...]] = field(default_factory=dict)
+    flight: str = ""
 
     def __post_init__(self) -> None:
         for name, hold in self.hold.items():
@@ -269,6 +271,7 @@ class Record:
         """What lies between the gaps of the inputs, in pieces of `SHORTEST_PIECE` steps and more; all, if it has none.
 
         Fit them together: each has initial states of its own, so nothing is supposed of what was applied in a gap.
+        Their noise is that of one flight.
         """
         if not self.gaps:
             return (self,)
@@ -276,7 +279,8 @@ class Record:
         begin, pieces = self.start, list[Self]()
         for a, b in (*sorted(one for found in self.gaps.values() for one in found), (end, end)):
             if a - begin >= SHORTEST_PIECE * self.dt:
-                pieces.append(self.part(begin, a, f"{self.name}, piece {len(pieces) + 1}"))
+                piece = self.part(begin, a, f"{self.name}, piece {len(pieces) + 1}")
+                pieces.append(replace(piece, flight=self.flight or self.name))
             begin = max(begin, b)
         return tuple(pieces)
 

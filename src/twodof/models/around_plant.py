@@ -57,3 +57,15 @@ class Offset(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.u + self.sign * p.offset
+
+
+@library_block("models.Bend")
+class Bend(Block):
+    """y = u - bend u^3: a command that is large has less effect than many small ones."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    params = (Param("bend", 0.0, text="share of the input's cube that is missing"),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u - p.bend * (u.u * u.u * u.u)

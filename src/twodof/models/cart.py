@@ -1,4 +1,6 @@
-"""What the cart does to the pitch: its acceleration, where the rings leave it play, and the bearing's dry friction."""
+"""What the cart does to the pitch: its acceleration, where the rings leave it play, its speed, and the bearing's dry
+friction.
+"""
 
 from typing import Any
 
@@ -13,7 +15,8 @@ from twodof.models.dry_friction import after_friction, sticks
 class CartPush(Block):
     """Pitch acceleration `push` by a cart that moves and by the bearing's dry friction, from the measured pitch.
 
-    The drone's centre lies below the bearing: q' + coupling v' = the rest (physics, equation 1). The cart follows v' =
+    The drone's centre lies below the bearing: q' + coupling v' = the rest (physics, equation 1). The air that a moving
+    drone meets pitches it by M_u v. The cart follows v' =
     -k_v sin(theta) - p_v v - lever q' - dry friction. Rings stop it `play` either way of where it starts, and a stop
     takes the whole speed. `coulomb` opposes q. The measured pitch drives it, since a simulated one does not know the
     gusts. What is measured up to a step acts behind it, so this holds in closed loop too.
@@ -35,12 +38,13 @@ class CartPush(Block):
         Param("p_v", 1.168, unit="1/s", text="pole of the linear friction"),
         Param("rail_coulomb", 0.0, unit="m/s2", low=0.0, text="dry friction of the rail"),
         Param("coulomb", 0.0, unit="rad/s2", text="dry friction of the bearing"),
+        Param("M_u", 0.0, unit="rad/(m s)", text="pitch acceleration by a unit of the cart's speed"),
     )
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         _, speed = self._next(u, x, p, t)
         bearing = where(u.q > 0.0, p.coulomb, where(u.q < 0.0, -p.coulomb, 0.0))
-        return -(p.coupling * ((speed - x.v) / t.dt)) - bearing
+        return -(p.coupling * ((speed - x.v) / t.dt)) + p.M_u * (0.5 * (x.v + speed)) - bearing
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         place, speed = self._next(u, x, p, t)

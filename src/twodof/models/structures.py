@@ -9,7 +9,7 @@ from types import MappingProxyType
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant, Sum
-from twodof.models.around_plant import InputDelay, Offset
+from twodof.models.around_plant import Bend, InputDelay, Offset
 from twodof.models.cart import CartPush
 from twodof.models.dry_friction import Lift, PitchPendulum, Rail
 from twodof.models.structure import Structure
@@ -86,7 +86,9 @@ def pitch_on_cart(ring: int = 64) -> Structure:
 
     The cart's acceleration pushes the pitch (see `CartPush`), rattling within the rings' `play` or free on the rail
     (a large `play`). Hold what the machine's calibration tells of the cart; estimate the bearing's dry friction
-    `coulomb` along with a prior. The measured q takes part in no lag, so it is not what the structure is to explain.
+    `coulomb` along with a prior. `M_u` is the moment of the speed along a free rail, and `bend` what a large moment
+    lacks; both are 0 unless estimated. The measured q takes part in no lag, so it is not what the structure is to
+    explain.
     """
     diagram = Diagram("pitch_on_cart", "angular rate from moment behind the rotors' lag, on a cart with play")
     diagram.input("M")
@@ -98,7 +100,9 @@ def pitch_on_cart(ring: int = 64) -> Structure:
     for param in (*plant.params, *cart.params):
         if param.name not in diagram.params:
             _offer(diagram, param.name, float(param.value), param.unit, param.text, (param.low, param.high))
-    diagram.add("trim", Offset("", -1.0), params={"offset": "M_trim"}, u="M")
+    _offer(diagram, "bend", 0.0, "", "share of M^3 that a large moment lacks")
+    diagram.add("bent", Bend(), params={"bend": "bend"}, u="M")
+    diagram.add("trim", Offset("", -1.0), params={"offset": "M_trim"}, u="bent")
     diagram.add("plant", plant, params={param.name: param.name for param in plant.params}, M="trim")
     diagram.add("cart", cart, params={param.name: param.name for param in cart.params}, theta="theta", q="gyro")
     diagram.add("pushed", second, params={"w_n": "w_n", "xi": "xi"}, push="cart")
@@ -108,7 +112,12 @@ def pitch_on_cart(ring: int = 64) -> Structure:
         diagram,
         ("w_n", "xi", "mu", "dead_time", "lag", "coulomb", "theta_0", "q_0"),
         local=("M_trim", "theta_0", "q_0"),
-        scale={**{own: size for own, size in _SCALES.items() if own in diagram.params}, "play": 1e-4, "coupling": 0.1},
+        scale={
+            **{own: size for own, size in _SCALES.items() if own in diagram.params},
+            "play": 1e-4,
+            "coupling": 0.1,
+            "bend": 0.1,
+        },
         sums={"tau": ("dead_time", "lag")},
         delay="dead_time",
         prior={"lag": ROTOR_LAG},

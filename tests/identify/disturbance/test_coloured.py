@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.identify.signals import DT, doublet, pitch_record
+from tools.coverage import cases, record_of, true_values
 from twodof.errors import IdentificationError
 from twodof.experiment import Laboratory, experiment
 from twodof.identify import KINDS, Estimate, Record, Samples, cut, fit, repeat
@@ -39,6 +40,14 @@ def closed_loop(seed: int) -> Record:
         x = plant.phi @ x + plant.new[:, 0] * (applied + push)
     columns = {"M": moment, "q": q}
     return Record.from_columns(DT * np.arange(STEPS), columns, ["M"], ["q"], f"flight {seed}")
+
+
+def with_a_gap(record: Record, start: float, stop: float) -> Record:
+    """The flight as a log that lost the moment between two times [s]."""
+    moment, q = record.inputs["M"], record.outputs["q"]
+    keep = (record.time < start) | (record.time > stop)
+    channels = {"M": (record.time[keep], moment[keep]), "q": (record.output_time("q"), q.value)}
+    return Record.from_channels(channels, ["M"], ["q"], name=record.name)
 
 
 def estimated(record: Record, disturbance: str) -> Estimate:
@@ -155,3 +164,32 @@ def test_what_does_not_go_together_is_refused(options: dict[str, object], messag
     record = pitch_record(TRUTH, doublet(200, 0.1, 0.6, 0.03), 0.05, np.random.default_rng(4))
     with pytest.raises(IdentificationError, match=message):
         fit(pitch_rate(), record, **options)  # type: ignore[arg-type]
+
+
+def test_the_pieces_of_a_flight_have_one_noise() -> None:
+    whole = closed_loop(1)
+    pieces = with_a_gap(whole, 2.5, 2.55).pieces()
+    assert [piece.flight for piece in pieces] == ["flight 1", "flight 1"]
+    wanted = ("mu", "tau", "theta_0", "q_0")
+    both = fit(pitch_rate(), pieces, estimate=wanted, values=HELD)
+    one = fit(pitch_rate(), whole, estimate=wanted, values=HELD)
+    assert list(both.disturbance.noise) == ["q"]
+    assert both.disturbance.of("q", DT) is not None
+    # 50 ms of 6 s are lost, and one start more is to be found.
+    assert both.sigma("mu") == pytest.approx(one.sigma("mu"), rel=0.1)
+    assert abs(both["mu"] - one["mu"]) < one.sigma("mu")
+
+
+def test_a_short_closed_loop_on_the_cart_holds_the_truth() -> None:
+    # 1.6 s. Output error, which `auto` took here once, has mu 41 low and holds it in 40 % of such flights.
+    laboratory = Laboratory("lab")
+    case = cases(laboratory.parameters.snapshot())["attitude-steps"]
+    truth, z = true_values(laboratory, case), []
+    for seed in range(1, 9):
+        record = record_of(laboratory.fly(case.experiment, seed), case)
+        short = record.part(record.start, record.start + 400 * record.dt)
+        found = fit(case.structure, short, estimate=case.estimate, values=case.values, prior=case.prior)
+        assert found.disturbance.kind == "ar"
+        z.append([(found[figure] - truth[figure]) / found.sigma(figure) for figure in ("mu", "tau")])
+    # Chi-square of 8: above 26.1 once in a thousand.
+    assert (np.sum(np.square(z), axis=0) < 26.1).all()

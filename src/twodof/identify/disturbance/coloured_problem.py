@@ -6,7 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.identify.disturbance.autoregression import MAX_ORDER, Autoregression, autoregression, pieces_of
+from twodof.identify.disturbance.autoregression import MAX_ORDER, Autoregression, autoregression
+from twodof.identify.disturbance.loudness import Loudness
+from twodof.identify.disturbance.noise_rows import NoiseRows
 from twodof.identify.problem import Problem
 from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
 
@@ -23,7 +25,7 @@ _LITTLE = 1e-3
 
 
 class ColouredProblem:
-    """Prediction errors of a `Problem` whose noise is an autoregression of its own for each output of each record.
+    """Prediction errors of a `Problem` whose noise is an autoregression of its own for each output of each flight.
 
     The coefficients are not entries of x. At each x they are those of the residual there, which are the most likely
     ones. The cost is the likelihood that is left. It joins the sum of squares and the logarithms of the deviations:
@@ -34,8 +36,8 @@ class ColouredProblem:
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        self.pieces = [pieces_of(problem.records[b.record].outputs[b.output].position) for b in problem.blocks]
-        self._orders: list[int | None] = [None] * len(problem.blocks)
+        self._noises = [NoiseRows(problem, noise) for noise in problem.noises]
+        self._orders: list[int | None] = [None] * len(self._noises)
         self._last: tuple[Array, Array, tuple[Autoregression, ...]] | None = None
 
     def minimise(self, x: Array, iterations: int = 100) -> LeastSquaresMinimum:
@@ -75,9 +77,9 @@ class ColouredProblem:
         the rig `lab` a pseudo-random flight of 9 s claimed 5 % too little with order 12. The estimates gain nothing.
         """
         orders = [model.order for model in self.at(x)[1]]
-        sizes = [block.rows.stop - block.rows.start for block in self.problem.blocks]
         self._orders = [
-            max(own, min(MAX_ORDER, size // _A_COEFFICIENT)) for own, size in zip(orders, sizes, strict=True)
+            max(own, min(MAX_ORDER, noise.size // _A_COEFFICIENT))
+            for own, noise in zip(orders, self._noises, strict=True)
         ]
         self._last = None
 
@@ -106,7 +108,7 @@ class ColouredProblem:
         return self.whiten(raw, models)
 
     def at(self, x: Array) -> tuple[Array, tuple[Autoregression, ...]]:
-        """The weighted residual at x and its noise models, one for each block of rows."""
+        """The weighted residual at x and its noise models, in the order of `Problem.noises`."""
         if self._last is None or not np.array_equal(self._last[0], x):
             raw = self.problem.residual(x)
             self._last = (x.copy(), raw, self._models(raw))
@@ -123,34 +125,60 @@ class ColouredProblem:
 
     def whiten(self, rows: Array, models: Sequence[Autoregression]) -> Array:
         """Rows of all blocks, each prefiltered by its own model; those of the prior as they are."""
-        parts = zip(models, self.problem.blocks, self.pieces, strict=True)
-        white = [model.whiten(rows[block.rows], pieces) for model, block, pieces in parts]
-        return np.concatenate([*white, rows[self.problem.size :]])
+        white = rows.copy()
+        for model, noise in zip(models, self._noises, strict=True):
+            own = model.whiten(rows[noise.rows], noise.pieces)
+            white[noise.rows] = own if noise.loud is None else (own.T / noise.deviation).T
+        return white
+
+    def listen(self, x: Array) -> bool:
+        """Find where each noise is louder, by the prediction errors at x; whether one is.
+
+        A search begins with even noise. Far from the truth the response that is missed would pass for noise.
+        """
+        raw, models = self.at(x)
+        for model, noise in zip(models, self._noises, strict=True):
+            noise.listen(model.whiten(raw[noise.rows], noise.pieces))
+        self._last = None
+        return any(noise.loud is not None for noise in self._noises)
+
+    def louder(self) -> dict[str, Loudness]:
+        """Where a noise is louder, by the names of the noises that are not even."""
+        found = ((self.problem.noise_label(k), noise.loud) for k, noise in enumerate(self._noises))
+        return {label: loud for label, loud in found if loud is not None}
+
+    def unit(self, noise: int) -> float:
+        """The weight of the rows of a noise, in the output's unit."""
+        block = self.problem.blocks[self.problem.noises[noise][0]]
+        return self.problem.sigma[block.record, block.output]
 
     def _models(self, raw: Array) -> tuple[Autoregression, ...]:
-        parts = zip(self.problem.blocks, self.pieces, self._orders, strict=True)
+        parts = zip(self._noises, self._orders, strict=True)
         spent = len(self.problem.slots)
-        return tuple(autoregression(raw[block.rows], pieces, order, spent) for block, pieces, order in parts)
+        return tuple(autoregression(raw[noise.rows], noise.pieces, order, spent) for noise, order in parts)
 
     def _log_deviations(self, models: Sequence[Autoregression]) -> float:
-        return sum(model.log_deviations(pieces) for model, pieces in zip(models, self.pieces, strict=True))
+        even = sum(model.log_deviations(noise.pieces) for model, noise in zip(models, self._noises, strict=True))
+        return even + sum(float(np.log(noise.deviation).sum()) for noise in self._noises if noise.loud is not None)
 
     def _spread(self, models: Sequence[Autoregression]) -> float:
         return math.exp(self._log_deviations(models) / self.problem.size)
 
     def _projected(self, jacobian: Array, raw: Array, models: Sequence[Autoregression]) -> Array:
         white = self.whiten(jacobian, models)
-        for model, block, pieces in zip(models, self.problem.blocks, self.pieces, strict=True):
+        for model, noise in zip(models, self._noises, strict=True):
             if not model.order:
                 continue
-            own = raw[block.rows]
+            own = raw[noise.rows]
             # Prediction errors change with coefficient k as the residual k samples earlier.
             earlier = np.zeros((own.size, model.order))
-            for piece in pieces:
+            for piece in noise.pieces:
                 part = own[piece]
                 if part.size > model.order:
                     windows = np.lib.stride_tricks.sliding_window_view(part[:-1], model.order)
                     earlier[piece.start + model.order : piece.stop] = windows[:, ::-1]
-            share = np.linalg.lstsq(earlier.T @ earlier, earlier.T @ white[block.rows], rcond=1e-12)[0]
-            white[block.rows] -= earlier @ share
+            if noise.loud is not None:
+                earlier /= noise.deviation[:, None]
+            share = np.linalg.lstsq(earlier.T @ earlier, earlier.T @ white[noise.rows], rcond=1e-12)[0]
+            white[noise.rows] -= earlier @ share
         return white

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.autoregression import Autoregression
 from twodof.identify.disturbance.gust import Gust
+from twodof.identify.disturbance.loudness import Loudness
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,10 @@ class DisturbanceModel:
     """The noise model of an estimate.
 
     `kind` is "white", "ar" or "input". `noise` gives each output's autoregression in the output's unit, for samples
-    `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records. It is empty for white noise.
-    `gusts` are by the same names the pushes at the input from which those of "input" follow. `answering` names the
+    `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces of a flight
+    are one. It is empty for white noise.
+    `gusts` are by the same names the pushes at the input from which those of "input" follow, and `louder` says which
+    noise is louder where an input has just moved. `answering` names the
     inputs that answer the noise, as a controller's output does (closed loop). `change` says by how many of its standard
     deviations the noise model would have changed an estimate. If it is not 0, "auto" stayed with white noise for this
     reason. In open loop only a structure that leaves something out causes such a change.
@@ -38,6 +41,7 @@ class DisturbanceModel:
     change: float = 0.0
     gusts: Mapping[str, Gust] = field(default_factory=dict)
     dt: float = 0.0
+    louder: Mapping[str, Loudness] = field(default_factory=dict)
 
     def of(self, output: str, dt: float) -> Autoregression | None:
         """The noise of `output`, for a flight with samples `dt` [s] apart; None where it is white.
@@ -73,13 +77,19 @@ class DisturbanceModel:
             )
             return f"pushes at {next(iter(self.gusts.values())).input}, seen in {pushes}"
         orders = ", ".join(f"{label} of order {model.order}" for label, model in self.noise.items())
-        return f"coloured noise, autoregressive: {orders}"
+        louder = "".join(
+            f"; {label} up to {one.times:.1f} times as strong in the {1e3 * one.window * self.dt:.0f} ms after "
+            f"{one.input} has moved"
+            for label, one in self.louder.items()
+        )
+        return f"coloured noise, autoregressive: {orders}{louder}"
 
     def to_json(self) -> dict[str, object]:
         """Kind, orders, coefficients and standard deviations as plain numbers."""
         return {
             "kind": self.kind,
             "gusts": {label: asdict(one) for label, one in self.gusts.items()},
+            "louder": {label: asdict(one) for label, one in self.louder.items()},
             "answering_inputs": list(self.answering),
             "noise": {
                 label: {"order": model.order, "coefficients": model.coefficients.tolist(), "sigma": model.sigma}
