@@ -22,6 +22,7 @@ from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.script import script
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.experiments import KINDS
+from twodof.identify.from_flight.closed_loop import FRICTION_BEFORE, POLES_BEFORE
 from twodof.identify.greybox import fit
 from twodof.identify.information import predict
 from twodof.identify.record import Record
@@ -37,15 +38,6 @@ Array = NDArray[np.float64]
 PITCH = ("mu", "tau")
 TRAVEL = ("k_v", "p_v")
 POLES = ("w_n", "xi")
-POLES_BEFORE: Mapping[str, tuple[float, float]] = {"w_n": (2.28, 0.31), "xi": (0.05, 0.05)}
-"""What the real drone's logs tell of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
-
-The stiffness is 5.2 +- 1.4 1/s2. The damping is between that of the free response beside dry friction, .036, and with
-all of it taken for viscous, .10."""
-
-FRICTION_BEFORE: Mapping[str, tuple[float, float]] = {"coulomb": (0.05, 0.05)}
-"""The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest."""
-
 EARLIER = 0
 """Seed of the flight from which the noise is known to plan with."""
 

@@ -18,12 +18,13 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
+from twodof.identify.from_flight.closed_loop import BEND_BEFORE, FRICTION_BEFORE, machine_of
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.rotor_speed import SHORTEST, rotor_speeds
 from twodof.models.structures import pitch_on_cart, pitch_rate
 from twodof.rig.parameters import load_rig
-from twodof.rig.steady_state import cart_parameters, model_parameters, moment_gain
+from twodof.rig.steady_state import model_parameters, moment_gain
 from twodof.signals import HOVER
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "explanation" / "identification.md"
@@ -54,17 +55,8 @@ HEADER = (
 
 UNKNOWNS = ("mu", "dead_time", "lag", "theta_0", "q_0")
 
-MOVED = 0.1
-"""The range sensor's noise stays within this in a flight with rings; a free cart moves three times as far [m]."""
-
 _CHANCE = 0.05
 """Probability from which on a chi-square is no contradiction."""
-
-FREE = 1e3
-"""Play of a cart without rings [m]. Its modelled way drifts by metres in half a minute, and must meet no stop."""
-
-BEND = (0.0, 1.0)
-"""What a large moment may lack, mean and standard deviation: of the hardest of the logs, .35, an eighth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +88,10 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
         log = read_mat(folder / f"{name}.mat")
         channels = {"M": "M", "T": "T", "theta": "theta", "gyro": "q"}
         record = Record.from_log(log, channels, {"q": "q"}, start, stop, smooth=["theta"], name=name)
-        ways = log["dist"].slice(start, stop).value
-        play = FREE if float(np.ptp(ways)) > MOVED else known["ring_play"]
+        machine = machine_of(log, start, stop)
         moment, thrust = record.inputs["M"], record.inputs["T"]
-        on_cart = {**poles, **cart_parameters(known), "play": play}
-        free = ("M_u",) if play == FREE else ()
+        on_cart = {**poles, **machine.values(pitch_on_cart())}
+        free = ("M_u",) if machine.free else ()
         yield RealFlight(
             name,
             fit(pitch_rate(), record, disturbance="white"),
@@ -123,8 +114,7 @@ def _fitted(
     """
     if record.steps < LONG:
         return fit(pitch_rate(lag=True), record, estimate=UNKNOWNS, values=poles)
-    known = {"coulomb": (0.05, 0.05)}  # not less than nothing, and a fraction of that with the rotors at rest
-    known |= {"bend": BEND} if "bend" in more else {}
+    known = {**FRICTION_BEFORE, **(BEND_BEFORE if "bend" in more else {})}
     return fit(pitch_on_cart(), record.pieces(), estimate=(*UNKNOWNS, "coulomb", *more), values=on_cart, prior=known)
 
 

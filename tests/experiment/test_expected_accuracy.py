@@ -92,7 +92,7 @@ def test_the_motion_says_how_much_room_it_takes(still: Laboratory) -> None:
 
 
 def test_what_tells_no_model_still_shows_its_motion(still: Laboratory) -> None:
-    told = expected_accuracy("attitude-steps", still).to_json()
+    told = expected_accuracy("attitude-steps", still, noise={"q": 0.0}).to_json()
     assert told["unknowns"] == []
     assert "not known before" in told["remark"]
     assert 0.1 < told["pitch_share"] < 0.5
@@ -102,3 +102,12 @@ def test_an_excitation_that_meets_a_stop_is_refused(still: Laboratory) -> None:
     wild = replace(experiment("doublet"), excitation=Doublet(0.2, 1.0, lead=0.2))
     with pytest.raises(ExperimentError, match="smaller or shorter"):
         expected_accuracy(wild, still)
+
+
+def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
+    """Planned without a flight; a flight knows besides how its own controller answered the gusts: within a third."""
+    for name in ("attitude-steps", "attitude-prbs"):
+        planned = expected_accuracy(name, Laboratory("lab", noise=0.0)).information
+        assert planned is not None
+        flown = identify_flight(Laboratory("lab").fly(name).log).greybox
+        assert flown.sigma("mu") == pytest.approx(planned.sigma[planned.labels.index("mu")], rel=0.34)

@@ -15,6 +15,7 @@ from twodof.experiment.rig_noise import gyro_covariance, pitch_noise, rail_covar
 from twodof.experiment.script import script
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.from_flight.closed_loop import known_before, known_cart
 from twodof.identify.from_flight.ready_made import FLOWN_AS, SWING, TRAVEL, structure_for
 from twodof.identify.from_flight.sufficiency import LEVEL, PURPOSE, TOLD
 from twodof.identify.information import Information, predict
@@ -113,7 +114,13 @@ def expected_accuracy(
         kind = FLOWN_AS.get(one.name, one.name)
         if kind not in KINDS:
             kind = kind_of(log).name
-        found, worse = _Plan(cut(log, kind), kind, dict(values or {})).information(stops, _load(one, stops), noise)
+        known: dict[str, float] = dict(values or {})
+        before: dict[str, tuple[float, float]] = {}
+        if kind == "attitude":
+            structure = structure_for(kind)
+            known = {**known_cart(stops, structure, free=not one.rings), **known}
+            before = known_before(stops, structure)
+        found, worse = _Plan(cut(log, kind), kind, known, before).information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
         remark = f"what it tells is not known before: {reason.what}"
     return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail, worse)
@@ -131,6 +138,7 @@ class _Plan:
     record: Record
     kind: str
     values: dict[str, float]
+    before: Mapping[str, tuple[float, float]]
 
     def information(
         self, rig: Mapping[str, float], load: float, noise: Mapping[str, float] | None
@@ -158,6 +166,9 @@ class _Plan:
         wanted: tuple[str, ...]
         if self.kind == "velocity":
             wanted = TRAVEL
+        elif self.kind == "attitude":
+            # The poles and the friction, which a controller hides, are known before; so is what a large moment lacks.
+            wanted, of_noise["prior"] = (*structure.estimate, "bend"), self.before
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:

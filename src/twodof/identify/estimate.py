@@ -129,7 +129,7 @@ class Estimate:
             f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
             for name in self.at_rest
         )
-        if "xi" in self.labels and self["xi"] < 0.0:
+        if "xi" in self.labels and self["xi"] < -self.sigma("xi"):
             found.append(
                 "xi is negative, a swing that grows by itself: the record does not show the damping. "
                 "Hold w_n and xi at those of a free response"
@@ -143,7 +143,7 @@ class Estimate:
         )
         for i, label in enumerate(self.labels):
             deviation = self.sigma(label)
-            if label not in (*self.local, *together) and deviation > abs(self.values[i]):
+            if label not in (*self.local, *together, *self.prior) and deviation > abs(self.values[i]):
                 found.append(f"the data hardly tell {label}: {self.values[i]:.3g} +- {deviation:.2g}")
         correlation = self.correlation
         for i in range(len(self.labels)):
@@ -237,12 +237,16 @@ class Estimate:
         if self.held:
             lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
         for title, comparisons in (("identification", self.identification), ("validation", self.validation)):
-            lines.extend(
-                f"{title}: {c.output} in '{c.record}': FIT {c.fit_percent:.2f} %, VAF {c.vaf:.2f} %, RMSE {c.rmse:.3g}"
-                for c in comparisons
-            )
+            lines.extend(f"{title}: {self._compared(c)}" for c in comparisons)
         lines.extend(f"note: {remark}" for remark in self.remarks)
         return "\n".join(lines)
+
+    def _compared(self, one: Comparison) -> str:
+        """How well the model reproduces an output; in closed loop how well it foretells it, which is what counts."""
+        place = f"{one.output} in '{one.record}'"
+        if one.ahead is not None and self.disturbance.answering:
+            return f"{place}: FIT {one.ahead:.2f} % one sample ahead, {one.fit_percent:.2f} % without the gusts"
+        return f"{place}: FIT {one.fit_percent:.2f} %, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
 
     def to_json(self) -> str:
         """Everything but the signals as JSON text; NaN is null."""

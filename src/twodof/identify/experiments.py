@@ -1,4 +1,6 @@
-"""The paper's three experiments as records: which excitation to look for in a log and which channels to take."""
+"""The paper's three experiments, and the pitch in closed loop, as records: which excitation to look for in a log and
+which channels to take.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,8 +33,9 @@ _REST_S = 0.1
 class ExperimentKind:
     """What to look for (modes and shapes of `flightlog.contents`), and inputs and outputs of the record.
 
-    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m. Inputs
-    named in `smooth` are measured and move on between their samples (`Record.from_channels`).
+    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m. An input
+    `gyro` is the measured q, which is an output too. Inputs named in `smooth` are measured and move on between their
+    samples (`Record.from_channels`).
     """
 
     name: str
@@ -44,17 +47,36 @@ class ExperimentKind:
     smooth: tuple[str, ...] = ()
 
 
+_CLOSED = ("attitude", "velocity", "position")
+_STEPPED = ("doublet", "doublets", "sweep", "steps")
+
 _KINDS = (
     ExperimentKind("impulse", "free response to an impulse of M", ("open-loop",), ("impulse",), ("M",), ("q",)),
-    ExperimentKind("doublet", "doublet of M, open loop", ("open-loop",), ("doublet", "doublets"), ("M",), ("q",)),
+    ExperimentKind(
+        "doublet",
+        "doublet or another test signal of M, open loop",
+        ("open-loop",),
+        (*_STEPPED, "3-2-1-1"),
+        ("M",),
+        ("q",),
+    ),
     ExperimentKind(
         "velocity",
         "motion along the rail: pitch to velocity",
-        ("attitude", "velocity", "position"),
-        ("doublet", "doublets", "sweep", "steps"),
+        _CLOSED,
+        _STEPPED,
         ("theta0", "theta", "q", "M", "T"),
         ("v", "x"),
         ("theta", "q"),
+    ),
+    ExperimentKind(
+        "attitude",
+        "pitch in closed loop, whatever moves its set-point",
+        ("rate", *_CLOSED),
+        (*_STEPPED, "impulse", "3-2-1-1"),
+        ("M", "theta", "gyro"),
+        ("q",),
+        ("theta",),
     ),
 )
 KINDS: Mapping[str, ExperimentKind] = MappingProxyType({kind.name: kind for kind in _KINDS})
@@ -92,8 +114,8 @@ def cut(
 def kind_of(log: FlightLog) -> ExperimentKind:
     """The experiment that a log holds: the kind of its longest excitation.
 
-    Steps and doublets of the pitch count as the velocity's experiment only if the drone moved along the rail. Raises
-    LogError for a log without an excitation of any of the `KINDS`.
+    Steps and doublets of the pitch count as the velocity's experiment if the drone moved along the rail, and else as
+    the pitch's in closed loop. Raises LogError for a log without an excitation of any of the `KINDS`.
     """
     moved = "dist" in log and float(np.ptp(log["dist"].value)) > _MOVED_M
     kinds = [kind for kind in KINDS.values() if moved or kind.name != "velocity"]
@@ -131,6 +153,8 @@ def only(record: Record, *outputs: str) -> Record:
 def _channel(log: FlightLog, name: str, measured: bool) -> tuple[Array, Array]:
     if name == "x" and measured:
         return log["dist"].time, log["dist"].value - RAIL_CENTRE
+    if name == "gyro":
+        name = "q"
     return log[name].time, log[name].value
 
 

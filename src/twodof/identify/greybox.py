@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, doubted, robust_covariance
+from twodof.identify.disturbance.autoregression import Autoregression
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.search import check_disturbance, search
 from twodof.identify.estimate import Estimate
@@ -132,7 +133,7 @@ def fit(
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
         identification=_comparisons(
-            problem, minimum.x, None if found.model.kind == "white" else found.prediction_error
+            problem, minimum.x, None if found.model.kind == "white" else found.prediction_error, found.model.noise
         ),
         validation=_validation(structure, problem, minimum.x, _several(validation), like),
         iterations=minimum.iterations,
@@ -217,8 +218,17 @@ def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[R
     return change
 
 
-def _comparisons(problem: Problem, x: Array, prediction_error: Array | None = None) -> tuple[Comparison, ...]:
-    found = []
+def _comparisons(
+    problem: Problem,
+    x: Array,
+    prediction_error: Array | None = None,
+    noise: Mapping[str, Autoregression] | None = None,
+) -> tuple[Comparison, ...]:
+    found: list[Comparison] = []
+    foretold: dict[tuple[int, str], float] = {}
+    for k, blocks in enumerate(problem.noises):
+        if model := (noise or {}).get(problem.noise_label(k)):
+            foretold |= {(problem.blocks[b].record, problem.blocks[b].output): model.sigma for b in blocks}
     tested = {}
     if prediction_error is not None:
         tested = {(block.record, block.output): prediction_error[block.rows] for block in problem.blocks}
@@ -235,6 +245,7 @@ def _comparisons(problem: Problem, x: Array, prediction_error: Array | None = No
                     np.array(simulated),
                     {name: record.inputs[name][step] for name in problem.structure.inputs},
                     prediction_error=tested.get((r, output)),
+                    foretold=foretold.get((r, output)),
                 )
             )
     return tuple(found)

@@ -124,6 +124,7 @@ def repeat(
     estimate: Collection[str] | None = None,
     values: Mapping[str, float] | None = None,
     disturbance: Disturbance = "auto",
+    prior: Mapping[str, tuple[float, float]] | None = None,
 ) -> Repeated:
     """`fit` of each of `records`, repetitions of one experiment, by itself; the other arguments as there.
 
@@ -134,5 +135,8 @@ def repeat(
         raise IdentificationError(
             f"records {', '.join(names) or 'none'}", "repetitions", "give two or more, each with a name of its own"
         )
-    fits = (fit(structure, record, estimate=estimate, values=values, disturbance=disturbance) for record in records)
+    fits = (
+        fit(structure, record, estimate=estimate, values=values, disturbance=disturbance, prior=prior)
+        for record in records
+    )
     return Repeated(names, tuple(fits))

@@ -126,7 +126,9 @@ class Comparison:
     """One output of one record beside the model: figures, signals (for plots) and residual tests.
 
     `inputs` holds the cross-correlation with each input; tests are None for records too short for them. With a noise
-    model the tests are of the prediction error, of which the model has taken the colour.
+    model the tests are of the prediction error, of which the model has taken the colour. `ahead` is then the FIT of
+    what model and noise foretell one sample ahead [%]. In closed loop it is the one to read: the input answers gusts,
+    of which `simulated` knows nothing.
     """
 
     record: str
@@ -139,6 +141,7 @@ class Comparison:
     rmse: float
     whiteness: Correlation | None
     inputs: dict[str, Correlation]
+    ahead: float | None = None
 
     @property
     def residual(self) -> Array:
@@ -165,6 +168,7 @@ class Comparison:
             "output": self.output,
             "samples": int(self.time.size),
             "fit_percent": self.fit_percent,
+            "fit_percent_ahead": self.ahead,
             "vaf": self.vaf,
             "rmse": self.rmse,
             "residual_wanders": self.wanders,
@@ -182,11 +186,13 @@ def compare(
     applied: dict[str, Array],
     lags: int = 25,
     prediction_error: Array | None = None,
+    foretold: float | None = None,
 ) -> Comparison:
     """Figures and residual tests of one output; `applied` are the inputs at the same times.
 
-    Tested is the `prediction_error`, which a noise model has made of the residual, or else the residual itself. An
-    input that is constant, and a record shorter than 4 `lags`, have no test.
+    Tested is the `prediction_error`, which a noise model has made of the residual, or else the residual itself.
+    `foretold` is the root mean square of what the noise model cannot foretell. An input that is constant, and a record
+    shorter than 4 `lags`, have no test.
     """
     error = measured - simulated if prediction_error is None else prediction_error
     long_enough = measured.size >= 4 * lags and float(np.ptp(error)) > 0.0
@@ -205,6 +211,7 @@ def compare(
             for name, signal in applied.items()
             if long_enough and float(np.ptp(signal)) > 0.0
         },
+        None if foretold is None else 100.0 * (1.0 - foretold / float(measured.std())),
     )
 
 

@@ -16,6 +16,7 @@ from twodof.identify.from_flight import ready_made
 from twodof.identify.greybox import fit
 from twodof.models.plant import PitchRate, Velocity
 from twodof.models.structures import pitch_rate
+from twodof.rig.steady_state import model_parameters
 
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.018)
 DT = 0.004
@@ -136,7 +137,8 @@ def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
         (["--experiment", "velocity", "--method", "simple", "--impulse", "a.mat"], 2, "of use to a doublet only"),
         (["--experiment", "impulse", "--impulse", "a.mat"], 2, "give it with --experiment doublet"),
         ([], 2, "holds none of the experiments"),
-        (["--experiment", "attitude-steps"], 2, "nothing is identified from 'attitude-steps'"),
+        (["--experiment", "nonsense"], 2, "nothing is identified from 'nonsense'"),
+        (["--experiment", "attitude", "--window", "0", "2", "--method", "simple"], 2, "in closed loop nothing is read"),
     ],
 )
 def test_what_cannot_be_identified_is_said(
@@ -259,3 +261,28 @@ def test_the_experiment_is_found_in_a_log_that_does_not_name_it(
     assert "looks like the experiment 'doublet'" in said
     named = answer(["identify", log, "--experiment", "doublet"], capfd)
     assert json.loads(found) == named
+
+
+def test_a_flight_in_closed_loop_tells_gain_and_delay(
+    flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    laboratory, log = Laboratory("lab"), str(tmp_path / "flight.mat")
+    write_log(laboratory.fly("attitude-prbs", 1).log, log)
+    found = answer(["identify", log], capfd)
+    assert found["experiment"] == "attitude"
+    truth = model_parameters(laboratory.parameters.snapshot())
+    # The battery sags by half a per cent of mu.
+    assert abs(found["estimates"]["mu"]["value"] - 0.995 * truth["mu"]) < 3.3 * found["estimates"]["mu"]["sigma"]
+    assert abs(found["sums"]["tau"]["value"] - truth["tau"]) < 3.3 * found["sums"]["tau"]["sigma"]
+    # A log of the real drone, which lost the moment twice, is fitted in pieces.
+    real = answer(["identify", str(flight_data / "attitude-steps-10deg-student.mat")], capfd)
+    assert [one["record"].rpartition(", ")[2] for one in real["identification"]] == ["piece 1", "piece 2", "piece 3"]
+    assert abs(real["estimates"]["mu"]["value"] - 300.0) < 3.3 * real["estimates"]["mu"]["sigma"]
+    # By M alone, which answers the gusts, the flight is not simulated; a sample ahead it is foretold.
+    assert all(one["fit_percent"] < 0.0 < 90.0 < one["fit_percent_ahead"] for one in real["identification"])
+
+
+def test_a_cart_in_rings_is_not_taken_for_a_free_one(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    logs = [str(flight_data / f"{name}.mat") for name in ("rate-doublets-30dps-student", "velocity-doublets-0.25")]
+    assert run(["identify", *logs, "--experiment", "attitude"]) == 1
+    assert "different machines" in capfd.readouterr().err

@@ -7,6 +7,8 @@ import pytest
 
 from twodof.design.uncertain.pitch_family import PitchFamily
 from twodof.errors import IdentificationError
+from twodof.excitation import Multisine
+from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import FlightLog
 from twodof.identify.from_flight.identified_flight import IdentifiedFlight, identify_flight
@@ -70,9 +72,31 @@ def test_the_velocity_shows_both_outputs(logs: dict[str, FlightLog]) -> None:
     assert all(math.isfinite(row["value"]) for row in found.view()["estimates"])
 
 
+def test_a_flight_in_closed_loop_holds_the_rig(logs: dict[str, FlightLog]) -> None:
+    found = identify_flight(logs["attitude-steps"])
+    assert found.experiment == "attitude"
+    # The paper's rig: mu 358.5, a pure delay of 20 ms.
+    assert abs(found.greybox["mu"] - 358.5) < 3.3 * found.greybox.sigma("mu")
+    assert abs(found.greybox["tau"] - 0.02) < 3.3 * found.greybox.sigma("tau")
+    assert found.sufficiency.enough
+    assert found.simple is None
+    assert "in closed loop nothing is read by hand" in found.refusal
+    assert not any(one["validation"] for one in found.view()["outputs"])
+
+
+def test_a_long_test_signal_in_open_loop_is_identified_with_what_is_known_of_its_poles() -> None:
+    signal = Multisine.schroeder(0.05, 2.0, range(2, 13), lead=0.2, repeat=2)
+    flown = Laboratory("lab").fly(Experiment("multisine", "open-loop", signal, rings=True, hold=20.0, rest=0.4), 2)
+    found = identify_flight(FlightLog(flown.log.channels, {"rig": "lab"})).greybox
+    assert set(found.prior) == {"lag", "w_n", "xi"}
+    # The rig's mu is 298.3, half a per cent less as the battery sags; its tau 21.2 ms.
+    assert abs(found["mu"] - 296.0) < 3.3 * found.sigma("mu")
+    assert abs(found["tau"] - 0.0212) < 3.3 * found.sigma("tau")
+
+
 def test_what_cannot_be_asked_is_refused(logs: dict[str, FlightLog]) -> None:
-    with pytest.raises(IdentificationError, match="attitude-steps"):
-        experiment_in(logs["attitude-steps"])
+    with pytest.raises(IdentificationError, match="nothing is identified from the experiment 'hovering'"):
+        experiment_in(FlightLog(logs["doublet"].channels, {"experiment": "hovering"}))
     with pytest.raises(IdentificationError, match="driven by"):
         structure_for("doublet", "rail")
     with pytest.raises(IdentificationError, match="no structure"):

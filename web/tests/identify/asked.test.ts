@@ -1,6 +1,6 @@
 import { describe, expect, it } from "vitest";
 import type { ExperimentRow, OutputCurves, ResidualTest } from "../../src/api/identification";
-import { byPurpose, experimentAsked, experimentOf, fitAsked, latestOf, windowOf } from "../../src/pages/identify/asked";
+import { byLoop, experimentAsked, experimentOf, fitAsked, latestOf, windowOf } from "../../src/pages/identify/asked";
 import { fitSeries, onScreen, residualSeries, strength, testSeries, testWords } from "../../src/pages/identify/curves";
 
 const NAMES = ["impulse", "doublet", "velocity-doublet", "attitude-steps"];
@@ -46,16 +46,16 @@ describe("the log that fits", () => {
 });
 
 describe("an experiment", () => {
-  const row = { name: "doublet", kind: "doublet" } as ExperimentRow;
+  const row = { name: "doublet", kind: "doublet", mode: "open-loop" } as ExperimentRow;
   it("has its own excitation only where one was built", () => {
     expect(experimentAsked(row, undefined)).toEqual({ name: "doublet" });
     const own = { kind: "3-2-1-1", version: 1 };
     expect(experimentAsked(row, own)).toEqual({ name: "doublet", excitation: own });
   });
-  it("stands by what it is for", () => {
-    const [paper, others] = byPurpose([row, { ...row, name: "attitude-steps", kind: null }]);
-    expect(paper![1].map((one) => one.name)).toEqual(["doublet"]);
-    expect(others![1].map((one) => one.name)).toEqual(["attitude-steps"]);
+  it("stands by its loop", () => {
+    const [open, closed] = byLoop([row, { ...row, name: "attitude-steps", kind: "attitude", mode: "attitude" }]);
+    expect(open![1].map((one) => one.name)).toEqual(["doublet"]);
+    expect(closed![1].map((one) => one.name)).toEqual(["attitude-steps"]);
   });
 });
 

@@ -19,6 +19,7 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.from_flight.closed_loop import machine_of
 from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, by_hand, by_output_error, structure_for
 from twodof.identify.greybox import fit
 from twodof.identify.hold import HOLDS
@@ -57,6 +58,7 @@ class Model(StrEnum):
     auto = AUTO
     pitch_rate = "pitch-rate"
     pitch_rate_lag = "pitch-rate-lag"
+    pitch_on_cart = "pitch-on-cart"
     free_response = "free-response"
     velocity = "velocity"
     rail = "rail"
@@ -73,7 +75,9 @@ def identify(
     experiment: Annotated[
         str | None,
         typer.Option(
-            metavar="|".join(_KNOWN), help="Which experiment the log holds; left out: what the log says or looks like."
+            metavar="|".join(KINDS),
+            help="What the log holds (attitude: the pitch in closed loop), or the name that it was flown under; "
+            "left out: what the log says or looks like.",
         ),
     ] = None,
     method: Annotated[FitMethod, typer.Option(help="Output error, or by hand as the paper does.")] = FitMethod.greybox,
@@ -204,7 +208,10 @@ def identify(
     else:
         shape = structure_for(asked if model is Model.auto else "", model)
         _check_request(shape, asked, model, estimate or (), numbers)
-        found, records = by_output_error(asked, shape, records, others, estimate, numbers, free, disturbance.value)
+        machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in zip(logs, records, strict=True)]
+        found, records = by_output_error(
+            asked, shape, records, others, estimate, numbers, free, disturbance.value, machines
+        )
         converged = found.converged
         if plot is not None and isinstance(found, Estimate):
             if reference is not None:
@@ -371,6 +378,12 @@ def _check_by_hand(experiment: str, free: Record | None) -> None:
             "by hand, the impulse gives only the poles",
             "--method simple",
             "call it with the doublet's log, --experiment doublet and --impulse LOG",
+        )
+    if experiment == "attitude":
+        raise ParameterError(
+            "in closed loop nothing is read by hand: the controller answers what the ruler would measure",
+            "--method simple",
+            "take --method grey-box",
         )
     if experiment == "doublet" and free is None:
         raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")

@@ -14,6 +14,7 @@ from twodof.identify import simple_pitch, simple_velocity
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut
+from twodof.identify.from_flight.closed_loop import machine_of
 from twodof.identify.from_flight.ready_made import AUTO, by_hand, by_output_error, experiment_in, structure_for
 from twodof.identify.from_flight.sufficiency import PURPOSE, Sufficiency, sufficiency
 from twodof.identify.record import Record
@@ -111,9 +112,10 @@ class IdentifiedFlight:
 
     def _outputs(self) -> list[dict[str, Any]]:
         rows = []
-        for one in (*self.greybox.identification, *self.greybox.validation):
+        validated = self.greybox.validation
+        for one in (*self.greybox.identification, *validated):
             curves = {"measured": one.measured, "greybox": one.simulated, "residual": one.residual}
-            if one.record == self.record.name and self.simple is not None and one.output == self.simple.output:
+            if one not in validated and self.simple is not None and one.output == self.simple.output:
                 _, _, offset, simulated = self._simulated()
                 curves["simple"] = simulated + offset
             rows.append(
@@ -121,7 +123,7 @@ class IdentifiedFlight:
                     "name": one.output,
                     "unit": unit_of(one.output),
                     "record": one.record,
-                    "validation": one.record != self.record.name,
+                    "validation": one in validated,
                     "fit_percent": one.fit_percent,
                     "rmse": one.rmse,
                     "wanders": one.wanders,
@@ -186,7 +188,10 @@ def identify_flight(
     checks = tuple(cut(other, kind) for other in others)
     free = None if impulse is None else cut(impulse, "impulse")
     shape = structure_for(kind, structure)
-    found, fitted = by_output_error(kind, shape, [record], checks, free=free, disturbance=disturbance)
+    machine = machine_of(log, record.start, float(record.time[-1]))
+    found, fitted = by_output_error(
+        kind, shape, [record], checks, free=free, disturbance=disturbance, machines=[machine]
+    )
     if not isinstance(found, Estimate):
         raise IdentificationError("one log gives one estimate", kind)
     simple, refusal = None, ""

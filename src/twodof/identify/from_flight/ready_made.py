@@ -6,15 +6,17 @@ from types import MappingProxyType
 from twodof.errors import IdentificationError, shown
 from twodof.flightlog.log import FlightLog
 from twodof.identify.disturbance.disturbance_model import Disturbance
+from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
+from twodof.identify.from_flight.closed_loop import POLES_BEFORE, Machine
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.models.structure import Structure
-from twodof.models.structures import free_response, pitch_rate, rail, velocity
+from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, rail, velocity
 
 AUTO = "auto"
 """The paper's structure for the experiment."""
@@ -24,13 +26,23 @@ STRUCTURES: Mapping[str, Callable[[], Structure]] = MappingProxyType(
         "pitch-rate": pitch_rate,
         "pitch-rate-lag": lambda: pitch_rate(lag=True),
         "free-response": free_response,
+        "pitch-on-cart": pitch_on_cart,
         "velocity": velocity,
         "rail": rail,
     }
 )
 """The ready-made structures; `velocity` is the paper's, between on-board estimates."""
 
-FLOWN_AS: Mapping[str, str] = MappingProxyType({"velocity-doublet": "velocity"})
+FLOWN_AS: Mapping[str, str] = MappingProxyType(
+    {
+        "velocity-doublet": "velocity",
+        "velocity-doublets": "velocity",
+        "position-sweep": "velocity",
+        "attitude-steps": "attitude",
+        "attitude-prbs": "attitude",
+        "rate-doublets": "attitude",
+    }
+)
 """What an experiment of `KINDS` is called where it is flown, if it is another name."""
 
 SWING = ("w_n", "xi", "coulomb", "hardening")
@@ -63,6 +75,8 @@ def structure_for(experiment: str, name: str = AUTO) -> Structure:
 
     Raises IdentificationError for a name that is not there, and for a structure of another experiment's inputs.
     """
+    if name == AUTO and experiment == "attitude":
+        return pitch_on_cart()
     if name == AUTO:
         return rail(thrust=True) if experiment == "velocity" else pitch_rate(lag=experiment == "doublet")
     if name not in STRUCTURES:
@@ -84,6 +98,12 @@ def by_hand(
     """The paper's simple method; of a doublet it needs the `free` response too. Raises IdentificationError."""
     if experiment == "velocity":
         return identify_velocity([record, *others])
+    if experiment == "attitude":
+        raise IdentificationError(
+            "in closed loop nothing is read by hand: the controller answers what the ruler would measure",
+            f"experiment '{experiment}'",
+            "take output error with its noise model",
+        )
     if experiment == "impulse" or free is None:
         raise IdentificationError(
             "by hand, the poles are read from a free response and the rest from a doublet",
@@ -102,10 +122,13 @@ def by_output_error(
     values: Mapping[str, float] | None = None,
     free: Record | None = None,
     disturbance: Disturbance = "auto",
+    machines: Sequence[Machine] = (),
 ) -> tuple[Estimate | Repeated, list[Record]]:
     """What was found, and the records as they were fitted (the first) and validated.
 
-    `free` is the impulse's record of a doublet: its fit with the same structure fixes the poles. Several `records` are
+    `machines` are those of the flights, one for each of `records`. In closed loop what its calibration knows of the
+    cart is held, and what it knows less well is known before. In a long open loop the poles are. `free` is the
+    impulse's record of a doublet: its fit with the same structure fixes the poles. Several `records` are
     repetitions, each fitted by itself. Raises IdentificationError as `fit` and `repeat`.
     """
     given = dict(values or {})
@@ -115,13 +138,67 @@ def by_output_error(
         held = {name: swing[name] for name in SWING if name in swing.labels and name not in (estimate or ())}
         given = {**held, **given}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
+    if experiment == "attitude":
+        return _in_closed_loop(structure, records, others, wanted, given, disturbance, machines)
     fitted, checked = list(records), list(others)
+    before: dict[str, tuple[float, float]] | None = None
+    if experiment == "doublet" and free is None and min(one.steps for one in fitted) >= LONG:
+        # Slow noise passes for a swing of a long test signal, which a short one does not know of.
+        known = (machines or [Machine()])[0].prior(structure)
+        before = {name: one for name, one in known.items() if name in POLES_BEFORE and name not in given}
     if experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if "theta" in structure.inputs else "x"
         fitted, checked = [only(one, output) for one in fitted], [only(other, output) for other in checked]
         wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
     if len(fitted) > 1:
-        return repeat(structure, fitted, estimate=wanted, values=given, disturbance=disturbance), fitted
-    found = fit(structure, fitted[0], estimate=wanted, values=given, validation=checked, disturbance=disturbance)
+        repeated = repeat(structure, fitted, estimate=wanted, values=given, disturbance=disturbance, prior=before)
+        return repeated, fitted
+    found = fit(
+        structure,
+        fitted[0],
+        estimate=wanted,
+        values=given,
+        validation=checked,
+        disturbance=disturbance,
+        prior=before,
+    )
     return found, [fitted[0], *checked]
+
+
+def _in_closed_loop(
+    structure: Structure,
+    records: Sequence[Record],
+    others: Sequence[Record],
+    wanted: tuple[str, ...] | None,
+    given: Mapping[str, float],
+    disturbance: Disturbance,
+    machines: Sequence[Machine],
+) -> tuple[Estimate | Repeated, list[Record]]:
+    machines = machines or [Machine()] * len(records)
+    if len(set(machines)) > 1:
+        raise IdentificationError(
+            "these flights are of different machines: a cart in rings is another than a free one",
+            ", ".join(record.name for record in records),
+            "give the flights of one machine",
+        )
+    machine = machines[0]
+    estimate = wanted or tuple(name for name in machine.estimate(structure) if name not in given)
+    values = {**machine.values(structure), **given}
+    before = {name: one for name, one in machine.prior(structure).items() if name in estimate and name not in given}
+    # What a lost command did to the drone comes back in the next ones: between gaps each piece has a start of its own.
+    found = [
+        fit(
+            structure,
+            record.pieces(),
+            estimate=estimate,
+            values=values,
+            validation=others,
+            disturbance=disturbance,
+            prior=before,
+        )
+        for record in records
+    ]
+    if len(found) > 1:
+        return Repeated(tuple(record.name for record in records), tuple(found)), list(records)
+    return found[0], [records[0], *others]

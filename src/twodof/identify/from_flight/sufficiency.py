@@ -14,9 +14,9 @@ margin of 6 dB that a controller commonly keeps."""
 LEVEL = 0.95
 
 PURPOSE: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {"impulse": ("w_n", "xi"), "doublet": ("mu", "tau"), "velocity": ("k_v", "p_v")}
+    {"impulse": ("w_n", "xi"), "doublet": ("mu", "tau"), "attitude": ("mu", "tau"), "velocity": ("k_v", "p_v")}
 )
-"""What each of the paper's experiments is flown for."""
+"""What each experiment is flown for."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from twodof.excitation import KINDS, LIMITS
-from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, UNIT, Experiment, experiment
+from twodof.experiment.experiments import EXPERIMENTS, UNIT, Experiment, experiment
 from twodof.identify.experiments import KINDS as IDENTIFIED
 from twodof.identify.from_flight.ready_made import FLOWN_AS
 from twodof.lab.request_body import RequestBody
@@ -63,5 +63,5 @@ def _row(one: Experiment) -> dict[str, Any]:
         "rest": one.rest,
         "duration": one.duration,
         "excitation": one.excitation.to_dict(),
-        "kind": FLOWN_AS.get(one.name, one.name) if one.name in IDENTIFICATION else None,
+        "kind": FLOWN_AS.get(one.name, one.name if one.name in IDENTIFIED else None),
     }

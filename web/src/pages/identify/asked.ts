@@ -12,11 +12,11 @@ export const LOOP_OF: Readonly<Record<string, Loop>> = {
   position: "x",
 };
 
-/** The experiments by what they are for: the paper's, from which a model comes, and the others. */
-export function byPurpose(rows: readonly ExperimentRow[]): readonly (readonly [string, ExperimentRow[]])[] {
+/** The experiments by what moves the drone: the moment itself, or the set-point of a controller. */
+export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [string, ExperimentRow[]])[] {
   return [
-    ["The paper's, each tells a model", rows.filter((row) => row.kind !== null)],
-    ["Others, to look at a loop", rows.filter((row) => row.kind === null)],
+    ["In open loop", rows.filter((row) => row.mode === "open-loop")],
+    ["In closed loop", rows.filter((row) => row.mode !== "open-loop")],
   ];
 }
 
@@ -65,7 +65,7 @@ export function fitAsked(given: {
     disturbance,
     others: others.filter((one) => one !== log),
     ...(kind === "" ? {} : { kind }),
-    ...(impulse === "" || kind === "impulse" || kind === "velocity" ? {} : { impulse }),
+    ...(impulse === "" || !["", "doublet"].includes(kind) ? {} : { impulse }),
     ...(window === undefined ? {} : { window }),
   };
 }
