@@ -42,7 +42,7 @@ class NoiseRows:
             place = self.loud.input, self.loud.window
             moved = next(size for name, window, size in self._moves if (name, window) == place)
             variance = self.loud.variance(moved)
-            self.deviation = np.sqrt(variance * float(np.mean(error**2 / variance)))
+            self.deviation = np.sqrt(variance * float(np.mean(error**2 / variance) / np.mean(error**2)))
 
     @cached_property
     def _moves(self) -> tuple[tuple[str, int, Array], ...]:

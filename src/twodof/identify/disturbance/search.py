@@ -237,7 +237,9 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
     best = found[int(np.argmin(costs))]
     coloured.choose(best.x)
     for _ in range(_LISTENS):
-        if not coloured.listen(best.x):
+        louder = bool(coloured.louder())
+        # Where the noise turns out to be even after all, the estimate of before is one under other weights.
+        if not (coloured.listen(best.x) or louder):
             break
         before = best.x
         best = coloured.minimise(before)
