@@ -97,10 +97,11 @@ def _by_size(size: Array, square: Array) -> tuple[Array, Array, Array]:
     So a record of a million samples takes as long as one of a thousand.
     """
     place = np.minimum((size * _ALIKE).astype(np.int64), _ALIKE - 1)
-    count = np.bincount(place, minlength=_ALIKE)
-    sums = [np.bincount(place, weights, _ALIKE)[count > 0] for weights in (size, square)]
-    count = count[count > 0].astype(float)
-    return count, sums[0] / count, sums[1]
+    count, sizes, squares = (
+        np.asarray(np.bincount(place, weights, _ALIKE), dtype=np.float64) for weights in (None, size, square)
+    )
+    there = count > 0.0
+    return count[there], sizes[there] / count[there], squares[there]
 
 
 def _range_before(values: Array, window: int) -> Array:

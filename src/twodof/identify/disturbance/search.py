@@ -35,6 +35,10 @@ _LAGS = 25
 _NEAR = 0.3
 _LISTENS = 4
 """How often the places where the noise is louder are found again; they stand after two or three."""
+_POLISHES = 8
+_STANDS = 0.03
+"""Gauss-Newton steps at the end of a fit under louder noise, and the length in standard deviations of the last."""
+
 _MUCH = 5.0
 _LOWER = 0.01
 
@@ -242,18 +246,19 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
         if not (coloured.listen(best.x) or louder):
             break
         before = best.x
-        best = coloured.minimise(before)
-        coloured.choose(best.x)
+        best = _polished(coloured, coloured.minimise(before))
         free = coloured.sensitivities(best.x)
         if float(np.linalg.norm(free @ (best.x - before))) < _NEAR:
             break
     raw, models = coloured.at(best.x)
     jacobian, error = coloured.sensitivities(best.x), coloured.whitened(best.x)
     free = jacobian[:, ~best.at_bound]
-    # A further step, in standard deviations. At the optimum it is not quite 0, because Burg's coefficients are not
-    # quite those of least squares.
-    left = float(np.linalg.norm(free @ np.linalg.lstsq(free, error, rcond=None)[0]))
-    best = replace(best, converged=best.converged or left < _NEAR)
+    if not best.converged and _left(free, error)[1] >= _NEAR:
+        best = _polished(coloured, best)
+        (raw, models), jacobian, error = coloured.at(best.x), coloured.sensitivities(best.x), coloured.whitened(best.x)
+        free = jacobian[:, ~best.at_bound]
+    # At the optimum a further step is not quite 0, because Burg's coefficients are not quite those of least squares.
+    best = replace(best, converged=best.converged or _left(free, error)[1] < _NEAR)
     coloured.lengthen(best.x)
     longer = coloured.sensitivities(best.x)
     if _doubt(longer) > _doubt(jacobian):
@@ -266,6 +271,36 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
         _deviation(problem, raw),
         DisturbanceModel("ar", noise, answering, dt=problem.records[0].dt, louder=coloured.louder()),
     )
+
+
+def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastSquaresMinimum:
+    """The x near the minimum at which no sensitivity goes with the prediction errors; the orders are chosen at it.
+
+    Burg's coefficients are not quite those of the least cost: less so in a short record, and where the noise is louder,
+    as they know of no weights. The cost's minimum is then off by what is chance in them. The sensitivities are without
+    what a coefficient would do, and the x at which they vanish beside the errors does not feel it.
+    """
+    coloured.choose(minimum.x)
+    x, free, share = minimum.x, ~minimum.at_bound, 1.0
+    step, left = _left(coloured.sensitivities(x)[:, free], coloured.whitened(x))
+    for _ in range(_POLISHES):
+        if left < _STANDS or share < 0.1:
+            break
+        other = x.copy()
+        other[free] = np.clip(x[free] - share * step, coloured.problem.lower[free], coloured.problem.upper[free])
+        next_step, further = _left(coloured.sensitivities(other)[:, free], coloured.whitened(other))
+        if further < left:
+            x, step, left = other, next_step, further
+        else:
+            share *= 0.5
+    coloured.choose(x)
+    return replace(minimum, x=x, converged=minimum.converged or left < _STANDS)
+
+
+def _left(jacobian: Array, error: Array) -> tuple[Array, float]:
+    """The Gauss-Newton step that is left, and how long it is in standard deviations."""
+    step = np.asarray(np.linalg.lstsq(jacobian, error, rcond=None)[0], dtype=np.float64)
+    return step, float(np.linalg.norm(jacobian @ step))
 
 
 def _doubt(jacobian: Array) -> float:
