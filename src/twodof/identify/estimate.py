@@ -129,7 +129,7 @@ class Estimate:
             f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
             for name in self.at_rest
         )
-        if "xi" in self.labels and self["xi"] < -self.sigma("xi"):
+        if "xi" in self.labels and "xi" not in self.prior and self["xi"] < -self.sigma("xi"):
             found.append(
                 "xi is negative, a swing that grows by itself: the record does not show the damping. "
                 "Hold w_n and xi at those of a free response"
@@ -245,7 +245,10 @@ class Estimate:
         """How well the model reproduces an output; in closed loop how well it foretells it, which is what counts."""
         place = f"{one.output} in '{one.record}'"
         if one.ahead is not None and self.disturbance.answering:
-            return f"{place}: FIT {one.ahead:.2f} % one sample ahead, {one.fit_percent:.2f} % without the gusts"
+            return (
+                f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the gusts, "
+                "which says little in closed loop"
+            )
         return f"{place}: FIT {one.fit_percent:.2f} %, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
 
     def to_json(self) -> str:

@@ -53,6 +53,8 @@ class Structure:
     steps are then simulated exactly: an output that is seen earlier is one whose inputs are later. The state at the
     start is then that of the same fraction of a step before the record's start.
     `prior` gives (mean, standard deviation) of unknowns of which the machine itself tells something before a flight.
+    `measured` names inputs that are measurements of the motion itself, as a pitch that pushes a cart is. A frequency
+    response from them says nothing.
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -65,6 +67,7 @@ class Structure:
     at_rest: tuple[str, ...] = ()
     delay: str = ""
     prior: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    measured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for name in (

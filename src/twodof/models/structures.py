@@ -121,6 +121,7 @@ def pitch_on_cart(ring: int = 64) -> Structure:
         sums={"tau": ("dead_time", "lag")},
         delay="dead_time",
         prior={"lag": ROTOR_LAG},
+        measured=("theta", "gyro"),
     )
 
 

@@ -38,6 +38,11 @@ class Machine:
     rig: str = _REAL
     free: bool = False
 
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"'{self.rig}' with its cart {'free' if self.free else 'in rings'}"
+
     def values(self, structure: Structure) -> dict[str, float]:
         """What the calibration knows of the structure's unknowns: the cart, and its play within the rings."""
         return known_cart(load_rig(self.rig).snapshot(), structure, self.free)
@@ -78,5 +83,6 @@ def machine_of(log: FlightLog, start: float, stop: float) -> Machine:
     A log that names no virtual rig is one of the real drone, whose calibration is `lab`.
     """
     said = log.provenance.get("rig")
-    moved = "dist" in log and float(np.ptp(log["dist"].slice(start, stop).value, axis=0)) > _MOVED_M
+    seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
+    moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
     return Machine(said if isinstance(said, str) and said in NAMES else _REAL, moved)

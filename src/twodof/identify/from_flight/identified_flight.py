@@ -199,7 +199,7 @@ def identify_flight(
         simple = by_hand(kind, record, checks, free)
     except (IdentificationError, LogError) as reason:
         refusal = str(reason)
-    return IdentifiedFlight(kind, shape, record, tuple(fitted[1:]), found, simple, refusal)
+    return IdentifiedFlight(kind, shape, record, tuple(fitted[len(fitted) - len(checks) :]), found, simple, refusal)
 
 
 def _tests(output: str, one: Any) -> list[dict[str, Any]]:

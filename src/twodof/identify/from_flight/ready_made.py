@@ -11,7 +11,7 @@ from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
 from twodof.identify.from_flight.closed_loop import POLES_BEFORE, Machine
 from twodof.identify.greybox import fit
-from twodof.identify.record import Record
+from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
@@ -124,7 +124,7 @@ def by_output_error(
     disturbance: Disturbance = "auto",
     machines: Sequence[Machine] = (),
 ) -> tuple[Estimate | Repeated, list[Record]]:
-    """What was found, and the records as they were fitted (the first) and validated.
+    """What was found, and the records as they were fitted and validated: in closed loop the pieces of the first.
 
     `machines` are those of the flights, one for each of `records`. In closed loop what its calibration knows of the
     cart is held, and what it knows less well is known before. In a long open loop the poles are. `free` is the
@@ -178,27 +178,37 @@ def _in_closed_loop(
     machines = machines or [Machine()] * len(records)
     if len(set(machines)) > 1:
         raise IdentificationError(
-            "these flights are of different machines: a cart in rings is another than a free one",
+            f"these flights are of different machines: {' and '.join(dict.fromkeys(one.text for one in machines))}",
             ", ".join(record.name for record in records),
             "give the flights of one machine",
         )
     machine = machines[0]
     estimate = wanted or tuple(name for name in machine.estimate(structure) if name not in given)
-    values = {**machine.values(structure), **given}
+    known = {**structure.prior, **machine.prior(structure)}
+    # What is not asked for is held where it is known to be, not at the paper's drone.
+    held = {name: mean for name, (mean, _) in known.items() if name not in estimate}
+    values = {**held, **machine.values(structure), **given}
     before = {name: one for name, one in machine.prior(structure).items() if name in estimate and name not in given}
+    pieces = [record.pieces() for record in records]
+    if not all(pieces):
+        raise IdentificationError(
+            f"the moment is lost so often that no stretch of {SHORTEST_PIECE} samples is whole",
+            ", ".join(record.name for record, whole in zip(records, pieces, strict=True) if not whole),
+            "give another window, or another log",
+        )
     # What a lost command did to the drone comes back in the next ones: between gaps each piece has a start of its own.
     found = [
         fit(
             structure,
-            record.pieces(),
+            whole,
             estimate=estimate,
             values=values,
             validation=others,
             disturbance=disturbance,
             prior=before,
         )
-        for record in records
+        for whole in pieces
     ]
     if len(found) > 1:
         return Repeated(tuple(record.name for record in records), tuple(found)), list(records)
-    return found[0], [records[0], *others]
+    return found[0], [*pieces[0], *others]

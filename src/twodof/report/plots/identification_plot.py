@@ -2,6 +2,7 @@
 
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from html import escape
 from itertools import combinations
@@ -37,6 +38,7 @@ Array = NDArray[np.float64]
 _ALONE: dict[str, Any] = {".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf}
 _WIDTH_IN, _DPI = 10.0, 150
 _PANEL_IN, _TEST_IN, _BODE_IN, _ELLIPSE_IN = 1.7, 1.9, 3.3, 2.5
+_LINE_IN, _COLUMNS, _TITLE = 0.17, 125, 80
 _MOST_RECORDS, _MOST_UNKNOWNS, _ACROSS = 3, 4, 3
 _POINTS, _FEWEST_POINTS = 200, 8
 _NYQUIST_SHARE = 0.9
@@ -60,12 +62,13 @@ def write_identification_plot(
 
     `records` are those of the fit and of the validation; the first three are shown. `reference` is an
     input of the first record from which the measured response is taken in closed loop (see `frequency_response`); it is
-    for structures with one input. Raises IdentificationError where it is not in the record, LogError for a file that
-    cannot be written or is there already.
+    for structures with one input beside those that are measured. Raises IdentificationError where it is not in the
+    record, LogError for a file that cannot be written or is there already.
     """
     check_place(path, overwrite)
     suffix = Path(path).suffix.lower()
-    title = printable(title or f"{structure.name}: {', '.join(record.name for record in records[:_MOST_RECORDS])}")
+    named = f"{structure.name}: {', '.join(record.name for record in records[:_MOST_RECORDS])}"
+    title = printable(title or textwrap.shorten(named, _TITLE, placeholder=" ..."))
     drawing = _Drawing(found, structure, records[:_MOST_RECORDS], reference)
     if suffix == ".html":
         with matplotlib.rc_context(settings(STAND_IN)):
@@ -107,6 +110,8 @@ class _Drawing:
         if self.columns[0][1][0].whiteness is None:
             self.notes.append("the record is too short for tests of the residual")
         self.pairs = self._pairs()
+        said = [self.about, "; ".join(self.notes)]
+        self.heading = [line for text in said for line in textwrap.wrap(text, _COLUMNS)]
 
     @property
     def about(self) -> str:
@@ -120,15 +125,23 @@ class _Drawing:
                 )
         return ", ".join(parts)
 
+    @property
+    def _head_in(self) -> float:
+        """Height of the title and of what is said below it."""
+        return 0.55 + _LINE_IN * len(self.heading)
+
     def canvas(self, colours: Colours, heading: str) -> Canvas:
         inputs, outputs = list(self.structure.inputs), self.outputs
         bodes = [one for one in self.bodes if one[2] is not None or one[3] is not None]
         time_in = 0.75 * _PANEL_IN * len(inputs) + 1.75 * _PANEL_IN * len(outputs) + 0.6
         tested = any(one.whiteness is not None for one in self.columns[0][1])
-        heights = [time_in, *([_TEST_IN * len(self.columns[0][1])] if tested else [])]
+        heights = [
+            time_in,
+            *([_TEST_IN * len(self.columns[0][1]) * _grid_of_tests(self.columns[0][1])[0]] if tested else []),
+        ]
         heights += [_BODE_IN * -(-len(bodes) // 2)] if bodes else []
         heights += [_ELLIPSE_IN * -(-len(self.pairs) // _ACROSS)] if self.pairs else []
-        head = 0.85 if heading else 0.0
+        head = self._head_in if heading else 0.0
         canvas = Canvas(figsize=(_WIDTH_IN, head + sum(heights)), layout="constrained")
         rows = iter(
             canvas.subfigures(
@@ -147,9 +160,12 @@ class _Drawing:
         return canvas
 
     def _head(self, row: SubFigure, title: str, colours: Colours) -> None:
-        row.text(0.012, 0.86, title, fontsize=12.5, fontweight="bold", va="top", color=colours["ink"])
-        lines = "\n".join([self.about, "; ".join(self.notes)])
-        row.text(0.012, 0.5, lines, fontsize=9.5, va="top", color=colours["soft"])
+        row.text(
+            0.012, 1.0 - 0.12 / self._head_in, title, fontsize=12.5, fontweight="bold", va="top", color=colours["ink"]
+        )
+        row.text(
+            0.012, 1.0 - 0.42 / self._head_in, "\n".join(self.heading), fontsize=9.5, va="top", color=colours["soft"]
+        )
 
     def _bodes(self) -> tuple[list[_Bode], list[str]]:
         """For each input and output: the model's response and the measured one, where there are any."""
@@ -157,9 +173,10 @@ class _Drawing:
         notes: list[str] = []
         record = self.columns[0][0]
         steady = not any(kind != "zoh" for kind in (record.hold_of(name) for name in self.structure.inputs))
-        for input in self.structure.inputs:
+        driving = [name for name in self.structure.inputs if name not in self.structure.measured]
+        for input in driving:
             for output in self.outputs:
-                others = [name for name in self.structure.inputs if name != input]
+                others = [name for name in driving if name != input]
                 measured = _measured(record, input, output, others, self.reference)
                 if measured is not None and not self.reference and input in self.found.disturbance.answering:
                     notes.append(f"{input} answers the noise (closed loop): its measured response is biased")
@@ -198,7 +215,8 @@ class _Drawing:
                 ax.plot(record.time, record.inputs[name], color=colours["input"], linewidth=1.2, drawstyle="steps-post")
                 if column == 0:
                     ax.set_ylabel(_label(name, self.units.get(name, "")))
-            axes[0, column].set_title(f"{kind}: {record.name}"[-60:], loc="left", fontsize=9.5, color=colours["soft"])
+            says = f"{kind}: {record.name}"[-_TITLE // len(self.columns) :]
+            axes[0, column].set_title(says, loc="left", fontsize=9.5, color=colours["soft"])
             for one in comparisons:
                 place = len(inputs) + 2 * self.outputs.index(one.output)
                 self._draw_fit(axes[place, column], axes[place + 1, column], one, column == 0, colours)
@@ -210,13 +228,20 @@ class _Drawing:
         unit = self.units.get(one.output, "")
         quiet(top)
         quiet(below)
-        top.plot(one.time, one.measured, color=colours["measured"], linewidth=2.6, alpha=0.55, label="measured")
+        top.plot(
+            one.time,
+            one.measured,
+            color=colours["measured"],
+            linewidth=2.6,
+            alpha=0.55,
+            label="measured" if len(self.columns) < 3 else None,
+        )
         top.plot(
             one.time,
             one.simulated,
             color=colours["grey-box"],
             linewidth=1.5,
-            label=f"model, FIT {one.fit_percent:.1f} %",
+            label=f"{'model, ' if len(self.columns) < 3 else ''}FIT {one.fit_percent:.1f} %{self._ahead(one)}",
         )
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
         below.plot(one.time, one.residual, color=colours["simple"], linewidth=0.8)
@@ -225,18 +250,26 @@ class _Drawing:
             top.set_ylabel(_label(one.output, unit))
             below.set_ylabel("residual" + (f" [{unit}]" if unit else ""))
 
+    def _ahead(self, one: Comparison) -> str:
+        """In closed loop, where the model alone is another flight: how well it foretells the next sample."""
+        if one.ahead is None or not self.found.disturbance.answering:
+            return ""
+        # Of several records each has a third of the width.
+        return f" without the gusts, {one.ahead:.1f} % one sample ahead" if len(self.columns) == 1 else " without gusts"
+
     def _draw_tests(self, row: SubFigure, colours: Colours) -> None:
         comparisons = self.columns[0][1]
-        width = 1 + max((len(one.inputs) for one in comparisons), default=0)
-        axes = row.subplots(len(comparisons), width, squeeze=False)
-        for line, one in enumerate(comparisons):
+        lines, across = _grid_of_tests(comparisons)
+        axes = row.subplots(lines * len(comparisons), across, squeeze=False)
+        for one, own in zip(comparisons, axes.reshape(len(comparisons), -1), strict=True):
             tests: list[tuple[str, Correlation | None]] = [(f"residual of {one.output} with itself", one.whiteness)]
             tests += [(f"with {name}", test) for name, test in one.inputs.items()]
-            for ax, (name, test) in zip(axes[line], tests, strict=False):
+            for ax, (name, test) in zip(own, tests, strict=False):
                 _draw_correlation(ax, name, test, colours)
-            for ax in axes[line, len(tests) :]:
+            for ax in own[len(tests) :]:
                 ax.set_axis_off()
-        axes[0, 0].set_ylabel("correlation")
+        for ax in axes[:, 0]:
+            ax.set_ylabel("correlation")
 
     def _draw_bodes(self, row: SubFigure, bodes: Sequence[_Bode], colours: Colours) -> None:
         across = min(2, len(bodes))
@@ -255,6 +288,13 @@ class _Drawing:
             _draw_ellipse(ax, self.found, i, j, colours)
         for ax in axes.flat[len(self.pairs) :]:
             ax.set_axis_off()
+
+
+def _grid_of_tests(comparisons: Sequence[Comparison]) -> tuple[int, int]:
+    """Lines for each output, and tests beside each other, so that their titles have room."""
+    width = 1 + max((len(one.inputs) for one in comparisons), default=0)
+    lines = -(-width // _ACROSS)
+    return lines, -(-width // lines)
 
 
 def _units(structure: Structure, dt: float) -> dict[str, str]:
