@@ -1,7 +1,7 @@
 """ExpectedAccuracy: before a flight, how well it will tell the unknowns, and how far it will move the drone."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +15,7 @@ from twodof.experiment.rig_noise import gyro_covariance, pitch_noise, rail_covar
 from twodof.experiment.script import script
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
-from twodof.identify.from_flight.closed_loop import known_before, known_cart
+from twodof.identify.from_flight.closed_loop import Machine, known_before, known_cart
 from twodof.identify.from_flight.ready_made import FLOWN_AS, SWING, TRAVEL, structure_for
 from twodof.identify.from_flight.sufficiency import LEVEL, PURPOSE, TOLD
 from twodof.identify.information import Information, predict
@@ -56,18 +56,17 @@ class ExpectedAccuracy:
         """Plain data: of each unknown the value assumed, the standard deviation, and whether that is enough."""
         found, rows = self.information, []
         wanted = PURPOSE.get(self.kind, ())
-        for i, label in enumerate(found.labels if found is not None else ()):
-            assert found is not None
-            value, sigma = float(found.values[i]), float(found.sigma[i])
+        for label, unit, value, sigma in () if found is None else _rows(found):
             share = deviations(LEVEL) * sigma / abs(value) if value else math.inf
+            alone = found is not None and "lag" not in found.labels
             rows.append(
                 {
                     "name": label,
-                    "unit": found.units[i],
+                    "unit": unit,
                     "value": value,
                     "sigma": sigma,
                     "share": share if math.isfinite(share) else None,
-                    "wanted": _told(label) in wanted,
+                    "wanted": (_told(label) if alone else label) in wanted,
                     "enough": share <= TOLD,
                 }
             )
@@ -120,7 +119,8 @@ def expected_accuracy(
             structure = structure_for(kind)
             known = {**known_cart(stops, structure, free=not one.rings), **known}
             before = known_before(stops, structure)
-        found, worse = _Plan(cut(log, kind), kind, known, before).information(stops, _load(one, stops), noise)
+        planned = _Plan(cut(log, kind), kind, known, before, free=not one.rings)
+        found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
         remark = f"what it tells is not known before: {reason.what}"
     return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail, worse)
@@ -139,6 +139,7 @@ class _Plan:
     kind: str
     values: dict[str, float]
     before: Mapping[str, tuple[float, float]]
+    free: bool
 
     def information(
         self, rig: Mapping[str, float], load: float, noise: Mapping[str, float] | None
@@ -168,13 +169,14 @@ class _Plan:
             wanted = TRAVEL
         elif self.kind == "attitude":
             # The poles and the friction, which a controller hides, are known before; so is what a large moment lacks.
-            wanted, of_noise["prior"] = (*structure.estimate, "bend"), self.before
+            wanted, of_noise["prior"] = Machine(free=self.free).estimate(structure), self.before
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:
             wanted = structure.estimate
-        # Dead time and lag have nearly one effect, and the sum of the two is what is asked for: the lag is held.
-        wanted = tuple(name for name in wanted if name != "lag")
+        # In a short flight dead time and lag have nearly one effect, and the sum of the two is what is asked for: the
+        # lag is held. A closed loop tells them apart, and then the sum is what neither knows best.
+        wanted = wanted if self.kind == "attitude" else tuple(name for name in wanted if name != "lag")
         values = {name: value for name, value in self.values.items() if name in structure.unknowns}
         inputs = {name: self.record.inputs[name] for name in structure.inputs}
         sampled = {name: self.record.outputs[name].position for name in noise}
@@ -182,6 +184,16 @@ class _Plan:
         return predict(
             structure, inputs, self.record.dt, noise, values=values, estimate=wanted, sampled=sampled, **of_noise
         )
+
+
+def _rows(found: Information) -> Iterator[tuple[str, str, float, float]]:
+    """Name, unit, value and standard deviation of each unknown, and of the sum of dead time and lag if both are."""
+    for i, label in enumerate(found.labels):
+        yield label, found.units[i], float(found.values[i]), float(found.sigma[i])
+    parts = [found.labels.index(name) for name in ("dead_time", "lag") if name in found.labels]
+    if len(parts) == 2:
+        spread = np.linalg.inv(found.matrix)[np.ix_(parts, parts)]
+        yield _SUM, found.units[parts[0]], float(found.values[parts].sum()), math.sqrt(float(spread.sum()))
 
 
 def _told(label: str) -> str:

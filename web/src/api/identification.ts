@@ -103,6 +103,8 @@ export interface OutputCurves {
   record: string;
   validation: boolean;
   fit_percent: number;
+  /** In closed loop: how well model and noise foretell the next sample. The model alone does not know the gusts. */
+  fit_percent_ahead: number | null;
   rmse: number;
   wanders: boolean;
   time: number[];
@@ -133,6 +135,8 @@ export interface FitView {
   tests: ResidualTest[];
   estimates: EstimateRow[];
   held: Record<string, number>;
+  /** Mean and standard deviation of what was known of an unknown before the flight. */
+  known_before: Record<string, [number, number]>;
   correlation: { labels: string[]; rows: (number | null)[][] };
   condition_number: number;
   disturbance: string;

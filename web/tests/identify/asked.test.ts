@@ -1,7 +1,15 @@
 import { describe, expect, it } from "vitest";
 import type { ExperimentRow, OutputCurves, ResidualTest } from "../../src/api/identification";
 import { byLoop, experimentAsked, experimentOf, fitAsked, latestOf, windowOf } from "../../src/pages/identify/asked";
-import { fitSeries, onScreen, residualSeries, strength, testSeries, testWords } from "../../src/pages/identify/curves";
+import {
+  fitSeries,
+  fitWords,
+  onScreen,
+  residualSeries,
+  strength,
+  testSeries,
+  testWords,
+} from "../../src/pages/identify/curves";
 
 const NAMES = ["impulse", "doublet", "velocity-doublet", "attitude-steps"];
 const FLIGHTS = [
@@ -66,6 +74,7 @@ describe("curves", () => {
     record: "log",
     validation: false,
     fit_percent: 98,
+    fit_percent_ahead: null,
     rmse: 0.01,
     wanders: false,
     time: [0, 0.004],
@@ -73,6 +82,12 @@ describe("curves", () => {
     residual: [0.1, -0.1],
     greybox: [0, Math.PI],
   };
+  it("say in closed loop how well the next sample is foretold", () => {
+    expect(fitWords(output)).toBe("FIT 98.0 %");
+    expect(fitWords({ fit_percent: -169.7, fit_percent_ahead: 97.3 })).toBe(
+      "FIT 97.3 % one sample ahead; drawn is the model without the gusts, -169.7 %",
+    );
+  });
   it("are in degrees, and a gap is none of 0", () => {
     const [measured, greybox] = fitSeries(output);
     expect(measured!.y[1]).toBeNaN();

@@ -12,6 +12,14 @@ export function onScreen(unit: string): { name: string; factor: number } {
   return { name, factor: unit === "rad" || unit === "rad/s" ? DEGREES : factor };
 }
 
+/** How well the model reproduces an output; in closed loop what counts is how well it foretells the next sample. */
+export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent_ahead">): string {
+  const alone = `${output.fit_percent.toFixed(1)} %`;
+  return output.fit_percent_ahead === null
+    ? `FIT ${alone}`
+    : `FIT ${output.fit_percent_ahead.toFixed(1)} % one sample ahead; drawn is the model without the gusts, ${alone}`;
+}
+
 /** Data, the grey-box fit and the simple method of one output. */
 export function fitSeries(output: OutputCurves): Series[] {
   const { factor } = onScreen(output.unit);
