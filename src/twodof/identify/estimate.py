@@ -249,6 +249,9 @@ class Estimate:
                 f"{place}: FIT {one.ahead:.2f} % one sample ahead; {one.fit_percent:.2f} % without the gusts, "
                 "which says little in closed loop"
             )
+        if self.disturbance.answering and self.disturbance.kind != "white":
+            # Of a flight that was not fitted the noise model has not been asked.
+            return f"{place}: FIT {one.fit_percent:.2f} % without the gusts, which says little in closed loop"
         return f"{place}: FIT {one.fit_percent:.2f} %, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
 
     def to_json(self) -> str:

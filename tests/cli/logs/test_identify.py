@@ -330,3 +330,6 @@ def test_a_cart_in_rings_is_not_taken_for_a_free_one(flight_data: Path, capfd: p
     logs = [str(flight_data / f"{name}.mat") for name in ("rate-doublets-30dps-student", "velocity-doublets-0.25")]
     assert run(["identify", *logs, "--experiment", "attitude"]) == 1
     assert "different machines: 'lab' with its cart in rings and 'lab' with its cart free" in capfd.readouterr().err
+    # A flight to validate on has the cart of the other as well.
+    assert run(["identify", logs[0], "--validate", logs[1], "--experiment", "attitude"]) == 1
+    assert "different machines" in capfd.readouterr().err

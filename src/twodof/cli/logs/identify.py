@@ -198,7 +198,8 @@ def identify(
         for log in logs:
             _check_window(log, window)
     records = _told_apart([cut(log, kind, window) for log in logs], files)
-    others = [cut(read_log(path), kind) for path in validate or []]
+    checks = [read_log(path) for path in validate or []]
+    others = [cut(log, kind) for log in checks]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
     found: SimplePitch | SimpleVelocity | Estimate | Repeated
     if method is FitMethod.simple:
@@ -208,7 +209,8 @@ def identify(
     else:
         shape = structure_for(asked if model is Model.auto else "", model)
         _check_request(shape, asked, model, estimate or (), numbers)
-        machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in zip(logs, records, strict=True)]
+        flown = zip([*logs, *checks], [*records, *others], strict=True)
+        machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in flown]
         found, records = by_output_error(
             asked, shape, records, others, estimate, numbers, free, disturbance.value, machines
         )

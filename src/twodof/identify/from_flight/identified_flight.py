@@ -191,9 +191,10 @@ def identify_flight(
     checks = tuple(cut(other, kind) for other in others)
     free = None if impulse is None else cut(impulse, "impulse")
     shape = structure_for(kind, structure)
-    machine = machine_of(log, record.start, float(record.time[-1]))
+    flown = zip((log, *others), (record, *checks), strict=True)
+    machines = [machine_of(one, cut_out.start, float(cut_out.time[-1])) for one, cut_out in flown]
     found, fitted = by_output_error(
-        kind, shape, [record], checks, free=free, disturbance=disturbance, machines=[machine]
+        kind, shape, [record], checks, free=free, disturbance=disturbance, machines=machines
     )
     if not isinstance(found, Estimate):
         raise IdentificationError("one log gives one estimate", kind)

@@ -126,10 +126,11 @@ def by_output_error(
 ) -> tuple[Estimate | Repeated, list[Record]]:
     """What was found, and the records as they were fitted and validated: in closed loop the pieces of the first.
 
-    `machines` are those of the flights, one for each of `records`. In closed loop what its calibration knows of the
-    cart is held, and what it knows less well is known before. In a long open loop the poles are. `free` is the
-    impulse's record of a doublet: its fit with the same structure fixes the poles. Several `records` are
-    repetitions, each fitted by itself. Raises IdentificationError as `fit` and `repeat`.
+    `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop what its
+    calibration knows of the cart is held, and what it knows less well is known before; what is known before and not
+    asked for is held at its mean. In a long open loop the poles are known before. `free` is the impulse's record of a
+    doublet: its fit with the same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
+    Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
     given = dict(values or {})
     wanted = tuple(estimate) if estimate else None
@@ -179,7 +180,7 @@ def _in_closed_loop(
     if len(set(machines)) > 1:
         raise IdentificationError(
             f"these flights are of different machines: {' and '.join(dict.fromkeys(one.text for one in machines))}",
-            ", ".join(record.name for record in records),
+            ", ".join(record.name for record in (*records, *others)),
             "give the flights of one machine",
         )
     machine = machines[0]
