@@ -202,11 +202,13 @@ class Estimate:
         """What coloured residuals mean that were taken for white."""
         if self.disturbance.kind != "white":
             return []
-        found = [
-            f"{name} answers the noise, as a controller does: coloured noise that is taken for white then makes the "
-            "estimates wrong, not only unsure. Fit with disturbance='ar'"
-            for name in self.disturbance.answering
-        ]
+        found = []
+        if names := self.disturbance.answering:
+            found.append(
+                f"{' and '.join(names)} {'answer' if len(names) > 1 else 'answers'} the noise, as a controller does: "
+                "coloured noise that is taken for white then makes the estimates wrong, not only unsure. Fit with "
+                "disturbance='ar' (--disturbance ar)"
+            )
         if self.disturbance.change > 0.0:
             found.append(
                 f"coloured noise would change an estimate by {self.disturbance.change:.0f} standard deviations, which "
