@@ -37,6 +37,8 @@ def flown(gust: float) -> Repeated:
 def test_with_a_noisy_sensor_only_flights_spread_as_each_claims() -> None:
     found = flown(0.0)
     assert found.labels == ("mu", "tau")
+    # What all of them suppose does not show in their spread.
+    assert "held: w_n 3.437, xi 0.0836" in found.table()
     assert not found.spread("mu").exceeds(found.claimed("mu"))
     assert not any(one.wanders for one in found.estimates)
     assert not any("spread" in remark for remark in found.remarks)

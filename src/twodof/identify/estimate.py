@@ -118,6 +118,17 @@ class Estimate:
         return {name: value for name, value in self.fixed.items() if value != 0.0}
 
     @property
+    def supposed(self) -> tuple[str, ...]:
+        """What was not found but known before, or held, a line each."""
+        lines = []
+        if self.prior:
+            known = (f"{name} {mean:.5g} +- {width:.2g}" for name, (mean, width) in self.prior.items())
+            lines.append(f"known before: {', '.join(known)}")
+        if self.held:
+            lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
+        return tuple(lines)
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What a reader should know before using the figures, one sentence each with what to do about it."""
         found = []
@@ -233,11 +244,7 @@ class Estimate:
             lines.append(f"{name:{width}}{self[name]:12.5g}{white:11.2g}{least:>11}  {parts}")
         if self.disturbance.kind != "white":
             lines.append(f"disturbance: {self.disturbance.text}")
-        if self.prior:
-            known = (f"{name} {mean:.5g} +- {width:.2g}" for name, (mean, width) in self.prior.items())
-            lines.append(f"known before: {', '.join(known)}")
-        if self.held:
-            lines.append(f"held: {', '.join(f'{name} {value:.5g}' for name, value in self.held.items())}")
+        lines.extend(self.supposed)
         for title, comparisons in (("identification", self.identification), ("validation", self.validation)):
             lines.extend(f"{title}: {self._compared(c)}" for c in comparisons)
         lines.extend(f"note: {remark}" for remark in self.remarks)

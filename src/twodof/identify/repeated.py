@@ -99,6 +99,8 @@ class Repeated:
             ("claimed by one", [f"+- {self.claimed(label):.2g}" for label in labels]),
         ):
             lines.append(f"{title:{width}}" + "".join(f"{cell:>22}" for cell in value))
+        # All suppose the same, so the spread does not show what is wrong in that.
+        lines.extend(first.supposed)
         lines.extend(f"note: {remark}" for remark in self.remarks)
         return "\n".join(lines)
 
