@@ -15,7 +15,7 @@ from twodof.experiment.rig_noise import gyro_covariance, pitch_noise, rail_covar
 from twodof.experiment.script import script
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
-from twodof.identify.from_flight.closed_loop import Machine, known_before, known_cart
+from twodof.identify.from_flight.closed_loop import FlownMachine, known_before, known_cart
 from twodof.identify.from_flight.ready_made import FLOWN_AS, SWING, TRAVEL, structure_for
 from twodof.identify.from_flight.sufficiency import LEVEL, PURPOSE, TOLD
 from twodof.identify.information import Information, predict
@@ -169,7 +169,7 @@ class _Plan:
             wanted = TRAVEL
         elif self.kind == "attitude":
             # The poles and the friction, which a controller hides, are known before; so is what a large moment lacks.
-            wanted, of_noise["prior"] = Machine(free=self.free).estimate(structure), self.before
+            wanted, of_noise["prior"] = FlownMachine(free=self.free).estimate(structure), self.before
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:

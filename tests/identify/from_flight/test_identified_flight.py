@@ -12,7 +12,7 @@ from twodof.excitation import Multisine
 from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.identify.from_flight.closed_loop import Machine, machine_of
+from twodof.identify.from_flight.closed_loop import FlownMachine, machine_of
 from twodof.identify.from_flight.identified_flight import IdentifiedFlight, identify_flight
 from twodof.identify.from_flight.ready_made import experiment_in, structure_for
 from twodof.identify.from_flight.sufficiency import sufficiency
@@ -99,8 +99,8 @@ def test_a_long_test_signal_in_open_loop_is_identified_with_what_is_known_of_its
 def test_a_window_between_two_samples_of_the_range_sensor_has_its_cart_in_rings() -> None:
     dist = Channel(np.array([0.0, 0.05, 0.1, 0.15]), np.array([0.5, 0.5, 0.9, 0.5]))
     log = FlightLog({"dist": dist}, {"rig": "paper"})
-    assert machine_of(log, 0.06, 0.09) == Machine("paper", free=False)
-    assert machine_of(log, 0.04, 0.11) == Machine("paper", free=True)
+    assert machine_of(log, 0.06, 0.09) == FlownMachine("paper", free=False)
+    assert machine_of(log, 0.04, 0.11) == FlownMachine("paper", free=True)
 
 
 def test_what_cannot_be_asked_is_refused(logs: dict[str, FlightLog]) -> None:

@@ -20,7 +20,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
 from twodof.identify.from_flight.closed_loop import machine_of
-from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, by_hand, by_output_error, structure_for
+from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, NOT_BY_HAND, by_hand, by_output_error, structure_for
 from twodof.identify.greybox import fit
 from twodof.identify.hold import HOLDS
 from twodof.identify.record import Record
@@ -382,11 +382,7 @@ def _check_by_hand(experiment: str, free: Record | None) -> None:
             "call it with the doublet's log, --experiment doublet and --impulse LOG",
         )
     if experiment == "attitude":
-        raise ParameterError(
-            "in closed loop nothing is read by hand: the controller answers what the ruler would measure",
-            "--method simple",
-            "take --method grey-box",
-        )
+        raise ParameterError(NOT_BY_HAND, "--method simple", "take --method grey-box")
     if experiment == "doublet" and free is None:
         raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")
 

@@ -246,7 +246,10 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
         if not (coloured.listen(best.x) or louder):
             break
         before = best.x
-        best = _polished(coloured, coloured.minimise(before))
+        again = coloured.minimise(before)
+        if not math.isfinite(again.cost):
+            break
+        best = _polished(coloured, again)
         free = coloured.sensitivities(best.x)
         if float(np.linalg.norm(free @ (best.x - before))) < _NEAR:
             break
@@ -288,7 +291,11 @@ def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastS
             break
         other = x.copy()
         other[free] = np.clip(x[free] - share * step, coloured.problem.lower[free], coloured.problem.upper[free])
-        next_step, further = _left(coloured.sensitivities(other)[:, free], coloured.whitened(other))
+        # So far out that the model's outputs overflow: a step too far.
+        there = np.isfinite(coloured.problem.residual(other)).all()
+        next_step, further = (
+            _left(coloured.sensitivities(other)[:, free], coloured.whitened(other)) if there else (step, math.inf)
+        )
         if further < left:
             x, step, left = other, next_step, further
         else:
@@ -298,7 +305,9 @@ def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastS
 
 
 def _left(jacobian: Array, error: Array) -> tuple[Array, float]:
-    """The Gauss-Newton step that is left, and how long it is in standard deviations."""
+    """The Gauss-Newton step that is left, and how long it is in standard deviations: inf where it is not known."""
+    if not (np.isfinite(jacobian).all() and np.isfinite(error).all()):
+        return np.zeros(jacobian.shape[1]), math.inf
     step = np.asarray(np.linalg.lstsq(jacobian, error, rcond=None)[0], dtype=np.float64)
     return step, float(np.linalg.norm(jacobian @ step))
 

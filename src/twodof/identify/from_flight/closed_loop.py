@@ -32,7 +32,7 @@ _MOVED_M = 0.1
 
 
 @dataclass(frozen=True)
-class Machine:
+class FlownMachine:
     """The rig whose calibration holds for a flight, and whether its cart was `free` to slide."""
 
     rig: str = _REAL
@@ -77,7 +77,7 @@ def known_before(rig: Mapping[str, float] | None, structure: Structure) -> dict[
     return {name: one for name, one in before.items() if name in structure.unknowns}
 
 
-def machine_of(log: FlightLog, start: float, stop: float) -> Machine:
+def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
     """The machine of a log, by the rig that it names, and by the way that the cart made from `start` to `stop` [s].
 
     A log that names no virtual rig is one of the real drone, whose calibration is `lab`.
@@ -85,4 +85,4 @@ def machine_of(log: FlightLog, start: float, stop: float) -> Machine:
     said = log.provenance.get("rig")
     seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
     moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
-    return Machine(said if isinstance(said, str) and said in NAMES else _REAL, moved)
+    return FlownMachine(said if isinstance(said, str) and said in NAMES else _REAL, moved)

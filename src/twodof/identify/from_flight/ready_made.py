@@ -9,7 +9,7 @@ from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
-from twodof.identify.from_flight.closed_loop import POLES_BEFORE, Machine
+from twodof.identify.from_flight.closed_loop import POLES_BEFORE, FlownMachine
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, repeat
@@ -44,6 +44,9 @@ FLOWN_AS: Mapping[str, str] = MappingProxyType(
     }
 )
 """What an experiment of `KINDS` is called where it is flown, if it is another name."""
+
+NOT_BY_HAND = "in closed loop nothing is read by hand: the controller answers what the ruler would measure"
+"""Why the simple method refuses a flight in closed loop."""
 
 SWING = ("w_n", "xi", "coulomb", "hardening")
 """What a free response tells and a doublet hardly does: it is over before the poles show."""
@@ -100,7 +103,7 @@ def by_hand(
         return identify_velocity([record, *others])
     if experiment == "attitude":
         raise IdentificationError(
-            "in closed loop nothing is read by hand: the controller answers what the ruler would measure",
+            NOT_BY_HAND,
             f"experiment '{experiment}'",
             "take output error with its noise model",
         )
@@ -122,7 +125,7 @@ def by_output_error(
     values: Mapping[str, float] | None = None,
     free: Record | None = None,
     disturbance: Disturbance = "auto",
-    machines: Sequence[Machine] = (),
+    machines: Sequence[FlownMachine] = (),
 ) -> tuple[Estimate | Repeated, list[Record]]:
     """What was found, and the records as they were fitted and validated: in closed loop the pieces of the first.
 
@@ -145,7 +148,7 @@ def by_output_error(
     before: dict[str, tuple[float, float]] | None = None
     if experiment == "doublet" and free is None and min(one.steps for one in fitted) >= LONG:
         # Slow noise passes for a swing of a long test signal, which a short one does not know of.
-        known = (machines or [Machine()])[0].prior(structure)
+        known = (machines or [FlownMachine()])[0].prior(structure)
         before = {name: one for name, one in known.items() if name in POLES_BEFORE and name not in given}
     if experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
@@ -174,9 +177,9 @@ def _in_closed_loop(
     wanted: tuple[str, ...] | None,
     given: Mapping[str, float],
     disturbance: Disturbance,
-    machines: Sequence[Machine],
+    machines: Sequence[FlownMachine],
 ) -> tuple[Estimate | Repeated, list[Record]]:
-    machines = machines or [Machine()] * len(records)
+    machines = machines or [FlownMachine()] * len(records)
     if len(set(machines)) > 1:
         raise IdentificationError(
             f"these flights are of different machines: {' and '.join(dict.fromkeys(one.text for one in machines))}",
