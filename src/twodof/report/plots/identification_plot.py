@@ -42,6 +42,8 @@ _LINE_IN, _COLUMNS, _TITLE = 0.17, 125, 80
 _MOST_RECORDS, _MOST_UNKNOWNS, _ACROSS = 3, 4, 3
 _POINTS, _FEWEST_POINTS = 200, 8
 _NYQUIST_SHARE = 0.9
+_UNTOLD = 30.0
+"""A gain that is known to no more than this factor is drawn as known to it."""
 _LEVEL = 0.95
 _LEVEL_RADIUS = {0.68: math.sqrt(-2.0 * math.log(0.32)), _LEVEL: math.sqrt(-2.0 * math.log(0.05))}
 """Radius of the region of two normal variables with that probability, in standard deviations."""
@@ -373,8 +375,11 @@ def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colo
         below.errorbar(omega, phase, yerr=np.degrees(np.minimum(share, math.pi)), **look)
     if model is not None:
         low, high = model.gain_band(_LEVEL)
+        # Where the damping may be 0 the band at the resonance has no end: drawn whole it would flatten all else.
+        gain = abs(model.response)
+        low, high = np.maximum(low, gain / _UNTOLD), np.minimum(high, gain * _UNTOLD)
         phase = np.degrees(np.unwrap(np.angle(model.response)))
-        half = np.degrees(1.96 * model.phase_sigma)
+        half = np.minimum(np.degrees(1.96 * model.phase_sigma), 180.0)
         top.fill_between(model.omega, low, high, color=colours["grey-box"], alpha=0.22, linewidth=0)
         below.fill_between(model.omega, phase - half, phase + half, color=colours["grey-box"], alpha=0.22, linewidth=0)
         top.plot(model.omega, abs(model.response), color=colours["grey-box"], linewidth=1.4, label="model, 95 %")
