@@ -62,11 +62,14 @@ def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extr
     steps = {step.tick: step for step in there.steps}
     theta = np.array([steps[tick].theta for tick in ticks], dtype=np.float32)
     gyro = np.array([steps[tick].sample.gyro_y for tick in ticks], dtype=np.float32)
-    assert np.array_equal(rows[1].astype(np.float32), theta)
-    assert np.array_equal(rows[2].astype(np.float32), gyro)
+    # The server asks for one stream after the other: the first rows of all may lack what has not come yet.
+    begun = int(np.argmax(np.isfinite(rows[1:3]).all(axis=0)))
+    assert begun < 25
+    assert np.array_equal(rows[1, begun:].astype(np.float32), theta[begun:])
+    assert np.array_equal(rows[2, begun:].astype(np.float32), gyro[begun:])
     # The truth begins a moment later, as it is asked for apart.
     assert np.isfinite(rows[3][-100:]).all()
-    for k in range(0, decimated.shape[1], 2):
+    for k in range(2 if begun else 0, decimated.shape[1], 2):
         first, last = (round((time - BOOT) / 0.004) for time in decimated[0, k : k + 2])
         assert k == 0 or last - first == 19  # the first bucket had begun when it was asked for
         bucket = np.array([steps[tick].theta for tick in range(first, last + 1)], dtype=np.float32)
