@@ -15,16 +15,19 @@ SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 ROWS = [
     {"errors"},
     {"signals", "parameters"},
-    {"flightlog", "blocks"},
+    {"flightlog", "blocks", "drawing"},
     {"excitation", "models"},
     {"compile", "slx"},
     {"rig", "flight", "link"},
-    {"fcu", "fcc", "gcs", "identify", "design"},
+    {"fcu", "companion", "gcs", "identify", "design"},
     {"sim"},
-    {"fleet"},
+    {"fleet", "ros"},
     {"experiment"},
-    {"calibrate", "report", "campaign"},
+    {"campaign"},
+    {"calibrate", "report", "gym"},
+    {"course"},
     {"lab"},
+    {"remote"},
     {"cli"},
 ]
 ROW_OF = {room: index for index, row in enumerate(ROWS) for room in row}

@@ -15,10 +15,10 @@ from typing import cast
 
 from bench.measure import Figure, one_core, timed
 from bench.stack.programs import END_S, START_S, running
-from twodof.fcc.client import CompanionClient
-from twodof.fcc.router import Router
-from twodof.fcc.streams.rate_profiles import profile
-from twodof.fcc.uplink_queue import UplinkQueue
+from twodof.companion.client import CompanionClient
+from twodof.companion.router import Router
+from twodof.companion.streams.rate_profiles import profile
+from twodof.companion.uplink_queue import UplinkQueue
 from twodof.link.mavlink.components import COMPANION
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message

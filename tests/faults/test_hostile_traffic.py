@@ -22,9 +22,9 @@ import pytest
 
 from tests.faults.hostile import COMMANDS, Hostile
 from tests.faults.whole import GROUND, NONE, Seen, Whole, run
+from twodof.companion.client_link import Serve
+from twodof.companion.companion import Companion
 from twodof.excitation import Doublet
-from twodof.fcc.client_link import Serve
-from twodof.fcc.companion import Companion
 from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS
 from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS
 from twodof.link.mavlink import dialect

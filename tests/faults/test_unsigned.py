@@ -16,8 +16,8 @@ import pytest
 
 from tests.faults.whole import GROUND, Seen, Whole, run, tell
 from tests.link.mavlink.test_framing import random_message
+from twodof.companion.computer import ComputerStatus
 from twodof.errors import LinkLost
-from twodof.fcc.computer import ComputerStatus
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
@@ -102,7 +102,7 @@ LEFT_OUT = frozenset(
     | {"unknown", "timing", "_clock", "_loop", "_fullest", "_waiter", "_parsers", "_finished", "_busy"}
     | {"_traffic", "_bytes", "url", "name", "_number", "_fed", "parsers"}
 )
-OURS = ("twodof.link", "twodof.fcu", "twodof.fcc", "twodof.gcs")
+OURS = ("twodof.link", "twodof.fcu", "twodof.companion", "twodof.gcs")
 PLAIN = (int, float, str, bytes, bool, Enum, type(None))
 
 

@@ -24,7 +24,7 @@ from twodof.compile import build
 from twodof.compile.linear.linearize import linearize
 from twodof.compile.program.check import check
 from twodof.errors import DiagramError
-from twodof.report.drawing.diagram_svg import draw
+from twodof.report.diagram_svg import draw
 
 ATTITUDE = Bus("Attitude", [Port("roll", unit="rad"), Port("rates", RATES), Port("dcm", shape=(2, 3))])
 VALUE = {"roll": 0.25, "rates": {"p": 2.0, "count": 7}, "dcm": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]}

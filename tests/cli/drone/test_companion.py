@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from tests.fcc.scripted import Listener, Vehicle, until
+from tests.companion.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.cli.app import app, run
 from twodof.link.transport.open_transport import open_transport

@@ -11,9 +11,9 @@ import typer
 from twodof.cli.drone.until_told import until_told
 from twodof.cli.options import Index
 from twodof.cli.output import Json, print_json, say_line
-from twodof.fcc.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
-from twodof.fcc.client_link import Serve, px4_links
-from twodof.fcc.companion import Companion
+from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
+from twodof.companion.client_link import Serve, px4_links
+from twodof.companion.companion import Companion
 from twodof.fleet.local_ports import MOST_DRONES
 from twodof.link.mavlink.components import COMPANION
 from twodof.link.signing.frame_signing import Signing

@@ -20,7 +20,7 @@ from twodof.identify.validate import Comparison, fit_percent
 from twodof.models.structures import rail
 from twodof.report.characterisation.characterise import Characterisation
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel, Span
-from twodof.report.drawing.diagram_svg import to_inline_svg
+from twodof.report.diagram_svg import to_inline_svg
 from twodof.report.numbers import plain
 from twodof.report.template_texts import say
 

@@ -1,0 +1,317 @@
+"""A diagram as an SVG picture that a person reads: laid out in columns, with the field's symbols. Deterministic."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from html import escape as escape_html
+from importlib import resources
+from string import Template
+
+from twodof.blocks.block import Block
+from twodof.blocks.datatypes.bus import Bus, grouped
+from twodof.blocks.declarations import Port, shape, unknown_name
+from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried_fields
+from twodof.drawing.layered_layout import Box, GraphLayout, Net, layout
+from twodof.drawing.text_width import shortened, text_width
+from twodof.drawing.wire_channels import Segment
+from twodof.errors import DiagramError
+from twodof.report.symbols import (
+    TERMINAL,
+    BlockSymbol,
+    SymbolText,
+    arrow,
+    input_names,
+    symbol,
+    terminal,
+    wire_class,
+)
+
+MAX_PARTS = 5000  # in one picture
+HEADER = 26.0  # above what an opened sub-diagram shows
+
+
+def escape(text: str) -> str:
+    """User's text for XML, which cannot hold control characters or marks that turn the direction of reading."""
+    return escape_html("".join(c if c.isprintable() else " " for c in text))
+
+
+def picture(**fields: str) -> str:
+    """Return the SVG document `diagram.svg` with its fields filled in."""
+    template = resources.files(__package__).joinpath("diagram.svg").read_text(encoding="utf-8")
+    return Template(template).substitute(**fields)
+
+
+@dataclass
+class Drawing:
+    """A diagram that has been laid out, to be measured or written."""
+
+    diagram: Diagram
+    symbols: list[BlockSymbol]
+    nets: list[Net]
+    sources: list[tuple[str, Port | None]]  # of each net: its name and what it carries
+    placed: GraphLayout
+    inner: dict[int, Drawing] = field(default_factory=dict)  # symbol -> what an opened sub-diagram shows
+
+
+def draw(diagram: Diagram, depth: int = 0) -> Drawing:
+    """Lays out `diagram`; sub-diagrams down to `depth` are opened in place.
+
+    Raises DiagramError for one that has a connection to nowhere, or more than 5000 parts.
+    """
+    return _draw(diagram, depth, False, [0])
+
+
+def find(diagram: Diagram, path: str) -> Diagram:
+    """The sub-diagram at `path`, "part.sub". Raises DiagramError if there is none."""
+    at = diagram
+    for name in path.split(".") if path else []:
+        part = at.parts.get(name)
+        if part is None or isinstance(part.item, Block):
+            known = [n for n, p in at.parts.items() if isinstance(p.item, Diagram)]
+            raise unknown_name("sub-diagram", name, known, at.name)
+        at = part.item
+    return at
+
+
+def to_svg(diagram: Diagram, depth: int = 0) -> str:
+    """The picture as text; the same diagram gives the same bytes. Raises DiagramError as `draw` does."""
+    drawing = draw(diagram, depth)
+    about = shortened(diagram.text, 12.0, 700.0)
+    title_width = max(text_width(diagram.name, 17.0, True), text_width(about, 12.0)) + 32.0
+    head = 50.0 if about else 34.0
+    legend = _legend(drawing)
+    width, height = max(drawing.placed.width, title_width), drawing.placed.height + head + (20.0 if legend else 0.0)
+    said = f'\n<text class="soft" x="16" y="44" font-size="12">{escape(about)}</text>' if about else ""
+    key = ["", f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
+    return picture(
+        width=f"{width:g}",
+        height=f"{height:g}",
+        title=escape(diagram.name),
+        described=escape(_described(diagram)),
+        about=said,
+        head=f"{head:g}",
+        drawing="\n".join(_written(drawing)),
+        legend="\n".join(key),
+    )
+
+
+def to_inline_svg(diagram: Diagram, title: str) -> str:
+    """The picture without a heading as an element of a page, whose style sheet gives it the page's colours.
+
+    Raises DiagramError as `draw` does.
+    """
+    drawing = draw(diagram)
+    view = f"0 0 {drawing.placed.width:g} {drawing.placed.height:g}"
+    head = f'<svg class="diagram" viewBox="{view}" role="img" aria-label="{escape(title)}">'
+    return "\n".join([head, *_written(drawing), "</svg>"])
+
+
+def _legend(drawing: Drawing) -> list[str]:
+    """What the kinds of wires mean, where there are others than of single reals."""
+    found: set[str] = set()
+    stack = [drawing]
+    while stack:
+        at = stack.pop()
+        stack += at.inner.values()
+        for _, port in at.sources:
+            if port is not None:
+                found.update(wire_class(port).split()[1:] or [""])
+    lines: list[str] = []
+    x = 0.0
+    for style, meaning in (("", "real"), ("whole", "integer"), ("truth", "bool"), ("array", "array"), ("bus", "bus")):
+        if style in found and len(found) > 1:
+            lines.append(f'<path class="wire {style}" d="M{x:g} 0H{x + 28:g}"/>')
+            lines.append(f'<text class="soft" x="{x + 34:g}" y="3.5" font-size="10">{meaning}</text>')
+            x += 90.0
+    return lines
+
+
+def _described(diagram: Diagram) -> str:
+    tops = [port.name for port in grouped(diagram.inputs.values())]
+    inputs, parts, outputs = (", ".join(names) or "none" for names in (tops, diagram.parts, diagram.outputs))
+    text = f"Block diagram {diagram.name} with the inputs {inputs}, the parts {parts} and the outputs {outputs}."
+    return text[:2000]
+
+
+def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawing:
+    count[0] += len(diagram.parts)
+    if count[0] > MAX_PARTS:
+        raise DiagramError(f"more than {MAX_PARTS} parts", diagram.name, "open fewer levels, or one sub-diagram")
+    given = grouped(diagram.inputs.values())
+    symbols = [terminal(p.name, "in", _remark(p)) for p in given]
+    place: dict[tuple[str | None, str], int] = {(None, p.name): i for i, p in enumerate(given)}
+    inner: dict[int, Drawing] = {}
+    parts = list(diagram.parts.values())
+    for part in parts:
+        place[part.name, ""] = len(symbols)
+        if depth > 0 and isinstance(part.item, Diagram):
+            inner[len(symbols)] = _draw(part.item, depth - 1, True, count)
+            symbols.append(_frame(part, part.item, inner[len(symbols)], input_names(part, diagram)))
+        else:
+            symbols.append(symbol(part, input_names(part, diagram)))
+    for name in diagram.outputs:
+        place["", name] = len(symbols)
+        symbols.append(terminal(name, "out", ""))
+    nets, sources = _nets(diagram, place)
+    placed = layout([s.box for s in symbols], nets, border)
+    flipped = _flips(symbols, nets, placed, parts, place)
+    if flipped:
+        for part in parts:
+            if part.name in flipped:
+                symbols[place[part.name, ""]] = symbol(part, input_names(part, diagram), flip=True)
+        placed = layout([s.box for s in symbols], nets, border)
+    return Drawing(diagram, symbols, nets, sources, placed, inner)
+
+
+def _remark(port: Port) -> str:
+    if isinstance(port.kind, Bus):
+        return "bus"
+    kind = "" if port.kind == "real" and port.width is None else shape(port)
+    return " ".join(([f"[{port.unit}]"] if port.unit else []) + ([kind] if kind else []))
+
+
+def _nets(
+    diagram: Diagram, place: dict[tuple[str | None, str], int]
+) -> tuple[list[Net], list[tuple[str, Port | None]]]:
+    """What drives what: one net for each pin that drives anything."""
+    given = {port.name: port for port in grouped(diagram.inputs.values())}
+    sinks: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    about: dict[tuple[int, int], tuple[str, Port | None]] = {}
+
+    def drive(source: str, to: tuple[int, int]) -> None:
+        part, port = diagram.source(source)
+        name = port.partition(".")[0]  # of a bus all fields leave from one pin
+        if part is None:
+            pin = place[None, name], 0
+            about[pin] = name, given[name]
+        else:
+            item = diagram.parts[part].item
+            names = [p.name for p in grouped(item.outputs)] if isinstance(item, Block) else list(item.outputs)
+            pin = place[part, ""], names.index(name)
+            fields = carried_fields(item, name)
+            bus = [replace(p, name=f"{name}.{field}") for field, p in fields.items() if field]
+            about[pin] = f"{part}.{name}", grouped(bus)[0] if bus else fields.get("")
+        sinks.setdefault(pin, []).append(to)
+
+    for part in diagram.parts.values():
+        for i, name in enumerate(input_names(part, diagram)):
+            fed = diagram.connections.get((part.name, name)) or (getattr(part, name) if name in CONDITIONS else None)
+            if fed:
+                drive(fed, (place[part.name, ""], i))
+    for name, feeder in diagram.outputs.items():
+        if feeder is not None:
+            drive(feeder, (place["", name], 0))
+    ordered = sorted(sinks)
+    return [Net(pin, tuple(sinks[pin])) for pin in ordered], [about[pin] for pin in ordered]
+
+
+def _frame(part: Part, diagram: Diagram, shown: Drawing, pins: Sequence[str]) -> BlockSymbol:
+    """An opened sub-diagram: a frame around its own drawing, with pins where its terminals stand."""
+    name = shortened(part.name, 13.0, 300.0, True)
+    header = HEADER
+    width = float(round(max(shown.placed.width, text_width(name, 13.0, True) + 20.0)))
+    height = float(round(shown.placed.height + header))
+    last = len(shown.symbols) - len(diagram.outputs)
+    corners = shown.placed.corners
+    ports = [port.name for port in grouped(diagram.inputs.values())]
+    terminals = [ports.index(name.partition(".")[0]) for name in pins if name.partition(".")[0] in ports]
+    beside = [terminals[:k].count(i) - 0.5 * (terminals.count(i) - 1) for k, i in enumerate(terminals)]
+    left = [header + corners[i][1] + 0.5 * TERMINAL + 4.0 * at for i, at in zip(terminals, beside, strict=True)]
+    right = [header + corners[last + i][1] + 0.5 * TERMINAL for i in range(len(diagram.outputs))]
+    wires = [f'<path class="wire" d="M0 {y:g}H{corners[i][0]:g}"/>' for i, y in zip(terminals, left, strict=True)]
+    for i, y in enumerate(right):
+        edge = corners[last + i][0] + shown.symbols[last + i].box.width
+        wires.append(f'<path class="wire" d="M{edge:g} {y:g}H{width:g}"/>')
+    texts = [SymbolText(10.0, 18.0, name, 13.0, "start", "name")]
+    for what in CONDITIONS:
+        if getattr(part, what):
+            left.append(height + 10.0)
+            texts.append(SymbolText(7.0, height + 14.0, what, 11.0, "start", "italic"))
+            height += 18.0
+    shapes = [f'<rect class="frame" width="{width:g}" height="{height:g}" rx="6"/>', *wires]
+    return BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
+
+
+def _flips(
+    symbols: list[BlockSymbol],
+    nets: list[Net],
+    placed: GraphLayout,
+    parts: list[Part],
+    place: dict[tuple[str | None, str], int],
+) -> set[str]:
+    """The sums whose second input comes from above."""
+    fed = {sink: net.source for net in nets for sink in net.sinks}
+    found = set()
+    for part in parts:
+        i = place[part.name, ""]
+        if getattr(type(part.item), "type_name", "") != "sum" or len(symbols[i].box.left) != 2:
+            continue
+        ends = [fed.get((i, pin)) for pin in (0, 1)]
+        if None in ends or any(placed.corners[e[0]][0] >= placed.corners[i][0] for e in ends if e):
+            continue
+        heights = [placed.corners[e[0]][1] + symbols[e[0]].box.right[e[1]] for e in ends if e]
+        if heights[1] < heights[0]:
+            found.add(part.name)
+    return found
+
+
+def _written(drawing: Drawing) -> list[str]:
+    lines = []
+    for net, wire, (name, port) in zip(drawing.nets, drawing.placed.wires, drawing.sources, strict=True):
+        unit = f" [{port.unit}]" if port is not None and port.unit else ""
+        lines.append(f'<path class="{wire_class(port)}" d="{_path(wire)}"><title>{escape(name + unit)}</title></path>')
+        for box, pin in net.sinks:
+            if not drawing.symbols[box].own_heads:
+                x, y = drawing.placed.corners[box]
+                lines.append(arrow(x, y + drawing.symbols[box].box.left[pin], 1, 0))
+    lines += [f'<circle class="joint" cx="{x:g}" cy="{y:g}" r="2.6"/>' for x, y in drawing.placed.joints]
+    for i, (made, (x, y)) in enumerate(zip(drawing.symbols, drawing.placed.corners, strict=True)):
+        lines.append(f'<g transform="translate({x:g} {y:g})"><title>{escape(made.title)}</title>')
+        lines += made.shapes
+        lines += [text_element(t) for t in made.texts]
+        if i in drawing.inner:
+            lines.append(f'<g transform="translate(0 {HEADER:g})">')
+            lines += _written(drawing.inner[i])
+            lines.append("</g>")
+        lines.append("</g>")
+    return lines
+
+
+def text_element(t: SymbolText) -> str:
+    """A text as SVG, as wide as it was measured whatever font there is."""
+    style = f' class="{t.style}"' if t.style else ""
+    left, _, right, _ = t.extent
+    fit = f' textLength="{right - left:.1f}" lengthAdjust="spacingAndGlyphs"' if len(t.text) > 1 else ""
+    return (
+        f'<text{style} x="{t.x:g}" y="{t.y:g}" font-size="{t.size:g}" text-anchor="{t.anchor}"{fit}>'
+        f"{escape(t.text)}</text>"
+    )
+
+
+def _path(wire: list[Segment]) -> str:
+    pieces = []
+    for x1, y1, x2, y2 in _joined(wire):
+        pieces.append(f"M{x1:g} {y1:g}" + (f"H{x2:g}" if y1 == y2 else f"V{y2:g}"))
+    return "".join(pieces)
+
+
+def _joined(wire: list[Segment]) -> list[Segment]:
+    """The pieces, with those that continue each other made one, without those of no length."""
+    rows: dict[tuple[bool, float], list[tuple[float, float]]] = {}
+    for x1, y1, x2, y2 in wire:
+        if (x1, y1) != (x2, y2):
+            level = y1 == y2
+            rows.setdefault((level, y1 if level else x1), []).append(
+                (min(x1, x2), max(x1, x2)) if level else (min(y1, y2), max(y1, y2))
+            )
+    made: list[Segment] = []
+    for (level, at), spans in sorted(rows.items()):
+        merged: list[tuple[float, float]] = []
+        for low, high in sorted(spans):
+            if merged and low <= merged[-1][1]:
+                merged[-1] = merged[-1][0], max(high, merged[-1][1])
+            else:
+                merged.append((low, high))
+        made += [(a, at, b, at) if level else (at, a, at, b) for a, b in merged]
+    return made

@@ -1,1 +1,0 @@
-"""A block diagram as a picture: its layout, its symbols, its SVG."""

@@ -1,0 +1,124 @@
+"""Both ends of a router without sockets: frames made by name, transports that keep what they were given."""
+
+import random
+from collections.abc import Hashable
+from typing import Any, cast
+
+from twodof.companion.client import CompanionClient
+from twodof.companion.router import Router
+from twodof.companion.streams.rate_profiles import profile
+from twodof.companion.uplink_queue import UplinkQueue
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.framing import Frame, Parser, decode, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.base import Transport
+
+SYSTEM = 1
+
+
+RANGES = {
+    **{f"uint{bits}_t": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
+    **{f"int{bits}_t": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
+}
+
+
+def drawn(name: str, chance: random.Random) -> Any:
+    """A message with random numbers in it, zeros often, so that its end is cut off at random."""
+    kind = dialect.classes()[name]
+    counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
+    fields: dict[str, Any] = {}
+    for field, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
+        if type_name == "char":
+            continue
+        bounds = RANGES.get(type_name)
+        values = [
+            0 if chance.random() < 0.3 else chance.randint(*bounds) if bounds else float(chance.randint(-100, 100))
+            for _ in range(counts[field] or 1)
+        ]
+        fields[field] = values if counts[field] else values[0]
+    return message(name, **fields)
+
+
+class Sink:
+    """Keeps what is sent; `backlog` is what it says still waits."""
+
+    def __init__(self) -> None:
+        self.sent: list[bytes] = []
+        self.backlog = 0
+
+    def send(self, data: bytes, to: Hashable | None = None) -> None:
+        """Keep it."""
+        self.sent.append(data)
+
+    def take(self) -> list[Frame]:
+        """The frames sent since the last call."""
+        frames = [frame for data in self.sent for frame in Parser().feed(data, whole=True)]
+        self.sent = []
+        return frames
+
+
+def frame(name: str, system: int, component: int, sequence: int = 0, **fields: Any) -> Frame:
+    """A message as the frame that a parser makes of it."""
+    return Parser().feed(encode(message(name, **fields), system, component, sequence))[0]
+
+
+def names(frames: list[Frame]) -> list[str]:
+    """Names of the messages in frames."""
+    return [decode(one).get_type() for one in frames]
+
+
+class Ends:
+    """A router with a line and clients that keep everything; `now` [s] is its clock."""
+
+    def __init__(self, *rates: str, line_rate: float | None = None) -> None:
+        self.now = 100.0
+        self.up = Sink()
+        self.line = UplinkQueue(line_rate)
+        self.line.connect(cast(Transport, self.up))
+        self.router = Router(SYSTEM, self.line, lambda: self.now)
+        self.sinks: dict[CompanionClient, Sink] = {}
+        self.clients = [self.join(one) for one in rates]
+        self._sequence = 0
+        self.answer()
+
+    def join(self, rates: str = "onboard") -> CompanionClient:
+        """One more client."""
+        sink = Sink()
+        client = CompanionClient(
+            f"client {len(self.sinks)}", cast(Transport, sink), len(self.sinks), profile(rates), self.now
+        )
+        self.sinks[client] = sink
+        self.router.add(client)
+        return client
+
+    def answer(self, result: int = 0) -> list[tuple[int, float]]:
+        """The vehicle answers what it is asked to stream until nothing more is asked: (message, interval)."""
+        asked = []
+        while True:
+            got = [decode(one) for one in self.up.take()]
+            commands = [one for one in got if one.get_type() == "COMMAND_LONG" and one.command == 511]
+            if not commands:
+                return asked
+            for one in commands:
+                asked.append((int(one.param1), one.param2))
+                self.vehicle("COMMAND_ACK", command=511, result=result, target_system=1, target_component=191)
+
+    def vehicle(self, name: str, component: int = 1, **fields: Any) -> None:
+        """The vehicle sends a message."""
+        self.router.from_vehicle(frame(name, SYSTEM, component, self._sequence, **fields))
+        self._sequence = (self._sequence + 1) & 0xFF
+
+    def says(self, client: CompanionClient, name: str, system: int, component: int = 190, **fields: Any) -> None:
+        """A client sends a message."""
+        self.router.from_client(client, frame(name, system, component, **fields))
+
+    def heard(self, client: CompanionClient) -> list[Frame]:
+        """What a client was sent since the last call."""
+        return self.sinks[client].take()
+
+    def settle(self) -> None:
+        """Forget everything sent so far."""
+        self.answer()
+        self.up.sent = []
+        for sink in self.sinks.values():
+            sink.sent = []

@@ -1,0 +1,292 @@
+"""Clients that come, go, move and are joined in circles: nothing is left of them, nothing goes round for ever."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import random
+import socket
+from pathlib import Path
+
+import pytest
+
+from tests.companion.ends import Ends, frame
+from tests.companion.scripted import Listener, Vehicle, until
+from tests.faults.virtual_time import run_virtual
+from tests.link.ends import run
+from twodof.companion.client import MOST_SENDERS, SILENT_S
+from twodof.companion.client_link import Serve
+from twodof.companion.companion import Companion
+from twodof.companion.router import BESIDE_S, MOST_PASSED, MOST_ROUNDS, MOVED_S
+from twodof.companion.streams import batch_repacking
+from twodof.companion.streams.stream_thinning import MOST_TAPS, settled
+from twodof.link.mavlink.framing import Frame, encode
+from twodof.link.mavlink.messages import message
+from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport.tcp import GONE_S, TcpTransport
+from twodof.link.transport.url import parse
+
+ATTITUDE, TRUTH = 30, 54205
+TO = {"target_system": 1, "target_component": 1}
+
+
+def asks(number: int, interval: float = 4000.0) -> dict[str, float]:
+    """Command 511 for a message."""
+    return {"command": 511, "param1": float(number), "param2": interval, **TO}
+
+
+@pytest.mark.parametrize("result", [0, 3], ids=["accepted", "unsupported"])
+@pytest.mark.parametrize("answers", [True, False])
+def test_who_asks_for_everything_and_goes_leaves_nothing_behind(answers: bool, result: int) -> None:
+    """What is kept of messages is bounded by who is there, however many ids were asked for before."""
+    ends = Ends("onboard")
+    streams, asking = ends.router.streams, ends.router.subscriptions.asking
+    ends.router.streams.receivers(frame("ATTITUDE", 1, 1))
+    for generation in range(8):
+        client = ends.join("none")
+        for number in range(200):
+            ends.says(client, "COMMAND_LONG", 250, **asks(60_000 + 200 * generation + number))
+        if answers:
+            ends.answer(result)
+        ends.router.remove(client)
+        if answers:
+            ends.answer(result)
+        for _ in range(10):  # time enough that nobody waits for an answer any more
+            ends.now += 1.0
+            asking.poll(ends.now)
+    ends.router.remove(ends.join())
+    for number in range(2 * MOST_TAPS):  # nor do kinds of messages that nobody knows, from a vehicle that is none
+        ends.router.from_vehicle(
+            Frame(b"\xfd\0\0\0\0\1\1" + number.to_bytes(3, "little"), 2, 70_000 + number, 1, 1, 0, False)
+        )
+    assert len(streams._taps) <= MOST_TAPS
+    ends.router.remove(ends.join())
+    most = len(settled()) + 2
+    assert len(asking.known) <= most
+    assert len(streams.granted) <= most
+    assert len(streams._taps) <= most
+
+
+def test_masks_of_batches_leave_nothing_behind() -> None:
+    for mask in range(1, 1000):
+        batch_repacking._columns(0xFFFF, mask)
+    assert batch_repacking._columns.cache_info().currsize <= 256
+
+
+def test_senders_that_are_passed_on_to_a_client_are_bounded() -> None:
+    ends = Ends("onboard", "onboard")
+    here, there = ends.clients
+    ends.says(there, "HEARTBEAT", 77)
+    for number in range(1000):
+        ends.says(here, "COMMAND_LONG", 100 + number % 100, 1 + number // 10, command=1, target_system=77)
+    assert len(ends.heard(there)) == 1000
+    assert len(there._sequences) <= MOST_SENDERS
+
+
+def held() -> tuple[int, int]:
+    """Objects and open files of this process."""
+    gc.collect()
+    return len(gc.get_objects()), len([*Path("/proc/self/fd").iterdir()])
+
+
+def come_and_go(count: int) -> None:
+    """`count` clients come by TCP, ask for something and go, some with a reset; others send from `count` UDP ports."""
+
+    async def work() -> None:
+        serve = [Serve("tcpin://127.0.0.1:0", "none"), Serve("udpin://127.0.0.1:0", "none")]
+        async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
+            tcp, udp = (("127.0.0.1", parse(url).port) for url, _ in companion.urls)
+            raw = encode(message("COMMAND_LONG", **asks(ATTITUDE, 1e6)), 9, 190, 0)
+            warm, vehicle.steps = (0, 0), 25
+            for number in range(count):
+                _, writer = await asyncio.open_connection(*tcp)
+                writer.write(raw + b"\xfd\x20half of a frame")
+                if number % 3:
+                    await asyncio.sleep(0.01)
+                if number % 2:
+                    writer.transport.abort()
+                else:
+                    writer.close()
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+                    one.sendto(raw, udp)
+                await asyncio.sleep(0.02)
+                vehicle.received.clear()
+                if number == count // 4:
+                    await asyncio.sleep(SILENT_S + 1.0)
+                    vehicle.received.clear()
+                    warm = held()
+            await asyncio.sleep(SILENT_S + 1.0)
+            vehicle.received.clear()
+            assert companion.clients == []
+            assert vehicle.asked[ATTITUDE] == -1.0
+            objects, files = held()
+            # One object kept of each, of two clients, would be three times as many.
+            assert objects - warm[0] < count // 2
+            assert files <= warm[1]
+
+    run_virtual(work())
+
+
+def test_clients_that_come_and_go_leave_nothing_behind() -> None:
+    come_and_go(160)
+
+
+@pytest.mark.soak
+def test_ten_thousand_clients_that_come_and_go_leave_nothing_behind() -> None:
+    come_and_go(10_000)
+
+
+def test_who_moves_to_another_address_keeps_its_streams() -> None:
+    async def work() -> None:
+        serve = [Serve("memin://clients", "none")]
+        async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
+            before = await open_transport("mem://clients")
+            beat = encode(message("HEARTBEAT", type=6, autopilot=8), 250, 190, 0)
+            before.send(beat)
+            before.send(encode(message("COMMAND_LONG", **asks(ATTITUDE)), 250, 190, 1))
+            await until(lambda: vehicle.asked.get(ATTITUDE) == 4000.0)
+            after = await open_transport("mem://clients")  # the old address is silent from now on, and still there
+            after.send(encode(message("COMMAND_LONG", **asks(31, 50_000.0)), 250, 190, 2))  # it may ask for more
+            for _ in range(5):
+                after.send(beat)
+                await asyncio.sleep(MOVED_S / 4)
+            while after.receive_now() is not None:
+                pass
+            await asyncio.sleep(1.0)
+            frames = 0
+            while (packet := after.receive_now()) is not None:
+                frames += packet.data[7] == ATTITUDE
+            assert frames >= 240
+            # One who shares its numbers with another that still speaks takes nothing from it.
+            third = await open_transport("mem://clients")
+            for _ in range(20):
+                after.send(beat)
+                third.send(beat)
+                await asyncio.sleep(MOVED_S / 4)
+            assert [len(client.wishes) for client in companion.clients] == [0, 2, 0]
+            for one in (before, after, third):
+                await one.close()
+
+    run_virtual(work())
+
+
+def test_companions_in_a_circle_pass_nothing_round_for_ever() -> None:
+    """Each takes the other for its flight controller, as a mistaken address makes them."""
+
+    async def work() -> None:
+        one = Companion("mem://two", [Serve("memin://one", "none")])
+        two = Companion("mem://one", [Serve("memin://two", "none")])
+        async with one, two:
+            await until(lambda: one.line.transport is not None and two.line.transport is not None)
+            async with Listener(await open_transport("mem://one"), beats=False) as client:
+                client.command(512, 148.0)
+                client.command(400, 0.0, 21196.0)
+                await asyncio.sleep(5.0)
+                assert one.line.counts.sent + two.line.counts.sent < 200
+                assert one.router.counts.echoes + two.router.counts.echoes >= 2
+
+    run_virtual(work())
+
+
+def test_a_companion_that_is_its_own_flight_controller_passes_nothing_round_for_ever() -> None:
+    async def work() -> None:
+        async with Companion("mem://own", [Serve("memin://own", "none")]) as companion:
+            await until(lambda: companion.line.transport is not None)
+            async with Listener(await open_transport("mem://own"), beats=False) as client:
+                client.command(512, 148.0)
+                await asyncio.sleep(5.0)
+                assert companion.line.counts.sent < 100
+
+    run_virtual(work())
+
+
+def test_only_what_comes_again_from_others_goes_round() -> None:
+    ends = Ends("none", "none")
+    ends.settle()
+    for _ in range(50):  # a client that never counts its frames, and sends the same set-point over and over
+        ends.says(ends.clients[0], "COMMAND_LONG", 250, command=400, **TO)
+    for _ in range(50):
+        ends.says(ends.clients[1], "COMMAND_LONG", 250, command=400, **TO)
+    for _ in range(50):
+        ends.says(ends.clients[0], "COMMAND_LONG", 250, command=400, **TO)
+    assert len(ends.up.take()) == 100 + MOST_ROUNDS
+    ends.now += 1.0
+    ends.says(ends.clients[1], "COMMAND_LONG", 250, command=400, **TO)
+    assert len(ends.up.take()) == 1
+    for number in range(2 * MOST_PASSED):
+        ends.says(ends.clients[0], "MANUAL_CONTROL", 250, target=1, x=number % 1000)
+    assert len(ends.router._passed) <= MOST_PASSED
+
+
+def test_a_stranger_on_the_line_shuts_out_no_client_for_ever() -> None:
+    """What once came down the line under a client's numbers, an echo or a neighbour's, is forgotten."""
+    ends = Ends("onboard")
+    ends.settle()
+    ends.router.from_vehicle(frame("HEARTBEAT", 250, 190))
+    ends.says(ends.clients[0], "COMMAND_LONG", 250, command=400, **TO)
+    assert ends.up.take() == []
+    ends.now += BESIDE_S
+    ends.says(ends.clients[0], "COMMAND_LONG", 250, command=400, **TO)
+    assert len(ends.up.take()) == 1
+    ends.says(ends.clients[0], "HEARTBEAT", 1, 1)  # in the vehicle's own name never
+    assert ends.up.take() == []
+
+
+def test_a_program_on_board_is_not_told_the_truth() -> None:
+    ends = Ends("onboard", "onboard")
+    ends.settle()
+    app, ground = ends.clients
+    app.on_board = True
+    for command in (511, 512, 510):
+        ends.says(app, "COMMAND_LONG", 1, 192, command=command, param1=float(TRUTH), param2=4000.0, **TO)
+        (answer,) = ends.heard(app)
+        assert (answer.message_id, answer.payload[:3]) == (77, command.to_bytes(2, "little") + b"\x02")
+        assert TRUTH not in [number for number, _ in ends.answer()]
+    ends.says(ground, "COMMAND_LONG", 250, **asks(TRUTH))
+    assert (TRUTH, 4000.0) in ends.answer()
+
+
+def test_a_peer_that_is_gone_without_a_word_is_noticed() -> None:
+    """A pulled cable, a machine without power: TCP is told to find out on both ends, in half a minute."""
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as there:
+            assert isinstance(there, TcpTransport)
+            async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+                assert isinstance(here, TcpTransport)
+                while not there.peers:
+                    await asyncio.sleep(0.001)
+                for end in (here, there):
+                    (stream,) = end._streams
+                    assert stream.socket is not None
+                    raw = stream.socket.get_extra_info("socket")
+                    assert raw.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+                    for name, value in (("TCP_USER_TIMEOUT", 1000 * GONE_S), ("TCP_KEEPIDLE", GONE_S // 3)):
+                        if hasattr(socket, name):
+                            assert raw.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
+
+    run(work())
+
+
+@pytest.mark.parametrize("garbage", [b"", b"\xfd", b"\xfe", b"\xfd\xff\x00\x00", random.Random(3).randbytes(300)])
+def test_a_line_that_is_joined_in_the_middle_of_a_frame_costs_that_frame_only(garbage: bytes) -> None:
+    """At each byte, with the garbage that a wrong baud rate made of those before, and broken off again."""
+    raw = encode(message("STATUSTEXT", severity=6, text="sound"), 1, 1, 0)
+
+    async def work() -> None:
+        async with await open_transport("tcpin://:0") as line:
+            assert isinstance(line, TcpTransport)
+            url = f"tcp://127.0.0.1:{line.port}"
+            async with (
+                Companion(url, [Serve("memin://clients", "onboard")]),
+                Listener(await open_transport("mem://clients")) as client,
+            ):
+                await until(lambda: bool(line.peers))
+                for cut in range(len(raw)):
+                    client.received.clear()
+                    line.send(garbage + raw[cut:] + raw + raw[:7])
+                    await until(lambda: len(client.heard("STATUSTEXT", component=1)) > 0)
+                    await asyncio.sleep(0.3)  # what has begun is given up
+                    assert len(client.heard("STATUSTEXT", component=1)) == (garbage + raw[cut:] + raw).count(raw)
+
+    run_virtual(work())
