@@ -23,6 +23,7 @@ from bench.computing import (
     linear_fit,
     loop_margins,
     matrices,
+    simulink_controller,
     start_up,
     targets,
 )
@@ -44,6 +45,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], list[Figure]]] = {
     "link": link.run,
     "loop_margins": loop_margins.run,
     "matrices": matrices.run,
+    "simulink_controller": simulink_controller.run,
     "start_up": start_up.run,
     "targets": targets.run,
 }
