@@ -57,13 +57,13 @@ play: $(VENV)/ready-sandbox
 sandbox: $(VENV)/ready-sandbox
 
 quick: $(VENV)/ready-dev
-	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick
+	$(BIN)/python -m pytest -q -n 2 --dist loadfile --quick -m "not long and not soak"
 
 test: $(VENV)/ready-dev tools web
-	$(PYTEST) --brief
+	$(PYTEST) -m "not long and not soak"
 
 thorough: $(VENV)/ready-dev tools
-	$(PYTEST) --long
+	$(PYTEST) -m "long and not soak"
 
 check: $(VENV)/ready-dev
 	$(BIN)/ruff format --check --quiet .

@@ -1,14 +1,16 @@
-"""What every test may ask for: the real flight logs, and hypothesis runs that give the same examples twice. It sets the
-tests' order; `--quick`, which leaves out the files of tests/slow.txt; `--brief` and `--long`, which divide the tests by
-tests/long.txt.
+"""Fixtures and hooks of all tests: the real flight logs, reproducible hypothesis runs, the tests' order and `--quick`.
+
+Two marks divide the tests. `long` is a test that takes more than 1 s of processor time: `make test` leaves it out and
+`make thorough` runs it. `slow` (`pytestmark = pytest.mark.slow`) is a file that takes more than .8 s, or opens a
+browser: `make quick` leaves it out. `python -m tools.slow_tests` says where a mark is missing.
 """
 
 import gc
 import os
+import re
 import resource
 import signal
-from collections import Counter
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from pathlib import Path
 
 import pytest
@@ -17,12 +19,7 @@ from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
 PROJECT = Path(__file__).resolve().parents[1]
-SLOW, LONG = (Path(__file__).with_name(name) for name in ("slow.txt", "long.txt"))
-QUICK_S, BRIEF_S, FOR_NOISE = 0.8, 1.0, 10.0
-"""So much processor time takes a file at most with `--quick`, a test with `--brief`; on a loaded machine more."""
-SLOW_FILES = pytest.StashKey[dict[Path, float]]()
-LONG_TESTS = pytest.StashKey[dict[str, float]]()
-SPENT = pytest.StashKey[Counter[Path]]()
+SLOW_FILE = re.compile(r"^pytestmark = .*\bpytest\.mark\.slow\b", re.MULTILINE)
 BEGAN = pytest.StashKey[float]()
 
 # A shared, loaded machine must not turn a slow example into a failure; the same examples every run.
@@ -39,95 +36,50 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 
 def processor_time() -> float:
-    """Of this process and of the children that it has waited for [s]."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    """Return the processor time of this process and of the children that it has waited for [s]."""
+    used = [resource.getrusage(processes) for processes in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(one.ru_utime + one.ru_stime for one in used)
 
 
-def slow_files() -> dict[Path, float]:
-    """The files that `--quick` leaves out, and the processor time [s] that each takes."""
-    return {PROJECT / file: seconds for file, seconds in _measured(SLOW)}
-
-
-def long_tests() -> dict[str, float]:
-    """The tests that `--brief` leaves out, and the processor time [s] that each takes."""
-    return dict(_measured(LONG))
-
-
-def _measured(path: Path) -> Iterator[tuple[str, float]]:
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            seconds, _, what = line.partition(" ")
-            yield what, float(seconds)
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """What `make quick`, `make test` and `make thorough` ask for."""
-    parser.addoption("--quick", action="store_true", help="leave out the files that tests/slow.txt names")
-    parser.addoption("--brief", action="store_true", help="leave out the tests that tests/long.txt names")
-    parser.addoption("--long", action="store_true", help="run the tests that tests/long.txt names, and no others")
-
-
-def pytest_configure(config: pytest.Config) -> None:
-    """Reads the lists once."""
-    config.stash[SLOW_FILES] = slow_files() if config.getoption("--quick") else {}
-    config.stash[LONG_TESTS] = long_tests() if config.getoption("--brief") or config.getoption("--long") else {}
-    config.stash[SPENT] = Counter()
+    """Add the option of `make quick`."""
+    parser.addoption("--quick", action="store_true", help="leave out the files with the mark `slow`, unread")
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """With `--quick` a slow file is not even imported."""
-    return True if collection_path in config.stash[SLOW_FILES] else None
+    """With `--quick`, do not even import a slow file."""
+    if config.getoption("--quick") and collection_path.suffix == ".py":
+        return True if SLOW_FILE.search(collection_path.read_text(encoding="utf-8")) else None
+    return None
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """From here on a test's processor time counts."""
+    """Begin to count a test's processor time."""
     item.stash[BEGAN] = processor_time()
 
 
 @pytest.hookimpl(wrapper=True)
-def pytest_runtest_makereport(
-    item: pytest.Item, call: pytest.CallInfo[None]
-) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Each test's processor time is in its report, and in `--junitxml`, from which tools/slow_tests.py makes the list.
-
-    A test with which its file takes too long for `--quick`, or that takes too long itself for `--brief`, fails: so the
-    lists stay true.
-    """
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Write each test's processor time into its report, so into `--junitxml` for tools/slow_tests.py."""
     report = yield
     if report.when != "teardown":
-        return report
-    took = processor_time() - item.stash[BEGAN]
-    report.user_properties.append(("processor_s", round(took, 3)))
-    spent = item.config.stash[SPENT]
-    spent[item.path] += took
-    file, told = item.path.relative_to(PROJECT), ""
-    if item.config.getoption("--quick") and spent[item.path] > QUICK_S * FOR_NOISE:
-        told = f"{file} took {spent[item.path]:.1f} s: make it cheaper or name it in tests/slow.txt"
-        spent[item.path] = 0.0
-    elif item.config.getoption("--brief") and took > BRIEF_S * FOR_NOISE and not in_browser(item):
-        told = f"{item.nodeid} took {took:.1f} s: make it cheaper or name it in tests/long.txt"
-    if told and report.passed:
-        report.outcome, report.longrepr = "failed", told
+        report.user_properties.append(("processor_s", round(processor_time() - item.stash[BEGAN], 3)))
     return report
 
 
 def in_browser(item: pytest.Item) -> bool:
-    """Whether a test drives the page, which counts the life of a browser that others used, too."""
+    """Return True for a test that drives the page."""
     return "browser" in getattr(item, "fixturenames", ())
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """What waits for real time to pass comes first, so that the others fill its time.
+    """Put tests that wait for real time first, so that the others fill their time; then those in a browser.
 
-    What a browser does is the dearest. The processes of xdist take equal parts of the list, and then from each other's
-    ends. So the second one begins with it: what is left to the end is cheap, and one browser and one laboratory do.
+    Each process of xdist begins with an equal part of the list, then takes work from the ends of the others' parts. The
+    second one begins with all tests in a browser: the cheap tests are left to the end, and one browser and one
+    laboratory serve all.
     """
-    if config.getoption("--brief") or config.getoption("--long"):
-        long, wanted = config.stash[LONG_TESTS], bool(config.getoption("--long"))
-        config.hook.pytest_deselected(items=[item for item in items if (item.nodeid in long) is not wanted])
-        items[:] = [item for item in items if (item.nodeid in long) is wanted]
     items.sort(key=lambda item: item.get_closest_marker("waits") is None)
     processes = getattr(config, "workerinput", {}).get("workercount", 1)
     if processes > 1:

@@ -15,6 +15,8 @@ import pytest
 
 from tests.patience import PATIENCE_S
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[1]
 
 
@@ -47,6 +49,7 @@ def declared() -> set[str]:
     return {_plain(re.split(r"[ <>=;\[]", row)[0]) for row in rows}
 
 
+@pytest.mark.long
 def test_every_import_is_a_declared_dependency() -> None:
     distributions = packages_distributions()
     known = declared()
@@ -68,6 +71,7 @@ def _plain(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("program", ["cli.drone.fly", "cli.drone.fcu", "lab.serve"])
 def test_a_flight_and_the_lab_start_without_scipy(program: str) -> None:
     """Its import takes half a second to two seconds of processor time, in each command and each virtual drone."""

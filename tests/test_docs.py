@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[1]
 SOURCE = PROJECT / "src" / "twodof"
 PAGES = sorted([*PROJECT.glob("*.md"), *(PROJECT / "docs").rglob("*.md")])
@@ -37,6 +39,7 @@ def undocumented(name: str, tree: ast.Module) -> Iterator[str]:
                     yield f"{name}:{method.lineno} {node.name}.{method.name}"
 
 
+@pytest.mark.long
 def test_everything_public_has_a_docstring() -> None:
     missing = [
         line
@@ -107,6 +110,7 @@ def run(code: Path, folder: Path) -> None:
                 raise
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "example",
     [pytest.param(path, id=path.name, marks=[pytest.mark.soak] if path.stem in LONG else []) for path in EXAMPLES],
@@ -120,6 +124,7 @@ def test_readme_stays_a_screen_and_a_half() -> None:
     assert len((PROJECT / "README.md").read_text().splitlines()) <= 80
 
 
+@pytest.mark.long
 def test_readme_code_runs(tmp_path: Path) -> None:
     blocks = re.findall(r"```python\n(.*?)```", (PROJECT / "README.md").read_text(), flags=re.DOTALL)
     assert blocks, "README shows no example of the API"
@@ -155,6 +160,7 @@ def test_each_recipe_prints_what_the_page_says(tmp_path: Path, capsys: pytest.Ca
     assert capsys.readouterr().out == "".join(re.findall(r"```text\n(.*?)```", page, flags=re.DOTALL))
 
 
+@pytest.mark.long
 def test_the_code_of_the_pages_on_tuning_and_recording_runs(tmp_path: Path) -> None:
     pages = [PROJECT / "docs" / "how-to" / name for name in ("tune-in-flight.md", "record-and-convert.md")]
     blocks = [re.findall(r"```python\n(.*?)```", page.read_text(), flags=re.DOTALL) for page in pages]

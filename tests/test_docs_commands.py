@@ -8,10 +8,13 @@ import pytest
 
 from tools.console import PAGES, Command, commands, files, paired, run, save_files
 
+pytestmark = pytest.mark.slow
+
 SAME = "fly-an-experiment.md"
 """Its commands are those of the first tutorial, which are run each day."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "page",
     [pytest.param(page, id=page.name, marks=[pytest.mark.soak] if page.name == SAME else []) for page in PAGES],

@@ -27,6 +27,8 @@ from twodof.excitation import (
     from_json,
 )
 
+pytestmark = pytest.mark.slow
+
 PERIOD = 0.004
 
 SECONDS = st.floats(0.001, 5.0)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.how_to import carry_out, copied
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_a_flight_parameter_is_one_file(tmp_path: Path) -> None:
     root = copied(tmp_path)
     before = (root / "docs" / "reference" / "parameters.md").read_text(encoding="utf-8")
@@ -16,6 +21,7 @@ def test_a_flight_parameter_is_one_file(tmp_path: Path) -> None:
     assert "ATT_Q_MAX" in after
 
 
+@pytest.mark.long
 def test_a_telemetry_signal_is_five_files(tmp_path: Path) -> None:
     root = copied(tmp_path)
     assert len(carry_out("add-a-signal.md", root)) == 5
@@ -35,6 +41,7 @@ def test_a_stick_mode_is_three_files(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.long
 def test_a_block_is_its_file_and_its_test(tmp_path: Path) -> None:
     root = copied(tmp_path)
     (root / "tests" / "blocks" / "library").mkdir(parents=True)

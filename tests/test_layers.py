@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PACKAGE = "twodof"
 SOURCE = Path(__file__).resolve().parents[1] / "src" / PACKAGE
 
@@ -116,6 +118,7 @@ def breaches(root: Path) -> list[str]:
     return found
 
 
+@pytest.mark.long
 def test_the_house_is_in_order() -> None:
     assert len(modules(SOURCE)) > 1, f"nothing to read in {SOURCE}"
     assert breaches(SOURCE) == []

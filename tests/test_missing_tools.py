@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[1]
 TIMEOUT_S = 120
 
@@ -73,6 +75,7 @@ def test_without_anything_native_runs_slowly_and_the_others_name_their_packages(
     assert "gcc-arm-none-eabi" in said["cortex-m7"][1]
 
 
+@pytest.mark.long
 def test_with_a_compiler_alone_the_engine_and_the_emulator_are_named(tmp_path: Path) -> None:
     said = user(["wasmtime"], ["native", "wasm", "cortex-m7"], tmp_path)
     assert said["native"][0] == "CompiledProgram"

@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 from twodof.errors import ParameterError
 from twodof.parameters import NAME_LENGTH, PARAMETERS, PRESETS, UNDO_STEPS, Parameter, ParameterSet
 
+pytestmark = pytest.mark.slow
+
 ROWS = {row.name: row for row in PARAMETERS}
 VALID = st.dictionaries(st.sampled_from(sorted(ROWS)), st.floats(0.0, 1.0), min_size=1).map(
     lambda shares: {name: ROWS[name].low + share * (ROWS[name].high - ROWS[name].low) for name, share in shares.items()}

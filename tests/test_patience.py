@@ -7,6 +7,10 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 TESTS = Path(__file__).parent
 # What waits for another process, thread or task: their first argument, or the second, or `timeout`, is a limit [s].
 WAITING = {"communicate": 0, "wait": 0, "join": 0, "result": 0, "wait_for": 1, "run": None, "check_output": None}
@@ -34,6 +38,7 @@ def limits(name: str, tree: ast.AST) -> Iterator[str]:
                 yield f"{name}:{node.lineno} {node.func.attr}({limit.value}): say PATIENCE_S"
 
 
+@pytest.mark.long
 def test_waits_that_state_nothing_have_one_patience() -> None:
     texts = {path: path.read_text() for path in sorted(TESTS.rglob("*.py"))}
     found = [

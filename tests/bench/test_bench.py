@@ -18,6 +18,8 @@ from twodof.identify.simulate import RecordSimulator
 from twodof.models import pitch_rate
 from twodof.rig.parameters import lab
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("precision", closed_loop.PRECISIONS)
 def test_the_hand_written_loop_computes_what_the_compiled_one_does(precision: str) -> None:

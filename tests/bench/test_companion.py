@@ -3,7 +3,11 @@
 import asyncio
 from pathlib import Path
 
+import pytest
+
 from bench.stack import companion
+
+pytestmark = pytest.mark.slow
 
 
 def test_every_frame_is_measured(tmp_path: Path) -> None:

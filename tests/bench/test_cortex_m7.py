@@ -26,6 +26,8 @@ from twodof.flight.control.cascade import cascade
 from twodof.flight.starters import starter
 from twodof.signals import MODES
 
+pytestmark = pytest.mark.slow
+
 STEPS = 1000
 
 

@@ -9,7 +9,10 @@ import pytest
 
 from bench.stack import lab_clients
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 @pytest.mark.waits
 def test_no_client_starves_another(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(lab_clients, "SETTLES_S", 1.0)

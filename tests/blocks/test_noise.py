@@ -19,6 +19,8 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, leaf, tracing
 from twodof.blocks.expressions.graph import walk
 
+pytestmark = pytest.mark.slow
+
 N = 1 << 18
 SIGMAS = 5.0
 P_VALUE = 1e-5
@@ -153,6 +155,7 @@ def test_noise_is_white(precision: str) -> None:
     assert P_VALUE <= stats.chi2.sf(q, 200) <= 1 - P_VALUE
 
 
+@pytest.mark.long
 def test_streams_and_seeds_are_independent() -> None:
     n = 1 << 16
     rows = [draw(noise.normal, seed=seed, stream=stream, n=n)[0] for seed in (0, 1, 2**31) for stream in range(8)]

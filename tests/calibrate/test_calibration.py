@@ -14,6 +14,8 @@ from twodof.rig.parameters import CALIBRATED, TABLE, lab
 from twodof.rig.steady_state import moment_gain, stiffness, velocity_damping, velocity_gain
 from twodof.sim.resimulation import resimulation_loop
 
+pytestmark = pytest.mark.slow
+
 
 def means() -> dict[str, float]:
     return {u.name: u.mean for u in UNKNOWNS}
@@ -59,6 +61,7 @@ def test_priors_lie_within_bounds() -> None:
         assert u.deviation > 0.0
 
 
+@pytest.mark.long
 def test_the_shipped_set_is_a_minimum(flight_data: Path) -> None:
     """No step of a fifth of a prior's deviation in a single unknown makes the misfit smaller by more than 1e-4."""
     logged = find_flights(flight_data)

@@ -23,6 +23,8 @@ from twodof.errors import CompileError, ExperimentError, IdentificationError, Lo
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def log_file(tmp_path: Path) -> Path:

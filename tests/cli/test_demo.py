@@ -15,6 +15,8 @@ from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.flight_series import SeriesFlight
 
+pytestmark = pytest.mark.slow
+
 KEYS = ["w_n", "xi", "mu", "tau", "k_v", "p_v"]
 
 
@@ -58,6 +60,7 @@ class Collector:
         return False
 
 
+@pytest.mark.long
 def test_the_table_has_paper_simple_and_greybox_for_the_six_parameters(demo: tuple[dict[str, Any], str]) -> None:
     machines = demo[0]["machines"]
     assert [machine["name"] for machine in machines] == ["virtual rig “paper”", "virtual rig “lab”"]
@@ -68,6 +71,7 @@ def test_the_table_has_paper_simple_and_greybox_for_the_six_parameters(demo: tup
             assert all(row[column] is not None for column in ("paper", "simple", "greybox", "greybox_sigma"))
 
 
+@pytest.mark.long
 def test_on_the_paper_rig_the_simple_method_is_as_good_as_the_issue_asks(demo: tuple[dict[str, Any], str]) -> None:
     """w_n 2 %, xi 15 %, mu 7 %, tau one sample of 4 ms."""
     rows = demo[0]["machines"][0]["parameters"]
@@ -76,11 +80,13 @@ def test_on_the_paper_rig_the_simple_method_is_as_good_as_the_issue_asks(demo: t
     assert rows["tau"]["simple"] == pytest.approx(rows["tau"]["truth"], abs=4.0)
 
 
+@pytest.mark.long
 def test_on_the_paper_rig_the_truth_is_within_three_sigma_of_the_grey_box(demo: tuple[dict[str, Any], str]) -> None:
     for key, row in demo[0]["machines"][0]["parameters"].items():
         assert abs(row["greybox"] - row["truth"]) < 3.0 * row["greybox_sigma"], key
 
 
+@pytest.mark.long
 def test_the_report_is_whole(demo: tuple[dict[str, Any], str]) -> None:
     page = demo[1]
     assert page.startswith("<!doctype html>")

@@ -16,6 +16,8 @@ import pytest
 from tests.patience import PATIENCE_S, patiently
 from twodof.cli.interrupts import INTERRUPTED, LINE
 
+pytestmark = pytest.mark.slow
+
 
 def processes(group: int) -> int:
     """How many of a process group run."""
@@ -65,6 +67,7 @@ def interrupted(after_s: float, folder: Path, *arguments: str) -> str:
     return "" if right else f"after {after_s:.3f} s: status {process.returncode}, left {files}, said {said.decode()}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after_s", [0.0, 0.3, 1.5])
 def test_the_demo_ends_in_a_line(tmp_path: Path, after_s: float) -> None:
     assert interrupted(after_s, tmp_path, "demo", "--repetitions", "3") == ""

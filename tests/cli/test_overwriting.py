@@ -15,6 +15,8 @@ from twodof.flightlog import numbered, write_log
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab, save_rig
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> str:

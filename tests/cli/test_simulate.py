@@ -10,6 +10,8 @@ from twodof.cli.app import run
 from twodof.flight.starters import new_diagram
 from twodof.flightlog.files import read_log
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_seed_is_a_flight_and_another_seed_another(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     logs = []
@@ -25,6 +27,7 @@ def test_a_seed_is_a_flight_and_another_seed_another(tmp_path: Path, capfd: pyte
     assert logs[0].provenance["seed"] == 1
 
 
+@pytest.mark.long
 def test_what_is_simulated_can_be_identified(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The two commands that a student types first; the paper rig's mu is 358.5."""
     file = str(tmp_path / "flight.mat")

@@ -20,6 +20,8 @@ from twodof.errors import LinkError, LogError, TwodofError
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
 
+pytestmark = pytest.mark.slow
+
 EVIL = "\x1b]0;title\x07\x1b[31m[red]q[/red][link=http://a.b]x[/link]\x9b2J\u202ebackwards\r\x08:smile:"
 
 

@@ -16,6 +16,8 @@ from tests.patience import PATIENCE_S
 from tests.processes import alive, started
 from twodof.companion.app_supervisor import LONGEST_LINE, MOST_LINES, AppLimits, AppSupervisor, RestartPolicy
 
+pytestmark = pytest.mark.slow
+
 QUICK = RestartPolicy(first=0.05, longest=0.1, most=2)
 
 

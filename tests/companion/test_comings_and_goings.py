@@ -26,6 +26,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import GONE_S, TcpTransport
 from twodof.link.transport.url import parse
 
+pytestmark = pytest.mark.slow
+
 ATTITUDE, TRUTH = 30, 54205
 TO = {"target_system": 1, "target_component": 1}
 
@@ -127,6 +129,7 @@ def come_and_go(count: int) -> None:
     run_virtual(work())
 
 
+@pytest.mark.long
 def test_clients_that_come_and_go_leave_nothing_behind() -> None:
     come_and_go(160)
 

@@ -33,6 +33,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
 
+pytestmark = pytest.mark.slow
+
 CLIENTS = (Serve("memin://clients", "onboard"),)
 
 

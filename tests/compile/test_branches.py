@@ -18,6 +18,8 @@ from twodof.compile.c.emitter import emit
 from twodof.compile.lanes.lanes_program import best_simd
 from twodof.compile.program.lower import lower
 
+pytestmark = pytest.mark.slow
+
 DT = 0.01
 INPUTS = (("u", "real"), ("v", "real"), ("mode", "int32"), ("on", "bool"))
 SPECIAL = (0.0, -0.0, 1e-310, 1e30, float("inf"), float("nan"))

@@ -19,6 +19,8 @@ from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError, DiagramError, ParameterError
 
+pytestmark = pytest.mark.slow
+
 DIAGRAMS: list[tuple[Callable[[], Diagram], tuple[str, ...], dict[str, Any]]] = [
     (examples.loop, ("gain.y", "held.y", "pendulum.q"), {"r": 0.7}),
     (examples.switched, (), {"u": 1.5, "on": True}),

@@ -26,6 +26,8 @@ from twodof.compile.program.lower import lower
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def forced(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,6 +32,8 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import CompiledProgram, build
 
+pytestmark = pytest.mark.slow
+
 
 class Edged(Block):
     """Two edges that feed update and project. Their fractions are NaN, below 0, 0, 1, above 1 or equal."""

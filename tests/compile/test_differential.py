@@ -34,6 +34,8 @@ from twodof.compile.native.target import Native
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
 
+pytestmark = pytest.mark.slow
+
 GCC = Native("gcc", "-O1", cpu=False)
 ON_M7 = CortexM7("gcc")
 

@@ -24,6 +24,8 @@ from twodof.compile.program.lower import lower
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 BASES = [to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23, 42)]
 
 
@@ -56,6 +58,7 @@ def check(files: int, seed: int, least: int) -> None:
     assert not differences(cases, expected, emitted(cases, "float64", "rk4"), Wasm(optimise="-O1"))
 
 
+@pytest.mark.long
 def test_mutated_files_that_load_run_within_their_fuel() -> None:
     check(12, 1, least=3)
 
@@ -66,6 +69,7 @@ def test_many_mutated_files_that_load_run_within_their_fuel(seed: int) -> None:
     check(600, seed, least=100)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["a table of 90,000 numbers", "a state of 900,000 values", "300 outputs of one graph"])
 def test_the_largest_that_is_let_in_runs_in_the_sandbox(name: str) -> None:
     d = connected(from_json(large()[name]))

@@ -53,6 +53,8 @@ from twodof.compile.stepper import Stepper
 from twodof.compile.wasm.module import compile_module
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 PRECISIONS = ("float64", "float32")
 STEPS = 300
 ALPHA = 0.0317

@@ -11,6 +11,8 @@ from twodof.blocks import Diagram
 from twodof.blocks.library import DiscreteIntegrator, Gain, LowPass, Product, Saturation, Sum, Trigonometry, UnitDelay
 from twodof.compile import CompiledProgram, build
 
+pytestmark = pytest.mark.slow
+
 
 def chain(blocks: int) -> Diagram:
     """`blocks` blocks of several types, each of which drives the next, with feedback through delays."""
@@ -56,6 +58,7 @@ def processor_time() -> float:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("target", "blocks"), [("native", 300), ("wasm", 900), pytest.param("native", 900, marks=pytest.mark.soak)]
 )

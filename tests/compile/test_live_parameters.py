@@ -14,6 +14,8 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledMachine, build
 from twodof.errors import ParameterError
 
+pytestmark = pytest.mark.slow
+
 STEPS = 60
 LOG = ("pendulum.q", "gain.y")
 

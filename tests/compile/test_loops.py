@@ -13,6 +13,8 @@ from twodof.compile import build
 from twodof.compile.program.lower import lower
 from twodof.compile.wasm.cost import operations
 
+pytestmark = pytest.mark.slow
+
 DT = 0.01
 N = 3
 

@@ -38,6 +38,8 @@ from twodof.compile.lanes import build_lanes
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError, ParameterError
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 PRECISIONS = ("float64", "float32")
 STEPS = 12
@@ -103,6 +105,7 @@ def flown(request: pytest.FixtureRequest) -> tuple[str, dict[str, Any]]:
     return request.param, machine.run(STEPS, {"z": Z})
 
 
+@pytest.mark.long
 def test_a_kalman_filter_is_that_of_numpy_to_rounding(flown: tuple[str, dict[str, Any]]) -> None:
     precision, found = flown
     x, P = by_numpy()

@@ -16,6 +16,8 @@ from twodof.compile.lanes.lanes_program import best_simd
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 
+pytestmark = pytest.mark.slow
+
 DT = 0.01
 
 
@@ -181,6 +183,7 @@ def rows(seed: int) -> list[dict[str, Any]]:
     ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("first", "count"), [(0, 15), *(pytest.param(15 + 50 * k, 50, marks=pytest.mark.soak) for k in range(20))]
 )

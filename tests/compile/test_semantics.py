@@ -14,6 +14,8 @@ from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile.program.check import check
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("name", TOLD)

@@ -19,6 +19,8 @@ from twodof.flight.declarations import INPUTS
 from twodof.flight.failsafe.diagram import OUTPUTS as SAFETY_OUTPUTS
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 KINDS = {name: kind for name, kind, *_ in (*INPUTS, *SAFETY_INPUTS)}
 NAMES = [name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS)]
 

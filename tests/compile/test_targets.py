@@ -49,6 +49,8 @@ from twodof.compile.target import EmittedProgram
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 ROOMS = {
     "loops": ("continuous", "delays"),
     "memory": ("discrete", "filters", "control", "estimation", "playback"),
@@ -222,6 +224,7 @@ def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("group", "precision"), [slot for slot in SLOTS if kinds_for(*slot)])
 def test_every_target_gives_the_bits_of_the_reference(group: str, precision: str) -> None:
     make, integrator = GROUPS[group]

@@ -23,6 +23,8 @@ from twodof.flight.starters.attitude import lqr_attitude, stock_attitude
 from twodof.models.plant import PitchRate
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 VALUES = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "dead_time": 0.0113, "lag": 0.0087}
 SIGMAS = {"w_n": 0.17, "xi": 0.016, "mu": 12.0, "dead_time": 0.001, "lag": 0.0008}
 FAMILY = PitchFamily.of(VALUES, SIGMAS, gust=1.0)
@@ -89,6 +91,7 @@ def test_formula_is_the_characteristic_polynomial(controller: SampledController)
             assert (off <= found.rest + 1e-8 * np.abs(value)).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [6, pytest.param(100, marks=pytest.mark.soak)])
 def test_decisions_stand_against_dense_sampling(count: int) -> None:
     """Random families and gains, from calm to far too loud: what is proved has no unstable member among thousands."""
@@ -123,6 +126,7 @@ def test_decisions_stand_against_dense_sampling(count: int) -> None:
     assert seen.count(RegionStability.undecided) <= 0.1 * count
 
 
+@pytest.mark.long
 def test_border_of_what_is_proved_is_near_the_first_unstable_member() -> None:
     """The gap between both is what the proof gives away: with two parameters it can be told to a per mille."""
     family = PitchFamily.of(VALUES, {"mu": 18.0, "dead_time": 0.0015})
@@ -144,6 +148,7 @@ def test_border_of_what_is_proved_is_near_the_first_unstable_member() -> None:
     assert certificate(controller, family, 1.002 * high).decision is RegionStability.unstable
 
 
+@pytest.mark.long
 def test_stability_radius_is_that_of_a_dense_search() -> None:
     """mu of two real parameters by branch and bound, against the first unstable member on 500 rays."""
     family = PitchFamily.of(VALUES, {"mu": 18.0, "dead_time": 0.0015})

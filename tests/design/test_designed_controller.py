@@ -11,11 +11,14 @@ from twodof.design.synthesis.specification import Specification
 from twodof.design.uncertain.pitch_family import PitchFamily
 from twodof.errors import ParameterError
 
+pytestmark = pytest.mark.slow
+
 FAMILY = PitchFamily.of(
     {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.02}, {"mu": 10.0, "dead_time": 0.0005}, gust=0.5, q_noise=0.01
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("specification", [None, Specification(bandwidth=4.0)], ids=["rule", "specification"])
 def test_it_says_how_far_it_is(specification: Specification | None) -> None:
     seen: list[tuple[str, float]] = []
@@ -28,6 +31,7 @@ def test_it_says_how_far_it_is(specification: Specification | None) -> None:
     assert len(seen) > 20
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("after_s", [0.5, 2.5])
 def test_ctrl_c_ends_a_design_in_a_line(after_s: float, tmp_path: Path) -> None:
     (tmp_path / "model.json").write_text(json.dumps({"model": dict(FAMILY.values)}))

@@ -20,6 +20,8 @@ from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.rig.parameters import paper
 from twodof.sim.identified_rig import identified_rig
 
+pytestmark = pytest.mark.slow
+
 HIGH = 0.6
 """A thrust at which the rig's moment is 1.16 times that of hover."""
 

@@ -15,6 +15,8 @@ from twodof.errors import ParameterError
 from twodof.models import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, DelayedStateSpace
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 
 def loop(top: list[float], bottom: list[float], dt: float | None = None, delay: float = 0.0) -> LoopTransfer:
     a, b, c, d = signal.tf2ss(top, bottom)
@@ -242,6 +244,7 @@ def test_the_root_locus_follows_its_branches_and_crosses_at_the_gain_margin() ->
 # Bad input
 
 
+@pytest.mark.long
 def test_what_is_not_a_loop_is_refused_with_the_remedy() -> None:
     good = loop([1.0], [1.0, 1.0])
     with pytest.raises(ParameterError, match="not a loop of one input"):

@@ -13,6 +13,8 @@ from scipy import signal
 from bench.computing.random_loops import COUNT, Floats, RandomLoop, random_loop
 from twodof.design import LoopMargins, LoopTransfer, closed_loop_poles, margins
 
+pytestmark = pytest.mark.slow
+
 
 def ours(loop: RandomLoop) -> LoopMargins:
     a, b, c, d = signal.tf2ss(loop.numerator, loop.denominator)

@@ -12,6 +12,8 @@ from twodof.flight.gains import DEFAULT
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.parameters import PARAMETERS
 
+pytestmark = pytest.mark.slow
+
 VALUES = {row.name: row.default for row in PARAMETERS}
 FAMILY = PitchFamily.of({"w_n": 3.4, "xi": 0.08, "mu": 358.5, "dead_time": 0.0185, "lag": 0.001}, {"mu": 18.0})
 

@@ -4,6 +4,8 @@ import pytest
 
 from tools.promises import designed, shares
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.soak
 def test_promises_hold_on_the_noisy_rig() -> None:
@@ -13,6 +15,7 @@ def test_promises_hold_on_the_noisy_rig() -> None:
     assert all(0.92 <= share <= 0.98 for share in found.values()), found
 
 
+@pytest.mark.long
 def test_promises_of_few_designs_hold() -> None:
     """A small part of the long test: 8 designs, 25 flights of each."""
     found = shares(designed(8, 400, seed=3) * 25, 3000)

@@ -15,6 +15,8 @@ from twodof.design.uncertain.sampled_controller import SampledController
 from twodof.flight.gains import STUDENT
 from twodof.flight.starters.attitude import pid_attitude
 
+pytestmark = pytest.mark.slow
+
 BASE = SampledController.of(pid_attitude(STUDENT))
 
 
@@ -41,6 +43,7 @@ def searched(rng: np.random.Generator, factor: float) -> tuple[float, float]:
     return found.radius, float(PitchLoop(PitchMembers(**columns), controller).radii().max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("count", [4, pytest.param(100, marks=pytest.mark.soak)])
 def test_search_misses_nothing_that_a_dense_one_finds(count: int) -> None:
     rng = np.random.default_rng(count)

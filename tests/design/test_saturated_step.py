@@ -16,6 +16,8 @@ from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.flight.starters.motor import stock_motor
 
+pytestmark = pytest.mark.slow
+
 VALUES = {"w_n": 3.437, "xi": 0.0836, "mu": 250.0, "dead_time": 0.0113, "lag": 0.0087}
 FAMILY = PitchFamily.of(VALUES)
 QUICK = Gains((0.12, 0.5, 0.001), 12.0, DEFAULT.velocity, DEFAULT.position)

@@ -19,6 +19,8 @@ from twodof.errors import ParameterError
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 FAMILY = PitchFamily.of(
     {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.02}, {"mu": 10.0, "dead_time": 0.0005}, gust=0.5, q_noise=0.01
 )
@@ -80,6 +82,7 @@ def helicopter() -> Callable[[np.ndarray], list[System]]:
     return closed
 
 
+@pytest.mark.long
 def test_static_output_feedback_of_the_helicopter() -> None:
     """No gain of the plane is better, by a dense search over all directions and sizes of the two gains.
 
@@ -106,6 +109,7 @@ def test_static_output_feedback_of_the_helicopter() -> None:
     assert found.norm == pytest.approx(0.1538, rel=1e-3)
 
 
+@pytest.mark.long
 def test_cascade_beats_a_dense_search_over_gains() -> None:
     found, closed = optimum(), weighted_cascade(FAMILY, ASKED)
     best = math.inf
@@ -126,6 +130,7 @@ def test_cascade_beats_a_dense_search_over_gains() -> None:
         assert largest_norm(closed(np.clip(gains * (1.0 + step), LOW, HIGH)), PERIOD)[0] >= found.norm * (1.0 - 1e-4)
 
 
+@pytest.mark.long
 def test_specification_is_checked() -> None:
     controller = SampledController.of(pid_attitude(optimum().gains))
     rows = check(ASKED, controller, FAMILY, promise(controller, FAMILY, members=80))

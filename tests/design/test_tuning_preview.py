@@ -21,6 +21,8 @@ from twodof.models import step_figures
 from twodof.models.plant import PitchRate
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 VALUES = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "dead_time": 0.0113, "lag": 0.0087}
 FAMILY = PitchFamily.of(VALUES, {"mu": 12.0, "dead_time": 0.001}, gust=1.5, gust_time=0.15, q_noise=0.02)
 

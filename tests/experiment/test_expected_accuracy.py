@@ -17,6 +17,8 @@ from twodof.identify.experiments import cut
 from twodof.identify.from_flight.identified_flight import identify_flight
 from twodof.identify.from_flight.ready_made import structure_for
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def still() -> Laboratory:

@@ -18,6 +18,8 @@ from twodof.flightlog.steps import BOOT
 from twodof.signals import PERIOD
 from twodof.sim.replay import replay
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module", params=["paper", "lab"])
 def laboratory(request: pytest.FixtureRequest) -> Laboratory:

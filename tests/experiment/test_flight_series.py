@@ -11,6 +11,8 @@ from twodof.errors import TwodofError
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.flight_series import fly_series
 
+pytestmark = pytest.mark.slow
+
 
 def descendants() -> set[str]:
     """Command lines of what this process has started, drones included."""
@@ -28,6 +30,7 @@ def command_line(process: str) -> str:
     return ""
 
 
+@pytest.mark.long
 def test_flights_come_as_they_are_flown_and_leaving_early_ends_all() -> None:
     series = fly_series(["paper"], ["velocity-doublet"], range(4, 1000))
     rig, name, seed, flight = next(series)

@@ -34,6 +34,8 @@ from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 SEED = 5
 EACH_KIND = ("doublet", "position-sweep", "attitude-steps")
 """One in open loop about the trim, one with the cart free, one in the rings; the soak flies them all."""
@@ -123,6 +125,7 @@ def differing(on_board: Signals, plan: Script, simulated: Signals) -> dict[str, 
     return count
 
 
+@pytest.mark.long
 def test_the_on_board_log_has_the_bits_of_the_simulation(flown: Both) -> None:
     assert flown.flight.good, flown.flight.checks
     np.testing.assert_array_equal(flown.on_board["tick"][: flown.plan.steps], np.arange(flown.plan.steps))
@@ -130,6 +133,7 @@ def test_the_on_board_log_has_the_bits_of_the_simulation(flown: Both) -> None:
     assert differing(flown.on_board, flown.plan, flown.simulated) == {}
 
 
+@pytest.mark.long
 def test_the_ground_log_is_the_simulators_rounded_to_the_wires_float32(flown: Both) -> None:
     simulated = flown.laboratory.fly(flown.name, SEED).log
     assert_rounded(flown.flight.log, simulated)
@@ -251,6 +255,7 @@ def real(drone: VirtualDrone) -> None:
     drone.rig.virtual = False
 
 
+@pytest.mark.long
 def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
     with drone_thread(real) as url, Drone.connect(url) as drone:
         drone.run(1.0)  # its time began before we came
@@ -359,6 +364,7 @@ def test_a_start_from_which_the_rail_is_too_short_is_broken_off_before_its_end()
         assert not drone.state.armed
 
 
+@pytest.mark.long
 def test_a_link_that_dies_in_the_middle_leaves_what_had_come(tmp_path: Path) -> None:
     flights: list[Flight] = []
     with pytest.raises(RuntimeError, match="status -9"):
@@ -447,6 +453,7 @@ def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too
     assert not judged(without(0, plan.steps, 50))[0]
 
 
+@pytest.mark.long
 def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates() -> None:
     plan = script(experiment("attitude-steps"))
     values = np.zeros((plan.steps, len(COLUMNS)))
@@ -465,6 +472,7 @@ def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates(
     assert pitch.seen == f"{np.degrees(0.2):.1f} deg, true but for 3 of {flown} steps, estimated"
 
 
+@pytest.mark.long
 def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None:
     values = np.arange(4.0)[:, None] * np.ones(len(COLUMNS))
     samples = ReceivedSamples.of([12, 10, 12, 3], values, first=10, steps=3)
@@ -475,6 +483,7 @@ def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None
     assert np.isnan(out["q"][1])
 
 
+@pytest.mark.long
 def test_what_cannot_be_flown_is_refused_before_anything_moves() -> None:
     with drone_thread() as url, Drone.connect(url) as drone:
         with pytest.raises(ExperimentError, match=r"still: the motors stand for 0\.1 s only"):

@@ -20,6 +20,8 @@ from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 
 def breaks(template: Template, at: float, values: dict[str, tuple[float, float]]) -> Diagram:
     """A controller whose outputs change from one value to another at a time [s]."""

@@ -31,6 +31,8 @@ from twodof.rig.parameters import lab
 from twodof.sim.initial_state import InitialState
 from twodof.sim.rig_host import VirtualRig
 
+pytestmark = pytest.mark.slow
+
 NAME, OWN, SEED = "attitude-steps", "lqr-attitude", 5
 ENOUGH = 100
 RINGS = EXPERIMENTS[NAME].rings
@@ -98,6 +100,7 @@ def simulated(flown: Flown, at: int | None) -> tuple[Script, Signals]:
     return plan, {name: np.concatenate([part[name] for part in parts if part]) for name in parts[0]}
 
 
+@pytest.mark.long
 def test_a_change_in_flight_has_the_bits_of_the_same_change_in_the_simulator(flown: Flown) -> None:
     plan, same = simulated(flown, flown.at)
     found = differing(flown.rows, plan, same)
@@ -108,6 +111,7 @@ def test_a_change_in_flight_has_the_bits_of_the_same_change_in_the_simulator(flo
         assert "M" in differing(flown.rows, plan, simulated(flown, other)[1]), "another tick is seen"
 
 
+@pytest.mark.long
 def test_the_log_says_when_and_what(flown: Flown) -> None:
     own = [(time, name, value) for time, name, value in flown.log.changes if name.startswith("TLA_")]
     values = {name: np.float32(value) for name, value in zip(WIRE, TUNING.values(), strict=True)}
@@ -116,6 +120,7 @@ def test_the_log_says_when_and_what(flown: Flown) -> None:
     assert flown.log.parameters["TLA_K_Q"] == np.float32(starter(OWN).params["k_q"].value)
 
 
+@pytest.mark.long
 def test_the_log_flies_again_to_the_same_bits(flown: Flown) -> None:
     assert replayed(flown, with_changes=True) == 0
     assert replayed(flown, with_changes=False) == ENOUGH

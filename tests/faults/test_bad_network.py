@@ -22,6 +22,8 @@ from twodof.link.signing.key import Key
 from twodof.link.signing.time_stamps import Stamps
 from twodof.link.transport.open_transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 # On both ways between client and companion. In all but the first three the line to the flight controller is bad,
 # too, in most ways at once.
 NETWORKS = {
@@ -40,6 +42,7 @@ LEVEL_MS = 1000.0
 LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone moves the pitch by .03
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in DAILY else [pytest.mark.soak]) for name in NETWORKS]
 )

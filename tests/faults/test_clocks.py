@@ -16,6 +16,8 @@ from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import Key
 from twodof.link.signing.time_stamps import PER_SECOND, Stamps
 
+pytestmark = pytest.mark.slow
+
 START = 300_000_000 * PER_SECOND  # in 2024
 HOUR, DAY = 3600.0, 86400.0
 
@@ -136,6 +138,7 @@ def test_a_clients_clock_that_jumps_by_more_than_a_year_is_no_pilot_any_more_and
     run(work())
 
 
+@pytest.mark.long
 def test_a_drones_clock_that_jumps_ahead_by_more_than_a_year_is_not_believed_and_it_makes_itself_safe() -> None:
     """The client hears it no more: LinkLost after 3 s. It still hears the client, who stops; a kill still goes out."""
     key = Key.fresh()

@@ -18,6 +18,8 @@ from twodof.link.signing.frame_signing import Signing
 from twodof.link.signing.key import Key
 from twodof.link.signing.time_stamps import Stamps
 
+pytestmark = pytest.mark.slow
+
 
 @contextmanager
 def full_disk(most: int) -> Iterator[None]:
@@ -37,6 +39,7 @@ def answered(*flushes: Callable[[], object]) -> None:
             flush()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turns", [4, pytest.param(12, marks=pytest.mark.soak)])
 def test_a_disk_that_is_full_in_flight_stops_no_command_and_loses_nothing_written(turns: int, tmp_path: Path) -> None:
     """Recorder, on-board log, parameters and time stamps of signing at once: in 12 s by the clock all is heard.

@@ -32,6 +32,8 @@ from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport.open_transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 Campaign = Callable[[int, int, Path], None]
 PILOT = (250, GROUND)
 PITCH = 0.125  # through a quaternion of float32
@@ -267,6 +269,7 @@ def vehicles(chance: random.Random) -> tuple[int, int]:
     return chance.choice([(1, 1), (1, 1), (1, 191), (250, 190), (chance.randrange(256), chance.randrange(256))])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("campaign", [under_a_pilot, in_flight, with_nobody, from_the_vehicle])
 def test_hostile_frames_crash_leak_arm_and_change_nothing(campaign: Campaign, tmp_path: Path) -> None:
     campaign(3_000, 1, tmp_path)

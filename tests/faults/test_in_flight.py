@@ -14,6 +14,8 @@ from tests.fcu.flights import exhausting, failing
 from twodof.fcu.control.hardware import SensorSample
 from twodof.flight.failsafe.causes_and_actions import BIT
 
+pytestmark = pytest.mark.slow
+
 LEVEL_RAD = 0.06  # as in tests/sim/test_failsafe_flights.py: the wake alone moves the pitch by .03
 FAILS_AT = 700
 PITCH_STOP, RAIL_STOP = 0.87, 0.40  # the lab rig's

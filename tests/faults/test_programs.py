@@ -32,7 +32,7 @@ PERIOD_MS = 4.0
 LEVEL_RAD = 0.06
 # Of some twenty topics; of each that comes at the full rate a second and more is on the disk then.
 ENOUGH_SAMPLES = 10_000
-pytestmark = pytest.mark.waits
+pytestmark = [pytest.mark.slow, pytest.mark.waits]
 
 
 @dataclass
@@ -139,6 +139,7 @@ def check_silence(name: str, rows: np.ndarray) -> None:
     assert rows["action"][rows["armed"] == 0][-1] == OFF
 
 
+@pytest.mark.long
 def test_a_serial_cable_that_is_pulled_and_a_companion_that_is_killed_in_flight(stack: Stack) -> None:
     # RuntimeError: it did not end by itself.
     with suppress(RuntimeError), stack.companion() as companion:

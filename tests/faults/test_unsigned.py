@@ -29,6 +29,8 @@ from twodof.link.signing.time_stamps import Stamps
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.open_transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 KEY, OTHER_KEY = Key(bytes(range(32))), Key(bytes(32))
 PILOT, DRONE, COMPANION = (250, GROUND), (1, 1), (1, 191)
 EVERY_S, FORGED_S = 0.25, 8.0

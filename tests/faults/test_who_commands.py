@@ -18,6 +18,8 @@ from twodof.link.signing.time_stamps import Stamps
 from twodof.link.transport.base import Transport
 from twodof.link.transport.open_transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 ARM = {"command": 400, "param1": 1.0, "target_system": 1, "target_component": 1}
 UNSIGNED = 25  # commands
 

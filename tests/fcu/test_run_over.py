@@ -16,6 +16,8 @@ from twodof.fcu.mavlink.wire_tick import RUN_OVER, RUN_OVER_MS, acts_at, acts_at
 from twodof.link.mavlink.dialect import message_id
 from twodof.link.mavlink.messages import excite, message
 
+pytestmark = pytest.mark.slow
+
 MASK_32 = 2**32 - 1
 BEFORE, AFTER = 170, 140  # ticks of the flight before and after the moment
 EVERYTHING = ("ATTITUDE", "HIGHRES_IMU", "LOCAL_POSITION_NED", "SYSTEM_TIME", "SERVO_OUTPUT_RAW", "DISTANCE_SENSOR")

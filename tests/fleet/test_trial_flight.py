@@ -14,6 +14,8 @@ from twodof.fleet.trial_flight import trial_flight
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.starters import save_diagram, starter
 
+pytestmark = pytest.mark.slow
+
 
 def wild() -> Diagram:
     """Four times the rate gain: 70 rad/s is beyond what the rotors follow."""
@@ -22,6 +24,7 @@ def wild() -> Diagram:
     return d
 
 
+@pytest.mark.long
 def test_the_flight_alone_sees_the_swing_that_the_margins_foretell(monkeypatch: pytest.MonkeyPatch) -> None:
     foretold = trial_flight(wild(), "attitude_control")
     motion = foretold.margins["motors"].motion
@@ -34,6 +37,7 @@ def test_the_flight_alone_sees_the_swing_that_the_margins_foretell(monkeypatch: 
     assert float(seen.split()[2]) == pytest.approx(motion.omega, rel=0.15)
 
 
+@pytest.mark.long
 def test_flash_refuses_it_and_can_be_forced(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

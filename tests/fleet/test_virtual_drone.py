@@ -16,6 +16,8 @@ from twodof.fleet import virtual_drone, virtual_drones
 from twodof.flightlog.files import read_log
 from twodof.gcs.async_drone import AsyncDrone
 
+pytestmark = pytest.mark.slow
+
 SET_UP = 250
 """Frames that a recording is set up with; the description of all parameters alone takes as many."""
 
@@ -25,6 +27,7 @@ def received(drone: AsyncDrone) -> int:
     return sum(sender.received for sender in drone.statistics.senders.values())
 
 
+@pytest.mark.long
 def test_several_drones_are_recorded_in_one_script(tmp_path: Path) -> None:
     """Each with noise of its own; with the block their programs are gone."""
 

@@ -15,6 +15,8 @@ from twodof.flight.estimator.diagram import POSITION_FILTERS
 from twodof.flight.gains import DEFAULT
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
+pytestmark = pytest.mark.slow
+
 GRAVITY = 9.81
 
 

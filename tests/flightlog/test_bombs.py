@@ -14,6 +14,8 @@ from tests.flightlog.limited import Limited, Used, limited
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
 
+pytestmark = pytest.mark.slow
+
 MIB = 2048
 CPU_S = 10.0
 TYPED = {0, 1, 2}
@@ -72,6 +74,7 @@ def test_there_are_enough_of_them() -> None:
     assert {Path(name).suffix for name in BRIEF} == {".mcap", ".mat", ".parquet", ".csv", ".ulg"}
 
 
+@pytest.mark.long
 def test_bombs(process: Limited, tmp_path: Path) -> None:
     """Each by one command, in turn."""
     found = []
@@ -94,6 +97,7 @@ def test_every_bomb_by_every_command(name: str, process: Limited, tmp_path: Path
     assert [one for command in COMMANDS if (one := used(process, command, file, tmp_path))] == []
 
 
+@pytest.mark.long
 def test_a_long_log_is_not_refused(process: Limited, tmp_path: Path) -> None:
     """Not hostile: 20 minutes of noise at 250 Hz."""
     chance = np.random.default_rng(1)
@@ -104,6 +108,7 @@ def test_a_long_log_is_not_refused(process: Limited, tmp_path: Path) -> None:
     assert (found.status, wrong("convert", found)) == (0, "")
 
 
+@pytest.mark.long
 def test_what_is_not_a_file_is_refused_at_once(process: Limited, tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.mcap")
     (tmp_path / "zero.mat").symlink_to("/dev/zero")
@@ -123,6 +128,7 @@ def test_what_is_not_a_file_is_refused_at_once(process: Limited, tmp_path: Path)
             assert (found.status, wrong(option, found)) == (2, ""), (option, name)
 
 
+@pytest.mark.long
 def test_the_measure_measures(process: Limited, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("time,theta\n0,0\n")
     found = process.run("log", "info", tmp_path / "a.csv")

@@ -19,6 +19,8 @@ from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
+pytestmark = pytest.mark.slow
+
 TOPICS = ["imu.gyro", "estimate.theta"]
 
 

@@ -11,6 +11,8 @@ from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
 from twodof.flightlog.log import Channel, FlightLog, How
 
+pytestmark = pytest.mark.slow
+
 # Multiples of 1/64 s: exact in binary, so that the brute-force comparison needs no tolerance.
 STAMPS = st.lists(st.integers(0, 400), min_size=1, max_size=30, unique=True).map(
     lambda ticks: np.array(sorted(ticks)) / 64.0

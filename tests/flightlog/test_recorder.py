@@ -27,6 +27,8 @@ from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 CHILD = Path(__file__).with_name("recording_child.py")
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -243,6 +245,7 @@ def rewritten(found: Any, path: Path) -> Any:
     return read_mcap(path)
 
 
+@pytest.mark.long
 def test_killed_while_recording(tmp_path: Path) -> None:
     killed_while_recording(tmp_path, 2, seed=1)
 

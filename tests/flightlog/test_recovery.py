@@ -15,6 +15,8 @@ from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
+pytestmark = pytest.mark.slow
+
 STEP = 5  # samples in a chunk
 
 
@@ -46,6 +48,7 @@ def numbers(contents: McapContents) -> list[int]:
     return k.tolist()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("chunks", [2, pytest.param(14, marks=pytest.mark.soak)])
 def test_cut_at_every_byte(chunks: int, tmp_path: Path) -> None:
     whole, acknowledged = record(tmp_path / "a.mcap", chunks)

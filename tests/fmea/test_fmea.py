@@ -13,6 +13,8 @@ from tests.fmea.measured import COLUMNS, kept, records
 from tests.fmea.rows import ROWS
 from twodof.rig.parameters import NAMES
 
+pytestmark = pytest.mark.slow
+
 LEAST_FAULTS = 120
 """Rows in their situations that are flown on each rig, at least."""
 
@@ -46,6 +48,7 @@ def test_each_row_states_what_is_expected_and_there_are_enough_of_them() -> None
     assert faults >= LEAST_FAULTS
 
 
+@pytest.mark.long
 def test_each_fault_ends_as_expected_with_the_figures_that_are_kept() -> None:
     """In its action, in its time, and not at a stop with motors on; where nothing fails nothing acts.
 

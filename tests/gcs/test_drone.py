@@ -24,6 +24,8 @@ from twodof.gcs.mavlink import identity
 from twodof.gcs.telemetry.recording import TOGETHER
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def there() -> Iterator[OnBoard]:

@@ -14,6 +14,8 @@ from twodof.flightlog import read_log
 from twodof.gcs.drone import Drone
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 PERIOD_S = 0.004
 MOST_OF_A_CORE, LONG_S = 0.5, 60.0
 STAMP_S = 2e-6  # stamps are whole microseconds
@@ -30,6 +32,7 @@ SLOWER = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.waits
 @pytest.mark.parametrize(
     "seconds", [2.5, pytest.param(60.0, marks=pytest.mark.soak), pytest.param(600.0, marks=pytest.mark.soak)]

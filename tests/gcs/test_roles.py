@@ -20,6 +20,8 @@ from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
 from twodof.link.transport import ports
 
+pytestmark = pytest.mark.slow
+
 
 @contextmanager
 def directly(index: int) -> Iterator[None]:

@@ -9,6 +9,8 @@ from twodof.experiment.flight import Laboratory
 from twodof.identify.greybox import fit
 from twodof.rig.parameters import load_rig
 
+pytestmark = pytest.mark.slow
+
 EACH_DAY, LONG = 4, 60
 CLOSED = ("attitude-steps", "attitude-prbs")
 OPEN = ("doublet", "3-2-1-1", "multisine")
@@ -24,6 +26,7 @@ def flown(name: str, seeds: int) -> Outcome:
     return campaign("lab", cases(load_rig("lab").snapshot())[name], range(1, seeds + 1), bound_flights=1)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "seeds"),
     [
@@ -66,6 +69,7 @@ def test_flights_along_the_rail_tell_the_gain(name: str) -> None:
     assert abs(found.bias[0]) < (1.0 / 3.0 + 1.0 / np.sqrt(LONG)) * found.bound[0], found.bias / found.bound
 
 
+@pytest.mark.long
 def test_a_doublet_that_output_error_loses_keeps_its_gust() -> None:
     # Output error puts the delay at 7 ms and is sure of it there. That is no reason to doubt the structure.
     case = cases(load_rig("lab").snapshot())["doublet"]
@@ -84,6 +88,7 @@ def test_slow_noise_of_a_multisine_is_a_gust_and_not_a_swing() -> None:
         assert abs(found[name] - truth[name]) < 3.0 * found.sigma(name), name
 
 
+@pytest.mark.long
 def test_a_free_standing_delay_does_not_end_a_fit() -> None:
     # With the total delay and the lag as unknowns, 11 of 40 doublets ended where the delay had no effect.
     found = flown("doublet", 12)

@@ -13,6 +13,8 @@ from twodof.identify.information import predict, simulate_planned
 from twodof.identify.record import Record
 from twodof.models import Structure, longitudinal, pitch_and_velocity, pitch_rate, velocity
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 LONG = 200

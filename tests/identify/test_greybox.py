@@ -24,6 +24,8 @@ from twodof.models import (
     velocity,
 )
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 U = doublet(1500, 0.5, 0.6, 0.03)
 
@@ -124,6 +126,7 @@ def test_the_frequency_domain_agrees_and_drops_a_drift() -> None:
     assert worst((0.3, 20.0)) < 5.0
 
 
+@pytest.mark.long
 def test_quoted_intervals_hold_for_coloured_residuals() -> None:
     # Noise through a lag of 5 samples: the white-noise covariance is several times too small, the robust one is not.
     rng = np.random.default_rng(5)
@@ -147,6 +150,7 @@ def test_quoted_intervals_hold_for_coloured_residuals() -> None:
     assert (np.mean(claimed, axis=0)[:3] / scatter[:3] < 0.3).all()
 
 
+@pytest.mark.long
 def test_residuals_tell_that_the_structure_is_wrong() -> None:
     rng = np.random.default_rng(6)
     values = {"w_n": 3.0, "xi": 0.03, "coulomb": 0.25, "mu": 130.0}
@@ -171,6 +175,7 @@ def test_residuals_tell_that_the_structure_is_wrong() -> None:
 OTHERS = tuple(name for name in pitch_rate().estimate if name != "mu")
 
 
+@pytest.mark.long
 def test_a_bound_that_holds_is_named() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(7))
     found = fit(pitch_rate(), record, bounds={"mu": (100.0, 300.0)}, values={"mu": 200.0})
@@ -197,6 +202,7 @@ def test_the_result_speaks_to_people_and_machines() -> None:
         found["lag"]
 
 
+@pytest.mark.long
 def test_unknowns_the_data_cannot_tell_apart_are_named() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(9))
     with pytest.raises(IdentificationError, match="cannot tell apart 'theta_0' and 'M_trim'"):

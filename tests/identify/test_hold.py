@@ -17,6 +17,8 @@ from twodof.identify.simulate import RecordSimulator
 from twodof.models import Structure, pitch_rate
 from twodof.models.plant import PitchRate
 
+pytestmark = pytest.mark.slow
+
 DT, N = 0.004, 3000
 TIME = DT * np.arange(N)
 PLANT = {"w_n": 25.0, "xi": 0.7, "mu": 400.0, "tau": 0.0, "theta_0": 0.0, "q_0": 0.0}

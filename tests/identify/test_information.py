@@ -26,6 +26,8 @@ from twodof.identify.information import simulate_planned
 from twodof.models import PAPER_PITCH_RATE, Structure, pitch_and_velocity, pitch_rate, velocity
 from twodof.models.around_plant import Offset
 
+pytestmark = pytest.mark.slow
+
 U = doublet(1500, 0.5, 0.6, 0.03)
 CHOSEN = ("w_n", "xi", "mu", "tau")
 LIMIT = PITCH_LIMITS.within["theta"]

@@ -14,6 +14,8 @@ from twodof.rig.parameters import paper
 from twodof.signals import Q_AGE
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 
+pytestmark = pytest.mark.slow
+
 Flown = Mapping[str, NDArray[np.float64]]
 
 TRUE_PITCH = {"w_n": 3.437, "xi": 0.0836, "mu[impulse]": 130.0, "mu[doublet 1]": 358.5, "tau": 0.020}
@@ -70,6 +72,7 @@ def test_simple_method_on_the_pitch_rate(by_hand: SimplePitch) -> None:
     assert min(value for _, value in by_hand.validation) > 90.0
 
 
+@pytest.mark.long
 def test_grey_box_on_the_pitch_rate(greybox: Estimate) -> None:
     assert greybox.converged
     for label, true in TRUE_PITCH.items():

@@ -12,6 +12,8 @@ from twodof.identify import Estimate, Record, fit, frequency_response
 from twodof.identify.simple_pitch import read_free_response
 from twodof.models import free_response, pitch_rate, velocity
 
+pytestmark = pytest.mark.slow
+
 SPRING = ("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "tau")
 
 
@@ -31,6 +33,7 @@ def fit_with(free: Record, estimate: tuple[str, ...], **fixed: float) -> float:
     return found.identification[0].fit_percent
 
 
+@pytest.mark.long
 def test_each_part_of_the_friction_pendulum_earns_its_place(free: Record, spring: Estimate) -> None:
     # Known of this flight: FIT of q viscous 86, with dry friction 91, with the hardening spring 95 %.
     viscous = fit_with(free, ("w_n", "xi", "mu", "theta_0", "tau"), coulomb=0.0, hardening=0.0)
@@ -41,6 +44,7 @@ def test_each_part_of_the_friction_pendulum_earns_its_place(free: Record, spring
     assert spring.converged
 
 
+@pytest.mark.long
 def test_gain_without_thrust(spring: Estimate) -> None:
     # 112 to 118 rad/s2 is known; which part of the spin-up counts as delay moves it by a few per cent.
     assert 108.0 < spring["mu"] < 124.0
@@ -76,6 +80,7 @@ def test_a_band_above_the_wake_gives_gain_and_delay_in_closed_loop(flight_data: 
     assert found["tau"] == pytest.approx(0.0215, abs=0.003)
 
 
+@pytest.mark.long
 def test_all_flights_agree_on_gain_and_delay(flight_data: Path) -> None:
     flights = list(real_flights(flight_data))
     assert len(flights) == 6

@@ -11,6 +11,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify.rotor_speed import SLOPE, RotorSpeeds, rotor_speeds
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 DT = 0.004
 

@@ -10,6 +10,8 @@ from twodof.identify import Record, Samples, fit, initial_state, predict_ahead, 
 from twodof.models import Structure, pitch_rate
 from twodof.models.plant import PAPER_PITCH_RATE
 
+pytestmark = pytest.mark.slow
+
 U = doublet(600, 0.4, 0.6, 0.03)
 TRUE = {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.020}
 

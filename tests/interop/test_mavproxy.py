@@ -11,9 +11,12 @@ from tests.interop.mavproxy import MavProxy
 from tests.patience import patiently
 from twodof.fcu.parameters.parameter_store import ParameterStore
 
+pytestmark = pytest.mark.slow
+
 NUMBER = r"-?\d+\.\d+"  # a prompt may follow in the same line
 
 
+@pytest.mark.long
 def test_mavproxy_sees_sets_and_arms(fcu_url: str, tmp_path: Path) -> None:
     with MavProxy(f"tcp:127.0.0.1:{port(fcu_url)}", tmp_path) as proxy:
         proxy.expect(r"Detected vehicle 1:1 on link 0")

@@ -20,6 +20,8 @@ from bench.stack.programs import port
 from tests.patience import PATIENCE_S
 from twodof.fcu.parameters.parameter_store import ParameterStore
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "connect-clients.md"
 CLIENT = Path(__file__).with_name("mavsdk_client.py")
 SET_TO = 0.09
@@ -43,6 +45,7 @@ def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
     return saw
 
 
+@pytest.mark.long
 def test_the_script_for_pymavlink_on_the_page_flies(companion_port: int, tmp_path: Path) -> None:
     """It arms, follows a pitch of .1 rad within .02 for a second, disarms; mavutil gives itself the component 0."""
     text = PAGE.read_text(encoding="utf-8").split("## pymavlink")[1].split("## node-mavlink")[0]
@@ -64,6 +67,7 @@ def test_mavsdk_flies_by_tcp_in_the_order_of_its_own_examples(fcu_url: str, tmp_
     check(flight(f"tcpout://127.0.0.1:{port(fcu_url)}", log, "arm"), log)
 
 
+@pytest.mark.long
 def test_mavsdk_flies_by_udp_through_the_companion_and_arms_in_offboard(companion_port: int, tmp_path: Path) -> None:
     log = tmp_path / "fetched.ulg"
     check(flight(f"udpin://127.0.0.1:{companion_port}", log, "offboard"), log)

@@ -18,6 +18,8 @@ from twodof.fcu.onboard_log.step_row import STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flightlog.ulog.decoder import scan_ulog
 
+pytestmark = pytest.mark.slow
+
 CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
 
 
@@ -60,6 +62,7 @@ def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any
     assert found == {"PARAMETER": files["parameters.json"], "EVENTS": files["events.json"]}
 
 
+@pytest.mark.long
 def test_it_shows_events_in_words_and_what_keeps_from_arming(saw: dict[str, list[Any]]) -> None:
     """MAVSDK reads them with libevents' own C++ parser, by the descriptions that it has fetched."""
     killed = "It was killed, release it first"
@@ -76,6 +79,7 @@ def test_it_shows_events_in_words_and_what_keeps_from_arming(saw: dict[str, list
     assert len(saw["not armed"]) == 1
 
 
+@pytest.mark.long
 def test_the_log_that_is_streamed_to_it_is_a_log(saw: dict[str, list[Any]]) -> None:
     data = (saw["folder"][0] / "streamed.ulg").read_bytes()
     # MAVSDK hands on what came, in order; on loopback nothing is lost.

@@ -19,6 +19,8 @@ from tests.patience import PATIENCE_S
 from tests.toolchains import need_node_package
 from twodof.link.mavlink import dialect
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = Path(__file__).with_name("decode.cjs")
 # Our own, and those of `common` that the definitions of node-mavlink 2.3.0 do not have: COMPONENT_METADATA, EVENT and
 # CURRENT_EVENT_SEQUENCE.
@@ -81,12 +83,14 @@ def test_no_frame_is_wrong_and_only_our_own_are_unknown(stream: bytes, decoded: 
     assert {"HEARTBEAT", "PARAM_VALUE", "AUTOPILOT_VERSION", "ATTITUDE", "COMMAND_ACK"} <= set(decoded["counts"])
 
 
+@pytest.mark.long
 def test_it_reads_the_same_values(stream: bytes, decoded: dict[str, Any]) -> None:
     wanted = [[m.time_boot_ms, m.pitch, m.pitchspeed] for m in ours(stream) if m.get_type() == "ATTITUDE"]
     assert len(wanted) > 100
     assert decoded["attitudes"] == wanted  # both give the double that the float32 is
 
 
+@pytest.mark.long
 def test_pymavlinks_stock_dialect_agrees(stream: bytes) -> None:
     """Our dialect takes over the identity (CRC_EXTRA, layout) of what it has in common with everybody's."""
     mav = common.MAVLink(None)

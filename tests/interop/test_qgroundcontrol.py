@@ -21,6 +21,8 @@ from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport.open_transport import open_transport
 
+pytestmark = pytest.mark.slow
+
 CANNOT_MISS = {
     *("BAT_LOW_THR", "BAT_CRIT_THR", "BAT_EMERGEN_THR", "CAL_ACC0_ID", "CAL_GYRO0_ID", "SENS_BOARD_ROT"),
     *("SENS_BOARD_X_OFF", "SENS_BOARD_Y_OFF", "SENS_BOARD_Z_OFF", "SENS_DPRES_OFF", "TRIG_MODE", "UAVCAN_ENABLE"),
@@ -167,6 +169,7 @@ STEPS: tuple[Callable[[Station], Awaitable[Any]], ...] = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.waits
 def test_it_connects_and_finds_all_it_needs(fcu_url: str) -> None:
     async def connect() -> None:

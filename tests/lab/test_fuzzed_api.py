@@ -21,6 +21,8 @@ from twodof.lab.access.route_table import RouteTable
 from twodof.lab.server import ROUTERS
 from twodof.lab.telemetry.request import MalformedRequest, Subscribe, Unsubscribe, read_request
 
+pytestmark = pytest.mark.slow
+
 QUICK, LONG = 4, 100
 """Requests of each kind, right ones and wrong ones, for each route."""
 ROUTES = [(row.method, row.path) for row in RouteTable(ROUTERS).rows() if row.method != "WEBSOCKET"]
@@ -76,6 +78,7 @@ def ask(operation: Any, mode: Any, examples: int) -> None:
     run()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("method", "path"), ROUTES, ids=lambda one: str(one))
 def test_no_request_breaks_the_server(server: Served, schema: Any, method: str, path: str) -> None:
     for mode in modes(schema, method, path):
@@ -124,6 +127,7 @@ def test_a_truth_value_of_a_command_is_one(server: Served) -> None:
         assert (answer.status, answer.json["where"]) == (422, "body.rings")
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(st.one_of(st.text(), st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists).map(repr)))
 def test_a_message_of_a_web_socket_is_a_request_or_is_refused(text: str) -> None:

@@ -10,6 +10,8 @@ from tests.lab.served_lab import ServedLab, served_lab
 from tests.patience import patiently
 from twodof.flight.starters import load_diagram
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
@@ -28,6 +30,7 @@ def flights(lab: ServedLab) -> dict[str, str]:
     return found
 
 
+@pytest.mark.long
 def test_a_plan_says_what_an_experiment_will_tell(lab: ServedLab) -> None:
     asked = {"experiment": {"name": "doublet"}, "drone": 1}
     told = lab.done(lab.call("POST", "identification/plan", asked))
@@ -47,6 +50,7 @@ def test_a_plan_says_what_an_experiment_will_tell(lab: ServedLab) -> None:
     assert "smaller or shorter" in job["error"]["remedy"]
 
 
+@pytest.mark.long
 def test_from_a_flight_to_a_controller(lab: ServedLab, flights: dict[str, str]) -> None:
     asked = {"log": flights["doublet"], "impulse": flights["impulse"], "structure": "pitch-rate"}
     fit = lab.call("POST", "identification/fit", asked)
@@ -63,6 +67,7 @@ def test_from_a_flight_to_a_controller(lab: ServedLab, flights: dict[str, str]) 
     assert again["state"] == "failed", "a diagram that is there is kept"
 
 
+@pytest.mark.long
 def test_steps_that_were_flown_are_laid_over_a_prediction(lab: ServedLab) -> None:
     steps = {
         "name": "attitude-steps",
@@ -89,6 +94,7 @@ def test_a_flight_is_stopped_and_what_was_flown_is_kept(lab: ServedLab) -> None:
     assert any(not lab.call("GET", "drones")[1][0]["armed"] for _ in patiently())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("body", "status"),
     [

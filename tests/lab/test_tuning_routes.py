@@ -13,6 +13,8 @@ from tests.lab.served_lab import ServedLab, served_lab
 from twodof.gcs import Drone
 from twodof.gcs.control.parameter_file import ParameterFile
 
+pytestmark = pytest.mark.slow
+
 WILD = {"RATE_KP": 0.12, "RATE_KD": 0.003, "ATT_KP": 15.0}
 MODEL = {
     "experiment": "doublet",
@@ -187,6 +189,7 @@ def test_a_models_name_stays_in_its_folder(lab: ServedLab, name: str) -> None:
     assert not list(Path(lab.folder).glob("*.json"))
 
 
+@pytest.mark.long
 def test_a_model_that_is_none_is_listed_with_the_reason(lab: ServedLab) -> None:
     assert lab.call("PUT", "models/broken", {"estimates": {"mu": "no"}})[0] == 201
     row = next(row for row in lab.call("GET", "models")[1] if row["name"] == "broken")

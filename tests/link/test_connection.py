@@ -24,6 +24,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("kind", ["udp", "tcp", "mem"])
 def test_messages_both_ways(kind: str) -> None:

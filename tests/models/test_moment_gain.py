@@ -21,6 +21,8 @@ from twodof.models.moment_gain import moment_gain
 from twodof.models.plant import PitchRate
 from twodof.models.structures import pitch_rate
 
+pytestmark = pytest.mark.slow
+
 MODEL = PitchRate(3.437, 0.0836, 358.5, 0.0187)
 PRBS = 0.02 * np.sign(np.random.default_rng(8).standard_normal(400)).repeat(5)
 

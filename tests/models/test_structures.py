@@ -25,6 +25,8 @@ from twodof.models import (
 )
 from twodof.models.lti import DelayedStateSpace
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 Array = NDArray[np.float64]
 

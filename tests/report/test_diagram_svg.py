@@ -22,6 +22,8 @@ from twodof.report.symbols import SymbolText
 from twodof.rig.rig import rig
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 
 def loop() -> Diagram:
     """Every symbol of a control loop, feedback within feedback, two wires that swap their heights."""

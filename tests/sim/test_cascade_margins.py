@@ -28,6 +28,8 @@ from twodof.sim.initial_state import InitialState
 from twodof.sim.linear.cascade_margins import LOOPS, cascade_loop, cascade_margins
 from twodof.sim.linear.linear_rig import _filter_at_rest, publishing_ages
 
+pytestmark = pytest.mark.slow
+
 DRY = {"coulomb_idle": 0.0, "coulomb_run": 0.0, "rail_coulomb": 0.0, "trim": 0.0, "trim_start": 0.0, "noise": 0.0}
 
 
@@ -70,6 +72,7 @@ def growth(rig: str, loop: str, factor: float) -> float:
     return float(np.ptp(late) / np.ptp(middle))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rig", ["paper", "lab"])
 @pytest.mark.parametrize("loop", FLIGHTS)
 def test_a_flight_becomes_unstable_where_the_gain_margin_says(loop: str, rig: str) -> None:
@@ -79,6 +82,7 @@ def test_a_flight_becomes_unstable_where_the_gain_margin_says(loop: str, rig: st
     assert growth(rig, loop, 0.96 * border.factor) < 1.0 < growth(rig, loop, 1.04 * border.factor)
 
 
+@pytest.mark.long
 def test_a_flight_swings_and_grows_as_the_margins_say() -> None:
     rig = dict(load_rig("paper").snapshot()) | {"arm": 0.25}
     m = cascade_margins(rig=rig, loops=["rate"])["rate"]
@@ -167,6 +171,7 @@ def test_the_publisher_is_two_or_three_steps_late_in_turn() -> None:
     assert publishing_ages() == (0.0, 0.4, 0.4, 0.2)
 
 
+@pytest.mark.long
 def test_a_rig_from_a_model_has_the_models_figures(tmp_path: Any) -> None:
     model = {"w_n": 2.9, "xi": 0.11, "mu": 291.0, "tau": 0.0195, "k_v": 4.4, "p_v": 0.9}
     rig = identified_rig(model)

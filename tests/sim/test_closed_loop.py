@@ -18,6 +18,8 @@ from twodof.signals import HOVER, MODES
 from twodof.sim import closed_loop as module
 from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def loop() -> ClosedLoop:

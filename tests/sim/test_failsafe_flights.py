@@ -27,6 +27,8 @@ from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 from twodof.sim.time_alignment import align_log
 
+pytestmark = pytest.mark.slow
+
 NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))
 
 Signals = Mapping[str, NDArray[Any]]

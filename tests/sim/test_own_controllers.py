@@ -23,6 +23,8 @@ from twodof.rig.parameters import Q_AGE, lab, paper
 from twodof.signals import HOVER, PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState
 
+pytestmark = pytest.mark.slow
+
 Floats = NDArray[np.float64]
 STEP = np.radians(10.0)
 BEFORE = 250

@@ -17,6 +17,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.signals import ATTITUDE, OFF, POSITION
 from twodof.sim.replay import replay
 
+pytestmark = pytest.mark.slow
+
 # log -> gains flown, channels whose loop was active
 FLIGHTS = {
     "doublet-0.03": (DEFAULT, {"M", "q0"}),

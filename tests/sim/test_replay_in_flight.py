@@ -20,6 +20,8 @@ from twodof.flightlog.log import FlightLog
 from twodof.gcs.drone import Drone
 from twodof.sim.replay import replay
 
+pytestmark = pytest.mark.slow
+
 EXACT = 1e-6
 """What float32 on the wire leaves of a moment."""
 
@@ -55,6 +57,7 @@ def test_a_recording_keeps_changes_of_gains_in_flight(tmp_path: Path, capfd: pyt
     assert "not the gains it was flown with?" not in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_an_experiment_flown_with_a_flashed_controller_keeps_its_diagram_and_its_tuning(tmp_path: Path) -> None:
     told: list[float] = []
 

@@ -19,6 +19,8 @@ from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.flight_segment import default_window, read_segment
 from twodof.sim.resimulation import LoggedFlight, fit_percent, resimulate, resimulation_loop
 
+pytestmark = pytest.mark.slow
+
 # What the project asks of the rig; the doublet, the student's steps and the sweep's theta have no target there: theirs
 # are what this rig reached when it was calibrated, less two points, so that a loss shows.
 REQUIRED: Mapping[str, Mapping[str, float]] = {

@@ -15,6 +15,8 @@ from twodof.signals import MODES
 from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState
 from twodof.sim.rig_host import VirtualRig
 
+pytestmark = pytest.mark.slow
+
 STEPS = 900
 MEASURED = ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "voltage", "charge")
 

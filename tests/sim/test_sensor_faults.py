@@ -11,6 +11,8 @@ from tests.fmea.fly import AT_A_STOP, flown
 from tests.fmea.rows import ROWS
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
 
+pytestmark = pytest.mark.slow
+
 WITHIN: Mapping[str, tuple[str, int]] = {
     "range: step of -0.16 m": ("descend", 320),
     "range: step of -0.2 m": ("descend", 320),
@@ -24,6 +26,7 @@ WITHIN: Mapping[str, tuple[str, int]] = {
 LIKE_ANOTHER = ("range: step of -0.2 m", "gyro_y: zero")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.soak] if name in LIKE_ANOTHER else []) for name in WITHIN]
 )

@@ -19,6 +19,8 @@ from twodof.flight.templates import ATTITUDE
 from twodof.link.mavlink.mav_enums import MavResult
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "flight-controller.md"
 
 
@@ -67,6 +69,7 @@ def test_where_no_sandbox_can_be_built_what_was_kept_is_left_out(
         Controllers(["lqr-attitude"]).build()
 
 
+@pytest.mark.long
 def test_only_what_was_given_is_trusted_and_only_while_nothing_was_uploaded(tmp_path: Path) -> None:
     uploads, kept = tmp_path / "uploads", tmp_path / "kept"
     made = Controllers(["pid-position"], True, uploads, kept)

@@ -19,6 +19,8 @@ from tests.web.written_diagrams import odd_diagram, wide_diagram
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.flight.starters import starter
 
+pytestmark = pytest.mark.slow
+
 FLOWN = re.compile(r"lown in \d+ ms")
 LONGEST_TASK_MS = 100.0
 COVERED = """() => {

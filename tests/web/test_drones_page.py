@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from playwright.sync_api import expect
 
 from tests.web.conftest import OpenPage, readable
 from tests.web.lab_server import LabServer
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_drone_is_seen_and_stopped_where_all_are_seen(lab_server: LabServer, open_page: OpenPage) -> None:

@@ -12,6 +12,8 @@ from tests.web.conftest import OpenPage
 from tests.web.lab_server import LabServer
 from tests.web.pilot import flies_to, flying, press
 
+pytestmark = pytest.mark.slow
+
 FLIGHTS_S, MOST_TRIES = 50.0, 3
 """An impulse and a doublet with their holds [s]; how often the page flies what a gust ended early."""
 MOST_RUNS = 5

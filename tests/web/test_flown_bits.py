@@ -21,6 +21,8 @@ from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.initial_state import InitialState
 from twodof.sim.portable_loop import portable_loop
 
+pytestmark = pytest.mark.slow
+
 WEB = Path(__file__).resolve().parents[2] / "web"
 VITEST = WEB / "node_modules" / "vitest" / "vitest.mjs"
 STEPS, STEP_AT, HOVER = 400, 50, 0.4

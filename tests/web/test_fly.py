@@ -15,6 +15,8 @@ from tests.web.lab_server import LabServer
 from tests.web.pilot import PRESSED_MS, armed, flies_to, flown, flying, press, reaches
 from twodof.flightlog.files import read_log
 
+pytestmark = pytest.mark.slow
+
 STOP = re.compile("^STOP")
 
 

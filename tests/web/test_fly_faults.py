@@ -18,6 +18,8 @@ from tests.web.pilot import armed, flies_to, flying, press, reaches
 from twodof.flightlog.files import read_log
 from twodof.gcs import Drone
 
+pytestmark = pytest.mark.slow
+
 GONE = ("WebSocket", "ERR_", "502", "504")
 REFUSED = ("409",)
 

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
+
 from tests.web.conftest import OpenPage, picture
 from tests.web.ground_station_lesson import run
 from tests.web.lab_server import LabServer
+
+pytestmark = pytest.mark.slow
 
 PROJECT = Path(__file__).resolve().parents[2]
 

@@ -16,6 +16,8 @@ from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import write_log
 from twodof.gcs import Drone
 
+pytestmark = pytest.mark.slow
+
 LONG_MS = PATIENCE_S * 1000
 
 

@@ -18,6 +18,8 @@ from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.report.step_responses import step_responses
 
+pytestmark = pytest.mark.slow
+
 FIRST, SECOND = "2026-03-01-10-00-00-drone-1.mcap", "2026-03-01-10-05-00-drone-1.mcap"
 
 

@@ -20,6 +20,8 @@ from twodof.signals import ATTITUDE, POSITION
 from twodof.sim.closed_loop import ARMING, closed_loop
 from twodof.sim.play import PlayProgram, play_program
 
+pytestmark = pytest.mark.slow
+
 WEB = Path(__file__).resolve().parents[2] / "web"
 VITEST = WEB / "node_modules" / "vitest" / "vitest.mjs"
 STEPS = 2000

@@ -17,6 +17,8 @@ from tests.patience import PATIENCE_S
 from tests.web.conftest import PROJECT, SIZES, OpenPage, Theme, axe, picture, scrolls_sideways
 from tools import play
 
+pytestmark = pytest.mark.slow
+
 FIRST_STEP_S = 2.5
 """Play's set-point steps for the first time after this, and every so long."""
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from playwright.sync_api import expect
 
 from tests.web.conftest import OpenPage, readable
 from tests.web.lab_server import LabServer
+
+pytestmark = pytest.mark.slow
 
 
 def test_the_link_for_watching_shows_this_view_and_only_watches(lab_server: LabServer, open_page: OpenPage) -> None:

@@ -13,6 +13,8 @@ from playwright.sync_api import expect
 
 from tests.web.conftest import OpenPage, readable
 
+pytestmark = pytest.mark.slow
+
 NO_SERVER = ("404", "501", "WebSocket")
 
 

@@ -14,6 +14,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.report.step_responses import FOLLOWING, step_responses
 from twodof.signals import MODES, PERIOD
 
+pytestmark = pytest.mark.slow
+
 WEB = Path(__file__).resolve().parents[2] / "web"
 VITEST = WEB / "node_modules" / "vitest" / "vitest.mjs"
 WANTED = {"rate": "setpoint.q", "attitude": "setpoint.theta", "velocity": "setpoint.v", "position": "setpoint.x"}

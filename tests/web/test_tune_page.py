@@ -14,6 +14,8 @@ from tests.lab.test_tuning_routes import MODEL
 from tests.patience import PATIENCE_S
 from tests.web.conftest import OpenPage, axe, picture, readable
 
+pytestmark = pytest.mark.slow
+
 LONG_MS = PATIENCE_S * 1000
 
 

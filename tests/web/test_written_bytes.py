@@ -10,6 +10,8 @@ import pytest
 from tests.patience import PATIENCE_S
 from tests.web.written_diagrams import texts
 
+pytestmark = pytest.mark.slow
+
 WEB = Path(__file__).resolve().parents[2] / "web"
 VITEST = WEB / "node_modules" / "vitest" / "vitest.mjs"
 

@@ -24,6 +24,8 @@ from twodof.blocks.expressions.expr import Expr, leaf
 from twodof.blocks.expressions.graph import walk
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[3]
 INF, NAN = float("inf"), float("nan")
 # The promise of the design, in units in the last place of the exact result.

@@ -36,6 +36,8 @@ from twodof.blocks.expressions.graph import evaluate
 from twodof.blocks.expressions.matrix import flat_of, shape_of, shaped
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 SIZES = st.integers(1, 10)
 SEEDS = st.integers(0, 2**32 - 1)
 Array = NDArray[np.float64]

@@ -10,6 +10,8 @@ from twodof.blocks.library import FirstOrder, Integrator, SecondOrder, StateSpac
 from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 DT = 0.01
 STEPS = 150
 # RK4 leaves (w h)^5 / 120 of the state a step, w h <= 0.09 here: 5e-8, over a memory of 1 / (w h) = 11 steps.

@@ -9,6 +9,8 @@ from scipy import signal
 from tests.blocks.library.harness import assert_close, few, noise, run_y
 from twodof.blocks.library import HighPass, LeadLag, LowPass, LowPass2, Notch
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 FS = 1 / DT
 

@@ -30,6 +30,8 @@ from twodof.compile import build
 from twodof.errors import DiagramError, ExperimentError, ParameterError
 from twodof.excitation import Steps
 
+pytestmark = pytest.mark.slow
+
 
 def ragged(rows: Any) -> bool:
     """Whether the rows differ in length: numpy has no array of them."""

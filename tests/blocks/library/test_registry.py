@@ -13,6 +13,8 @@ from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 
 

@@ -29,6 +29,8 @@ from twodof.blocks.library.waveforms import TAPS
 from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 DT = 0.004
 
 

@@ -12,6 +12,8 @@ from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.reference.interpreter import Reference
 from twodof.errors import DiagramError, ParameterError
 
+pytestmark = pytest.mark.slow
+
 
 def test_rk4_shows_order_four_and_euler_order_one() -> None:
     def error(dt: float, integrator: str) -> float:

@@ -14,6 +14,8 @@ from tests.compile.machine_cases import machine_case
 from tests.compile.random_diagrams import Maker
 from twodof.blocks.schema.json_form import to_json
 
+pytestmark = pytest.mark.slow
+
 BASES = [to_json(everything()), *(to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23))]
 BASES.append(to_json(machine_case(random.Random(4), "machine", 1)[0].diagram))
 ALLOWED = {"", "DiagramError"}
@@ -30,6 +32,7 @@ def check(rows: list[dict[str, object]], names: list[str]) -> int:
     return sum(row["stage"] != "refused" for row in rows)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("every", [11, pytest.param(1, marks=pytest.mark.soak)])
 def test_every_argument_of_every_block_is_bounded(every: int, tmp_path: Path) -> None:
     """Each day with every eleventh of all pairs of an argument and a value."""
@@ -45,6 +48,7 @@ def fuzz(count: int, seed: int, file: Path, seconds: float) -> None:
     assert count / 100 < loaded < count / 2
 
 
+@pytest.mark.long
 def test_mutated_files_load_or_are_refused(tmp_path: Path) -> None:
     fuzz(600, 0, tmp_path / "files", 300)
 

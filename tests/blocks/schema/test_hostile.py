@@ -11,10 +11,13 @@ from tests.blocks.schema.door import MEMORY, SECONDS, judge, judge_many
 from tests.blocks.schema.hostile import MALFORMED, NAMES, endless, large, named, too_large
 from tests.blocks.schema.hostile_machines import hostile_machines, large_machines
 
+pytestmark = pytest.mark.slow
+
 each_day = pytest.mark.parametrize("share", [10, pytest.param(1, marks=pytest.mark.soak)])
 """A tenth of the size where a file's time is in proportion to it; the soak takes all of it."""
 
 
+@pytest.mark.long
 @each_day
 def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(share: int, tmp_path: Path) -> None:
     """The largest takes half of it. A busy machine adds to processor time too: what is over is measured again."""
@@ -40,6 +43,7 @@ def least_seconds(data: bytes, first: float, folder: Path) -> float:
     return least
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [20, pytest.param(1, marks=pytest.mark.soak)])
 def test_what_is_large_and_allowed_stays_bounded(share: int, tmp_path: Path) -> None:
     found = judge({**large(share), **large_machines()}, tmp_path)

@@ -15,6 +15,8 @@ from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.blocks.schema.loader import MAX_DEPTH
 from twodof.errors import TwodofError
 
+pytestmark = pytest.mark.slow
+
 
 class Everything(Block):
     """Uses what an expression may use: functions, loops, arrays, all types, both clocks."""
@@ -58,6 +60,7 @@ def everything() -> Diagram:
     return d
 
 
+@pytest.mark.long
 def test_the_round_trip_is_the_same_text_and_flies_the_same_bits() -> None:
     text = to_json(everything())
     again = from_json(text)

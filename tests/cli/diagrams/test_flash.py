@@ -21,6 +21,8 @@ from twodof.flight.starters import load_diagram, new_diagram, save_diagram, star
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -39,6 +41,7 @@ def answer(capfd: pytest.CaptureFixture[str], *arguments: str, status: int = 0) 
     return json.loads(capfd.readouterr().out)
 
 
+@pytest.mark.long
 def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
     folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -68,6 +71,7 @@ def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
     assert flashed.tobytes() != flown.tobytes()
 
 
+@pytest.mark.long
 def test_a_changed_gain_is_the_one_change(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = folder / "mine.json"
     new_diagram("notch-attitude", file)
@@ -91,6 +95,7 @@ def test_a_changed_gain_is_the_one_change(folder: Path, capfd: pytest.CaptureFix
     assert to_json(simulator_controllers().flashed()["attitude_control"]) == file.read_text()
 
 
+@pytest.mark.long
 def test_people_read_sizes_and_changes(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["flash", "notch-attitude", "--to", "sim"]) == 0
     out = capfd.readouterr().out
@@ -103,6 +108,7 @@ def test_people_read_sizes_and_changes(capfd: pytest.CaptureFixture[str]) -> Non
     assert "nothing changes against" in capfd.readouterr().out
 
 
+@pytest.mark.long
 def test_costs_of_the_processor(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     monkeypatch.undo()
     monkeypatch.setenv("TWODOF_DATA", "/nowhere")
@@ -118,6 +124,7 @@ def test_costs_of_the_processor(monkeypatch: pytest.MonkeyPatch, capfd: pytest.C
     assert wide["parameter_bytes"] == 8 * 25
 
 
+@pytest.mark.long
 def test_a_module_for_px4_says_what_changes_against_the_one_before(
     folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,6 +138,7 @@ def test_a_module_for_px4_says_what_changes_against_the_one_before(
     assert not simulator_controllers().folder.exists()
 
 
+@pytest.mark.long
 def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (folder / "px4").mkdir()
     arguments = ["--to", "px4-dir", "--out", str(folder / "module"), "--px4", str(folder / "px4")]
@@ -140,6 +148,7 @@ def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytes
     assert not (folder / "module").exists()
 
 
+@pytest.mark.long
 def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
     folder: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,6 +216,7 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
     assert (folder / "data/flashed/sim/attitude_control.json").read_bytes() == before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["empty-attitude", "stock-attitude"])
 def test_what_check_remarks_on_is_said_before_it_flies(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     remarks = answer(capfd, "flash", name, "--to", "sim", "--dry-run")["remarks"]

@@ -10,7 +10,10 @@ import pytest
 from twodof.cli.app import run
 from twodof.sim.linear.cascade_margins import cascade_loop
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_the_table_has_a_row_for_each_loop(capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["diagram", "margins", "--rig", "paper"]) == 0
     lines = capfd.readouterr().out.splitlines()
@@ -20,6 +23,7 @@ def test_the_table_has_a_row_for_each_loop(capfd: pytest.CaptureFixture[str]) ->
     assert list(rows) == ["motors", "rate", "attitude", "velocity", "position"]
 
 
+@pytest.mark.long
 def test_json_and_picture_of_one_loop(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "loop.png"
     asked = ["diagram", "margins", "lqr-attitude", "--rig", "paper", "--loop", "attitude", "--plot", str(file)]
@@ -34,6 +38,7 @@ def test_json_and_picture_of_one_loop(tmp_path: Path, capfd: pytest.CaptureFixtu
     assert "--force" in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_an_unstable_loop_is_named_and_the_status_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "model.json"
     model.write_text('{"mu": 900.0}')

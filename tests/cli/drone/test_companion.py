@@ -18,6 +18,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
 
+pytestmark = pytest.mark.slow
+
 
 async def started(*arguments: str) -> asyncio.subprocess.Process:
     """The command as a process."""
@@ -57,6 +59,7 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
     asyncio.run(work())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("text", "status", "words"),
     [

@@ -21,7 +21,10 @@ from twodof.gcs.drone import Drone
 from twodof.link.signing.key import Key, write_key
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_a_signal_in_flight_ends_it_cleanly_with_its_log_whole(tmp_path: Path) -> None:
     """SIGTERM; that Ctrl-C does the same is seen below."""
     drone = None
@@ -43,6 +46,7 @@ def test_a_signal_in_flight_ends_it_cleanly_with_its_log_whole(tmp_path: Path) -
     assert theta.value[-1] == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.long
 def test_in_real_time_with_a_key_only_who_has_it_is_heard(tmp_path: Path) -> None:
     write_key(tmp_path / "key", Key.fresh())
     write_key(tmp_path / "other", Key.fresh())

@@ -12,7 +12,10 @@ from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_what_is_flown_can_be_identified_and_is_what_is_simulated(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -64,6 +67,7 @@ def test_a_log_that_cannot_be_written_is_refused_before_anything_flies(
     assert word in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_progress_goes_to_a_terminal_only(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """What is done and where the drone is, on stderr; a pipe gets none of it, and JSON stays alone on stdout."""
     flown = ["fly", "impulse", "--rig", "paper", "--json"]

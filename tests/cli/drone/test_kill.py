@@ -12,7 +12,10 @@ from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
 from twodof.link.signing.key import read_key
 
+pytestmark = pytest.mark.slow
 
+
+@pytest.mark.long
 def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -28,6 +28,8 @@ from tests.processes import alive
 from twodof.cli.app import run
 from twodof.flightlog.files import read_log
 
+pytestmark = pytest.mark.slow
+
 
 class Program:
     """A command of ours that runs until it is told to end, and all that it says."""
@@ -88,6 +90,7 @@ def status(port: int, path: str, token: str = "", host: str = "127.0.0.1", metho
         connection.close()
 
 
+@pytest.mark.long
 def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path: Path) -> None:
     with program(
         tmp_path, "lab", "--json", "--host", "0.0.0.0", "--port", "0", "--connect", "udp://127.0.0.1:9"
@@ -109,6 +112,7 @@ def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path:
         assert list(tmp_path.rglob("*token*")) == []
 
 
+@pytest.mark.long
 def test_with_token_nobody_on_this_computer_gets_in_without_the_link(tmp_path: Path) -> None:
     with program(tmp_path, "lab", "--json", "--token", "--port", "0", "--connect", "udp://127.0.0.1:9") as lab:
         told = lab.said()
@@ -117,6 +121,7 @@ def test_with_token_nobody_on_this_computer_gets_in_without_the_link(tmp_path: P
         assert status(told["port"], "/api/session", token) == 200
 
 
+@pytest.mark.long
 def test_a_drone_that_it_flies_is_left_disarmed(tmp_path: Path) -> None:
     with (
         on_board(conditions={"rings": True}) as there,
@@ -164,6 +169,7 @@ def opens(url: str, origin: str) -> bool:
         return False
 
 
+@pytest.mark.long
 @pytest.mark.waits
 def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_this_computer(tmp_path: Path) -> None:
     options = ("--page-port", "0", "--rings", "--host", "0.0.0.0")
@@ -214,6 +220,7 @@ def test_up_says_at_once_where_its_page_cannot_be(
     assert said in " ".join(capfd.readouterr().err.split())
 
 
+@pytest.mark.long
 @pytest.mark.waits
 def test_up_serves_the_page_of_its_drones_and_takes_it_along(tmp_path: Path) -> None:
     with (

@@ -13,9 +13,12 @@ from twodof.cli.app import run
 from twodof.cli.drone import parameters
 from twodof.gcs.drone import Drone
 
+pytestmark = pytest.mark.slow
+
 PATH, NAME = "attitude_control.k_q", "TLA_K_Q"
 
 
+@pytest.mark.long
 def test_a_controller_is_tuned_from_the_shell(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -28,6 +28,8 @@ from twodof.fleet.local_fleet import MOST_RESTARTS
 from twodof.gcs.drone import Drone
 from twodof.link.signing.key import Key, write_key
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def first() -> Iterator[int]:
@@ -104,6 +106,7 @@ def gone(processes: dict[int, str]) -> bool:
     return not any(map(alive, processes))
 
 
+@pytest.mark.long
 def test_two_drones_answer_where_it_says_what_dies_is_started_again_and_all_ends_at_ctrl_c(
     first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -198,6 +201,7 @@ def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path
         assert gone(children)
 
 
+@pytest.mark.long
 def test_a_program_that_cannot_start_is_named_with_what_it_says(
     first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

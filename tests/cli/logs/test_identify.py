@@ -18,6 +18,8 @@ from twodof.models.plant import PitchRate, Velocity
 from twodof.models.structures import pitch_rate
 from twodof.rig.steady_state import model_parameters
 
+pytestmark = pytest.mark.slow
+
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=358.5, tau=0.018)
 DT = 0.004
 
@@ -186,6 +188,7 @@ def test_python_and_the_command_line_find_the_same_from_a_doublet(
     assert {"w_n", "xi"} <= set(found["estimates"])
 
 
+@pytest.mark.long
 def test_an_impulse_gives_the_poles_that_a_doublet_hardly_shows(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -205,6 +208,7 @@ def test_an_impulse_gives_the_poles_that_a_doublet_hardly_shows(
     assert "held: w_n 3.4" in capfd.readouterr().out
 
 
+@pytest.mark.long
 def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Gusts push the rig `lab`, and output error looks for its noise at the sensor: one flight claims too much."""
     laboratory, logs = Laboratory("lab"), []
@@ -251,6 +255,7 @@ def test_several_flights_are_compared_with_each_other_only(
     assert "named twice" in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_the_experiment_is_found_in_a_log_that_does_not_name_it(
     flight_data: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -281,6 +286,7 @@ def test_in_closed_loop_what_is_not_asked_for_is_held_where_it_is_known_to_be(
     assert abs(found["estimates"]["mu"]["value"] - 296.7) < 0.01 * 296.7
 
 
+@pytest.mark.long
 def test_in_closed_loop_the_bode_takes_the_set_point(
     prbs: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -291,6 +297,7 @@ def test_in_closed_loop_the_bode_takes_the_set_point(
     assert picture.is_file()
 
 
+@pytest.mark.long
 def test_a_flight_in_closed_loop_tells_gain_and_delay(
     flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -320,6 +327,7 @@ def test_a_real_flight_in_closed_loop_ends_its_search_and_does_not_send_to_a_fre
     assert not any("free response" in remark for remark in found["remarks"])
 
 
+@pytest.mark.long
 def test_a_real_flight_in_pieces_is_drawn(flight_data: Path, tmp_path: Path) -> None:
     log, picture = flight_data / "attitude-steps-10deg-student.mat", tmp_path / "fit.png"
     assert run(["identify", str(log), "--plot", str(picture)]) == 0

@@ -14,6 +14,8 @@ from twodof.blocks.library import FirstOrder
 from twodof.cli.app import run
 from twodof.flight.starters import save_diagram
 
+pytestmark = pytest.mark.slow
+
 GAIN, TIME_CONSTANT, DT = 20.0, 0.35, 0.01
 COLUMNS = ["--input", "u=volt", "--output", "speed=tacho", "--time", "stamp"]
 SOURCE = """
@@ -99,6 +101,7 @@ def test_a_ready_made_structure_fits_columns_too(folder: Path, capfd: pytest.Cap
     assert found["estimates"]["p_v"]["value"] == pytest.approx(1.0 / TIME_CONSTANT, rel=0.02)
 
 
+@pytest.mark.long
 def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["identify", str(folder / "m.csv"), "--structure", str(folder / "model.py:structure"), *COLUMNS]
     for suffix, head in ((".png", b"\x89PNG"), (".svg", b"<?xml"), (".html", b"<!doctype html>")):
@@ -116,6 +119,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
     assert "is there already" in capfd.readouterr().err
 
 
+@pytest.mark.long
 def test_the_measured_bode_of_a_closed_loop_comes_from_the_reference(folder: Path) -> None:
     """u = r - speed/20 with a noisy tachometer: u follows the noise, and the two measured responses differ."""
     generator = np.random.default_rng(3)

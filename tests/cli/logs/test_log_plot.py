@@ -11,6 +11,8 @@ from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import write_log
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:

@@ -27,6 +27,8 @@ from twodof.cli.app import run
 from twodof.cli.watch import watch
 from twodof.gcs.drone import Drone
 
+pytestmark = pytest.mark.slow
+
 COMMAND = [sys.executable, "-m", "twodof.cli", "watch"]
 
 
@@ -51,6 +53,7 @@ def come(lines: list[dict[str, Any]], key: str, value: object) -> dict[str, Any]
     raise AssertionError(lines[-1:])
 
 
+@pytest.mark.long
 def test_a_flight_is_followed_beside_its_pilot_and_its_end_too() -> None:
     """In lockstep, so that what is seen is what was granted; then the drone ends, and later the watcher."""
     with ExitStack() as stack:
@@ -84,6 +87,7 @@ def test_a_flight_is_followed_beside_its_pilot_and_its_end_too() -> None:
             assert process.stderr.read() == ""
 
 
+@pytest.mark.long
 def test_a_link_that_is_lost_is_said_and_found_again() -> None:
     with ExitStack() as first:
         url = first.enter_context(on_board(index=6)).url

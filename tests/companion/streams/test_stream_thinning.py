@@ -15,6 +15,8 @@ from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import decode
 from twodof.link.mavlink.rates import PROFILES as vehicle_profiles
 
+pytestmark = pytest.mark.slow
+
 TO = {"target_system": SYSTEM, "target_component": 1}
 ATTITUDE = 30
 

@@ -17,6 +17,8 @@ from twodof.compile.c.emitter import emit
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 
+pytestmark = pytest.mark.slow
+
 DT = 0.001
 RATES = ((1, 0), (3, 2), (4, 1), (7, 6))
 CHUNKS = (1, 2, 63, 64, 65, 1, 30)
@@ -102,6 +104,7 @@ def same(a: dict[str, Any], b: dict[str, Any]) -> bool:
     return all(np.array_equal(np.asarray(a[k]), np.asarray(b[k]), equal_nan=True) for k in a)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_a_run_in_pieces_has_the_bits_of_the_reference(precision: str) -> None:
     program = compiled(diagram(), precision)

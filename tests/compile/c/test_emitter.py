@@ -31,6 +31,8 @@ from twodof.flight.core import core
 from twodof.flight.starters import STARTERS, starter
 from twodof.rig.rig import rig
 
+pytestmark = pytest.mark.slow
+
 STRICT = ["-std=c99", "-ffp-contract=off", "-pedantic", "-Werror", "-Wall", "-Wextra", "-Wshadow", "-Wundef"]
 STRICT += ["-Wconversion", "-Wsign-conversion", "-Wmissing-prototypes", "-Wstrict-prototypes", "-Wcast-qual"]
 LEAN = ["-Wfloat-equal", "-Wdouble-promotion"]  # what flight controllers' builds warn of in addition

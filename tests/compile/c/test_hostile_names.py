@@ -21,6 +21,8 @@ from twodof.blocks.library import Gain
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile.target import EmittedProgram
 
+pytestmark = pytest.mark.slow
+
 KEYWORDS = """auto break case char const continue default do double else enum extern float for goto if inline int long
     register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while asm
     typeof bool true false alignas alignof constexpr nullptr thread_local static_assert class new delete this template
@@ -132,6 +134,7 @@ def chosen(judged: list[tuple[Case, Judgement]]) -> Callable[[int], Chosen]:
     return made
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", TITLES)
 def test_any_identifier_may_name_anything(
     kind: str, chosen: Callable[[int], Chosen], tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -16,6 +16,8 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.c_files.c_files import CFiles, c_files
 from twodof.errors import DiagramError, LogError
 
+pytestmark = pytest.mark.slow
+
 STRICT = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wsign-conversion", "-Wshadow", "-Wundef"]
 OF_C = ["-Wmissing-prototypes", "-Wstrict-prototypes"]  # C++ has no functions without a prototype
 COMPILERS = {"c99": ("gcc", "-std=c99"), "c11": ("gcc", "-std=c11"), "c++": ("g++", "-std=c++11")}

@@ -16,6 +16,8 @@ from twodof.flight.core import core
 from twodof.rig.rig import rig
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 BODIES = ("step", "derivative")
 STATED = {*ROLES.values(), "condition", "head", "one step", "unused argument"}
 

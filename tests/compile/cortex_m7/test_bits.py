@@ -28,6 +28,8 @@ from twodof.compile.target import EmittedProgram, Target
 from twodof.flight.core import core
 from twodof.rig.rig import rig
 
+pytestmark = pytest.mark.slow
+
 STEPS = 5000
 PRECISIONS = ("float64", "float32")
 
@@ -125,6 +127,7 @@ def different(left: CompiledProgram, right: CompiledProgram, rows: dict[str, NDA
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("compiler", "precision"),
     [

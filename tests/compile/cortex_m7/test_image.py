@@ -21,6 +21,8 @@ from twodof.compile.cortex_m7.usage import image_sizes
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(autouse=True)
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:

@@ -28,6 +28,8 @@ from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[3]
 
 

@@ -18,6 +18,8 @@ from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
 from twodof.flight.core import core
 
+pytestmark = pytest.mark.slow
+
 NAKED = "__attribute__((naked)) void hand_step(const Pair *p, Pair *s, const Pair *u, Pair *y)"
 
 

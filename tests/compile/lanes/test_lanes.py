@@ -21,6 +21,8 @@ from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 HERE = [name for name in SIMD if list(SIMD).index(name) >= list(SIMD).index(best_simd())]
 """The vectors that this processor has."""
 
@@ -244,6 +246,7 @@ def test_mistakes_of_the_caller() -> None:
         build_lanes(corners(), 0.01, 4, simd="mmx")
 
 
+@pytest.mark.long
 def test_contraction_in_lanes_is_caught(monkeypatch: pytest.MonkeyPatch) -> None:
     """a * b + c in one rounding, as compilers do unless they are told not to."""
     if "fma" not in Path("/proc/cpuinfo").read_text(encoding="utf-8").split():

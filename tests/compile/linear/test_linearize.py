@@ -23,6 +23,8 @@ from twodof.errors import DiagramError
 from twodof.rig.dynamics import Dynamics
 from twodof.signals import GRAVITY
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_pendulum_is_its_textbook_linearization() -> None:
     model = linearize(pendulum(), DT, at={"p.theta": 0.3, "p.omega": 3.0, "p.zeta": 0.1})

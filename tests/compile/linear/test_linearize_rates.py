@@ -17,6 +17,8 @@ from twodof.compile.linear import integer_states
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_slow_controller_of_a_continuous_plant_is_python_controls_sampled_loop() -> None:
     """PI at every fifth tick, the plant at each: the exact hold over the controller's period, up to RK4."""

@@ -17,6 +17,8 @@ from twodof.errors import DiagramError
 from twodof.rig.rig import BASE_DT, TRUTH, rig
 from twodof.signals import GRAVITY
 
+pytestmark = pytest.mark.slow
+
 Array = np.ndarray[Any, Any]
 
 THRUST = 0.4

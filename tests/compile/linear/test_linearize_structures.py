@@ -18,6 +18,8 @@ from twodof.errors import DiagramError
 from twodof.models import Structure, free_response, longitudinal, pitch_and_velocity, pitch_rate, rail, velocity
 from twodof.signals import GRAVITY
 
+pytestmark = pytest.mark.slow
+
 Array = np.ndarray[Any, Any]
 
 W, XI, MU, K, P = 3.437, 0.0836, 358.5, 4.748, 1.168

@@ -14,6 +14,8 @@ from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 from twodof.flight.core import core
 
+pytestmark = pytest.mark.slow
+
 DT = 0.001
 
 

@@ -24,6 +24,8 @@ from twodof.blocks.reference import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 
 class Moment(Block):
     """An output in N m."""

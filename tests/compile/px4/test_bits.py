@@ -20,6 +20,8 @@ from twodof.compile.program.lower import lower
 from twodof.compile.px4.controller import DT, EXACT
 from twodof.compile.px4.message import TYPES
 
+pytestmark = pytest.mark.slow
+
 STEPS = 2_000
 FMA = Path("/proc/cpuinfo").exists() and " fma " in Path("/proc/cpuinfo").read_text()
 LOGGED = 12  # of the signals of a random diagram; more do not fit into a message

@@ -18,6 +18,8 @@ from twodof.compile.px4.export import make_module
 from twodof.errors import DiagramError
 from twodof.flight.starters import STARTERS, starter
 
+pytestmark = pytest.mark.slow
+
 # PX4's board fmu-v6x (STM32H7), whose build also has -Wframe-larger-than=STACK_MAX of the module.
 BOARD = ["-Os", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"]
 

@@ -10,6 +10,8 @@ import pytest
 from tests.compile.px4.build import Bench, Events
 from tests.compile.px4.flown import NOT_FINITE, PERIOD, SHARED, STALE, fly, mode
 
+pytestmark = pytest.mark.slow
+
 DISARM, FORCED = 400, 21196
 COMMANDS = ("vehicle_thrust_setpoint", "vehicle_torque_setpoint")
 
@@ -28,6 +30,7 @@ def asked(events: Events) -> list[float]:
     return [float(row["timestamp"]) * 1e-6 for row in rows]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("topic", ["rate_ctrl_status", "vehicle_torque_setpoint", "vehicle_thrust_setpoint"])
 def test_it_does_not_start_beside_another_that_commands(built: Bench, topic: str) -> None:
     built.fresh()

@@ -14,6 +14,8 @@ from twodof.blocks import Block, Diagram, Param, Port
 from twodof.compile.px4.export import make_module
 from twodof.errors import DiagramError
 
+pytestmark = pytest.mark.slow
+
 # Legal names of the block language that mean something in C, C++, PX4's macros, messages or shells.
 NAMES = (
     "int", "class", "new", "this", "template", "operator", "typename", "namespace", "private", "restrict", "while",
@@ -107,6 +109,7 @@ def test_a_text_of_code_stays_a_text(text: str) -> None:
     assert cmake.count("(") == cmake.count(")") == 1
 
 
+@pytest.mark.long
 def test_names_of_code_compile_under_px4s_flags(tmp_path: Path) -> None:
     module = make_module(hostile(" ".join(TEXTS)), LOG)
     assert len(compile_module(module, tmp_path)) == 2

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+import pytest
 
 from tests.compile.differential import same
 from tests.compile.px4.build import Bench
@@ -21,6 +22,8 @@ from tests.compile.px4.flown import (
     replayed,
 )
 from tests.compile.px4.modules import both, rail
+
+pytestmark = pytest.mark.slow
 
 
 def test_a_command_that_is_not_finite_stops_the_motors_and_the_controller_starts_again(

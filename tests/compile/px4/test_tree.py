@@ -17,6 +17,8 @@ from twodof.compile.px4 import export, make_module, tree
 from twodof.compile.px4.tree import MANIFEST, strangers, write_tree
 from twodof.errors import CompileError, LogError, TwodofError
 
+pytestmark = pytest.mark.slow
+
 
 def on_disk(folder: Path) -> dict[str, str]:
     """All files of a folder by relative path."""

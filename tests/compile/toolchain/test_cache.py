@@ -22,6 +22,8 @@ from tests.processes import started
 from twodof.compile.native import target
 from twodof.compile.toolchain import compilers
 
+pytestmark = pytest.mark.slow
+
 GOOD, EVIL = 42, 666
 SOURCE = "int twodof_cache_answer(void) {{ return {}; }}\n"
 NOBODY = 65534
@@ -197,6 +199,7 @@ BUILD = (
 )
 
 
+@pytest.mark.long
 def test_what_an_interrupted_build_left_is_gone_at_the_next_use_and_a_running_build_stays(
     cache: Path, tmp_path: Path
 ) -> None:

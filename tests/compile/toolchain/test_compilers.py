@@ -20,6 +20,8 @@ from twodof.compile.toolchain import cache as cache_module
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 
+pytestmark = pytest.mark.slow
+
 SOURCE = "int twodof_answer(void) { return 42; }\n"
 
 

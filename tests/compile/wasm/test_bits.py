@@ -26,6 +26,8 @@ from twodof.rig.rig import BASE_DT
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 PRECISIONS = ("float64", "float32")
 EXAMPLES = (examples.loop, examples.switched, examples.edge, examples.delay)
 

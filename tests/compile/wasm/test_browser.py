@@ -22,6 +22,8 @@ from twodof.compile import CompiledProgram, build
 from twodof.flight.core import core
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 HOST = Path(__file__).with_name("host.mjs")
 STEPS = 3000
 

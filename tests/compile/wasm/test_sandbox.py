@@ -29,6 +29,8 @@ from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError, ControllerFault
 from twodof.sim.closed_loop import closed_loop
 
+pytestmark = pytest.mark.slow
+
 ENDLESS = "for (volatile int k = 0;; k++) {}"
 
 
@@ -112,6 +114,7 @@ def test_fuel_can_be_given() -> None:
         build(examples.loop(), 0.01, target=Wasm(fuel=0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("optimise", ["-O0", pytest.param("-O3", marks=pytest.mark.soak)])
 def test_the_fuel_of_a_step_is_a_bound_with_a_wide_margin(optimise: str) -> None:
     """What is counted in the graphs bounds what the compiler makes of them, even if it does not optimise."""

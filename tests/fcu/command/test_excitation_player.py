@@ -33,6 +33,8 @@ from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
 from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
+pytestmark = pytest.mark.slow
+
 M, Q, THETA, V, X = range(5)
 PULSE = Impulse(0.1, 0.02, lead=0.008, settle=0.02)  # 12 ticks
 VALUES = PULSE.at(np.arange(12) * PERIOD)

@@ -17,6 +17,8 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, PRESETS
 
+pytestmark = pytest.mark.slow
+
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 UNTIL = 500
 FAIL_AT = 300

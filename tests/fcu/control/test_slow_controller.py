@@ -16,6 +16,8 @@ from twodof.fcu.control.loop import REMEDY, FlightController
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 
+pytestmark = pytest.mark.slow
+
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 SLOW_NS = 7_000_000
 SLOW_AT = 300

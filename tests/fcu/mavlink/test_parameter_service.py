@@ -27,6 +27,8 @@ from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import float_of_int, message
 
+pytestmark = pytest.mark.slow
+
 US = {"target_system": 1, "target_component": 1}
 ROWS = ParameterStore().rows
 FLOATS = [row for row in ROWS if row.kind == "float" and not row.fixed and not row.disarmed]

@@ -29,6 +29,8 @@ from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flightlog import read_log, recover
 from twodof.flightlog.ulog.decoder import scan_ulog
 
+pytestmark = pytest.mark.slow
+
 PROJECT = Path(__file__).resolve().parents[3]
 ALWAYS = {"SDLOG_MODE": 2}
 

@@ -23,6 +23,8 @@ from twodof.flight.starters import starter
 from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.link.control_period import TICK_US
 
+pytestmark = pytest.mark.slow
+
 NONE, LEVEL = ACTIONS.index("none"), ACTIONS.index("level")
 AT, UNTIL = 300, 400
 ABOVE, BELOW = f"{KIND}.law.above", f"{KIND}.law.below"

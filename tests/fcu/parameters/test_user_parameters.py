@@ -22,6 +22,8 @@ from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import ATTITUDE
 
+pytestmark = pytest.mark.slow
+
 NAMES = st.from_regex(r"[A-Za-z][A-Za-z0-9_]{0,30}", fullmatch=True)
 DIAGRAMS = st.sampled_from(["mine", "a", "TH", "thrust_bar", "x_y"])
 
@@ -94,6 +96,7 @@ def test_at_its_default_a_value_flies_as_the_diagram_has_it_and_beside_it_as_it_
     assert store.user_values()[f"{KIND}.law.weights"] == [1 / 3, 2 / 3]
 
 
+@pytest.mark.long
 def test_a_hostile_diagram_of_ten_thousand_parameters_is_bounded() -> None:
     hostile = with_names([f"p{n}" for n in range(1000)], parts=10)
     (own,) = user_parameters([hostile])

@@ -20,6 +20,8 @@ from twodof.flightlog.ulog.format import LETTERS, MESSAGE
 from twodof.flightlog.ulog.fragments import NO_MESSAGE
 from twodof.link.mavlink.messages import message
 
+pytestmark = pytest.mark.slow
+
 START, STOP = 2510, 2511
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
@@ -88,6 +90,7 @@ def test_the_stream_is_the_file(tmp_path: Path, loss: float) -> None:
     log.close()
 
 
+@pytest.mark.long
 def test_who_lost_a_piece_finds_the_next_message(tmp_path: Path) -> None:
     world, log = world_of(tmp_path)
 

@@ -13,6 +13,8 @@ from twodof.errors import LinkError, LinkLost, Timeout
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.gcs.drone import Drone
 
+pytestmark = pytest.mark.slow
+
 STORE, DEFAULTS = 1, 2
 
 

@@ -14,6 +14,8 @@ from twodof.flight.control.cascade import cascade
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
+pytestmark = pytest.mark.slow
+
 TS = 0.004
 N = 100.0
 LOG = (

@@ -17,6 +17,8 @@ from twodof.flight.estimator.longitudinal_filter import PAIRS as PAIRS_JOINT
 from twodof.flightlog.files import read_log
 from twodof.signals import GRAVITY
 
+pytestmark = pytest.mark.slow
+
 TS = 0.004
 LOGS = (
     "free-response-impulse",

@@ -28,6 +28,8 @@ from twodof.flight.starters import starter
 from twodof.flight.templates import PERIOD as TEMPLATE_PERIOD
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 LANES, STEPS = 64, 2500
 
 

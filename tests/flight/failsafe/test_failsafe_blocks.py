@@ -19,6 +19,8 @@ from twodof.compile import build
 from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 CASES, FIRST = 6_000, 500
 COMPILED_CASES = 4_000
 DERIVED = {"per_tick": ("descent", 0.1, 1.0 / 25.0), "per_answer": ("answer", 0.016, 0.25), "per_dt": ("", 0.0, 250.0)}

@@ -38,6 +38,8 @@ from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, MAY_TUR
 from twodof.flight.failsafe.state_machine import LEVEL as LEVELLING
 from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
 
+pytestmark = pytest.mark.slow
+
 EQUIVALENT = {
     "lt: le": "maximum(timer, 0) of 0 is 0 either way",
     "lt[0]: 0 is -1": "maximum(timer, 0): no integer lies between -1 and 0",
@@ -120,6 +122,7 @@ def test_it_does_what_is_meant_in_every_case_states_that_do_not_exist_included()
             np.testing.assert_array_equal(out[name], expected[name], name)
 
 
+@pytest.mark.long
 def test_no_mutant_of_the_machine_survives_but_those_explained() -> None:
     """And some mutant breaks each property, so none holds of itself."""
     expected, by_properties, by_meaning, survivors = meant_table(**LIMITS), 0, 0, []

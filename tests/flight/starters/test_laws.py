@@ -17,6 +17,8 @@ from twodof.flight.starters.attitude import NOTCHED, notch_attitude, pid_attitud
 from twodof.models.lqr import attitude_lqr, rate_lqr
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
+pytestmark = pytest.mark.slow
+
 Signals = dict[str, NDArray[Any]]
 
 

@@ -18,6 +18,8 @@ from twodof.flight.starters import STARTERS, load_diagram, new_diagram, save_dia
 from twodof.flight.templates import TEMPLATES, check_template
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 STEPS = 400
 
 

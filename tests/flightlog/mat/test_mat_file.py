@@ -16,6 +16,8 @@ from twodof.errors import LogError
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mat.mat_file import read_mat, write_mat
 
+pytestmark = pytest.mark.slow
+
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 
@@ -37,6 +39,7 @@ def test_synthetic_log_round_trips_to_the_bit(tmp_path: Path) -> None:
     assert again.provenance["history"] == [back.provenance["file"]]
 
 
+@pytest.mark.long
 def test_real_logs_round_trip_to_the_bit(flight_data: Path, tmp_path: Path) -> None:
     paths = sorted(flight_data.glob("*.mat"))
     assert len(paths) == 7
@@ -57,6 +60,7 @@ def test_real_logs_round_trip_to_the_bit(flight_data: Path, tmp_path: Path) -> N
                 assert before.tobytes() == after.tobytes()
 
 
+@pytest.mark.long
 @settings(max_examples=30)
 @given(
     st.dictionaries(st.from_regex(r"[A-Za-z]\w{0,8}", fullmatch=True).filter(str.isascii), st.integers(0, 9)),

@@ -25,6 +25,8 @@ from twodof.flightlog.mcap.mcap_file import attachments, read_mcap, write_mcap
 from twodof.flightlog.mcap.topic_stream import ros_names, seconds, stream_of, streams_of
 from twodof.signals import TOPICS, topic
 
+pytestmark = pytest.mark.slow
+
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 
 

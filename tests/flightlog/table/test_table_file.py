@@ -19,6 +19,8 @@ from twodof.flightlog.files import convert, read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
 
+pytestmark = pytest.mark.slow
+
 SUFFIXES = (".parquet", ".csv", ".mat", ".mcap")
 
 

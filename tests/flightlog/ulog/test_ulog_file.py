@@ -25,6 +25,8 @@ from twodof.flightlog.ulog.ulog_file import read_ulog
 from twodof.flightlog.ulog.writer import ULogWriter
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 EVERY_TYPE = (
     "uint64_t timestamp;int8_t a;uint8_t b;int16_t c;uint16_t d;int32_t e;uint32_t f;int64_t g;uint64_t h;"
     "float i;double j;bool k;float[3] l;uint8_t[5] m;"

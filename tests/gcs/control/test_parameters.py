@@ -18,6 +18,8 @@ from twodof.gcs.control.parameters import DESCRIPTION, SILENCE_S
 from twodof.link.mavlink.messages import message
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 OWN = {"name": "TMI_K_Q", "type": "Float", "default": 0.1, "min": 0.0, "max": 1.0, "units": "s/rad"}
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
 
@@ -184,6 +186,7 @@ def test_a_description_that_is_none_is_said_so(content: bytes) -> None:
     fly(flight)
 
 
+@pytest.mark.long
 def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_keeps_them(tmp_path: Path) -> None:
     async def work() -> None:
         async with VirtualDrone(lockstep=True, state=tmp_path) as drone:

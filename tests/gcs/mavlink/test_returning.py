@@ -12,6 +12,8 @@ from twodof.errors import LinkLost, Rejected
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
 
+pytestmark = pytest.mark.slow
+
 
 async def killed(drone: AsyncDrone) -> None:
     """What kill -9 does: nothing more is sent, nothing is said."""

@@ -22,6 +22,8 @@ from twodof.gcs.mavlink.files import AsyncFiles
 from twodof.gcs.mavlink.log_download import AsyncLogs, LogEntry
 from twodof.gcs.telemetry.signals import AsyncSignal
 
+pytestmark = pytest.mark.slow
+
 CALL_S = 6.0
 # A call may notice at its next look, which is at most a second later; words for a refusal take .3 s.
 LATE_S = 1.5

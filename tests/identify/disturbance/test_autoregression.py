@@ -6,6 +6,8 @@ from scipy.linalg import solve_discrete_lyapunov, toeplitz
 
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 
+pytestmark = pytest.mark.slow
+
 # A resonance at 38 Hz of 250 Hz and a slow pole: 1 - 2 r cos(w) z^-1 + r^2 z^-2, times 1 - .95 z^-1.
 RESONANCE = np.array([1.0, -2.0 * 0.77 * np.cos(2.0 * np.pi * 38.0 / 250.0), 0.77**2])
 TRUE = np.convolve(RESONANCE, [1.0, -0.95])

@@ -16,6 +16,8 @@ from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
 from twodof.rig.parameters import lab
 
+pytestmark = pytest.mark.slow
+
 TRUTH = PitchRate(w_n=3.437, xi=0.0836, mu=300.0, tau=0.02)
 HELD = {"w_n": TRUTH.w_n, "xi": TRUTH.xi}
 STEPS = 1500
@@ -55,6 +57,7 @@ def estimated(record: Record, disturbance: str) -> Estimate:
     return fit(pitch_rate(), record, estimate=wanted, values=HELD, disturbance=disturbance)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 def test_in_closed_loop_output_error_is_wrong_and_says_so_and_the_noise_model_is_right() -> None:
     records = [closed_loop(seed) for seed in range(1, 9)]
     white = [estimated(record, "white") for record in records]
@@ -120,6 +123,7 @@ def test_a_structure_that_is_not_linear_takes_the_noise_model_too() -> None:
     assert abs(found["mu"] - TRUTH.mu) < 3.3 * found.sigma("mu")
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_edges_of_a_pulse_are_not_feedback(seed: int) -> None:
     """A structure that lacks the rotors' start fits a free response in open loop.

@@ -11,6 +11,8 @@ from twodof.identify.information import simulate_planned
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structures import free_response, pitch_rate
 
+pytestmark = pytest.mark.slow
+
 STRUCTURE = pitch_rate(lag=True)
 HELD = {"w_n": 3.437, "xi": 0.0836, "lag": 0.011}
 TRUE_MU = 300.0
@@ -40,6 +42,7 @@ def found() -> list[Estimate]:
     return [fit(STRUCTURE, flown(seed), estimate=WANTED, values=HELD) for seed in SEEDS]
 
 
+@pytest.mark.long
 def test_the_intervals_hold_the_truth_where_those_of_output_error_do_not(found: list[Estimate]) -> None:
     z = np.array([(one["mu"] - TRUE_MU) / one.sigma("mu") for one in found])
     # Chi-square of 6: above 22.5 once in a thousand.
@@ -51,6 +54,7 @@ def test_the_intervals_hold_the_truth_where_those_of_output_error_do_not(found: 
     assert np.std([one["mu"] for one in found]) < np.std([one["mu"] for one in white])
 
 
+@pytest.mark.long
 def test_the_gust_is_found_and_the_vibration_does_not_pass_for_one(found: list[Estimate]) -> None:
     gusts = [one.disturbance.gusts["q"] for one in found if one.disturbance.kind == "input"]
     assert len(gusts) >= 5  # a whiteness test at 99 % may pass one
@@ -64,6 +68,7 @@ def test_the_gust_is_found_and_the_vibration_does_not_pass_for_one(found: list[E
     assert calm.disturbance.gusts["q"].std < 0.1 * PUSH
 
 
+@pytest.mark.long
 def test_what_was_found_is_told(found: list[Estimate]) -> None:
     one = next(one for one in found if one.disturbance.kind == "input")
     assert one.converged

@@ -55,6 +55,7 @@ def estimated(record: Record) -> Estimate:
     return fit(pitch_rate(), record, estimate=("mu", "tau", "theta_0", "q_0"), values=held, disturbance="ar")
 
 
+@pytest.mark.long
 def test_what_a_fit_under_louder_noise_claims_is_what_it_is_worth() -> None:
     found = [estimated(flown(seed)) for seed in range(1, 25)]
     for one in found:
@@ -68,6 +69,7 @@ def test_what_a_fit_under_louder_noise_claims_is_what_it_is_worth() -> None:
     assert chi2.isf(0.9995, z.size) < float(z @ z) < chi2.isf(0.0005, z.size)
 
 
+@pytest.mark.long
 def test_even_noise_is_left_even() -> None:
     # Less than one in 10,000 is louder by chance.
     assert not any(estimated(flown(seed, times=1.0)).disturbance.louder for seed in range(1, 16))

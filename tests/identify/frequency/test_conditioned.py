@@ -11,6 +11,8 @@ from twodof.errors import IdentificationError
 from twodof.identify.frequency.frequency_response import FrequencyResponse, frequency_response
 from twodof.identify.record import Record
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 FIRST, SECOND = control.ss(-8.0, 8.0, 3.0, 0.0), control.ss(-20.0, 20.0, -1.5, 0.0)
@@ -90,6 +92,7 @@ def test_partial_coherence_is_that_of_the_residuals() -> None:
     np.testing.assert_allclose(found.coherence[:-1], partial[:-1], rtol=1e-8)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("segment", [2.0, (0.7, 2.0)])
 def test_error_bars_hold_the_truth_as_often_as_they_say(segment: float | tuple[float, ...]) -> None:
     share = []

@@ -11,6 +11,8 @@ from twodof.identify.greybox import fit
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
 
+pytestmark = pytest.mark.slow
+
 MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)
 OMEGA = np.geomspace(1.0, 300.0, 25)
 HELD = {"estimate": ["mu", "tau"], "values": {"w_n": 3.437, "xi": 0.3}}

@@ -13,6 +13,8 @@ from twodof.identify.frequency.frequency_response import FrequencyResponse, freq
 from twodof.identify.frequency.transfer_fit import fit_transfer
 from twodof.models.plant import PitchRate
 
+pytestmark = pytest.mark.slow
+
 OMEGA = np.geomspace(0.5, 60.0, 80)
 
 

@@ -17,6 +17,8 @@ from twodof.identify.from_flight.identified_flight import IdentifiedFlight, iden
 from twodof.identify.from_flight.ready_made import experiment_in, structure_for
 from twodof.identify.from_flight.sufficiency import sufficiency
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def logs() -> dict[str, FlightLog]:
@@ -29,6 +31,7 @@ def doublet(logs: dict[str, FlightLog]) -> IdentifiedFlight:
     return identify_flight(logs["doublet"], impulse=logs["impulse"], structure="pitch-rate")
 
 
+@pytest.mark.long
 def test_both_methods_find_the_rig(doublet: IdentifiedFlight) -> None:
     """The paper's rig is linear and has the paper's w_n of Table 1; its gain by hand is read to 5 %."""
     assert doublet.greybox.fixed["w_n"] == pytest.approx(3.437, rel=1e-3)

@@ -12,6 +12,8 @@ from twodof.errors import IdentificationError
 from twodof.identify import Record, fit, fit_from_several
 from twodof.models import Structure
 
+pytestmark = pytest.mark.slow
+
 T = 0.01 * np.arange(400)
 
 
@@ -31,6 +33,7 @@ def record(seed: int = 0) -> Record:
     return Record.from_columns(T, {"u": T, "y": y}, ["u"], ["y"])
 
 
+@pytest.mark.long
 def test_the_best_of_many_minima_is_found_and_the_others_are_told() -> None:
     wave = Structure.of_block(Wave())
     alone = fit(wave, record())

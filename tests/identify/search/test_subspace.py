@@ -8,6 +8,8 @@ from scipy.signal import cont2discrete, dlsim
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit, subspace
 
+pytestmark = pytest.mark.slow
+
 N, DT = 800, 0.01
 A = np.array([[0.0, 1.0, 0.0], [-30.0, -1.5, 0.0], [1.0, 0.0, -2.0]])
 B, C = np.array([[0.0, 0.0], [4.0, -1.0], [0.0, 3.0]]), np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0]])

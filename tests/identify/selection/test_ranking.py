@@ -12,6 +12,8 @@ from twodof.identify.selection.ranking import rank, select
 from twodof.models.plant import PitchRate
 from twodof.models.structures import pitch_rate
 
+pytestmark = pytest.mark.slow
+
 MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)
 VALUES = {"w_n": 3.437, "xi": 0.3, "tau": 0.0187}
 APPLIED = doublet(400, 0.2, 0.6, 0.03)
@@ -63,6 +65,7 @@ def false_alarms(coloured: bool, seeds: int) -> np.ndarray:
     return np.array(p)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("coloured", [False, True])
 def test_false_alarms_are_rare(coloured: bool) -> None:
     # Of 8 draws of 5 % three and more are a chance of .6 %.

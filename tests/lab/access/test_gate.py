@@ -19,6 +19,8 @@ from twodof.lab.access.route_table import RouteRow, RouteTable
 from twodof.lab.server import ROUTERS
 from twodof.lab.settings import LabSettings
 
+pytestmark = pytest.mark.slow
+
 ROWS = [*RouteTable(ROUTERS).rows()]
 READS = {"GET", "HEAD"}
 # What only computes, as the routes declare it: to let viewers call one more is a decision, and this list repeats it.

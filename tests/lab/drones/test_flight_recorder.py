@@ -5,12 +5,16 @@ from __future__ import annotations
 import asyncio
 from pathlib import Path
 
+import pytest
+
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.flightlog import read_log
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.control.active_controller import ActiveController
 from twodof.lab.drones.flight_recorder import FlightRecorder
+
+pytestmark = pytest.mark.slow
 
 
 class _Flown:

@@ -21,6 +21,8 @@ from twodof.gcs.telemetry.recording import seconds
 from twodof.lab.drones import pilot
 from twodof.lab.telemetry import client as telemetry_client
 
+pytestmark = pytest.mark.slow
+
 FLIES = {"loop": "theta", "value": 0.05, "thrust": 0.4}
 
 
@@ -226,6 +228,7 @@ def test_an_experiment_is_one_log_and_the_drone_stands_as_before(drone: tuple[Se
     assert read_log(server.folder / "flights" / event["name"]).provenance["experiment"] == "velocity-doublet"
 
 
+@pytest.mark.long
 def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,6 +257,7 @@ def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
             script.arm()
 
 
+@pytest.mark.long
 def test_a_page_that_stands_still_with_its_socket_open_is_not_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

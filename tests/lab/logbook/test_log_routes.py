@@ -24,6 +24,8 @@ from twodof.lab.logbook.log_trash import KEPT_DAYS
 from twodof.lab.routes.logs import MOST_UPLOADED
 from twodof.report.step_responses import step_responses
 
+pytestmark = pytest.mark.slow
+
 
 def noted(log: FlightLog, **told: object) -> FlightLog:
     return FlightLog(log.channels, {**log.provenance, **told})

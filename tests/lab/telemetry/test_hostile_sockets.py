@@ -14,6 +14,8 @@ from tests.gcs.virtual import on_board
 from tests.lab.served import Client, Served, served, wait_for_drone
 from twodof.lab.telemetry.client import MOST_STREAMS
 
+pytestmark = pytest.mark.slow
+
 THETA = ["estimate.theta"]
 
 
@@ -31,6 +33,7 @@ def hears(client: Client, number: int) -> None:
         pass
 
 
+@pytest.mark.long
 def test_of_a_thousand_subscriptions_as_many_are_served_as_may_be(server: Served) -> None:
     with server.socket() as other, server.socket() as greedy:
         other.subscribe(THETA)

@@ -14,6 +14,8 @@ from tests.processes import child, stopped
 from twodof.blocks.schema.json_form import to_json
 from twodof.flight.starters import starter
 
+pytestmark = pytest.mark.slow
+
 OWN = to_json(starter("notch-attitude"))
 WILD = to_json(starter("pid-attitude")).replace('"value": 0.0854', '"value": 0.9')
 
@@ -40,6 +42,7 @@ def rehearsed(lab: ServedLab, text: str) -> tuple[str, dict[str, Any]]:
     return job["id"], over(lab, job, "done")["result"]
 
 
+@pytest.mark.long
 def test_only_what_was_rehearsed_flies_and_what_is_unstable_only_if_confirmed(lab: ServedLab) -> None:
     job, found = rehearsed(lab, OWN)
     assert found["template"] == "attitude_control"

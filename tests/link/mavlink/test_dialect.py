@@ -20,6 +20,8 @@ from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import channel_bits
 from twodof.signals import TOPICS
 
+pytestmark = pytest.mark.slow
+
 # Messages that the dialects in pymavlink's wheel lack (it leaves out those marked unfinished): CRC_EXTRA by MAVLink's
 # definition (https://mavlink.io/en/guide/serialization.html#crc_extra), computed below from their public fields.
 FIELDS = {

@@ -17,6 +17,8 @@ from twodof.link.mavlink import dialect, framing
 from twodof.link.mavlink.framing import LONGEST_FRAME, Frame, Parser, decode, encode
 from twodof.link.mavlink.messages import message
 
+pytestmark = pytest.mark.slow
+
 NAMES = list(dialect.classes())
 RANGES = {"int8_t": 8, "int16_t": 16, "int32_t": 32, "int64_t": 64}
 

@@ -22,6 +22,8 @@ from twodof.link.transport.flood_filter import FloodFilter, looks_like_a_stop, p
 from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.udp import UdpTransport
 
+pytestmark = pytest.mark.slow
+
 
 def mavlink1(frame: bytes) -> bytes:
     """The same in MAVLink 1, which is understood, padded to its full length; the checksum is not looked at."""

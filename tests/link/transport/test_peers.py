@@ -17,6 +17,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 
+pytestmark = pytest.mark.slow
+
 CLIENT = Path(__file__).with_name("mavutil_client.py")
 
 

@@ -26,6 +26,8 @@ from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 
+pytestmark = pytest.mark.slow
+
 FALSE = b"\xfe"  # each begins a frame of MAVLink 1 whose message there is and whose checksum does not hold
 TICK = message("TWODOF_TICK", tick=7)
 

@@ -15,6 +15,8 @@ from twodof.report.characterisation.paper_figures import figures
 from twodof.report.content import Span
 from twodof.report.pages.report_page import to_html
 
+pytestmark = pytest.mark.slow
+
 TRUTH = {
     "w_n": PAPER_PITCH_RATE.w_n,
     "xi": PAPER_PITCH_RATE.xi,
@@ -167,6 +169,7 @@ def test_table_1_has_the_papers_numbers_and_shows_the_delay_in_milliseconds(foun
     assert table["tau"].greybox.value == pytest.approx(20.0, abs=1.0)
 
 
+@pytest.mark.long
 def test_the_whole_report_names_machine_figures_and_errata(found: Characterisation) -> None:
     page = to_html(content([CharacterisedMachine("rig one", "<p>", found, TRUTH)], {"seed": "0"})).replace(
         "\u00a0", " "

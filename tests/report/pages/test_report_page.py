@@ -12,6 +12,8 @@ from twodof.report.content import Content, Figure, Subject
 from twodof.report.pages.report_page import to_html
 from twodof.report.plots.time_figures import time_figure
 
+pytestmark = pytest.mark.slow
+
 VOID = {"meta", "br", "hr", "img", "link", "input"}
 
 
@@ -52,6 +54,7 @@ def parsed(page: str) -> Nesting:
     return parser
 
 
+@pytest.mark.long
 def test_every_element_is_closed_and_every_anchor_exists(page: str) -> None:
     parser = parsed(page)
     assert parser.open == []
@@ -61,6 +64,7 @@ def test_every_element_is_closed_and_every_anchor_exists(page: str) -> None:
     assert {"table-1", "figure-3", "figure-4", "residuals", "doubts", "errata", "provenance"} <= set(parser.ids)
 
 
+@pytest.mark.long
 def test_it_needs_nothing_from_outside(page: str) -> None:
     assert "<script" not in page
     assert not re.findall(r'(?:src|href)="(?!#)[^"]*"', page)

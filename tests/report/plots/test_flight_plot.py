@@ -15,6 +15,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.report.plots.flight_plot import to_html, write_plot
 from twodof.report.plots.flight_view import MOST_POINTS, SUFFIXES, Curve, FlightView, flight_view
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def log() -> FlightLog:
@@ -112,6 +114,7 @@ def test_it_is_drawn_into_each_kind_of_file(log: FlightLog, tmp_path: Path, suff
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.long
 def test_the_page_names_quantities_units_and_modes_and_is_inert(log: FlightLog) -> None:
     page = to_html(flight_view(log, title="<script>alert(1)</script>"))
     for text in (

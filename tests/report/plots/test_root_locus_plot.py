@@ -12,6 +12,8 @@ from twodof.report.plots.loop_plot import write_loop_plot
 from twodof.report.plots.root_locus_plot import draw_root_locus
 from twodof.sim.linear.cascade_margins import cascade_loop
 
+pytestmark = pytest.mark.slow
+
 CUBIC = LoopTransfer(
     np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, -2.0, -3.0]]), np.eye(3)[:, 2:], np.eye(3)[:1], 0.0
 )
@@ -33,6 +35,7 @@ def test_branches_cross_where_routh_says() -> None:
         assert np.hypot(start[:, 0] - pole, start[:, 1]).min() < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("loop", ["rate", "motors"])
 def test_the_picture_of_one_loop_is_wider(loop: str, tmp_path: Path) -> None:
     found = cascade_loop(loop)

@@ -12,6 +12,8 @@ from twodof.flight.gains import load_gains
 from twodof.flightlog.files import write_log
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 
+pytestmark = pytest.mark.slow
+
 FEW = ["--members", "80"]
 
 
@@ -39,6 +41,7 @@ def models(folder: Path, spread: float) -> list[str]:
     return [str(folder / name) for name in documents]
 
 
+@pytest.mark.long
 def test_what_is_promised_is_what_an_experiment_flies(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The flight comes another way: one rig, the experiment's own closed loop, a log of its own."""
     spec = tmp_path / "spec.toml"
@@ -61,6 +64,7 @@ def test_what_is_promised_is_what_an_experiment_flies(tmp_path: Path, capfd: pyt
     assert run(["design", "verdict", str(promised), str(other), "--json"]) == 1
 
 
+@pytest.mark.long
 def test_a_specification_that_is_missed_is_status_1(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     spec = tmp_path / "spec.toml"
     spec.write_text("[rail]\nvelocity_bandwidth = 60.0\n")
@@ -68,6 +72,7 @@ def test_a_specification_that_is_missed_is_status_1(tmp_path: Path, capfd: pytes
     assert "MISSED velocity bandwidth" in capfd.readouterr().out
 
 
+@pytest.mark.long
 def test_gains_are_searched_and_written_as_gains_are_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     spec, out = tmp_path / "spec.toml", tmp_path / "gains.json"
     spec.write_text("[rail]\novershoot = 0.16\nrail_use = 0.4\n")
@@ -80,6 +85,7 @@ def test_gains_are_searched_and_written_as_gains_are_read(tmp_path: Path, capfd:
     assert json.loads(capfd.readouterr().out)["promise"] == said["promise"]
 
 
+@pytest.mark.long
 def test_the_search_ends_at_once_and_leaves_nothing(tmp_path: Path) -> None:
     spec, folder = tmp_path / "spec.toml", tmp_path / "run"
     spec.write_text("[rail]\nvelocity_bandwidth = 6.0\novershoot = 0.01\n")

@@ -11,9 +11,12 @@ from twodof.sim.promised.rail_design import rail_design
 from twodof.sim.promised.rail_promise import rail_promise
 from twodof.sim.promised.rail_specification import RailSpecification, check_rail
 
+pytestmark = pytest.mark.slow
+
 FEW = 40
 
 
+@pytest.mark.long
 def test_gains_that_are_found_meet_what_the_first_ones_miss() -> None:
     """The promise is made anew, by the gains alone; the loops that are not asked about keep their gains."""
     wanted = RailSpecification(overshoot=0.12, rise_time=0.6)

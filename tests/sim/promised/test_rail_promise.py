@@ -19,6 +19,8 @@ from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import CHANNELS, STEPS, RailPromise, rail_promise
 from twodof.sim.promised.rail_specification import RailSpecification, check_rail, read_rail_specification
 
+pytestmark = pytest.mark.slow
+
 PITCH = PitchFamily.of(
     {"w_n": 3.437, "xi": 0.0836, "mu": 358.5, "tau": 0.02},
     {"mu": 12.0, "dead_time": 0.0008},
@@ -47,6 +49,7 @@ def test_members_are_rigs_of_the_models_drawn() -> None:
     assert model_parameters(FAMILY.nominal())["k_v"] == pytest.approx(4.9, rel=1e-9)
 
 
+@pytest.mark.long
 def test_promise_holds_for_other_members() -> None:
     """Members, gusts and noise that were not flown for the promise: 95 % keep it, up to chance."""
     made, count = promised(), 200
@@ -90,6 +93,7 @@ def test_a_step_into_the_stop_promises_nothing() -> None:
     assert not any(row.met for row in check_rail(wanted, FAMILY, STUDENT, promised=lost))
 
 
+@pytest.mark.long
 def test_specification_is_checked() -> None:
     found = cascade_margins(STUDENT, (), FAMILY.nominal(), ("velocity", "position"))
     rows = {

@@ -21,6 +21,8 @@ from twodof.compile.px4.topics import FIELDS
 from twodof.compile.px4.tree import MANIFEST
 from twodof.errors import CompileError
 
+pytestmark = pytest.mark.slow
+
 SUBMODULES = (
     "src/modules/mavlink/mavlink",
     "src/lib/events/libevents",

@@ -26,6 +26,8 @@ from twodof.link.mavlink.mav_enums import MavResult
 from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
+pytestmark = pytest.mark.slow
+
 ARM, RELOAD = 400, 31010
 BUILT = "lqr_attitude"
 

@@ -26,6 +26,8 @@ from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, FtpPacket, read_packet
 from twodof.link.mavlink.messages import message
 
+pytestmark = pytest.mark.slow
+
 ALL = bytes(range(256)) * 300
 MADE = {"all.bin": ALL, "empty.json": b"", "small.json": b"{}"}
 

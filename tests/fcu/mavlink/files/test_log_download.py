@@ -19,6 +19,8 @@ from twodof.fcu.mavlink.files.log_download import A_TICK_ARMED, MOST_READERS, PA
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.mavlink.messages import message
 
+pytestmark = pytest.mark.slow
+
 US = {"target_system": 1, "target_component": 1}
 MAVSDK_CHUNK = 512 * PART
 """What MAVSDK asks for at once."""

@@ -15,6 +15,8 @@ from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.signals import MODES
 
+pytestmark = pytest.mark.slow
+
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 SANE = st.floats(-100.0, 100.0)
 SHARED = World()

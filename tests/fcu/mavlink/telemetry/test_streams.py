@@ -15,6 +15,8 @@ from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.rates import GROUND, ONBOARD, PROFILES
 
+pytestmark = pytest.mark.slow
+
 HELLO = message("HEARTBEAT", type=6, autopilot=8)
 # A message of twodof's own: its sender knows them.
 OURS = message("TWODOF_LEASE", target_system=9)
