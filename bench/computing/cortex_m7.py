@@ -112,21 +112,21 @@ def flight(steps: int) -> dict[str, NDArray[Any]]:
 
 
 def attitude_inputs(steps: int) -> dict[str, NDArray[Any]]:
-    """Those of the template attitude_control."""
+    """Return inputs of the template attitude_control."""
     f = flight(steps)
     named = {"theta_0": f["theta0"], "q_0": f["q0"], "theta": f["theta"], "q": f["q"], "FLAG_RESET_INT": f["reset"]}
     return {**named, "FLAG_ATTITUDE_ENABLED": np.full(steps, True)}
 
 
 def cascade_inputs(steps: int, mode: str) -> dict[str, NDArray[Any]]:
-    """Those of the whole cascade."""
+    """Return inputs of the whole cascade."""
     f = flight(steps)
     rest = {k: v for k, v in f.items() if k != "reset"}
     return {"mode": np.full(steps, MODES.index(mode), np.int32), "in_reset": f["reset"], **rest}
 
 
 def compiled(diagram: Diagram, compiler: str = "gcc", optimise: str = OPTIMISE) -> CompiledProgram:
-    """The diagram in float32."""
+    """Compile the diagram in float32."""
     program = build(diagram, PERIOD, "float32", target="cortex-m7", compiler=compiler, optimise=optimise)
     if not isinstance(program, CompiledProgram):
         raise CompileError("the diagram was not compiled", diagram.name, "install gcc-arm-none-eabi")

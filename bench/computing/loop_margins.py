@@ -48,18 +48,18 @@ def by_control(loop: RandomLoop) -> Any:
 
 
 def near(value: float, others: Iterable[float]) -> bool:
-    """Whether one of `others` is `value`."""
+    """Return True if one of `others` equals `value`."""
     return any(math.isclose(value, one, rel_tol=SAME, abs_tol=SAME) for one in others)
 
 
 def inside(loop: RandomLoop, omega: float) -> bool:
-    """Whether a frequency is neither 0 nor Nyquist's, where polynomials find a root by the chance of a rounding."""
+    """Return True for a frequency above 0 and below Nyquist's: rounding decides if polynomials have a root there."""
     top = math.inf if loop.dt is None else math.pi / loop.dt
     return 1e-6 < omega < top * (1.0 - 1e-6)
 
 
 def agrees_with_control(loop: RandomLoop, mine: LoopMargins, theirs: Any) -> bool:
-    """Whether both find the same crossings, all of them."""
+    """Return True if both find the same crossings."""
     factors, phases, _, at_gain, at_phase, _ = theirs
     gains = [(f, w) for f, w in zip(factors, at_gain, strict=True) if inside(loop, w) and f < 1e4]
     turns = [(p, w) for p, w in zip(phases, at_phase, strict=True) if inside(loop, w)]
@@ -76,7 +76,7 @@ def agrees_with_control(loop: RandomLoop, mine: LoopMargins, theirs: Any) -> boo
 
 
 def agrees_with_octave(loop: RandomLoop, mine: LoopMargins, row: Sequence[float]) -> bool:
-    """Whether Octave's gain and phase margin are among our crossings, and its verdict and Ms are ours."""
+    """Return True if Octave's margins are among our crossings, and its verdict and Ms equal ours."""
     gamma, phi, at_gain, at_phase, stable, ms, _ = row
     gain = not inside(loop, at_gain) or near(gamma, [g.factor for g in mine.gains if near(at_gain, [g.omega])])
     here = [math.degrees(p.phase) for p in mine.phases if near(at_phase, [p.omega])]
@@ -85,7 +85,7 @@ def agrees_with_octave(loop: RandomLoop, mine: LoopMargins, row: Sequence[float]
 
 
 def octave(loops: Sequence[RandomLoop]) -> list[list[float]] | str:
-    """What Octave says of each loop, or why it says nothing."""
+    """Return Octave's row of figures for each loop, or the reason why there are none."""
     program = shutil.which("octave-cli")
     if program is None:
         return "octave-cli is not here: apt-get install octave octave-control"

@@ -248,7 +248,7 @@ def run_rig(
 
 
 def derived(p: Mapping[str, Any]) -> dict[str, Any]:
-    """What follows from the parameters."""
+    """Compute the derived parameters."""
     mass, offset_mass = p["mass_drone"] + p["mass_cart"], p["mass_drone"] * p["offset"]
     ticks, samples = max(p["delay"] / TICK, 1.0), p["tof_age"] / SAMPLE
     keep, noisy = math.exp(-SAMPLE / p["gust_time"]), p["noise"] > 0.0

@@ -72,7 +72,7 @@ def large_diagram(blocks: int) -> Diagram:
 
 
 def fresh_python(code: str, *arguments: str, environment: Mapping[str, str] | None = None) -> str:
-    """What a fresh interpreter prints that runs `code` in the project's folder. Raises CompileError if it fails."""
+    """Run `code` in a fresh interpreter and return its output. Raises CompileError if it fails."""
     done = subprocess.run(
         [sys.executable, "-c", code, *arguments],
         capture_output=True,

@@ -50,8 +50,9 @@ print(json.dumps(found))
 
 @dataclass(frozen=True)
 class Changed:
-    """What it took [s], round by round: on the wall and of CPU time, compilers included. `process` is the time of the
-    whole process, with the start of Python and all imports.
+    """Times of each round [s]: wall-clock time and CPU time, compilers included.
+
+    `process` is the time of the whole process, with the start of Python and all imports.
     """
 
     wall: tuple[float, ...]

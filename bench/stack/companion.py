@@ -60,7 +60,7 @@ class Nowhere:
     backlog = 0
 
     def send(self, data: bytes, to: Hashable | None = None) -> None:
-        """Nothing."""
+        """Drop the data."""
 
 
 def own_share(clients: int, count: int, repeats: int) -> tuple[float, float]:
@@ -107,7 +107,7 @@ class Ends:
         self.granted = asyncio.Event()
 
     async def read_client(self) -> None:
-        """What comes down."""
+        """Note the age of each frame that reaches the client."""
         parser = Parser()
         while True:
             packet = await self.client.receive(1.0)
@@ -119,7 +119,7 @@ class Ends:
                     self.down += [] if sent is None else [time.perf_counter() - sent]
 
     async def read_vehicle(self) -> None:
-        """What comes up; requests for streams are granted."""
+        """Note the age of each frame that reaches the vehicle, and grant requests for streams."""
         parser, to = Parser(), {"target_system": 1, "target_component": COMPANION}
         while True:
             packet = await self.vehicle.receive(1.0)

@@ -78,7 +78,7 @@ class DroneProcess:
             self.process.stdout.close()
 
     def report(self) -> dict[str, Any]:
-        """What it has noted since the last time."""
+        """Return the notes of the drone since the last call."""
         assert self.process.stdin is not None
         self.process.stdin.write("\n")
         self.process.stdin.flush()

@@ -20,7 +20,7 @@ AGAIN_S = 0.05
 
 
 def heartbeats(system: int) -> bytes:
-    """As many as fit into a piece."""
+    """Return as many heartbeats as fit into a piece."""
     beat = message("HEARTBEAT", type=6, autopilot=8, system_status=4)
     return b"".join(encode(beat, system, 190, number & 255) for number in range(PIECE // 21))
 

@@ -49,7 +49,7 @@ _TOKEN = "watch-token-of-the-bench"
 class Watcher:
     """A client: the rows that it got, what it lost, and how long after its tick each message of rows came [s].
 
-    That is known but for a constant, the drone's start, which is taken from the message that came soonest.
+    The start of the drone, an unknown constant, is taken from the message with the shortest delay.
     """
 
     drone: int
@@ -84,7 +84,7 @@ class Watcher:
 
 
 class Load:
-    """A server at `port` with drones 1 to `drones`, all of which fly, and the clients that watch them."""
+    """Server at `port` with the flying drones 1 to `drones`, and the clients that watch them."""
 
     def __init__(self, port: int, drones: int) -> None:
         self.port, self.drones = port, drones
@@ -124,7 +124,7 @@ class Load:
             reading.cancel()
 
     async def watch(self, watcher: Watcher, seconds: float) -> None:
-        """One client that reads all that it gets."""
+        """Read every message, as one client."""
         url = f"ws://127.0.0.1:{self.port}/api/telemetry?token={_TOKEN}"
         async with connect(url, compression=None, max_queue=64) as websocket:
             await websocket.send(_subscription(watcher.drone))
@@ -181,7 +181,7 @@ def resident_mb(program: Running) -> float:
 
 
 async def settled_mb(program: Running, seconds: float) -> float:
-    """Memory of the server [MB] once all that it keeps of drones and clients is there, a third of the time later."""
+    """Return the memory of the server [MB] when its buffers of drones and clients are full."""
     await asyncio.sleep(SETTLES_S + seconds / 3)
     return resident_mb(program)
 

@@ -40,7 +40,7 @@ def latencies(drone: DroneProcess, url: str, count: int) -> list[float]:
 
 
 def until_acted(drone: DroneProcess, moment: float) -> list[tuple[int, float]]:
-    """What it has noted up to the first change by `moment`. Raises RuntimeError if none comes."""
+    """Return the notes up to the first change by `moment`. Raises RuntimeError if none comes."""
     changes: list[tuple[int, float]] = []
     end = time.monotonic() + START_S
     while all(asked != moment for _, asked in changes):
