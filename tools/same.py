@@ -60,8 +60,8 @@ from twodof.flight.starters import STARTERS, starter
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import MODES, PERIOD

@@ -19,11 +19,11 @@ from twodof.companion.client import CompanionClient
 from twodof.companion.router import Router
 from twodof.companion.streams.rate_profiles import profile
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink.components import COMPANION
+from twodof.link.mavlink.enums import COMPANION
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 
 FRAME_US = 15.0

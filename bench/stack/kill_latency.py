@@ -22,12 +22,10 @@ from typing import Any
 
 from bench.measure import Figure
 from bench.stack.programs import START_S, port, running
-from twodof.link.mavlink.components import GROUND_STATION
+from twodof.link.mavlink.enums import GROUND_STATION
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key, write_key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps, write_key
 
 CONNECTIONS, PROCESSES = 50, 4
 IDLE_S, FLOODED_S = 0.05, 0.3

@@ -13,10 +13,8 @@ from pathlib import Path
 
 from bench.stack.drone_process import say
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.link.mavlink.components import GROUND_STATION
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import read_key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.mavlink.enums import GROUND_STATION
+from twodof.link.signing import Signing, Stamps, read_key
 from twodof.sim.virtual_drone import VirtualDrone
 
 ALIVE_TICKS = 12

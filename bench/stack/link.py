@@ -13,11 +13,9 @@ from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.udp import UdpTransport
 
 # DESIGN section 6.

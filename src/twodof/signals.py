@@ -24,6 +24,14 @@ OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
 
 PERIOD = 0.004
 """Control period [s]: the flight code and every user's controller run at 250 Hz."""
+TICK_US = round(PERIOD * 1e6)
+"""Control period [us]: the unit of `time_usec` stamps and of the intervals of command 511."""
+TICK_MS = TICK_US // 1000
+"""Control period [ms]: the unit of `time_boot_ms` stamps."""
+TICK_NS = TICK_US * 1000
+"""Control period [ns], for the clocks of this machine."""
+TICK_S = TICK_US / 1e6
+"""Control period [s] as computed from whole microseconds."""
 
 GRAVITY = 9.81
 """Standard gravity as the course rounds it [m/s2]."""

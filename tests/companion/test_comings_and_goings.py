@@ -22,7 +22,7 @@ from twodof.companion.streams import batch_repacking
 from twodof.companion.streams.stream_thinning import MOST_TAPS, settled
 from twodof.link.mavlink.framing import Frame, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 from twodof.link.transport.tcp import GONE_S, TcpTransport
 from twodof.link.transport.url import parse
 

@@ -25,11 +25,9 @@ from twodof.companion.vehicle_link import REMIND_S, VEHICLE_SILENT_S
 from twodof.errors import LinkError
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing, SigningVerdict
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, SigningVerdict, Stamps
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import MOST_OUT_BYTES
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
 

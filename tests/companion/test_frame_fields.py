@@ -12,9 +12,7 @@ from twodof.companion import frame_fields
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
 
 
 @pytest.mark.parametrize("name", sorted(dialect.classes()))

@@ -13,9 +13,7 @@ from twodof.companion.router import Router
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
 
 
 def hostile(chance: random.Random) -> Frame:

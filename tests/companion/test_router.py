@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.companion.ends import SYSTEM, Ends, frame, names
 from twodof.companion.client import MOST_IDENTITIES
-from twodof.link.mavlink.components import COMPANION
+from twodof.link.mavlink.enums import COMPANION
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
 

@@ -26,8 +26,8 @@ from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
 from twodof.flightlog.ulog.decoder import ULog, scan_ulog
 from twodof.gcs.drone import Drone
-from twodof.link.control_period import TICK_US
 from twodof.rig.parameters import lab
+from twodof.signals import TICK_US
 from twodof.sim.initial_state import InitialState
 from twodof.sim.rig_host import VirtualRig
 

@@ -17,10 +17,8 @@ from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.telemetry import full_rate
 from twodof.link.mavlink.framing import Parser, decode
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport
 
 pytestmark = pytest.mark.slow
 

@@ -12,9 +12,7 @@ from tests.faults.whole import DESCEND, LEVEL, Whole, acts, run, silent, stands,
 from twodof.errors import LinkLost
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import PER_SECOND, Stamps
+from twodof.link.signing import PER_SECOND, Key, Signing, Stamps
 
 pytestmark = pytest.mark.slow
 

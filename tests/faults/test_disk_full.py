@@ -14,9 +14,7 @@ from tests.faults.test_clocks import Clock, signed
 from tests.faults.whole import Whole, run, silent, stands
 from twodof.errors import LogError, ParameterError, RecordingError
 from twodof.flightlog.recovery import recover
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
 
 pytestmark = pytest.mark.slow
 

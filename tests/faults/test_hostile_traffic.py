@@ -30,7 +30,7 @@ from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 
 pytestmark = pytest.mark.slow
 

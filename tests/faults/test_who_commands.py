@@ -12,11 +12,9 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.control.setpoints import pitch
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 
 pytestmark = pytest.mark.slow
 

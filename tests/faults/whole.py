@@ -27,9 +27,9 @@ from twodof.fcu.control.watchdog import Watchdog
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing import Signing
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 PERIOD_S = 0.004

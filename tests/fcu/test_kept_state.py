@@ -10,7 +10,7 @@ from tests.patience import PATIENCE_S
 from twodof.flightlog.ulog.decoder import scan_ulog
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 ARM, REAL32, INT32 = 400, 9, 6

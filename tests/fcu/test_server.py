@@ -17,11 +17,8 @@ from twodof.fcu.mavlink.service import Service
 from twodof.fcu.server import Peer, Server
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport import udp
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport, udp
 
 CLIENT = 250
 

@@ -11,7 +11,7 @@ from twodof.excitation import Impulse
 from twodof.link.connection import Connection
 from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.messages import excite, message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 DRONE = {"target_system": 1, "target_component": 1}

@@ -11,8 +11,8 @@ from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, packed, read_packet
 from twodof.link.mavlink.messages import ExcitationReceiver, float_of_int, int_of_float, message
 from twodof.link.mavlink.modes import MANUAL
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 
 _names = itertools.count(1)
 PARAMETERS = {"ATT_KP": 11.0, "RATE_KP": 0.0854, "THRUST_BAR": 0.4, "SYS_AUTOSTART": 4001}

@@ -19,7 +19,7 @@ from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 
 pytestmark = pytest.mark.slow
 

@@ -1,6 +1,6 @@
 """The tick of the wire is the control period, in each unit."""
 
-from twodof.link import control_period
+from twodof import signals as control_period
 from twodof.signals import PERIOD
 
 

@@ -12,7 +12,7 @@ from twodof.companion.vehicle_link import VehicleLink
 from twodof.errors import LinkError
 from twodof.link.connection import BROKEN_OFF_S, TELL_S
 from twodof.link.mavlink.framing import Frame, Parser
-from twodof.link.signing.frame_signing import SigningVerdict
+from twodof.link.signing import SigningVerdict
 from twodof.link.transport import ports
 from twodof.link.transport.base import Packet
 from twodof.link.transport.tcp import TcpTransport

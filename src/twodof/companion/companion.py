@@ -13,7 +13,7 @@ from twodof.companion.router import Router
 from twodof.companion.uplink_queue import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, UplinkQueue
 from twodof.companion.vehicle_link import VehicleLink
 from twodof.errors import LinkError
-from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing import Signing
 from twodof.link.transport.url import parse
 
 LOOK_S = 0.1

@@ -6,8 +6,8 @@ from abc import ABC, abstractmethod
 from twodof.companion.router import Router
 from twodof.errors import LinkError, LinkLost
 from twodof.link.mavlink.framing import Parser
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Packet, Transport
-from twodof.link.transport.open_transport import open_transport
 
 OPEN_S = 2.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0

@@ -7,7 +7,7 @@ from twodof.companion import frame_fields
 from twodof.companion.client import CompanionClient
 from twodof.companion.computer import ComputerStatus
 from twodof.companion.router import Router
-from twodof.link.mavlink.components import COMPANION, NO_AUTOPILOT
+from twodof.link.mavlink.enums import COMPANION, NO_AUTOPILOT
 from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import message, statustext
 

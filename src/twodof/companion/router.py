@@ -14,10 +14,10 @@ from twodof.companion.streams.batch_repacking import BatchRepacker
 from twodof.companion.streams.stream_thinning import ClientStreams
 from twodof.companion.streams.subscriptions import Subscriptions
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink.components import AUTOPILOT, COMPANION
+from twodof.link.mavlink.enums import AUTOPILOT, COMPANION
 from twodof.link.mavlink.framing import Frame, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing import Signing
 
 MOST_IDENTITIES = 32
 # Who has spoken from a new address for so long, and not from its old one, has moved: it beats once a second.

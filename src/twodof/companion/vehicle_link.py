@@ -9,7 +9,7 @@ from twodof.companion.router import Router
 from twodof.errors import LinkError
 from twodof.link.connection import BROKEN_OFF_S
 from twodof.link.mavlink.framing import Frame
-from twodof.link.signing.frame_signing import SigningVerdict
+from twodof.link.signing import SigningVerdict
 from twodof.link.transport.base import Packet
 
 # Its heartbeat comes each second.

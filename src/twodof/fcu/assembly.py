@@ -29,10 +29,10 @@ from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.log_stream import LogStreamService
 from twodof.fcu.server import Server
-from twodof.link.control_period import TICK_MS
-from twodof.link.mavlink.mav_enums import MavSeverity
+from twodof.link.mavlink.enums import MavSeverity
 from twodof.link.mavlink.rates import ONBOARD
-from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing import Signing
+from twodof.signals import TICK_MS
 
 
 class Assembly:

@@ -14,12 +14,12 @@ from twodof.fcu.control.pacing import Pacer
 from twodof.fcu.control.watchdog import Watchdog
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Connection, Received
-from twodof.link.control_period import TICK_NS
-from twodof.link.mavlink.components import AUTOPILOT
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.transport.flood_filter import looks_like_a_stop
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.mavlink.enums import AUTOPILOT
+from twodof.link.signing import Signing
+from twodof.link.transport import open_transport
+from twodof.link.transport.stop_frames import looks_like_a_stop
 from twodof.link.transport.url import parse
+from twodof.signals import TICK_NS
 
 RESPONSIVE_S = 0.004
 """In lockstep the loop lets others run after so much work [s]."""

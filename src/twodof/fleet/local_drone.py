@@ -7,14 +7,11 @@ from typing import Any, NamedTuple
 
 from twodof.errors import LinkError, printable
 from twodof.link.connection import Connection
-from twodof.link.mavlink.components import AUTOPILOT
 from twodof.link.mavlink.dialect import message_id
+from twodof.link.mavlink.enums import AUTOPILOT
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport import ports
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport, ports
 
 REQUEST_MESSAGE = 512
 

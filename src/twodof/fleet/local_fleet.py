@@ -14,7 +14,7 @@ from twodof.errors import LinkError
 from twodof.fleet.child_output import child_error, indented_lines
 from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_until_heard
 from twodof.fleet.priority import lower_priority
-from twodof.link.signing.key import Key
+from twodof.link.signing import Key
 
 MOST_RESTARTS = 3
 """A program that ends more often than this within `WITHIN_S` is not restarted again: all end."""

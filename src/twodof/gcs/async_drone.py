@@ -22,9 +22,9 @@ from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
 from twodof.gcs.telemetry.recording import Recording, record
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.components import GROUND_STATION
+from twodof.link.mavlink.enums import GROUND_STATION
 from twodof.link.mavlink.messages import channel_mask, message
-from twodof.link.signing.key import Key, read_key
+from twodof.link.signing import Key, read_key
 from twodof.link.transport import ports
 from twodof.link.transport.base import Transport
 

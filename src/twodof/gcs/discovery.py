@@ -12,12 +12,11 @@ from typing import Any, NamedTuple
 from twodof.errors import LinkError, LinkLost, shown
 from twodof.gcs.telemetry.drone_state import word_of
 from twodof.link.connection import Connection
-from twodof.link.mavlink.components import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
+from twodof.link.mavlink.enums import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import mode_name
-from twodof.link.transport import ports
+from twodof.link.transport import open_transport, ports
 from twodof.link.transport.base import Transport
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.url import parse
 
 LISTENED = (

@@ -11,8 +11,8 @@ from twodof.gcs.control import setpoints
 from twodof.gcs.control.setpoints import Setpoint
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.mavlink.deadline import Deadline
-from twodof.link.control_period import TICK_S
 from twodof.link.mavlink.modes import custom_mode
+from twodof.signals import TICK_S
 
 HOVER = "THRUST_BAR"
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.

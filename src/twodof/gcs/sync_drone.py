@@ -25,7 +25,7 @@ from twodof.gcs.telemetry.signals import (
     TelemetrySample,
     Value,
 )
-from twodof.link.signing.key import Key
+from twodof.link.signing import Key
 
 
 class DroneParameters(MutableMapping[str, float]):

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, Self
 from twodof.errors import LinkError, LinkLost
 from twodof.link.mavlink.framing import Frame, FramingCounts, Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing, SigningVerdict
+from twodof.link.signing import Signing, SigningVerdict
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport.base import Packet, Transport
 

@@ -14,7 +14,7 @@ from twodof.fcu.control.controllers import ControllerIdentity, Controllers
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.server import Server
 from twodof.link.mavlink.rates import PROFILES
-from twodof.link.signing.frame_signing import Signing
+from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.sim.rig_host import VirtualRig

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
 from twodof.cli.app import app, run
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
 

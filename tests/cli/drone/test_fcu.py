@@ -18,7 +18,7 @@ from twodof.cli.drone.until_told import until_told
 from twodof.errors import LinkError, LinkLost
 from twodof.flightlog.files import read_log
 from twodof.gcs.drone import Drone
-from twodof.link.signing.key import Key, write_key
+from twodof.link.signing import Key, write_key
 from twodof.sim.virtual_drone import VirtualDrone
 
 pytestmark = pytest.mark.slow

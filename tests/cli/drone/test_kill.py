@@ -10,7 +10,7 @@ from tests.patience import PATIENCE_S
 from twodof.cli.app import run
 from twodof.errors import Rejected
 from twodof.gcs.drone import Drone
-from twodof.link.signing.key import read_key
+from twodof.link.signing import read_key
 
 pytestmark = pytest.mark.slow
 

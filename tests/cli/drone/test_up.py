@@ -26,7 +26,7 @@ from twodof.errors import Rejected
 from twodof.fleet.child_output import child_error
 from twodof.fleet.local_fleet import MOST_RESTARTS
 from twodof.gcs.drone import Drone
-from twodof.link.signing.key import Key, write_key
+from twodof.link.signing import Key, write_key
 
 pytestmark = pytest.mark.slow
 

@@ -13,9 +13,7 @@ from twodof.companion.client import CompanionClient
 from twodof.companion.frame_fields import BATCH
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import batch, batch_rows
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
 
 CHANNELS = 26
 LATEST_TICKS = 25

@@ -13,7 +13,7 @@ from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 
 # Arming.

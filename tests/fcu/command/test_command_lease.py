@@ -19,7 +19,7 @@ from twodof.fcu.command.setpoints import HORIZON, SetPoint
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.signals import ATTITUDE
 
 CLIENTS = (ME, OTHER, COMPANION)

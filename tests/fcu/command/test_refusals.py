@@ -14,7 +14,7 @@ from twodof.fcu.command.result import CommandResult, failed, rejected
 from twodof.fcu.command.setpoints import HORIZON, SetPoint
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.signals import ATTITUDE, POSITION
 
 REJECTED = MavResult.TEMPORARILY_REJECTED

@@ -17,8 +17,8 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController, TimeRestarted
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED
-from twodof.link.control_period import TICK_NS
 from twodof.rig.parameters import lab
+from twodof.signals import TICK_NS
 from twodof.sim.rig_host import VirtualRig
 
 AT = 300

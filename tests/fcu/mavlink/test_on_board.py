@@ -11,7 +11,7 @@ from typing import Any
 from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 US = {"target_system": 1, "target_component": 1}

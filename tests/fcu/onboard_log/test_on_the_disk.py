@@ -14,7 +14,7 @@ from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flightlog.atomic import atomic_write
-from twodof.link.signing.key import Key, write_key
+from twodof.link.signing import Key, write_key
 
 
 def saved(folder: Path) -> None:

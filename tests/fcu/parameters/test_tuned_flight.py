@@ -21,7 +21,7 @@ from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.flightlog.ulog.decoder import scan_ulog
-from twodof.link.control_period import TICK_US
+from twodof.signals import TICK_US
 
 pytestmark = pytest.mark.slow
 

@@ -12,7 +12,7 @@ from twodof.fcu.px4_compat.event_definitions import definitions
 from twodof.fcu.px4_compat.events import KEPT, LOOK_TICKS, MOST_AGAIN, REPORT_TICKS, EventService
 from twodof.flight.failsafe import state_machine
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, DESCEND, LEVEL, OFF
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.link.mavlink.messages import message
 
 TEXTS = {cause.name: cause.text for cause in CAUSES}

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.fcu.mavlink.world import World
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}

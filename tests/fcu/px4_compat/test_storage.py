@@ -17,7 +17,7 @@ from tests.patience import PATIENCE_S, patiently
 from twodof.fcu.command.result import rejected
 from twodof.fcu.parameters import parameter_store as store_module
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 from twodof.link.mavlink.messages import message
 
 STORAGE = 245

@@ -10,7 +10,7 @@ from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, Rejected
 from twodof.excitation import Multisine
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport
 
 # The issue's: three packets in ten are lost, 200 ms of jitter, and what that reorders; one in ten comes twice.
 BAD = Faults(loss=0.3, duplicate=0.1, reorder=0.1, jitter=0.2)

@@ -15,10 +15,8 @@ from twodof.gcs import Drone, discover
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key, write_key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing import Key, Signing, Stamps, write_key
+from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.mav_enums import MavCmd, MavResult, MavSeverity
+from twodof.link.mavlink.enums import MavCmd, MavResult, MavSeverity
 
 ENUMS = {"MAV_CMD": MavCmd, "MAV_RESULT": MavResult, "MAV_SEVERITY": MavSeverity}
 

@@ -11,11 +11,8 @@ from tests.link.mavlink.test_framing import NAMES, random_message
 from twodof.errors import LinkError
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, decode, encode
-from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.packing import Packer
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.mavlink.messages import Packer, message
+from twodof.link.signing import Key, Signing, Stamps
 
 
 def raw(sent: Any, field: str) -> Any:

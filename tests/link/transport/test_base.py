@@ -18,10 +18,9 @@ from tests.faults.virtual_time import run_virtual
 from tests.link.ends import SOON, gather, run
 from twodof.errors import LinkError, LinkLost
 from twodof.link.transport import base as bounds
-from twodof.link.transport import udp
+from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Transport
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 

@@ -17,9 +17,8 @@ from tests.link.ends import SOON, run
 from tests.patience import patiently
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
-from twodof.link.transport import flood_filter, udp
+from twodof.link.transport import flood_filter, open_transport, udp
 from twodof.link.transport.flood_filter import FloodFilter, looks_like_a_stop, program, sources
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.udp import UdpTransport
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,8 @@ import pytest
 from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.signing import Key, Signing, Stamps
+from twodof.link.transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 

@@ -14,8 +14,7 @@ import pytest
 from tests.link.ends import SOON, gather, run
 from twodof.errors import LinkLost
 from twodof.link.transport import base as bounds
-from twodof.link.transport import tcp
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.transport import open_transport, tcp
 from twodof.link.transport.tcp import TcpTransport
 
 

@@ -15,14 +15,11 @@ from twodof.link.connection import Connection
 from twodof.link.mavlink import framing
 from twodof.link.mavlink.framing import LONGEST_FRAME, Parser, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import base as bounds
-from twodof.link.transport import udp
+from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Inbox, Packet, TransportCounts
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 

@@ -8,9 +8,8 @@ import pytest
 
 from tests.link.ends import SOON, run
 from twodof.errors import LinkError
-from twodof.link.transport import udp
+from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Packet
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.udp import UdpTransport
 from twodof.link.transport.url import Address, parse
 

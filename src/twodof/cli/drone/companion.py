@@ -15,10 +15,8 @@ from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, R
 from twodof.companion.client_link import Serve, px4_links
 from twodof.companion.companion import Companion
 from twodof.fleet.local_ports import MOST_DRONES
-from twodof.link.mavlink.components import COMPANION
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import read_key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.mavlink.enums import COMPANION
+from twodof.link.signing import Signing, Stamps, read_key
 from twodof.link.transport.ports import FLIGHT_CONTROLLER
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -13,9 +13,7 @@ from twodof.cli.output import Json, print_json
 from twodof.fleet.local_drone import controller_in_words
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import read_key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Signing, Stamps, read_key
 from twodof.link.transport.ports import FLIGHT_CONTROLLER
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.link.signing.key import Key, write_key
+from twodof.link.signing import Key, write_key
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

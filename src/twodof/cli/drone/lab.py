@@ -17,7 +17,7 @@ from twodof.flight.controller_store import data_folder
 from twodof.lab.links import drawn_tokens, links, who_gets_in
 from twodof.lab.serve import serve
 from twodof.lab.settings import COMMAND_TOKEN, LOOPBACK, PORT, WATCH_TOKEN, LabSettings
-from twodof.link.signing.key import read_key
+from twodof.link.signing import read_key
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

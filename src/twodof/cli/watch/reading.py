@@ -6,7 +6,7 @@ from math import degrees
 from typing import Any
 
 from twodof.cli.watch.watched_drone import COLUMNS, WatchedDrone
-from twodof.link.control_period import TICK_S
+from twodof.signals import TICK_S
 
 _SHOWN = {"theta": "estimate.theta", "q": "estimate.q", "x": "estimate.x", "v": "estimate.v"} | {
     "M": "command.M",

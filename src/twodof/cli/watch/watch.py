@@ -21,7 +21,7 @@ from twodof.cli.watch.screen import known, screen
 from twodof.cli.watch.watched_drone import WatchedDrone
 from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.discovery import LOOPBACK, discover, urls
-from twodof.link.signing.key import read_key
+from twodof.link.signing import read_key
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

@@ -16,9 +16,8 @@ from twodof.gcs.mavlink.clock import DroneRestarted
 from twodof.gcs.telemetry.decoding import columns_of
 from twodof.gcs.telemetry.signals import TelemetrySample
 from twodof.gcs.telemetry.status_texts import StatusText
-from twodof.link.control_period import TICK_S
 from twodof.link.mavlink.messages import batch_rows, channel_mask
-from twodof.signals import ATTITUDE, POSITION, RATE
+from twodof.signals import ATTITUDE, POSITION, RATE, TICK_S
 
 COLUMNS = (
     *("estimate.theta", "estimate.q", "estimate.x", "estimate.v", "command.M", "command.T"),

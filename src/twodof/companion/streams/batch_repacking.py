@@ -14,9 +14,9 @@ from typing import Any
 from twodof.companion.client import CompanionClient, Wish
 from twodof.companion.frame_fields import BATCH
 from twodof.companion.streams.rate_profiles import OFF
-from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.framing import Frame
 from twodof.link.mavlink.messages import BATCH_VALUES, message
+from twodof.signals import TICK_US
 
 # The vehicle lets no row wait longer than .1 s for a message to be full.
 LATEST_TICKS = 25

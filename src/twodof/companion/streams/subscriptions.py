@@ -11,9 +11,9 @@ from twodof.companion.streams.batch_repacking import BatchRepacker
 from twodof.companion.streams.interval_requests import IntervalRequests
 from twodof.companion.streams.rate_profiles import EVERY, OFF, group
 from twodof.companion.streams.stream_thinning import ClientStreams, events, settled
-from twodof.link.control_period import TICK_US
 from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import BATCH_VALUES, message
+from twodof.signals import TICK_US
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 _ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_INTERVAL, frame_fields.REQUEST_MESSAGE)

@@ -10,7 +10,7 @@ from twodof.fcu.control.flight_code import ControlStep
 from twodof.flight.failsafe.causes_and_actions import BIT, named_causes
 from twodof.flight.failsafe.state_machine import DISARMED, MAY_TURN, REFUSED
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.mav_enums import MavResult, MavSeverity
+from twodof.link.mavlink.enums import MavResult, MavSeverity
 
 PATIENCE = 25
 """Ticks within which the failsafe has answered; it does in the tick in which it is asked."""

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.command.vehicle_state import VehicleState
-from twodof.link.mavlink.mav_enums import MavSeverity
+from twodof.link.mavlink.enums import MavSeverity
 from twodof.signals import PERIOD
 
 COMMANDING = round(2.0 / PERIOD)

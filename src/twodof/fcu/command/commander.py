@@ -22,7 +22,7 @@ from twodof.fcu.control.hardware import Hardware
 from twodof.flight.failsafe.causes_and_actions import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.mav_enums import MavSeverity
+from twodof.link.mavlink.enums import MavSeverity
 from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 
 

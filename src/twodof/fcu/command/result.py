@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from twodof.link.mavlink.mav_enums import MavResult
+from twodof.link.mavlink.enums import MavResult
 
 Source = tuple[int, int]
 """Who sent a message: MAVLink system and component."""

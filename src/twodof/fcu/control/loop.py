@@ -11,8 +11,8 @@ from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.event_bus import OnboardEventBus
-from twodof.link.control_period import TICK_NS
-from twodof.link.mavlink.mav_enums import MavSeverity
+from twodof.link.mavlink.enums import MavSeverity
+from twodof.signals import TICK_NS
 
 REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
 """What helps where the processor does not keep up (`step_late`)."""

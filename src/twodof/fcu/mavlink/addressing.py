@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from twodof.fcu.command.result import Source
 from twodof.link.connection import Received
-from twodof.link.mavlink.components import AUTOPILOT
+from twodof.link.mavlink.enums import AUTOPILOT
 
 
 class VehicleAddress(NamedTuple):

@@ -9,7 +9,7 @@ from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 
 SILENT_TICKS = 15_000
 """60 s without a frame: a client is forgotten."""

@@ -22,8 +22,7 @@ from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.row import VehicleParameter
 from twodof.link.connection import Received
-from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.packing import Packed, Packer
+from twodof.link.mavlink.messages import Packed, Packer, message
 from twodof.parameters import UNDO_STEPS
 
 UINT32, INT32, REAL32 = 5, 6, 9

@@ -10,7 +10,7 @@ from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
-from twodof.link.mavlink.mav_enums import MavSeverity
+from twodof.link.mavlink.enums import MavSeverity
 from twodof.link.mavlink.messages import statustext
 
 LOOK_TICKS = 250

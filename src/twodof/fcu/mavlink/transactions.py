@@ -12,7 +12,7 @@ from twodof.fcu.mavlink.parameter_service import NO_ERROR, READ_FAIL, ParameterS
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.parameters.parameter_store import HASH_NAME
 from twodof.link.connection import Received
-from twodof.link.mavlink.packing import Packer
+from twodof.link.mavlink.messages import Packer
 
 BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
 """TWODOF_TRANSACTION."""

@@ -1,6 +1,6 @@
 """Ticks on the wire: 32 bits, which run over after 198 days (in milliseconds after 49), and the tick that is meant."""
 
-from twodof.link.control_period import TICK_MS
+from twodof.signals import TICK_MS
 
 RUN_OVER = 2**32
 MASK_32 = RUN_OVER - 1

@@ -20,7 +20,7 @@ from twodof.fcu.onboard_log.log_writer import LogWriter
 from twodof.fcu.onboard_log.step_row import ROW, pack
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.flightlog.append_only_file import DEADLINE_S
-from twodof.link.control_period import TICK_US
+from twodof.signals import TICK_US
 
 LONGEST_QUEUE = 20_000
 """Rows that may wait for the disk, 6 MB: 80 s of real time."""

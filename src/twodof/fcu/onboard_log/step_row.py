@@ -11,7 +11,7 @@ from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
 from twodof.flightlog.steps import ASKED, STEP_TOPIC
-from twodof.link.control_period import TICK_US
+from twodof.signals import TICK_US
 
 __all__ = ["FORMAT", "ROW", "STEP_TOPIC", "pack", "row_names"]
 

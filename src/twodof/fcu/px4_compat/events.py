@@ -20,8 +20,8 @@ from twodof.fcu.px4_compat.event_table import EventType
 from twodof.flight.failsafe import state_machine
 from twodof.flight.failsafe.causes_and_actions import OFF
 from twodof.link.connection import Received
-from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
+from twodof.signals import TICK_MS
 
 KEPT = 128
 """Events that can be asked for again."""

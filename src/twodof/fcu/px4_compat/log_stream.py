@@ -19,7 +19,7 @@ from twodof.fcu.mavlink.service import Link, Service, Take
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 from twodof.link.mavlink.messages import message
 
 ULOG = 0

@@ -8,7 +8,7 @@ from twodof.fcu.mavlink.commands.command_service import CommandService
 from twodof.fcu.mavlink.commands.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.link.connection import Received
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 from twodof.link.mavlink.messages import message
 
 ACCEPTED, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE = 0, 3, 4, 13

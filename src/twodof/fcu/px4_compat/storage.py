@@ -8,7 +8,7 @@ from twodof.fcu.command.result import DONE, CommandResult, denied, failed, rejec
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
 from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
-from twodof.link.mavlink.mav_enums import MavCmd, MavResult
+from twodof.link.mavlink.enums import MavCmd, MavResult
 
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)
 """PREFLIGHT_STORAGE_PARAMETER_ACTION."""

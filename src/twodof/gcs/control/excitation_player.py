@@ -12,8 +12,8 @@ from twodof.excitation import Excitation
 from twodof.gcs.mavlink.clock import DroneClock
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.session import RETRY_S, DroneSession
-from twodof.link.control_period import TICK_S
 from twodof.link.mavlink.messages import excite, message
+from twodof.signals import TICK_S
 
 LOOPS = ("M", "q", "theta", "v", "x")
 """By TWODOF_LOOP: what is excited; the loops below it are closed."""

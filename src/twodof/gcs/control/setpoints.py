@@ -14,9 +14,9 @@ from typing import Any
 from twodof.errors import LinkLost, ParameterError, shown
 from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock, SliceStarts
 from twodof.gcs.mavlink.session import DroneSession
-from twodof.link.control_period import TICK_MS
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.setpoints import attitude_target, position_target, rate_target, velocity_target
+from twodof.signals import TICK_MS
 
 PERIOD_S = 0.02
 _MASK = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does

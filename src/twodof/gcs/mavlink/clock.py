@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.session import DroneSession
-from twodof.link.control_period import TICK_MS, TICK_S
 from twodof.link.mavlink.messages import message
+from twodof.signals import TICK_MS, TICK_S
 
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")

@@ -13,9 +13,7 @@ from collections.abc import Collection
 from pathlib import Path
 
 from twodof.errors import LinkError
-from twodof.link.signing.frame_signing import Signing
-from twodof.link.signing.key import Key, read_key
-from twodof.link.signing.time_stamps import Stamps
+from twodof.link.signing import Key, Signing, Stamps, read_key
 
 OWN_SYSTEMS = (*range(200, 241), 242, 243, 244)
 """Ids that are drawn from: not discovery's (241), MAVSDK's (245), `twodof flash`'s (252), QGroundControl's (255)."""

@@ -16,9 +16,9 @@ from twodof.errors import LinkLost, TwodofError
 from twodof.gcs.mavlink.deadline import Deadline
 from twodof.gcs.mavlink.identity import give_back
 from twodof.link.connection import Connection, Received
-from twodof.link.mavlink.components import AUTOPILOT, NO_AUTOPILOT
+from twodof.link.mavlink.enums import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
-from twodof.link.signing.frame_signing import SigningVerdict
+from twodof.link.signing import SigningVerdict
 
 SILENT_S = 3.0
 HEARTBEAT_S = 1.0

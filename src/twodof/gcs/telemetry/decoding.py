@@ -9,9 +9,8 @@ from math import asin, isfinite, nan
 from types import MappingProxyType
 from typing import Any
 
-from twodof.link.control_period import TICK_S
 from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits, fields_of
-from twodof.signals import TOPICS
+from twodof.signals import TICK_S, TOPICS
 
 Decoded = Iterator[tuple[str, float, float | tuple[float, ...]]]
 """Topic, the drone's time [s], value."""

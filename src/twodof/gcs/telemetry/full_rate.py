@@ -16,9 +16,9 @@ from twodof.errors import LinkLost, Rejected, Timeout
 from twodof.gcs.mavlink.commands import CommandSender
 from twodof.gcs.mavlink.session import DroneSession
 from twodof.gcs.telemetry.decoding import columns_of
-from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import batch_rows
+from twodof.signals import TICK_S, TICK_US
 
 BATCH, TRUTH = "TWODOF_BATCH", "TWODOF_TRUTH"
 TIMEOUT_S = 5.0

@@ -26,9 +26,8 @@ from twodof.gcs.mavlink.clock import OLDEST_TICKS
 from twodof.gcs.mavlink.session import Handler
 from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
 from twodof.gcs.telemetry.status_texts import StatusText
-from twodof.link.control_period import TICK_S, TICK_US
 from twodof.link.mavlink.messages import batch_rows, channel_mask
-from twodof.signals import TOPICS, Topic, topic
+from twodof.signals import TICK_S, TICK_US, TOPICS, Topic, topic
 
 SAFETY = McapStream(
     "/safety",

@@ -1,1 +1,45 @@
-"""Packets in and out by URL: UDP, TCP, serial lines, memory."""
+"""A URL becomes a transport."""
+
+import asyncio
+
+from twodof.errors import LinkError, LinkLost
+from twodof.link.transport.base import Transport
+from twodof.link.transport.memory import open_memory
+from twodof.link.transport.serial_port import open_serial
+from twodof.link.transport.tcp import open_tcp
+from twodof.link.transport.udp import open_udp
+from twodof.link.transport.url import Address, parse
+
+# Often enough not to be noticed, seldom enough not to be felt.
+RETRY_S = 0.05
+
+
+async def open_transport(url: str, timeout: float = 5.0) -> Transport:
+    """The transport that `url` names; the forms are in `url.parse`.
+
+    Where nobody listens yet it is tried again until `timeout` [s] has passed. Raises LinkError for a URL that is none
+    or that the system refuses, LinkLost if nobody answered in time.
+    """
+    address = parse(url)
+    try:
+        async with asyncio.timeout(timeout):
+            while True:
+                try:
+                    return await _open(address)
+                except ConnectionRefusedError:
+                    await asyncio.sleep(RETRY_S)
+    except TimeoutError as error:
+        what = f"nobody answered within {timeout:g} s"
+        raise LinkLost(what, str(address), "start the other side, or correct the address") from error
+    except OSError as error:
+        bound = address.listens or address.bind_name
+        remedy = "choose another port, or end who has it" if bound else "check the host's name"
+        raise LinkError(f"cannot be opened: {error.strerror or error}", str(address), remedy) from error
+
+
+async def _open(address: Address) -> Transport:
+    if address.kind.startswith("udp"):
+        return await open_udp(address)
+    if address.kind.startswith("tcp"):
+        return await open_tcp(address)
+    return open_serial(address) if address.kind == "serial" else open_memory(address)

@@ -19,10 +19,16 @@ import sys
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address
-from types import MappingProxyType
-from typing import NamedTuple
 
-from twodof.link.mavlink.framing import HEADER_1, HEADER_2, MARKER_1, MARKER_2
+from twodof.link.transport.stop_frames import (
+    _COMMAND,
+    _COMMANDS,
+    _FORMS,
+    _LOW_ARM_DISARM,
+    _TERMINATE,
+    _Form,
+    looks_like_a_stop,
+)
 
 REFUSED_S = 2.0
 # The least that Linux charges a socket's buffer for a packet is 768 bytes, for one of a few bytes.
@@ -38,22 +44,10 @@ _BYTE, _HALF, _WORD, _LENGTH, _AND, _RETURN = 0x30, 0x28, 0x20, 0x80, 0x54, 0x06
 _EQUAL, _AT_LEAST = 0x15, 0x35
 _NETWORK, _RANDOM = 0xFFF00000, 0xFFFFF038  # SKF_NET_OFF; SKF_AD_OFF + SKF_AD_RANDOM
 _UDP = 8  # bytes of its header, where a filter's offsets begin
-# COMMAND_INT and COMMAND_LONG, and behind their first 7 parameters the command.
-_COMMANDS, _COMMAND, _LOW_ARM_DISARM, _TERMINATE = (75, 76), 28, 400 & 0xFF, 185
 _PASS, _DROP = 0xFFFFFFFF, 0
 _ON = -1
 Instruction = tuple[int, int, int, int]
 Source = tuple[IPv4Address | IPv6Address, int]
-
-
-class _Form(NamedTuple):
-    """Where a frame has its message's number and its parameters; the number has all bytes between."""
-
-    number: int
-    params: int
-
-
-_FORMS = MappingProxyType({MARKER_2: _Form(7, HEADER_2), MARKER_1: _Form(5, HEADER_1)})
 
 
 class FloodFilter:
@@ -122,17 +116,6 @@ class FloodFilter:
         self.emptied()
         with suppress(OSError):
             attach(self._socket, [])
-
-
-def looks_like_a_stop(data: bytes) -> bool:
-    """Whether a packet begins as a kill or a disarming does, in either MAVLink, be its checksum right or wrong."""
-    form = _FORMS.get(data[0]) if data else None
-    if form is None or len(data) <= form.params + _COMMAND or data[form.number] not in _COMMANDS:
-        return False
-    if any(data[form.number + 1 : form.params]):
-        return False
-    low = data[form.params + _COMMAND]
-    return low == (_TERMINATE if any(data[form.params : form.params + 4]) else _LOW_ARM_DISARM)
 
 
 def sources(peers: Iterable[Hashable]) -> list[Source]:

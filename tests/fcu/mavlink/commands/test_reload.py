@@ -22,8 +22,8 @@ from twodof.fcu.mavlink.commands.reload import ASK
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
-from twodof.link.mavlink.mav_enums import MavResult
-from twodof.link.transport.open_transport import open_transport
+from twodof.link.mavlink.enums import MavResult
+from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 
 pytestmark = pytest.mark.slow

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from tests.fcu.mavlink.world import World, step
 from twodof.fcu.mavlink.clients import SILENT_TICKS
 from twodof.fcu.mavlink.telemetry.streams import next_due
-from twodof.link.control_period import TICK_NS
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.rates import GROUND, ONBOARD, PROFILES
+from twodof.signals import TICK_NS
 
 pytestmark = pytest.mark.slow
 

@@ -8,7 +8,7 @@ from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejec
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.addressing import whole
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 
 FORCE = 21196
 """Second parameter of command 400: a disarming with it is a kill."""

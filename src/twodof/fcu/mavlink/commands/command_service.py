@@ -12,7 +12,7 @@ from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.status_text import TextSent
 from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
-from twodof.link.mavlink.mav_enums import MavCmd, MavResult, MavSeverity
+from twodof.link.mavlink.enums import MavCmd, MavResult, MavSeverity
 from twodof.link.mavlink.messages import message, statustext
 
 _QUESTIONS = frozenset(

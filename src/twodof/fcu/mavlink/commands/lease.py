@@ -7,9 +7,9 @@ from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.mavlink.addressing import VehicleAddress, source
 from twodof.fcu.mavlink.service import Explain, Link, Service
 from twodof.link.connection import Received
-from twodof.link.control_period import TICK_MS
-from twodof.link.mavlink.components import NO_AUTOPILOT
+from twodof.link.mavlink.enums import NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
+from twodof.signals import TICK_MS
 
 ASK, GIVE_UP = 1, 2
 """TWODOF_LEASE_ACTION."""

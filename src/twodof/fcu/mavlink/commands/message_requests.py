@@ -10,7 +10,7 @@ from twodof.fcu.mavlink.commands.command_service import CommandService, Received
 from twodof.fcu.mavlink.service import Link
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.link.mavlink.dialect import message_id
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 
 OLD_FORMS = {
     MavCmd.GET_HOME_POSITION: "HOME_POSITION",

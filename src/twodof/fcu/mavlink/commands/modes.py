@@ -11,7 +11,7 @@ from twodof.fcu.mavlink.commands.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Service
 from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
 from twodof.link.connection import Received
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import BY_NUMBER, MODES
 

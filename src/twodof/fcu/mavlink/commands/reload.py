@@ -13,7 +13,7 @@ from twodof.fcu.command.result import DONE, CommandResult, failed, rejected, uns
 from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.commands.command_service import CommandService, ReceivedCommand
-from twodof.link.mavlink.mav_enums import MavCmd, MavResult
+from twodof.link.mavlink.enums import MavCmd, MavResult
 
 ASK = 1.0
 

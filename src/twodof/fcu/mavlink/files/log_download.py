@@ -17,8 +17,7 @@ from twodof.fcu.mavlink.service import Explain, Link, Service, Take
 from twodof.fcu.onboard_log.log_folder import StoredLog
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.connection import Received
-from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.packing import Packer
+from twodof.link.mavlink.messages import Packer, message
 
 PART = 90
 """Bytes in a LOG_DATA."""

@@ -16,10 +16,8 @@ from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.commands.command_service import ReceivedCommand
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.wire_tick import MASK_32
-from twodof.link.control_period import TICK_US
-from twodof.link.mavlink.messages import BATCH_VALUES, channel_bits
-from twodof.link.mavlink.packing import Packer
-from twodof.signals import TOPICS, Topic
+from twodof.link.mavlink.messages import BATCH_VALUES, Packer, channel_bits
+from twodof.signals import TICK_US, TOPICS, Topic
 
 BATCH = 54203
 LATEST_TICKS = 25

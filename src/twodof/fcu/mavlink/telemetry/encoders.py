@@ -13,9 +13,9 @@ from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.telemetry.flight_messages import STEP_MESSAGES, StepMessage, millivolts, percent
 from twodof.fcu.mavlink.wire_tick import MASK_32
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
-from twodof.link.control_period import TICK_MS, TICK_US
 from twodof.link.mavlink.dialect import message_id
-from twodof.link.mavlink.packing import Packed, Packer
+from twodof.link.mavlink.messages import Packed, Packer
+from twodof.signals import TICK_MS, TICK_US
 
 HEARTBEAT, HIGHRES_IMU, DISTANCE_SENSOR = 0, 105, 132
 OPENLOOP, TOF, RIG, LEASE, SAFETY = 54200, 54204, 54206, 54209, 54210

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.wire_tick import MASK_32
 from twodof.flight.failsafe.causes_and_actions import BIT
-from twodof.link.control_period import TICK_MS, TICK_US
-from twodof.signals import OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.signals import OPEN_LOOP, POSITION, RATE, TICK_MS, TICK_US, VELOCITY
 
 LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT = 1, 12, 8
 PWM_OFF, PWM_LOW, PWM_SPAN = 900, 1000, 1000

@@ -21,11 +21,11 @@ from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.mavlink.telemetry.batches import BATCH, BatchService
 from twodof.fcu.mavlink.telemetry.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TOF, TelemetryEncoders
 from twodof.link.connection import Received
-from twodof.link.control_period import TICK_NS
 from twodof.link.mavlink.dialect import FIRST_OWN_ID
-from twodof.link.mavlink.mav_enums import MavCmd
+from twodof.link.mavlink.enums import MavCmd
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.rates import ONBOARD
+from twodof.signals import TICK_NS
 
 STOPPED, WITH_NEWS = -1, 0
 """Intervals that are none: not sent; sent with each news and at no other time."""

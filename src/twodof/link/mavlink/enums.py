@@ -1,6 +1,17 @@
-"""Numbers of MAVLink's enumerations that several rooms use, by the dialect's own names."""
+"""Numbers of MAVLink's enumerations that several rooms use, by the dialect's own names; components by number."""
 
 from enum import IntEnum
+
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1: the flight controller."""
+GROUND_STATION = 190
+"""MAV_COMP_ID_MISSIONPLANNER: a client on the ground."""
+COMPANION = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER: the companion."""
+APP = 192
+"""MAV_COMP_ID_ONBOARD_COMPUTER2: a user's program on board."""
+NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID: the autopilot in the HEARTBEAT of a component that is none."""
 
 
 class MavResult(IntEnum):

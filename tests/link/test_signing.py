@@ -19,16 +19,27 @@ from tests.faults.virtual_time import run_virtual
 from tests.link.ends import SOON, run
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
+from twodof.link import signing as stamps_module
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import time_stamps as stamps_module
-from twodof.link.signing.frame_signing import Signing, SigningCounts, SigningVerdict
-from twodof.link.signing.key import Key, read_key, write_key
-from twodof.link.signing.time_stamps import HIGHEST, MARGIN, OWN, PER_SECOND, Stamps, wall_stamp
+from twodof.link.signing import (
+    HIGHEST,
+    MARGIN,
+    OWN,
+    PER_SECOND,
+    Key,
+    Signing,
+    SigningCounts,
+    SigningVerdict,
+    Stamps,
+    read_key,
+    wall_stamp,
+    write_key,
+)
+from twodof.link.transport import open_transport
 from twodof.link.transport.memory import memory_pair
-from twodof.link.transport.open_transport import open_transport
 from twodof.link.transport.udp import UdpTransport
 
 KEY = Key(bytes(range(32)))
@@ -286,7 +297,7 @@ def test_everything_but_accepted_is_refused() -> None:
 
 
 def test_streams_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("twodof.link.signing.time_stamps.MOST_STREAMS", 5)
+    monkeypatch.setattr("twodof.link.signing.MOST_STREAMS", 5)
     mine = signing()
     verdicts = [mine.check(signed(signing(), system=system)) for system in range(1, 9)]
     assert verdicts == [SigningVerdict.ACCEPTED] * 5 + [SigningVerdict.STALE] * 3
@@ -368,9 +379,9 @@ def test_only_the_first_write_of_a_stream_is_waited_for(tmp_path: Path, monkeypa
 
 def test_the_clock_of_stamps_is_the_published_one(monkeypatch: pytest.MonkeyPatch) -> None:
     # 2015-01-01 00:00:00 UTC is 1420070400; a unit is 10 us.
-    monkeypatch.setattr("twodof.link.signing.time_stamps.time.time", lambda: 1_420_070_400 + 3.00002)
+    monkeypatch.setattr("twodof.link.signing.time.time", lambda: 1_420_070_400 + 3.00002)
     assert wall_stamp() == 300_002
-    monkeypatch.setattr("twodof.link.signing.time_stamps.time.time", lambda: 0.0)
+    monkeypatch.setattr("twodof.link.signing.time.time", lambda: 0.0)
     assert wall_stamp() == 0
 
 
