@@ -6,20 +6,16 @@ import inspect
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.compile.random_diagrams import Maker
 from twodof.blocks import Block, Diagram, Param, Port, State, fold, maximum, minimum, where
 from twodof.blocks.elementary.functions import sin
-from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Logic, Saturation, UnitDelay
+from twodof.blocks.library import Constant, Gain, Integrator, Logic, Saturation
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.compile.diagram_test import PointsInput, Scenario, StepInput, run_scenarios
-from twodof.compile.diagram_test.coverage.coverage import Coverage, measure_coverage
-from twodof.errors import ControllerFault, DiagramError
+from twodof.compile.diagram_test import PointsInput, Scenario, StepInput
+from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
 
 DT = 0.01
 Sides = dict[tuple[str, str], tuple[str, ...]]
@@ -290,62 +286,3 @@ def test_what_is_computed_before_a_loop_counts_where_a_turn_uses_it() -> None:
 
     assert sides(False) == {("loop", "u.a"): ("false",), ("loop", "u.u > 0"): ()}
     assert sides(True) == {("loop", "u.a"): ("true",), ("loop", "u.u > 0"): ("true",)}
-
-
-def random_coverage(seed: int, precision: str, ticks: int) -> None:
-    maker = Maker(seed, small=True)
-    d = maker.diagram(f"random{seed}")
-    d.add("late", FractionalDelay(0.4 * DT), u="real_in")
-    d.output("late", "late")
-    rng = np.random.default_rng(seed)
-    points = [(k * DT, v) for k, v in enumerate(rng.uniform(-2, 2, ticks).tolist())]
-    flags = [(k * DT, v) for k, v in enumerate(rng.integers(0, 2, ticks).tolist())]
-    inputs = {"real_in": PointsInput(points, "hold"), "flag": PointsInput(flags, "hold")}
-    scenario = Scenario("run", (ticks - 1) * DT, inputs, checks=["late never above 1e300"])
-    results = run_scenarios(d, [scenario], DT, precision)
-    coverage = measure_coverage(d, [scenario], DT, precision, results=results)
-    assert 0.0 < coverage.share <= 1.0
-
-
-@pytest.mark.parametrize(("seed", "precision"), [(3, "float64"), (8, "float32")])
-def test_what_is_observed_is_what_runs(seed: int, precision: str) -> None:
-    """Each value that a block gives is recomputed and compared while it is observed, and the outputs with native's."""
-    random_coverage(seed, precision, 20)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("seed", range(30))
-def test_what_is_observed_of_many_diagrams_is_what_runs(seed: int) -> None:
-    random_coverage(seed, ("float64", "float32")[seed % 2], 200)
-
-
-class TwoFaced(Block):
-    """Means one thing when it is traced, and another when it runs."""
-
-    inputs = (Port("u"),)
-    outputs = (Port("y"),)
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return where(u.u > 0.0, 1.0 if isinstance(u.u, Expr) else 2.0, 3.0)
-
-
-def test_a_run_that_is_not_the_trace_is_an_error() -> None:
-    d = Diagram("faces")
-    d.input("u")
-    d.add("block", TwoFaced(), u="u")
-    d.output("y", "block")
-    with pytest.raises(DiagramError):
-        measure_coverage(d, [Scenario("x", 0.0, {"u": 1.0}, checks=["y never above 5"])], DT)
-
-
-def test_a_target_with_other_numbers_is_an_error() -> None:
-    d = Diagram("memory")
-    d.add("one", Constant(1.0))
-    d.add("memory", UnitDelay(), u="one")
-    d.output("y", "memory")
-    scenario = Scenario("x", 0.05, checks=["y never above 5"])
-    (result,) = run_scenarios(d, [scenario], DT)
-    assert measure_coverage(d, [scenario], DT, results=[result]).share == 1.0  # it decides nothing
-    wrong = replace(result, signals={"y": np.nextafter(result.signals["y"], 2.0)})
-    with pytest.raises(ControllerFault, match="differ"):
-        measure_coverage(d, [scenario], DT, results=[wrong])

@@ -27,7 +27,6 @@ from twodof.compile.diagram_test import (
     table_of,
     to_junit,
 )
-from twodof.compile.diagram_test.scenario import expected_column
 from twodof.errors import DiagramError, ParameterError
 
 DT = 0.01
@@ -150,7 +149,7 @@ NUMBERS = st.sampled_from([-math.inf, -1.0, 0.0, 0.5, 0.75, 1.0, 2.0, math.inf, 
 def test_what_is_expected_is_so_within_the_tolerance(rows: list[tuple[float, float]], tolerance: float) -> None:
     """The sums are exact, so the limit itself can be met: |v - e| <= t + t |e|. NaN and infinity are themselves."""
     table = table_of({"tick": range(len(rows)), "y": [expected for _, expected in rows]})
-    column = expected_column(ExpectedTable(table, "hold", tolerance, tolerance), "y", "y", False, len(rows), DT)
+    column = ExpectedTable(table, "hold", tolerance, tolerance).expected("y", "y", False, len(rows), DT)
 
     def holds(value: float, expected: float) -> bool:
         if math.isnan(value) or math.isnan(expected):
@@ -218,7 +217,7 @@ def test_matrices_are_fed_and_read_by_row_and_column() -> None:
         result = run_scenario(d, scenario, DT, target=target)
         assert [j.passed for j in result.judgements] == [True, True, True, False]
         assert result.signals["y"].shape == (2, 3, 2)
-    coverage = measure_coverage(d, [scenario], DT, results=[result])
+    coverage = measure_coverage(d, [scenario], DT)
     assert coverage.sides == 2  # a loop's turns are one decision
     assert not coverage.missing  # one element is cut off, the others are not
     table = table_of({"tick": [0, 1], "a[1,2]": [1.0, 7.0], "y[2,1]": [1.0, 7.0]})

@@ -11,10 +11,9 @@ from rich.table import Table
 
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
-from twodof.compile.diagram_test.coverage.coverage import Coverage, measure_coverage
-from twodof.compile.diagram_test.judgement import ScenarioResult
-from twodof.compile.diagram_test.junit import to_junit
-from twodof.compile.diagram_test.run_scenarios import run_scenarios
+from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
+from twodof.compile.diagram_test.run_scenarios import run_scenarios, to_junit
+from twodof.compile.diagram_test.scenario import ScenarioResult
 from twodof.compile.diagram_test.scenario_file import read_scenarios
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.flightlog.atomic import atomic_write
@@ -58,7 +57,7 @@ def run_tests(
         found = run_scenarios(tested, given.scenarios, given.dt, precision.value, target.value, given.integrator)
         results[str(file)] = found
         if covered is not None:
-            covered.add(measure_coverage(tested, given.scenarios, given.dt, precision.value, given.integrator, found))
+            covered.add(measure_coverage(tested, given.scenarios, given.dt, precision.value, given.integrator))
     every = [one for found in results.values() for one in found]
     if junit is not None:
         _write(junit, to_junit(results))

@@ -1,33 +1,276 @@
-"""Scenario: what one test feeds in and what it claims of what comes out."""
+"""Scenario: the inputs of one test and its claims about the outputs, from Python or from a table of rows."""
 
+import csv
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from itertools import pairwise
+from math import inf, isfinite, pi
+from pathlib import Path
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.diagram_test.assertions import Assertion
-from twodof.compile.diagram_test.input_signals import Between, InputSignal, between_rows, check_between
-from twodof.compile.diagram_test.judgement import Judgement, first_violation
-from twodof.compile.diagram_test.signal_table import SignalTable
-from twodof.errors import DiagramError, listed, shown
+from twodof.blocks.datatypes.enumeration import Enumeration
+from twodof.blocks.elementary.functions import sin
+from twodof.blocks.expressions import numbers
+from twodof.compile.diagram_test.assertions import Assertion, Judgement, first_tick, first_violation
+from twodof.errors import DiagramError, listed, nearest, shown
+
+Array = NDArray[np.float64]
+Between = Literal["hold", "interpolate"]
+BETWEEN: tuple[Between, ...] = ("hold", "interpolate")
+MAX_TIME = 1e9
+"""In seconds or ticks."""
 
 INPUT, OUTPUT = "input ", "output "
-"""A column's name may begin with one of these, where the diagram has an input and an output of one name."""
+"""Prefixes of a column's name, for a diagram with an input and an output of one name."""
 
-InputValue = InputSignal | float | str | Sequence[Any]
-"""What an input can be fed with: a signal, a number (a bool), or a member's name; of an array one for each element."""
+
+class InputSignal(Protocol):
+    """Function of time with the same values on every machine: no platform's libm computes them."""
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1 of `dt` [s]; `whole` for an integer or a bool."""
+
+
+@dataclass(frozen=True)
+class ConstantInput:
+    """One value, which may be NaN or infinite."""
+
+    value: float
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1."""
+        return np.full(steps, float(self.value))
+
+
+@dataclass(frozen=True)
+class StepInput:
+    """`before`, and `to` from the first tick at or after `at` [s] on."""
+
+    to: float
+    at: float = 0.0
+    before: float = 0.0
+
+    def __post_init__(self) -> None:
+        _finite("step", self.to, self.at, self.before)
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1."""
+        return np.where(np.arange(steps) >= first_tick(self.at, dt), float(self.to), float(self.before))
+
+
+@dataclass(frozen=True)
+class RampInput:
+    """`before` until `start` [s], then a change by `slope` [1/s] until `stop` [s]."""
+
+    slope: float
+    start: float = 0.0
+    stop: float = inf
+    before: float = 0.0
+
+    def __post_init__(self) -> None:
+        _finite("ramp", self.slope, self.start, self.before)
+        if not self.stop >= self.start:
+            raise DiagramError(f"it stops at {self.stop} s and starts at {self.start} s", "ramp", "start it before")
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1."""
+        time = np.minimum(np.arange(steps) * dt, self.stop)
+        with np.errstate(over="ignore"):
+            found: Array = self.before + self.slope * np.maximum(time - self.start, 0.0)
+        return np.floor(found) if whole else found
+
+
+@dataclass(frozen=True)
+class SineInput:
+    """offset + amplitude sin(2 pi hz t + phase), `phase` in rad."""
+
+    amplitude: float
+    hz: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        _finite("sine", self.amplitude, self.hz, self.phase, self.offset)
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1."""
+        turns = np.arange(steps) * dt * self.hz
+        angles = 2.0 * pi * (turns - np.floor(turns)) + self.phase
+        with numbers.precision("float64"):
+            waves = np.array([float(sin(a)) for a in angles.tolist()])
+        found: Array = self.offset + self.amplitude * waves
+        return np.floor(found) if whole else found
+
+
+@dataclass(frozen=True)
+class PointsInput:
+    """Pairs (time [s], value) in the order of time; the first value holds from the start.
+
+    Between two points the value is that of the first ("hold"), or on the line through both ("interpolate").
+    """
+
+    points: Sequence[tuple[float, float]]
+    between: Between
+
+    def __post_init__(self) -> None:
+        if not self.points or any(len(p) != 2 for p in self.points):
+            raise DiagramError("it has no pairs of time and value", "points", "write [[0.0, 1.0], [0.5, 2.0]]")
+        times = [p[0] for p in self.points]
+        _finite("points", *times)
+        if any(b <= a for a, b in pairwise(times)) or max(map(abs, times)) > MAX_TIME:
+            raise DiagramError(f"the times do not increase to at most {MAX_TIME:g} s", "points", "sort them, each once")
+        check_between(self.between, "points")
+
+    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
+        """Return the values at the ticks 0 .. steps - 1."""
+        rows = np.array(self.points, dtype=float)
+        return between_rows(rows[:, 0] / dt, rows[:, 1], steps, "hold" if whole else self.between)
+
+
+def _finite(what: str, *given: float) -> None:
+    for number in given:
+        if not isfinite(number):
+            raise DiagramError(f"{shown(number)} is not a finite number", what, "give a number")
+
+
+def check_between(between: Any, where: str) -> Between:
+    """Return `between` if it is "hold" or "interpolate"; else raise DiagramError."""
+    if between not in BETWEEN:
+        raise DiagramError(f"between = {shown(between)}", where, f"write one of {' or '.join(BETWEEN)}")
+    found: Between = between
+    return found
+
+
+def _whole_ticks(ticks: Array) -> Array:
+    """Return `ticks` with roundings taken out."""
+    nearest_tick = np.rint(ticks)
+    return np.where(np.abs(ticks - nearest_tick) < 1e-6, nearest_tick, ticks)
+
+
+def between_rows(ticks: Array, values: Array, steps: int, between: Between) -> Array:
+    """Return values at the ticks 0 .. steps - 1 from rows at increasing `ticks`; the outer rows hold beyond them."""
+    ticks, k = _whole_ticks(ticks), np.arange(steps, dtype=float)
+    left = np.clip(np.searchsorted(ticks, k, side="right") - 1, 0, None)
+    if between == "hold":
+        return values[left]
+    right = np.minimum(left + 1, len(ticks) - 1)
+    gap = np.where(right > left, ticks[right] - ticks[left], 1.0)
+    share = np.clip((k - ticks[left]) / gap, 0.0, 1.0)
+    with np.errstate(invalid="ignore", over="ignore"):
+        lines = values[left] + (values[right] - values[left]) * share
+    found: Array = np.where((share == 0.0) | (right == left), values[left], lines)
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class SignalTable:
+    """Rows at the times `at` [s], or at ticks if `ticks`, with the cells of each column by name.
+
+    A cell is a number, None where it is empty, or the name of an enumeration's member. `name` is for messages.
+    """
+
+    name: str
+    at: Array
+    ticks: bool
+    cells: Mapping[str, Sequence[float | str | None]]
+
+    def ticks_of(self, dt: float) -> Array:
+        """Return the rows' places in ticks of `dt` [s], which may lie between two ticks."""
+        return self.at if self.ticks else _whole_ticks(self.at / dt)
+
+    def column(self, name: str, enumeration: Enumeration | None = None) -> tuple[NDArray[np.int64], Array]:
+        """Return the rows in which the column has a cell, and the cells' numbers."""
+        if name not in self.cells:
+            there = f"there are: {nearest(name, self.cells)}"
+            raise DiagramError(f"there is no column {shown(name)}", self.name, there)
+        rows, values = [], []
+        for row, cell in enumerate(self.cells[name]):
+            if cell is not None:
+                where = f"{self.name}, row {row + 1}, {name}"
+                if isinstance(cell, str) and enumeration is None:
+                    raise DiagramError(f"{shown(cell)} is not a number", where, "write a number")
+                named = enumeration is not None and isinstance(cell, str)
+                rows.append(row)
+                values.append(float(enumeration.plain(cell, where) if named and enumeration else cell))
+        return np.array(rows, dtype=np.int64), np.array(values, dtype=np.float64)
+
+
+def table_of(columns: Mapping[str, Sequence[Any]], name: str = "table") -> SignalTable:
+    """Return the table with these columns, the first of them "time" [s] or "tick"; a cell that is None is empty.
+
+    Raises DiagramError for columns of different lengths, and for times that do not increase.
+    """
+    if len({len(cells) for cells in columns.values()}) > 1:
+        raise DiagramError("the columns have different lengths", name, "give each row all cells; None is an empty one")
+    return table_of_rows(list(columns), list(zip(*columns.values(), strict=True)), name)
+
+
+def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str = "table") -> SignalTable:
+    """Return the table with these heads and rows; a unit in a head, as in `theta [rad]`, is not read.
+
+    Raises DiagramError as `table_of` does.
+    """
+    names = [re.sub(r"\s*\s\[[^\]]*\]$", "", str(head).strip()) for head in heads]
+    if not names or names[0] not in ("time", "tick"):
+        what = f"the first column is {shown(names[0]) if names else 'not there'}"
+        raise DiagramError(what, name, 'name it "time" (seconds) or "tick"')
+    if len(set(names)) < len(names):
+        raise DiagramError(f"{len(names)} columns, {len(set(names))} names", name, "give each its own name")
+    if not rows:
+        raise DiagramError("it has no rows", name, "give at least one")
+    for i, row in enumerate(rows):
+        if len(row) != len(names):
+            what = f"{len(row)} cells for {len(names)} columns"
+            raise DiagramError(what, f"{name}, row {i + 1}", "fill each column; empty is allowed")
+    cells = {n: [_cell(row[j]) for row in rows] for j, n in enumerate(names)}
+    clock = cells.pop(names[0])
+    at = np.array([c if isinstance(c, float) else np.nan for c in clock])
+    ticks = names[0] == "tick"
+    if not (at <= MAX_TIME).all() or at[0] < 0 or (np.diff(at) <= 0).any() or (ticks and (at != np.rint(at)).any()):
+        what = f"the column {names[0]} does not increase from 0 on to at most {MAX_TIME:g}"
+        raise DiagramError(what, name, "sort the rows, each time once; ticks are whole")
+    return SignalTable(name, at, ticks, cells)
+
+
+def _cell(cell: Any) -> float | str | None:
+    """Return a cell as a number, as None if it is empty, and else as its text."""
+    text = str(cell).strip() if cell is not None else ""
+    if text.lower() in ("true", "false"):
+        return float(text.lower() == "true")
+    try:
+        return float(text) if "_" not in text else text
+    except ValueError:
+        return text or None
+
+
+def read_table(path: str | Path) -> SignalTable:
+    """Return the table in a CSV file: commas, names in the first line. An empty cell is not given.
+
+    Raises DiagramError for a file that cannot be read or is not such a table.
+    """
+    path = Path(path)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            rows = [row for row in csv.reader(file, strict=True) if row]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        why = "it is not text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
+        raise DiagramError(f"cannot be read: {why}", str(path), "name a CSV file with commas between cells") from error
+    if not rows:
+        raise DiagramError("it is empty", str(path), 'begin with a line of names, "time,..."')
+    return table_of_rows(rows[0], rows[1:], path.name)
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedTable:
-    """Columns of a table that are inputs, and those that are outputs (or paths of signals), which are expected.
+    """Table whose columns are inputs, and outputs (or paths of signals), which are expected.
 
-    `between` says what inputs are between two rows; bools and integers are held in any case. A value v is as expected
-    if |v - e| <= absolute + relative * |e|; both may be a mapping by column. NaN and infinity are as expected
-    only if they are expected. `at` is where expected values are compared: "rows", at the rows only, or "ticks", at each
-    tick from the first row to the last.
+    `between` is for inputs between two rows; bools and integers are held in any case. A value v is as expected if
+    |v - e| <= absolute + relative * |e|; both may be a mapping by column. NaN and infinity match only themselves.
+    Expected values are compared `at` the "rows", or at all "ticks" from the first row to the last.
     """
 
     table: SignalTable
@@ -42,57 +285,86 @@ class ExpectedTable:
             raise DiagramError(f"at = {shown(self.at)}", self.table.name, 'compare at "rows" or "ticks"')
         for given in (self.absolute, self.relative):
             for column in given if isinstance(given, Mapping) else ():
-                if column not in self.table.columns:
-                    raise DiagramError(
-                        f"a tolerance of {shown(column)}, which is not a column",
-                        self.table.name,
-                        f"columns: {listed(self.table.columns)}",
-                    )
+                if column not in self.table.cells:
+                    what = f"a tolerance of {shown(column)}, which is not a column"
+                    raise DiagramError(what, self.table.name, f"columns: {listed(self.table.cells)}")
 
     def tolerance(self, column: str) -> tuple[float, float]:
-        """The absolute and relative tolerance of a column. Raises DiagramError if one is not a number >= 0."""
+        """Return the absolute and relative tolerance of a column; DiagramError if one is not a number >= 0."""
         found = []
         for what, given in (("absolute", self.absolute), ("relative", self.relative)):
             value = given.get(column, 0.0) if isinstance(given, Mapping) else given
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0.0 <= value < np.inf:
+            if not 0.0 <= value < inf:
                 raise DiagramError(f"{what} = {shown(value)}", f"{self.table.name}, {column}", "give a number >= 0")
             found.append(float(value))
         return found[0], found[1]
 
+    def expected(
+        self, column: str, signal: str, whole: bool, steps: int, dt: float, enumeration: Enumeration | None = None
+    ) -> "ExpectedColumn":
+        """Return the expectation of `signal` in `column`; `whole` for an integer or a bool, which is held.
+
+        Raises DiagramError for a row that is not at a tick, or after the scenario's end.
+        """
+        rows, values = self.table.column(column, enumeration)
+        ticks, where = self.table.ticks_of(dt)[rows], f"{self.table.name}, {column}"
+        if not len(ticks):
+            raise DiagramError("nothing is expected in this column", where, "fill a cell, or leave the column out")
+        absolute, relative = self.tolerance(column)
+        off = f"{absolute:g}" if not relative else f"{absolute:g} + {relative:g} |expected|"
+        text = f"{signal} as in {self.table.name}, within {off}"
+        odd = ticks[ticks != np.rint(ticks)]
+        if self.at == "rows" and len(odd):
+            what = f"the row at {odd[0] * dt:g} s is between two ticks of {dt:g} s"
+            raise DiagramError(what, where, 'move it, or compare at = "ticks"')
+        if ticks[-1] > steps - 1:
+            what = f"the scenario ends before the last row, at {(steps - 1) * dt:g} s"
+            raise DiagramError(what, where, "give a longer duration")
+        if self.at == "ticks":
+            every = between_rows(ticks, values, steps, "hold" if whole else self.between)
+            ticks = np.arange(np.ceil(ticks[0]), np.floor(ticks[-1]) + 1.0)
+            if not len(ticks):
+                raise DiagramError("no tick lies between its rows", where, "add rows")
+            values = every[ticks.astype(np.int64)]
+        return ExpectedColumn(text, signal, ticks.astype(np.int64), values, absolute, relative)
+
 
 @dataclass(frozen=True, eq=False)
 class ExpectedColumn:
-    """An output that must be as in a table: `expected` at `ticks`, both of shape (n,), within the tolerance."""
+    """Expectation of one signal: `expected` at `ticks`, both of shape (n,), within the tolerance."""
 
     text: str
     signal: str
     ticks: NDArray[np.int64]
-    expected: NDArray[np.float64]
+    expected: Array
     absolute: float
     relative: float
 
-    def judge(self, values: NDArray[np.float64], dt: float) -> Judgement:
-        """Whether the signal's `values`, one for each tick of `dt` [s] from 0, are as expected."""
+    def judge(self, values: Array, dt: float) -> Judgement:
+        """Judge the signal's `values`, one for each tick of `dt` [s] from 0."""
         found, expected = values[self.ticks], self.expected
         with np.errstate(invalid="ignore"):
+            off = np.abs(found - expected)
             room = self.absolute + self.relative * np.abs(expected)
-            near = np.isfinite(expected) & (np.abs(found - expected) <= room)  # the room around infinity is infinite
-        fine = near | (found == expected) | (np.isnan(found) & np.isnan(expected))
-        if fine.all():
-            with np.errstate(invalid="ignore"):
-                far = np.nan_to_num(np.abs(found - expected))
-            worst = int(np.argmax(far))
-            text = f"{len(found)} values, the farthest off by {far[worst]:.3g} at {self.ticks[worst] * dt:.6g} s"
+            near = np.isfinite(expected) & (off <= room)  # the room around infinity is infinite
+        wrong = np.flatnonzero(~(near | (found == expected) | (np.isnan(found) & np.isnan(expected))))
+        if not len(wrong):
+            worst = int(np.argmax(np.nan_to_num(off)))
+            far, time = np.nan_to_num(off)[worst], self.ticks[worst] * dt
+            text = f"{len(found)} values, the farthest off by {far:.3g} at {time:.6g} s"
             return Judgement(self.text, self.signal, True, text)
-        wrong = np.flatnonzero(~fine)
         room = np.where(np.isfinite(room), room, 0.0)[wrong]
         limits = expected[wrong] + np.where(found[wrong] > expected[wrong], room, -room)
         return first_violation(self.text, self.signal, found[wrong], limits, self.ticks[wrong], dt)
 
 
+InputValue = InputSignal | float | str | Sequence[Any]
+"""Value of an input: a signal, a number (a bool), the name of a member; of an array one for each element."""
+
+
 @dataclass(frozen=True, eq=False)
 class Scenario:
-    """One test. An input that is not named is 0 (false). `duration` [s]: the ticks from 0 to it, both included.
+    """One test. An input that is not named is 0 (false); it lasts from 0 to `duration` [s], both ends included.
 
     `checks` are assertions, or their texts (see `assertions`). `table` feeds inputs and expects outputs; without a
     `duration` the scenario ends with its last row. A parameter that is not named has its default.
@@ -107,34 +379,30 @@ class Scenario:
     text: str = ""
 
 
-def expected_column(
-    given: ExpectedTable, column: str, signal: str, whole: bool, steps: int, dt: float
-) -> ExpectedColumn:
-    """What the table expects of `signal` in its `column`. `whole`: of an integer or a bool, which is held.
+@dataclass(frozen=True, eq=False)
+class ScenarioResult:
+    """Result of one scenario. `time` [s] is of shape (n,), and so are `signals`; the axes of an array follow.
 
-    Raises DiagramError for a row that is not at a tick, or after the scenario's end.
+    `expected` holds times [s] and values, of shape (m,), that a table expects, by the judgement's `check`.
     """
-    table, mask = given.table, given.table.given[column]
-    ticks, values = table.ticks_of(dt)[mask], table.columns[column][mask]
-    where = f"{table.name}, {column}"
-    if not len(ticks):
-        raise DiagramError("nothing is expected in this column", where, "fill a cell, or leave the column out")
-    absolute, relative = given.tolerance(column)
-    off = f" {absolute:g}" if not relative else f" {absolute:g} + {relative:g} |expected|"
-    text = f"{signal} as in {table.name}, within{off}"
-    if given.at == "rows" and (ticks != np.rint(ticks)).any():
-        time = ticks[ticks != np.rint(ticks)][0] * dt
-        raise DiagramError(
-            f"the row at {time:g} s is between two ticks of {dt:g} s", where, 'move it, or compare at = "ticks"'
-        )
-    if ticks[-1] > steps - 1:
-        raise DiagramError(
-            f"the scenario ends before the last row, at {(steps - 1) * dt:g} s", where, "let it last longer"
-        )
-    if given.at == "rows":
-        return ExpectedColumn(text, signal, ticks.astype(np.int64), values, absolute, relative)
-    every = between_rows(ticks, values, steps, "hold" if whole else given.between)
-    first, last = int(np.ceil(ticks[0])), int(np.floor(ticks[-1]))
-    if last < first:
-        raise DiagramError("no tick lies between its rows", where, "add rows")
-    return ExpectedColumn(text, signal, np.arange(first, last + 1), every[first : last + 1], absolute, relative)
+
+    name: str
+    judgements: tuple[Judgement, ...]
+    time: Array
+    signals: Mapping[str, NDArray[Any]]
+    expected: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+
+    @property
+    def passed(self) -> bool:
+        """Whether all assertions hold."""
+        return not self.failed
+
+    @property
+    def failed(self) -> tuple[Judgement, ...]:
+        """The judgements of assertions that do not hold."""
+        return tuple(j for j in self.judgements if not j.passed)
+
+    def __str__(self) -> str:
+        """Return a line for each failed assertion, as pytest shows it for `assert result.passed, result`."""
+        lines = [f"{self.name}: {j.check}: {j.text}" for j in self.failed]
+        return "\n".join(lines) or f"{self.name}: all {len(self.judgements)} assertions hold"

@@ -5,8 +5,8 @@ from html import escape
 
 import numpy as np
 
-from twodof.compile.diagram_test.judgement import Judgement, ScenarioResult
-from twodof.compile.diagram_test.signal_element import element_of
+from twodof.compile.diagram_test.assertions import Judgement, element_of
+from twodof.compile.diagram_test.scenario import ScenarioResult
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel
 from twodof.report.plots.canvas import page
 from twodof.report.plots.time_figures import time_figure

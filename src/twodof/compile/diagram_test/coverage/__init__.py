@@ -1,1 +1,0 @@
-"""Which decisions of a diagram its tests took."""
