@@ -23,7 +23,7 @@ from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
 from twodof.flightlog.mcap.topic_stream import stream_of
 from twodof.flightlog.ulog.ulog_file import PX4_SOURCES
-from twodof.gcs.telemetry.recording import SAFETY
+from twodof.gcs.recording import SAFETY
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES
 from twodof.link.mavlink.rates import GROUND, ONBOARD

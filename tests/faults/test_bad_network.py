@@ -14,8 +14,8 @@ from twodof.excitation import Doublet
 from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT, shift
 from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.gcs import full_rate
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry import full_rate
 from twodof.link.mavlink.framing import Parser, decode
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import open_transport

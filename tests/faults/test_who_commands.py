@@ -9,7 +9,7 @@ import pytest
 from tests.faults.whole import GROUND, Whole, run, silent, stands
 from twodof.errors import LinkLost, Rejected
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.setpoints import pitch
+from twodof.gcs.setpoints import pitch
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps

@@ -12,7 +12,7 @@ from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.mavlink.identity import OWN_SYSTEMS
+from twodof.gcs.identity import OWN_SYSTEMS
 from twodof.link.mavlink.messages import message
 
 Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]

@@ -19,9 +19,9 @@ from tests.patience import PATIENCE_S
 from twodof.errors import ExperimentError, LinkError, LinkLost, LogError, ParameterError, RecordingError, Rejected
 from twodof.excitation import Doublet, Impulse
 from twodof.flightlog import read_log, recover, write_log
+from twodof.gcs import identity
 from twodof.gcs.drone import Drone
-from twodof.gcs.mavlink import identity
-from twodof.gcs.telemetry.recording import TOGETHER
+from twodof.gcs.recording import TOGETHER
 from twodof.signals import TOPICS
 
 pytestmark = pytest.mark.slow
@@ -324,7 +324,7 @@ def test_a_callback_that_asks_the_drone_is_told_so(there: OnBoard) -> None:
 
 SCRIPT = """
 import sys
-from twodof.gcs.mavlink import identity
+from twodof.gcs import identity
 from twodof.gcs.drone import Drone
 drone = Drone.connect(sys.argv[1])
 drone.run(0.3)

@@ -9,12 +9,11 @@ from typing import Any
 import pytest
 
 from twodof.gcs import AsyncDrone, Drone
-from twodof.gcs.control.parameters import AsyncParameters
-from twodof.gcs.mavlink.files import AsyncFiles
-from twodof.gcs.mavlink.log_download import AsyncLogs
+from twodof.gcs.files import AsyncFiles, AsyncLogs
+from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.sync_drone import DroneParameters, DroneSignal
 from twodof.gcs.sync_face import SyncFace, synchronous
-from twodof.gcs.telemetry.signals import AsyncSignal
+from twodof.gcs.telemetry import AsyncSignal
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "sync_stub.py"
 

@@ -11,7 +11,7 @@ import pytest
 
 from tests.lab.served_lab import ServedLab, served_lab
 from twodof.gcs import Drone
-from twodof.gcs.control.parameter_file import ParameterFile
+from twodof.gcs.parameter_file import ParameterFile
 
 pytestmark = pytest.mark.slow
 

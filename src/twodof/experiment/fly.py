@@ -15,11 +15,11 @@ from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
 from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.flightlog.provenance import versions
-from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
+from twodof.gcs.active_controller import ActiveController, ParameterChanges
 from twodof.gcs.drone import Drone
-from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
-from twodof.gcs.telemetry.recording import safety_row, seconds
-from twodof.gcs.telemetry.status_texts import StatusText
+from twodof.gcs.drone_state import StatusText
+from twodof.gcs.full_rate import BatchRows, TruthRows
+from twodof.gcs.recording import safety_row, seconds
 from twodof.rig.parameters import NAMES
 from twodof.signals import PERIOD
 

@@ -10,16 +10,15 @@ from typing import Any, Self
 
 from twodof.errors import ExperimentError, LinkLost, LogError, Rejected, Timeout, shown
 from twodof.excitation import Excitation
-from twodof.gcs.control.active_controller import ActiveController, read_active_controller
-from twodof.gcs.control.excitation_player import ExcitationPlayback
+from twodof.gcs.active_controller import ActiveController, read_active_controller
 from twodof.gcs.discovery import open_link
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
+from twodof.gcs.excitation_player import ExcitationPlayback
 from twodof.gcs.flying_drone import FlyingDrone
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.identity import drawn, give_back, identity
-from twodof.gcs.mavlink.session import DroneSession
-from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
-from twodof.gcs.telemetry.recording import Recording, record
+from twodof.gcs.full_rate import BatchRows, TruthRows
+from twodof.gcs.identity import drawn, give_back, identity
+from twodof.gcs.recording import Recording, record
+from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.enums import GROUND_STATION
@@ -57,7 +56,7 @@ class AsyncDrone(FlyingDrone):
         """Find the drone at `url` and, with `take_lease`, become the one who commands it.
 
         `system` and `component` are what we call ourselves: two clients need two. `system` None draws one (200 to 244,
-        see gcs.mavlink.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the
+        see gcs.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the
         system id to look for if several may be heard. `key` (or its file) signs everything; what is not signed with it
         is ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has
         the lease.

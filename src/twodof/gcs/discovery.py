@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from twodof.errors import LinkError, LinkLost, shown
-from twodof.gcs.telemetry.drone_state import word_of
+from twodof.gcs.drone_state import word_of
 from twodof.link.connection import Connection
 from twodof.link.mavlink.enums import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.loop_thread import LoopThread
-from twodof.gcs.mavlink.files import AsyncFiles
-from twodof.gcs.mavlink.log_download import AsyncLogs
 from twodof.gcs.sync_drone import SyncDrone
 from twodof.gcs.sync_face import SyncFace, synchronous
 

@@ -8,20 +8,25 @@ from contextlib import suppress
 from typing import Self
 
 from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
-from twodof.gcs.control.excitation_player import ExcitationPlayer
-from twodof.gcs.control.parameters import AsyncParameters
-from twodof.gcs.control.setpoints import SetpointStream
-from twodof.gcs.mavlink.clock import DroneClock, DroneRestarted
-from twodof.gcs.mavlink.commands import ACCEPTED, CommandSender, number_of
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.files import AsyncFiles
-from twodof.gcs.mavlink.lease import LeaseClient
-from twodof.gcs.mavlink.log_download import AsyncLogs
-from twodof.gcs.mavlink.session import DroneSession, ProgramPaused
-from twodof.gcs.telemetry.drone_state import BatteryState, DroneState, DroneVersion, StateTracker, version_of
-from twodof.gcs.telemetry.full_rate import BATCH, TRUTH, FullRateSubscription
-from twodof.gcs.telemetry.signals import LatestEstimates, Telemetry
-from twodof.gcs.telemetry.status_texts import StatusText, StatusTexts
+from twodof.gcs.clock import DroneClock, DroneRestarted
+from twodof.gcs.commands import ACCEPTED, CommandSender, number_of
+from twodof.gcs.drone_state import (
+    BatteryState,
+    DroneState,
+    DroneVersion,
+    StateTracker,
+    StatusText,
+    StatusTexts,
+    version_of,
+)
+from twodof.gcs.excitation_player import ExcitationPlayer
+from twodof.gcs.files import AsyncFiles, AsyncLogs
+from twodof.gcs.full_rate import BATCH, TRUTH, FullRateSubscription
+from twodof.gcs.lease import LeaseClient
+from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.session import Deadline, DroneSession, ProgramPaused
+from twodof.gcs.setpoints import SetpointStream
+from twodof.gcs.telemetry import LatestEstimates, Telemetry
 from twodof.link.statistics import LinkStatistics
 
 TIMEOUT_S = 5.0

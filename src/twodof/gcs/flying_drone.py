@@ -7,10 +7,10 @@ from collections.abc import Callable
 from math import ceil, inf
 
 from twodof.errors import ParameterError, Rejected, Timeout, shown
-from twodof.gcs.control import setpoints
-from twodof.gcs.control.setpoints import Setpoint
+from twodof.gcs import setpoints
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
-from twodof.gcs.mavlink.deadline import Deadline
+from twodof.gcs.session import Deadline
+from twodof.gcs.setpoints import Setpoint
 from twodof.link.mavlink.modes import custom_mode
 from twodof.signals import TICK_S
 

@@ -10,13 +10,12 @@ from weakref import WeakSet, finalize
 
 from twodof.errors import ParameterError, Rejected, TwodofError
 from twodof.gcs.async_drone import DEFAULT_URL, AsyncDrone
-from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
-from twodof.gcs.control.parameters import TIMEOUT_S, AsyncParameters
 from twodof.gcs.discovery import FoundDrone, discover
 from twodof.gcs.drone_base import LEAVING_S
 from twodof.gcs.loop_thread import LoopThread
+from twodof.gcs.parameters import TIMEOUT_S, AsyncParameters, ParameterDescription, ParameterEntry
 from twodof.gcs.sync_face import SyncFace
-from twodof.gcs.telemetry.signals import (
+from twodof.gcs.telemetry import (
     QUEUE,
     AsyncSignal,
     Callback,

@@ -10,8 +10,8 @@ import pytest
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.flightlog import read_log
+from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.active_controller import ActiveController
 from twodof.lab.drones.flight_recorder import FlightRecorder
 
 pytestmark = pytest.mark.slow

@@ -17,7 +17,7 @@ from tests.patience import patiently
 from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT
 from twodof.gcs.drone import Drone
-from twodof.gcs.telemetry.recording import seconds
+from twodof.gcs.recording import seconds
 from twodof.lab.drones import pilot
 from twodof.lab.telemetry import client as telemetry_client
 

@@ -13,9 +13,9 @@ from twodof.errors import ParameterError, shown
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 from twodof.gcs.async_drone import DEFAULT_URL
-from twodof.gcs.control.parameter_entry import ParameterDescription, ParameterEntry
-from twodof.gcs.control.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.drone import Drone
+from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
+from twodof.gcs.parameters import ParameterDescription, ParameterEntry
 from twodof.parameters import Parameter
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

@@ -12,10 +12,9 @@ from typing import Any, NamedTuple
 from twodof.cli.watch.signal_history import SignalHistory
 from twodof.errors import Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.mavlink.clock import DroneRestarted
-from twodof.gcs.telemetry.decoding import columns_of
-from twodof.gcs.telemetry.signals import TelemetrySample
-from twodof.gcs.telemetry.status_texts import StatusText
+from twodof.gcs.clock import DroneRestarted
+from twodof.gcs.drone_state import StatusText
+from twodof.gcs.telemetry import TelemetrySample, columns_of
 from twodof.link.mavlink.messages import batch_rows, channel_mask
 from twodof.signals import ATTITUDE, POSITION, RATE, TICK_S
 

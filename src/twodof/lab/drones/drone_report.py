@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry.recording import seconds
+from twodof.gcs.recording import seconds
 from twodof.link.mavlink import dialect
 
 _LINK_LOST = "lost"

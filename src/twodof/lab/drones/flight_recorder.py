@@ -10,9 +10,9 @@ from pathlib import Path
 
 from twodof.errors import LogError, Rejected, Timeout
 from twodof.flightlog import numbered
+from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.active_controller import ActiveController
-from twodof.gcs.telemetry.recording import Recording, record
+from twodof.gcs.recording import Recording, record
 
 LOOK_S = 0.02
 AFTER_S = 1.0

@@ -10,9 +10,9 @@ from typing import Any
 
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.mavlink.clock import DroneRestarted
-from twodof.gcs.telemetry.recording import seconds
-from twodof.gcs.telemetry.status_texts import StatusText
+from twodof.gcs.clock import DroneRestarted
+from twodof.gcs.drone_state import StatusText
+from twodof.gcs.recording import seconds
 from twodof.lab.drones.connection import DroneConnection
 from twodof.lab.drones.drone_report import lost_report
 from twodof.lab.settings import LabSettings

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple
 
 from twodof.errors import Rejected, Timeout, listed
+from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.active_controller import ActiveController
-from twodof.gcs.control.parameter_entry import MOST, ParameterDescription, ParameterEntry, entry_of
+from twodof.gcs.parameters import MOST, ParameterDescription, ParameterEntry, entry_of
 
 LOOK_S = 0.1
 SETTLES_S = 1.0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry.decoding import columns_of
+from twodof.gcs.telemetry import columns_of
 from twodof.lab.telemetry.feeds import Feeds
 from twodof.lab.telemetry.tick_rows import ONBOARD, PLACES, TickRows
 from twodof.link.mavlink.messages import batch_rows, channel_mask

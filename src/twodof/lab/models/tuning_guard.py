@@ -11,8 +11,8 @@ from typing import Any
 from twodof.design.uncertain.pitch_law import GAINS
 from twodof.errors import DiagramError, Rejected
 from twodof.flight.templates import ATTITUDE
-from twodof.gcs.control.active_controller import ActiveController
-from twodof.gcs.control.parameter_entry import BY_NAME
+from twodof.gcs.active_controller import ActiveController
+from twodof.gcs.parameters import BY_NAME
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.models.judgement import judge
 from twodof.lab.models.model_folder import ModelFolder

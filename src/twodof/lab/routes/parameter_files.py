@@ -10,9 +10,8 @@ from pydantic import Field
 
 from twodof import __version__
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.parameter_entry import ParameterEntry
-from twodof.gcs.control.parameter_file import MAX_BYTES, ParameterFile
-from twodof.gcs.control.snapshots import Snapshots
+from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile, Snapshots
+from twodof.gcs.parameters import ParameterEntry
 from twodof.lab.access import computes, takes
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.refusals import NotThere

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Query
 from pydantic import Field
 
-from twodof.gcs.control.parameter_entry import BY_NAME, INT32, ParameterEntry, same_as
+from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, same_as
 from twodof.lab.current_lab import CurrentLab
 from twodof.lab.drones.parameter_table import SentChange
 from twodof.lab.request_body import Finite

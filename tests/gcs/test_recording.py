@@ -12,7 +12,7 @@ from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, LogError
 from twodof.flightlog import read_log
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry.recording import TOGETHER, Recording
+from twodof.gcs.recording import TOGETHER, Recording
 from twodof.link.mavlink.messages import message
 from twodof.signals import TOPICS
 

@@ -16,11 +16,10 @@ from tests.gcs.peer import Peer
 from twodof.errors import LinkError, LinkLost, LogError, ParameterError, Rejected, Timeout
 from twodof.excitation import Doublet
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.parameters import AsyncParameters
 from twodof.gcs.drone import Drone
-from twodof.gcs.mavlink.files import AsyncFiles
-from twodof.gcs.mavlink.log_download import AsyncLogs, LogEntry
-from twodof.gcs.telemetry.signals import AsyncSignal
+from twodof.gcs.files import AsyncFiles, AsyncLogs, LogEntry
+from twodof.gcs.parameters import AsyncParameters
+from twodof.gcs.telemetry import AsyncSignal
 
 pytestmark = pytest.mark.slow
 

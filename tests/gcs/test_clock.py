@@ -9,7 +9,7 @@ from tests.faults.virtual_time import VirtualLoop, run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import LinkLost, Timeout
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.mavlink.clock import STANDS_STILL_S
+from twodof.gcs.clock import STANDS_STILL_S
 
 STAMPS, TICKS = 1 << 30, 1 << 32
 

@@ -7,8 +7,7 @@ from math import inf
 from typing import Any, NamedTuple
 
 from twodof.errors import Rejected, Timeout
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.mavlink.messages import message
 from twodof.signals import TICK_MS, TICK_S
 

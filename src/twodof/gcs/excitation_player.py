@@ -9,9 +9,8 @@ from typing import Any
 
 from twodof.errors import ExperimentError, Rejected, listed, shown
 from twodof.excitation import Excitation
-from twodof.gcs.mavlink.clock import DroneClock
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.session import RETRY_S, DroneSession
+from twodof.gcs.clock import DroneClock
+from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink.messages import excite, message
 from twodof.signals import TICK_S
 

@@ -8,9 +8,8 @@ from contextlib import suppress
 from typing import Any
 
 from twodof.errors import LinkLost, Rejected, Timeout
-from twodof.gcs.mavlink.commands import CommandSender
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.commands import CommandSender
+from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.mavlink.messages import message
 
 DURATION_MS = 3000

@@ -5,12 +5,12 @@ import sys
 
 import pytest
 
-from twodof.gcs.mavlink import identity
+from twodof.gcs import identity
 
 TWO = (1001, 1002)  # none that a drone of another test may have meanwhile
 ANOTHER = f"""
 import sys
-from twodof.gcs.mavlink import identity
+from twodof.gcs import identity
 identity.OWN_SYSTEMS = {TWO}
 print(identity.drawn(), flush=True)
 sys.stdin.read()

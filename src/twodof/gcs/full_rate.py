@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LinkLost, Rejected, Timeout
-from twodof.gcs.mavlink.commands import CommandSender
-from twodof.gcs.mavlink.session import DroneSession
-from twodof.gcs.telemetry.decoding import columns_of
+from twodof.gcs.commands import CommandSender
+from twodof.gcs.session import DroneSession
+from twodof.gcs.telemetry import columns_of
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import batch_rows
 from twodof.signals import TICK_S, TICK_US

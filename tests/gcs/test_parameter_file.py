@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.errors import ParameterError
-from twodof.gcs.control.parameter_entry import INT32, REAL32, ParameterEntry
-from twodof.gcs.control.parameter_file import ParameterFile
-from twodof.gcs.control.snapshots import Snapshots
+from twodof.gcs.parameter_file import ParameterFile, Snapshots
+from twodof.gcs.parameters import INT32, REAL32, ParameterEntry
 
 # As QGroundControl 4 writes it, with 18 digits; the layout is that of its developer guide.
 FROM_QGC = """# Onboard parameters for Vehicle 1

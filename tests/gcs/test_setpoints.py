@@ -7,8 +7,8 @@ import pytest
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import ParameterError
+from twodof.gcs import setpoints
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control import setpoints
 
 
 @pytest.mark.parametrize("M", [5.0, -1.01, nan, inf])

@@ -7,18 +7,56 @@ there silence counts from the question on.
 
 import asyncio
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Hashable, Iterator
+from contextlib import asynccontextmanager, contextmanager, suppress
 from itertools import count
 from typing import Any, NamedTuple, TypeVar
 
-from twodof.errors import LinkLost, TwodofError
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.identity import give_back
+from twodof.errors import LinkLost, Timeout, TwodofError
+from twodof.gcs.identity import give_back
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.enums import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import SigningVerdict
+
+
+class Deadline:
+    """`seconds` from now on the running loop's clock; `doing` and `where` are for the error's text."""
+
+    def __init__(self, seconds: float, doing: str, where: str = "") -> None:
+        if not 0.0 <= seconds < 1e7:
+            raise ValueError(f"a deadline of {seconds!r} s")
+        self.seconds, self.doing, self.where = seconds, doing, where
+        self._loop = asyncio.get_running_loop()
+        self.end = self._loop.time() + seconds
+
+    @property
+    def left(self) -> float:
+        """Time that is left [s], never negative."""
+        return max(0.0, self.end - self._loop.time())
+
+    def error(self, remedy: str = "ask again, or give it more time") -> Timeout:
+        """What to raise once it has passed."""
+        return Timeout(f"{self.doing}: no answer within {self.seconds:.3g} s", self.where, remedy)
+
+    @asynccontextmanager
+    async def turn(self, lock: asyncio.Lock, remedy: str) -> AsyncIterator[None]:
+        """Hold `lock` during the block. Raises Timeout with the `remedy` where it does not become free in time."""
+        try:
+            async with asyncio.timeout(self.left):
+                await lock.acquire()
+        except TimeoutError:
+            raise self.error(remedy) from None
+        try:
+            yield
+        finally:
+            lock.release()
+
+    def check(self) -> None:
+        """Raises Timeout once it has passed."""
+        if self.left <= 0.0:
+            raise self.error()
+
 
 SILENT_S = 3.0
 HEARTBEAT_S = 1.0

@@ -7,7 +7,7 @@ import pytest
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry.status_texts import PIECES_S
+from twodof.gcs.drone_state import PIECES_S
 from twodof.link.mavlink.messages import statustext
 
 LONG = "Arming denied: Resolve system health failures first"

@@ -12,9 +12,8 @@ from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
 from twodof.errors import LogError, Timeout
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.telemetry.decoding import DECODERS
-from twodof.gcs.telemetry.full_rate import BatchRows, TruthRows
-from twodof.gcs.telemetry.signals import TelemetrySample
+from twodof.gcs.full_rate import BatchRows, TruthRows
+from twodof.gcs.telemetry import DECODERS, TelemetrySample
 from twodof.link.mavlink.messages import batch, channel_mask, message
 from twodof.signals import TOPICS
 

@@ -7,9 +7,8 @@ from itertools import count
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, shown
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.session import RETRY_S, DroneSession
-from twodof.gcs.telemetry.status_texts import StatusTexts
+from twodof.gcs.drone_state import StatusTexts
+from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 

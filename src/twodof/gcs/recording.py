@@ -20,12 +20,12 @@ from twodof.flightlog.mcap.encoder import Attachment
 from twodof.flightlog.mcap.topic_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.steps import BOOT, OpenLoopMessages, shift
-from twodof.gcs.control.active_controller import ActiveController, ParameterChanges
+from twodof.gcs.active_controller import ActiveController, ParameterChanges
+from twodof.gcs.clock import OLDEST_TICKS
 from twodof.gcs.drone_base import DroneBase
-from twodof.gcs.mavlink.clock import OLDEST_TICKS
-from twodof.gcs.mavlink.session import Handler
-from twodof.gcs.telemetry.decoding import DECODERS, Decoded, columns_of
-from twodof.gcs.telemetry.status_texts import StatusText
+from twodof.gcs.drone_state import StatusText
+from twodof.gcs.session import Handler
+from twodof.gcs.telemetry import DECODERS, Decoded, columns_of
 from twodof.link.mavlink.messages import batch_rows, channel_mask
 from twodof.signals import TICK_S, TICK_US, TOPICS, Topic, topic
 

@@ -12,8 +12,8 @@ from math import degrees, isfinite, nan, pi
 from typing import Any
 
 from twodof.errors import LinkLost, ParameterError, shown
-from twodof.gcs.mavlink.clock import SETPOINT_TICKS, DroneClock, SliceStarts
-from twodof.gcs.mavlink.session import DroneSession
+from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
+from twodof.gcs.session import DroneSession
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.setpoints import attitude_target, position_target, rate_target, velocity_target
 from twodof.signals import TICK_MS

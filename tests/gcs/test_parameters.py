@@ -14,7 +14,7 @@ from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ParameterError, Rejected, Timeout
 from twodof.flight.starters import starter
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.control.parameters import DESCRIPTION, SILENCE_S
+from twodof.gcs.parameters import DESCRIPTION, SILENCE_S
 from twodof.link.mavlink.messages import message
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -10,10 +10,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.errors import Rejected
-from twodof.gcs.control.parameter_entry import MOST, entry_of
-from twodof.gcs.control.parameters import AsyncParameters
-from twodof.gcs.mavlink.deadline import Deadline
-from twodof.gcs.mavlink.files import AsyncFiles
+from twodof.gcs.files import AsyncFiles
+from twodof.gcs.parameters import MOST, AsyncParameters, entry_of
+from twodof.gcs.session import Deadline
 from twodof.parameters import PARAMETERS
 
 FOLDER = "/etc/extras"

@@ -3,7 +3,7 @@
 import pytest
 
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
-from twodof.gcs.telemetry.drone_state import SafetyState, explanation_of, names_of
+from twodof.gcs.drone_state import SafetyState, explanation_of, names_of
 from twodof.link.mavlink import dialect
 
 CAUSES = [

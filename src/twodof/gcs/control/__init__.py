@@ -1,1 +1,0 @@
-"""What a drone is told: set-points, excitations, parameters, controllers."""

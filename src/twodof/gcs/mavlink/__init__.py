@@ -1,1 +1,0 @@
-"""One conversation with a drone over MAVLink: session, commands, lease, clock, files, logs."""
