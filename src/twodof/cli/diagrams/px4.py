@@ -8,8 +8,8 @@ from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
 from twodof.compile.px4 import export as export_module
-from twodof.compile.px4.airframe import airframe_id
-from twodof.compile.px4.checkout.check import check as check_module
+from twodof.compile.px4.checkout import check as check_module
+from twodof.compile.px4.export import airframe_id
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 
 app = typer.Typer(
@@ -76,7 +76,7 @@ def check(
     out_dir: Annotated[Path, typer.Argument(help="A folder that `twodof px4 export` wrote.")],
     json: Json = False,
 ) -> None:
-    """Say before a build what of an exported module does not fit a PX4: version, topics, names, what is missing.
+    """Compare an exported module with a checkout of PX4: its version, and what its build does not show.
 
     Nothing is written. Exit status 0: it fits, perhaps with warnings; 1: it does not.
     """

@@ -13,9 +13,8 @@ from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import MemoryLayout
 from twodof.compile.program.lower import lower
 from twodof.compile.px4.message import MessageField, MessageFields
-from twodof.compile.px4.names import ModuleNames, harmless
+from twodof.compile.px4.names import ModuleNames, fill, harmless
 from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, ExportedParameter
-from twodof.compile.px4.template_files import fill
 from twodof.errors import DiagramError
 
 PERIOD_US = 4000

@@ -1,22 +1,23 @@
 """export: from a diagram to a complete external module for PX4."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from zlib import crc32
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.schema.json_form import to_json
-from twodof.compile.px4.airframe import airframe, airframe_file, airframe_id, board_settings, logger_topics, takeover
+from twodof.compile.px4.checkout import COMPILED, TESTED
 from twodof.compile.px4.controller import EXACT, controller, header, source
-from twodof.compile.px4.message import MessageFields, fields, message
-from twodof.compile.px4.names import ModuleNames, module_names
-from twodof.compile.px4.parameters import UNITS, ExportedParameter, KeptParameter, exported, module_yaml
-from twodof.compile.px4.readme import readme
-from twodof.compile.px4.template_files import fill
-from twodof.compile.px4.topics import ModuleRole, role
+from twodof.compile.px4.message import FAULTS, HEAD, MessageFields, fields, message
+from twodof.compile.px4.names import ModuleNames, fill, harmless, module_names
+from twodof.compile.px4.parameters import UNITS, ExportedParameter, KeptParameter, exported, module_yaml, number
+from twodof.compile.px4.topics import INPUTS, OUTPUTS, ModuleRole, role
 from twodof.compile.px4.tree import MANIFEST, manifest, write_tree
 from twodof.compile.px4.work_item import work_item, work_item_header
+
+FIRST_ID, IDS = 22000, 1000  # PX4 reserves these for custom models
 
 
 @dataclass(frozen=True)
@@ -91,3 +92,124 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
     }
     files[MANIFEST] = manifest(files, facts)
     return Px4Module(names, part, found, tuple(rows), tuple(kept), MappingProxyType(files))
+
+
+def airframe_id(names: ModuleNames) -> int:
+    """SYS_AUTOSTART of the module's airframe, always the same for one name."""
+    return FIRST_ID + crc32(names.module.encode()) % IDS
+
+
+def airframe_file(names: ModuleNames) -> str:
+    """The file's name, by which PX4_SIM_MODEL finds it too."""
+    return f"{airframe_id(names)}_{names.module}"
+
+
+def airframe(names: ModuleNames, role: ModuleRole, text: str) -> str:
+    """The airframe's script: a multicopter with the rig's settings."""
+    about = f" {harmless(text, 100)}".rstrip()
+    return fill("airframe.sh", names, about=about, settings=_settings(names, role))
+
+
+def board_settings(names: ModuleNames, role: ModuleRole) -> str:
+    """etc/config.txt of a board's SD card, which PX4 runs after the airframe: the rig's settings but the outputs."""
+    return fill("config.txt", names, settings=_settings(names, role))
+
+
+def _settings(names: ModuleNames, role: ModuleRole) -> str:
+    """What the rig needs of PX4, and the drone's gains for PX4's own loops beside the diagram.
+
+    With the allocator below, which moves the motors of a symmetric X by .7071 of the torque, the gains are the larger
+    by sqrt(2).
+    """
+    loops = "" if role.commands == "torque" else fill(f"loops_{role.commands}.sh", names)
+    return fill("settings.sh", names) + loops
+
+
+def takeover(names: ModuleNames, role: ModuleRole) -> str:
+    """The .post script, which PX4 runs after its own modules have started."""
+    stops = "\n".join(f"    {module} stop" for module in role.stops)
+    return fill("takeover.sh", names, replaced=" and ".join(role.stops), stops=stops)
+
+
+def logger_topics(names: ModuleNames, role: ModuleRole) -> str:
+    """etc/logging/logger_topics.txt: name, and the interval in ms (0: every message)."""
+    slow = {"vehicle_local_position": 20, "vehicle_attitude": 10, "sensor_combined": 0}
+    others = {"vehicle_status": 200, "vehicle_land_detected": 200, "failsafe_flags": 200, "battery_status": 500}
+    rows = [(names.module, 0)]
+    rows += [(topic, slow.get(topic, 0)) for topic in sorted({*role.reads, *role.writes})]
+    rows += sorted(others.items())
+    if "actuator_motors" not in role.writes:
+        rows.append(("actuator_motors", 0))
+    return "".join(f"{topic} {interval}\n" for topic, interval in rows)
+
+
+def readme(
+    names: ModuleNames,
+    role: ModuleRole,
+    found: MessageFields,
+    rows: Sequence[ExportedParameter],
+    kept: Sequence[KeptParameter],
+    text: str,
+) -> str:
+    """What to do with the tree, what the module reads and writes, its parameters, and what it does when in doubt."""
+    inputs = [
+        (f"`{f.path}`", f.unit or "-", _cell(", ".join(INPUTS[f.path].topics)), _cell(INPUTS[f.path].text))
+        for f in found.inputs
+    ]
+    signals = (*found.inputs, *found.outputs)
+    fields = [(f"`{name}`", _cell(text)) for _, name, text in HEAD]
+    fields += [(f"`{f.name}`", _cell(f.described)) for f in signals]
+    faults = [(str(bit), name, _cell(text)) for bit, name, text in FAULTS]
+    return fill(
+        "readme.md",
+        names,
+        about=f"{_cell(text)}\n\n" if text else "",
+        airframe=airframe_file(names),
+        airframe_id=airframe_id(names),
+        stops=", ".join(f"`{s}`" for s in role.stops),
+        safe=role.commanding.safe,
+        inputs=_table(("input", "unit", "topic", "what"), inputs),
+        outputs=_table(("output", "where"), [(f"`{name}`", _cell(OUTPUTS[name])) for name in role.outputs]),
+        writes=", ".join(f"`{t}`" for t in role.writes),
+        commanded=role.commanding.when,
+        fields=_table(("field", "what"), fields),
+        parameters=_parameters(rows),
+        kept=_kept(kept),
+        faults=_table(("bit", "fault", "what"), faults),
+        input_words=sum(f.words for f in found.inputs),
+        output_words=sum(f.words for f in found.outputs),
+        tested=TESTED,
+        compiled=", ".join(COMPILED),
+    )
+
+
+def _cell(text: str) -> str:
+    return harmless(text, 300).replace("|", "/").replace("<", "(").replace("_", "\\_")
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [" | ".join(head), " | ".join("---" for _ in head), *(" | ".join(row) for row in rows)]
+    return "".join(f"| {line} |\n" for line in lines)
+
+
+def _parameters(rows: Sequence[ExportedParameter]) -> str:
+    table = [
+        (
+            str(i),
+            f"`{r.name}`",
+            f"`{r.place}`" if r.place else "-",
+            number(r.default, r.kind),
+            r.bounds,
+            _cell(r.unit) or "-",
+            _cell(r.text) + (" (read at the start)" if r.fixed else ""),
+        )
+        for i, r in enumerate(rows)
+    ]
+    return _table(("place", "PX4", "diagram", "default", "bounds", "unit", "what"), table)
+
+
+def _kept(kept: Sequence[KeptParameter]) -> str:
+    if not kept:
+        return ""
+    rows = "".join(f"- `{k.path}`: {k.reason}\n" for k in kept)
+    return f"\nThese are not parameters of PX4 and keep the diagram's defaults:\n\n{rows}"

@@ -3,10 +3,13 @@
 Each rule looks at one name alone as far as it can, so that a new part of a diagram does not rename the others.
 """
 
+import functools
 import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from importlib import resources
+from string import Template
 from zlib import crc32
 
 from twodof.errors import DiagramError
@@ -150,3 +153,17 @@ def harmless(text: str, longest: int) -> str:
     plain = re.sub(r"[^A-Za-z0-9 .,:;()\[\]+\-/=<>_^%|~!'*]+", "?", " ".join(text.split()))
     plain = re.sub(r"/(?=[/*])|\*(?=/)", r"\g<0> ", plain)
     return plain if len(plain) <= longest else plain[: longest - 3].rstrip() + "..."
+
+
+def fill(template: str, names: ModuleNames, **fields: object) -> str:
+    """The text of a file in `templates/`: `${module}` and the other names, and `fields`, stand where it names them.
+
+    Raises KeyError for a field of the template that is not given.
+    """
+    own = {"module": names.module, "MODULE": names.module.upper(), "class_name": names.class_name}
+    return _template(template).substitute(own, prefix=names.prefix, **fields)
+
+
+@functools.cache
+def _template(name: str) -> Template:
+    return Template(resources.files(__package__).joinpath("templates", name).read_text(encoding="utf-8"))

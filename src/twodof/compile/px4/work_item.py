@@ -5,8 +5,7 @@ It does without PX4's ModuleBase, which is another class after v1.17, so that on
 
 from twodof.compile.px4.controller import PERIOD_US
 from twodof.compile.px4.message import FAULTS, MessageFields
-from twodof.compile.px4.names import ModuleNames
-from twodof.compile.px4.template_files import fill
+from twodof.compile.px4.names import ModuleNames, fill
 from twodof.compile.px4.topics import FRESH, INPUTS, MEMBERS, MOTORS, SHARED, ModuleRole
 
 # mavlink and mc_att_control publish this topic too, and its publication that has just gone has cleared their flag.

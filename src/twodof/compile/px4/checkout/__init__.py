@@ -1,1 +1,0 @@
-"""Whether a checkout of PX4 fits an exported module."""
