@@ -50,7 +50,6 @@ from tests.faults.whole import Whole
 from twodof.blocks import Diagram
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
-from twodof.compile.lanes.lanes_program import SIMD, best_simd, build_lanes
 from twodof.compile.px4.export import make_module
 from twodof.errors import CompileError, TwodofError
 from twodof.excitation import Doublet
@@ -73,7 +72,6 @@ SLOW = 250
 PRECISIONS = ("float64", "float32")
 RIGS = ("paper", "lab")
 QUICK = ("reference", "native gcc")
-LANES = 3
 MOST_SHOWN = 20
 COMPUTER_STATUS = 390
 MAT_HEAD, ULOG_HEAD = 116, 16
@@ -185,19 +183,13 @@ def targets() -> dict[str, Callable[[Subject, str], tuple[Any, str]]]:
         program = build(subject.make(), subject.dt, precision, target=target, compiler=compiler)
         return program.machine(), program.source
 
-    def lanes(simd: str, subject: Subject, precision: str) -> tuple[Any, str]:
-        program = build_lanes(subject.make(), subject.dt, LANES, precision, simd=simd)
-        return program.machine(), program.source
-
     def reference(subject: Subject, precision: str) -> tuple[Any, str]:
         return Reference(subject.make(), subject.dt, precision).machine(), ""
 
     found: dict[str, Callable[[Subject, str], tuple[Any, str]]] = {"reference": reference}
     compiled = {"native gcc": ("native", "gcc"), "native zig": ("native", "zig"), "wasm": ("wasm", None)}
     compiled |= {"cortex-m7 gcc": ("cortex-m7", "gcc"), "cortex-m7 zig": ("cortex-m7", "zig")}
-    found |= {name: partial(single, target, compiler) for name, (target, compiler) in compiled.items()}
-    widths = list(SIMD)[list(SIMD).index(best_simd()) :]
-    return found | {f"lanes {simd}": partial(lanes, simd) for simd in widths}
+    return found | {name: partial(single, target, compiler) for name, (target, compiler) in compiled.items()}
 
 
 def signals(machine: Any, target: str, subject: Subject) -> dict[str, dict[str, str]]:
@@ -205,14 +197,7 @@ def signals(machine: Any, target: str, subject: Subject) -> dict[str, dict[str, 
     machine.set_many(subject.parameters)
     steps = SLOW if target == "reference" else STEPS
     inputs = {name: values[:steps] for name, values in subject.inputs.items()}
-    if target.startswith("lanes"):
-        inputs = {name: np.repeat(values[:, None], LANES, axis=1) for name, values in inputs.items()}
     out = {name: np.asarray(values) for name, values in machine.run(steps, inputs).items()}
-    if target.startswith("lanes"):
-        alike = all(
-            (values[:, :1].tobytes() == values[:, k : k + 1].tobytes()) for values in out.values() for k in (1, 2)
-        )
-        out = {name: values[:, 0] for name, values in out.items()} if alike else out
     found = {"first": {name: bits(values[:SLOW]) for name, values in out.items()}}
     return found | ({"all": {name: bits(values) for name, values in out.items()}} if steps == STEPS else {})
 

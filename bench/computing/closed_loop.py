@@ -62,7 +62,7 @@ NOISES = {"its own noise": (), "our noise": ("-DCOUNTER",), "no noise": ("-DSILE
 """How the hand-written loop makes its noise, and the options that say so.
 
 Its own generator is sequential: a number depends on how many were drawn before. Ours depends on (seed, stream, tick)
-alone, so that all targets, lanes and resimulations have the same; hand-written C that gives as much is the second row.
+alone, so that all targets and resimulations have the same; hand-written C that gives as much is the second row.
 """
 
 HOVER: dict[str, Any] = {"mode": "position", "x0": 0.1}

@@ -1,4 +1,4 @@
-"""One interface for a running program: the same rules and words from the interpreter, compiled code and lanes."""
+"""One interface for a running program: the same rules and words from the interpreter and from compiled code."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.machine import Machine
 from twodof.blocks.reference import Reference
 from twodof.compile import build
-from twodof.compile.lanes.lanes_program import build_lanes
 from twodof.errors import DiagramError, ParameterError
 
 
@@ -49,7 +48,6 @@ def diagram() -> Diagram:
 MAKERS: dict[str, Callable[[], Machine]] = {
     "reference": lambda: Reference(diagram(), 0.01).machine(),
     "native": lambda: build(diagram(), 0.01).machine(),
-    "lanes": lambda: build_lanes(diagram(), 0.01, 3).machine(),
 }
 
 
@@ -95,4 +93,4 @@ def test_every_machine_takes_the_same_values() -> None:
         assert np.all(np.asarray(machine.state("count.n")) == 11)
         assert machine.tick == 4
     assert results[0] == [[1.5, 3.5, 5.5, 7.5], [7 - 2**31 + k for k in range(4)]]
-    assert results[1] == results[0] == results[2]
+    assert results[1] == results[0]

@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from tests.compile.differential import KINDS, Case, differences, emitted, reference_run
-from tests.compile.lanes.lanes_differential import lane_differences
 from tests.toolchains import need
 from twodof.blocks import Block, Diagram, Port, State, atan, int32, maximum, minimum, sqrt, store, to_int32, where
 from twodof.compile.c.emitter import emit
-from twodof.compile.lanes.lanes_program import best_simd
 from twodof.compile.program.lower import lower
 
 pytestmark = pytest.mark.slow
@@ -128,11 +126,6 @@ def test_branches_change_no_bit(kind: str, first: int, count: int, precision: st
     assert len(re.findall(r"\n +if \(", programs[0].source)) > count
     expected = [reference_run(case, precision, "rk4") for case in cases]
     assert not KINDS[kind].differences(cases, expected, programs)
-
-
-@pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.soak)])
-def test_lanes_never_branch_and_have_the_same_bits(count: int) -> None:
-    assert not lane_differences(nested_cases(0, count), "float32", "rk4", best_simd(), 3)
 
 
 class Clamped(Block):

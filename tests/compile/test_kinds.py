@@ -47,7 +47,6 @@ from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
 from twodof.compile.builder import emit_program
-from twodof.compile.lanes import build_lanes
 from twodof.compile.linear.linearize import linearize
 from twodof.compile.stepper import Stepper
 from twodof.compile.wasm.module import compile_module
@@ -214,13 +213,8 @@ def reference(d: Diagram, precision: str, inputs: dict[str, NDArray[Any]]) -> di
 RUNS: dict[str, Callable[[Diagram, str, dict[str, NDArray[Any]]], dict[str, Any]]] = {
     "native": lambda d, precision, u: build(d, 0.01, precision=precision).machine().run(40, u),
     "wasm": lambda d, precision, u: build(d, 0.01, precision=precision, target="wasm").machine().run(40, u),
-    "lanes": lambda d, precision, u: {
-        name: column[:, 2]
-        for name, column in build_lanes(d, 0.01, 3, precision, optimise="-O0").machine().run(40, u).items()
-    },
 }
-# Of lanes it takes seconds to compile; random diagrams and the test of every operator hold the kinds too.
-TARGETS = ["native", "wasm", pytest.param("lanes", marks=pytest.mark.soak)]
+TARGETS = ["native", "wasm"]
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -34,7 +34,6 @@ from twodof.blocks import (
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
-from twodof.compile.lanes import build_lanes
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError, ParameterError
 
@@ -127,19 +126,6 @@ def test_each_target_gives_the_references_bits(target: str, flown: tuple[str, di
     assert np.array_equal(found["x"], expected["x"])
     assert np.array_equal(found["P"], expected["P"])
     assert np.array_equal(machine.state("f.P"), expected["P"][-1])
-
-
-def test_lanes_give_the_references_bits(flown: tuple[str, dict[str, Any]]) -> None:
-    precision, expected = flown
-    machine = build_lanes(kalman(), 0.01, 3, precision, optimise="-O0").machine()
-    machine.set_many({**GIVEN, "f.A": np.stack([A, A, np.eye(6)])})
-    found = machine.run(STEPS, {"z": Z})
-    assert found["P"].shape == (STEPS, 3, 6, 6)
-    for lane in (0, 1):
-        assert np.array_equal(found["P"][:, lane], expected["P"])
-    assert not np.array_equal(found["P"][:, 2], expected["P"])
-    assert np.array_equal(machine.get("f.A")[0], A.astype(precision))
-    assert np.array_equal(machine.state("f.P")[1], expected["P"][-1])
 
 
 class Attitude(Block):
@@ -324,12 +310,10 @@ def chain() -> Diagram:
 def test_loops_that_make_arrays_of_arrays_give_the_references_bits(precision: str) -> None:
     m = RANDOM.normal(size=(3, 9, 7))
     expected = Reference(chain(), 0.1, precision).machine().run(3, {"m": m})
-    lanes = build_lanes(chain(), 0.1, 2, precision, optimise="-O0").machine().run(3, {"m": m})
     for source in (chain(), from_json(to_json(chain()))):
         native = build(source, 0.1, precision, optimise="-O1").machine().run(3, {"m": m})
         for name, values in expected.items():
             assert np.array_equal(native[name], values)
-            assert np.array_equal(lanes[name][:, 1], values)
     assert np.allclose(expected["y"], m @ m.swapaxes(1, 2), rtol=0, atol=200 * np.finfo(precision).eps)
     assert expected["copies"][1].tolist() == [2.0, 4.0, 6.0] * 4
 
@@ -432,11 +416,7 @@ def same_everywhere(seed: int, operations: int, precision: str, targets: tuple[s
     given = {n: rng.normal(size=(4, *(p.shape or (p.width,)))) for n, p in d.inputs.items()}
     expected = Reference(d, 0.1, precision).machine().run(4, given)
     for target in targets:
-        if target == "lanes":
-            lanes = build_lanes(d, 0.1, 2, precision, optimise="-O0").machine().run(4, given)
-            found = {name: values[:, 1] for name, values in lanes.items()}
-        else:
-            found = build(d, 0.1, precision, target=target, optimise="-O1").machine().run(4, given)
+        found = build(d, 0.1, precision, target=target, optimise="-O1").machine().run(4, given)
         for name, values in expected.items():
             assert np.array_equal(found[name], values, equal_nan=True), (seed, target, name)
 
@@ -450,4 +430,4 @@ def test_random_algebra_gives_the_references_bits(precision: str) -> None:
 @pytest.mark.parametrize("seed", range(2, 40))
 def test_much_random_algebra_gives_the_references_bits(seed: int) -> None:
     need("qemu-system-arm", "arm-none-eabi-gcc")
-    same_everywhere(seed, 20, PRECISIONS[seed % 2], ("native", "lanes", "wasm", "cortex-m7"))
+    same_everywhere(seed, 20, PRECISIONS[seed % 2], ("native", "wasm", "cortex-m7"))

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 
 from tests.compile.differential import Case, emitted, same
-from tests.compile.lanes.lanes_differential import lane_differences
 from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, where
 from twodof.blocks.library import Trigonometry, ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram
-from twodof.compile.lanes.lanes_program import best_simd
 from twodof.compile.native.target import Native
 from twodof.compile.program.lower import lower
 
@@ -202,10 +200,3 @@ def test_what_is_left_out_changes_no_bit(first: int, count: int) -> None:
             for name, value in wanted.items():
                 assert same(np.atleast_1d(value), np.atleast_1d(found[name])).all(), (case.diagram.name, k, name)
     assert chosen >= count / 2
-
-
-@pytest.mark.parametrize("count", [8, pytest.param(100, marks=pytest.mark.soak)])
-def test_lanes_compute_both_sides_and_have_the_same_bits(count: int) -> None:
-    cases = [Case(random_selection(seed), [], rows(seed), {}) for seed in range(count)]
-    assert any(left_out(case.diagram) for case in cases)
-    assert not lane_differences(cases, "float32", "rk4", best_simd(), 3)

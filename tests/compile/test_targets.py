@@ -10,11 +10,9 @@ from __future__ import annotations
 import itertools
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from tests.blocks.library import samples
@@ -24,16 +22,13 @@ from tests.compile.differential import (
     KINDS,
     STEPS,
     Case,
-    Judgement,
     cheap_cases,
     emitted,
     random_cases,
     reference_run,
-    same,
 )
 from tests.compile.every_operator import KINDS as OPERANDS
 from tests.compile.every_operator import every_operator
-from tests.compile.lanes.lanes_differential import lane_programs
 from tests.compile.machine_cases import array_case, machine_case
 from tests.compile.semantics import resetting
 from tests.compile.typed_signals import TOLD
@@ -43,9 +38,7 @@ from twodof.blocks.elementary.functions import ARGUMENTS
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.kinds import FLOATS, STORED
 from twodof.compile.c.operators import OPERATORS, PLAIN, row
-from twodof.compile.lanes.lanes_program import SIMD, best_simd
 from twodof.compile.program.lower import lower
-from twodof.compile.target import EmittedProgram
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
 
@@ -126,45 +119,13 @@ LONG_GROUPS: dict[str, Group] = {
 PRECISIONS = ("float64", "float32")
 
 
-@dataclass(frozen=True)
-class InLanes:
-    """Instances side by side, all with the case's inputs; that lanes do not mix is tested in test_lanes.py."""
-
-    simd: str
-    lanes: int = 5  # no multiple of any vector's length
-    needs: tuple[str, ...] = ()
-
-    def differences(
-        self, cases: Sequence[Case], expected: Sequence[Judgement], programs: Sequence[EmittedProgram]
-    ) -> list[str]:
-        """Every signal and state of a lane that differs from the reference."""
-        found = []
-        made = lane_programs(cases, programs[0].precision, programs[0].flat.integrator, self.lanes, self.simd)
-        for case, want, program in zip(cases, expected, made, strict=True):
-            machine, steps = program.machine(), len(case.rows)
-            results = machine.run(steps, case.columns(steps))
-            pairs = [(path, column, results[path]) for path, column in want.signals.items()]
-            last = [(f"state {path}", np.atleast_1d(np.array(v)), path) for path, v in want.states[steps].items()]
-            for lane in range(self.lanes):
-                where = f"{case.diagram.name} lane {lane}"
-                wrong = [path for path, a, b in pairs if not same(a, np.ascontiguousarray(b[:, lane])).all()]
-                for path, a, state in last:
-                    b = np.atleast_1d(machine.state(state)[lane])
-                    if not same(a.astype(b.dtype), b).all():
-                        wrong.append(path)
-                found += [f"{where} {path}: not the bits of the reference" for path in wrong]
-        return found
-
-
-WIDTHS = list(SIMD)[list(SIMD).index(best_simd()) :]
-ALL = {**KINDS, **{f"lanes-{simd}": InLanes(simd) for simd in WIDTHS}}
 FLYING = {
     "operators": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
     "random": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
     "library": {"float64": ("gcc-O3-native",), "float32": ()},
     "flight": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
     "closed": {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)},
-    "semantics": {"float64": ("gcc-O0", "lanes-baseline"), "float32": ("gcc-O0", "wasm", "m7-gcc")},
+    "semantics": {"float64": ("gcc-O0",), "float32": ("gcc-O0", "wasm", "m7-gcc")},
 }
 """By sort of diagram and precision, the targets on which its groups run each day whatever their turn."""
 BLOCKS = {"float64": ("gcc-O3-native", "wasm"), "float32": ("m7-gcc",)}
@@ -178,9 +139,6 @@ ONCE = {
     "library-memory-more": "float32",
 }
 """The precision in which a group runs each day; the soak runs all in both."""
-LANES = [f"lanes-{simd}" for simd in WIDTHS]
-LANES_OF = {sort: LANES[min(k, len(LANES) - 1)] for k, sort in enumerate(("operators", "random", "library", "flight"))}
-"""The width of lanes that a sort of diagram runs in each day; test_lanes.py runs random diagrams in all of them."""
 SLOTS = [(group, precision) for group in GROUPS for precision in PRECISIONS if ONCE.get(group, precision) == precision]
 
 
@@ -195,27 +153,25 @@ def kinds_for(group: str, precision: str) -> list[str]:
     flying = {name for names in FLYING[sort].values() for name in names}
     if sort == "library":
         flying |= {name for names in BLOCKS.values() for name in names}
-    # Lanes first: so float64 has them, whose vectors are shorter and compile sooner.
-    wide = [LANES_OF[sort]] if sort in LANES_OF else []
-    others = [*wide, *(name for name in KINDS if name not in flying)]
+    others = [name for name in KINDS if name not in flying]
     dealt = [name for k, name in enumerate(others) if k % len(alike) == turn and sort not in ("closed", "semantics")]
-    return [name for name in ALL if name in dealt or name in always]
+    return [name for name in KINDS if name in dealt or name in always]
 
 
-def compare(cases: list[Case], precision: str, integrator: str, kinds: Sequence[str] = tuple(ALL)) -> None:
+def compare(cases: list[Case], precision: str, integrator: str, kinds: Sequence[str] = tuple(KINDS)) -> None:
     """Assert that targets give the reference's bits; in the end skip or fail, saying why, if one could not run."""
     expected = [reference_run(c, precision, integrator, [EMULATED_STEPS]) for c in cases]
     programs = emitted(cases, precision, integrator)
     found, absent = [], []
     for name in kinds:
-        kind = ALL[name]
+        kind = KINDS[name]
         if missing(*kind.needs):
             absent.append(name)
             continue
         found += [f"{name}: {line}" for line in kind.differences(cases, expected, programs)[:5]]
     assert not found, "\n".join(found)
     for name in absent:
-        need(*ALL[name].needs)
+        need(*KINDS[name].needs)
 
 
 @pytest.fixture(autouse=True)
@@ -255,11 +211,7 @@ def test_every_operator_is_compared() -> None:
 @pytest.mark.parametrize("sort", ["operators", "random", "library", "flight"])
 def test_by_turns_every_target_runs_each_sort_of_diagram(sort: str) -> None:
     found = {kind for slot in SLOTS if slot[0].startswith(sort) for kind in kinds_for(*slot)}
-    assert found == {*KINDS, LANES_OF[sort]}
-
-
-def test_every_width_of_lanes_runs_some_sort() -> None:
-    assert set(LANES_OF.values()) == set(LANES)
+    assert found == {*KINDS}
 
 
 @pytest.mark.parametrize("target", ["gcc-O3-native", "wasm", "m7-gcc"])

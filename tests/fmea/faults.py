@@ -45,7 +45,7 @@ def _due(t: Any, onset: Any) -> Any:
 
 
 class Noise(Block):
-    """A standard normal for each sample, that all faults share: a lane has one fault."""
+    """A standard normal for each sample, that all faults share: an instance has one fault."""
 
     outputs = (Port("n"),)
     params = (Param("seed", 1, "uint32"),)

@@ -1,4 +1,4 @@
-"""Flies the rows in lanes: `python -m tests.fmea.fly [--times N] [text]` prints what the rows with `text` measured."""
+"""Flights of the rows: `python -m tests.fmea.fly [--times N] [text]` prints what the rows with `text` measured."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.fmea.loop import ONSET, compiled, fly, rig_values, settled
+from tests.fmea.loop import ONSET, fly, rig_values, settled
 from tests.fmea.rows import ROWS, SITUATIONS, Row
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, named_causes
 from twodof.rig.parameters import NAMES
 
 BATCH = 512
-"""Lanes that fly at once."""
+"""Instances that fly at once."""
 
 AT_A_STOP = 300
 """How long motors may be on once a stop was met, at a fault that can be seen [ms]."""
@@ -78,13 +78,11 @@ def flown(rows: Sequence[Row], times: Sequence[int]) -> Iterator[Flown]:
             }
             lanes.append(rigs[rig] | script | of_seed | dict(row.faults))
             changes.append(row.changes)
-    start, program = settled(), compiled(min(BATCH, len(lanes)))
+    start = settled()
     parts = []
     for begin in range(0, len(lanes), BATCH):
         mine, later = lanes[begin : begin + BATCH], changes[begin : begin + BATCH]
-        count = len(mine)
-        mine, later = ([*part, *part[-1:] * (program.lanes - count)] for part in (mine, later))
-        parts.append({name: values[:count] for name, values in fly(program, mine, later, start).items()})
+        parts.append(fly(mine, later, start))
     seen = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     for place, (row, situation, rig) in enumerate(jobs):
         mine_of = slice(place * len(times), (place + 1) * len(times))

@@ -1,7 +1,8 @@
-"""One compiled closed loop for all rows of the hazard analysis: each lane flies a situation with a fault and a seed."""
+"""One compiled closed loop for all rows of the hazard analysis: an instance flies a situation, a fault and a seed."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -10,7 +11,9 @@ from numpy.typing import NDArray
 from tests.fmea.faults import Fault, FlagFault, Mirrored, Noise
 from twodof.blocks import Block, Diagram, Param, Port, State, int32, maximum, to_int32, where
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build_lanes
+from twodof.compile.builder import build
+from twodof.compile.instances import Instances
+from twodof.compile.machine import CompiledProgram
 from twodof.flight.control.cascade import cascade
 from twodof.flight.control.mixer import Mixer
 from twodof.flight.core import PreviousPitch, core
@@ -238,30 +241,32 @@ def faulty_loop() -> Diagram:
     return d
 
 
-def compiled(lanes: int) -> LanesProgram:
-    """The loop for so many lanes."""
-    return build_lanes(faulty_loop(), BASE_DT, lanes, optimise="-O2")
+@functools.cache
+def compiled() -> CompiledProgram:
+    """Return the compiled loop."""
+    program = build(faulty_loop(), BASE_DT, optimise="-O2")
+    assert isinstance(program, CompiledProgram)
+    return program
 
 
 def settled() -> dict[str, Any]:
     """The estimator's states after a long rest: no flight starts with a doubtful pitch."""
-    machine = compiled(4).machine()
+    machine = Instances(compiled(), 1)
     machine.skip(SETTLING)
     paths = [path for path in machine.program.states if path.startswith(f"{FILTER}.P_")]
     return {path: float(machine.state(path)[0]) for path in paths} | {f"{FILTER}.started": True}
 
 
 def fly(
-    program: LanesProgram,
     lanes: Sequence[Mapping[str, Any]],
     changes: Sequence[Mapping[str, Any]],
     start: Mapping[str, Any],
 ) -> dict[str, NDArray[Any]]:
-    """Flies a set of parameters in each lane; `changes` come at ONSET, `start` are states.
+    """Fly a set of parameters in each instance; `changes` come at ONSET, `start` are states.
 
-    Returns what the witness saw, (lanes,) each.
+    Returns what the witness saw, (instances,) each.
     """
-    machine = program.machine()
+    machine = Instances(compiled(), len(lanes))
     _set(machine, lanes)
     machine.reset()
     for path, value in start.items():
@@ -272,8 +277,8 @@ def fly(
     return {name: machine.state(f"witness.{name}") for name in MEASURED}
 
 
-def _set(machine: LanesMachine, lanes: Sequence[Mapping[str, Any]]) -> None:
-    """Sets the parameters that are given for any lane; in the others they stay."""
+def _set(machine: Instances, lanes: Sequence[Mapping[str, Any]]) -> None:
+    """Sets the parameters that are given for any instance; in the others they stay."""
     values: dict[str, Any] = {}
     for path in sorted({path for lane in lanes for path in lane}):
         present = machine.get(path)[0].item()

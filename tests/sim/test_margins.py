@@ -11,7 +11,9 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
-from twodof.compile.lanes.lanes_program import LanesMachine, LanesProgram, build_lanes
+from twodof.compile.builder import build
+from twodof.compile.instances import Instances
+from twodof.compile.machine import CompiledProgram
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.script import script
@@ -51,9 +53,11 @@ def laboratory(rig: str) -> Laboratory:
 
 
 @functools.cache
-def program(lanes: int) -> LanesProgram:
+def program() -> CompiledProgram:
     log = [f"flight.failsafe.{path}" for path in SUMS]
-    return build_lanes(closed_loop(failsafe=True), BASE_DT, lanes, log=log)
+    made = build(closed_loop(failsafe=True), BASE_DT, log=log)
+    assert isinstance(made, CompiledProgram)
+    return made
 
 
 def experiment(rig: str, name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
@@ -76,7 +80,7 @@ def hard(name: str) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
 def used(rig: str, flight: tuple[dict[str, Any], dict[str, NDArray[Any]]], seeds: NDArray[Any]) -> dict[str, float]:
     """The largest share of each limit that is used in flight, over all seeds; the range's is of `range_error`."""
     conditions, columns = flight
-    machine: LanesMachine = program(len(seeds)).machine()
+    machine = Instances(program(), len(seeds))
     values = dict(laboratory(rig).parameters.snapshot()) | conditions
     machine.set_many({f"rig.{name}": value for name, value in values.items()} | {"rig.seed": seeds})
     machine.reset()

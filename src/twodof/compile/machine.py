@@ -1,7 +1,4 @@
-"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target.
-
-What they share with many instances side by side (`twodof.compile.lanes`) are BuiltProgram and BuiltMachine.
-"""
+"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target."""
 
 from __future__ import annotations
 
@@ -16,41 +13,40 @@ from twodof.blocks.machine import Machine
 from twodof.compile.target import Backend, EmittedProgram
 
 
-class BuiltProgram:
-    """A diagram as C. `source` is it; `flat` what was lowered; `parameters` and `states` the declarations by path."""
+class CompiledProgram:
+    """A diagram compiled for a target.
 
-    def __init__(self, emitted: EmittedProgram) -> None:
+    `source` is its C; `flat` the flattened diagram; `parameters` and `states` the declarations by path.
+    """
+
+    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
         self.emitted = emitted
-        self.flat = lowered = emitted.flat
+        self.backend = backend
+        self.flat = flat = emitted.flat
         self.source = emitted.source
         self.layout = emitted.layout
         self.precision = emitted.precision
-        self.dt = lowered.dt
-        self.parameters: dict[str, Param] = {path: q.declared for path, q in lowered.parameters.items()}
+        self.dt = flat.dt
+        self.parameters: dict[str, Param] = {path: q.declared for path, q in flat.parameters.items()}
         self.dtypes = emitted.dtypes
         self.states = {
             f"{node.path}.{s.name}": (s, emitted.layout.states[node, s.name].name)
-            for node in lowered.nodes
+            for node in flat.nodes
             for s in node.block.states
         }
 
-
-class CompiledProgram(BuiltProgram):
-    """A diagram compiled for a target."""
-
-    def __init__(self, emitted: EmittedProgram, backend: Backend) -> None:
-        super().__init__(emitted)
-        self.backend = backend
-
     def machine(self) -> CompiledMachine:
-        """A fresh instance in its initial state."""
+        """Return a fresh instance in its initial state."""
         return CompiledMachine(self)
 
 
-class BuiltMachine(Machine):
-    """What runs in the memory of C structs: where each path stands in them."""
+class CompiledMachine(Machine):
+    """One running instance, in the memory of the C structs.
 
-    def __init__(self, program: BuiltProgram) -> None:
+    `instance` has the structs and the calls on them, as the target made them.
+    """
+
+    def __init__(self, program: CompiledProgram) -> None:
         layout, flat = program.layout, program.flat
         states = {path: found[0] for path, found in program.states.items()}
         shapes = {path: s.shape for path, s in flat.outputs.items()}
@@ -59,16 +55,6 @@ class BuiltMachine(Machine):
         self._members = {path: layout.parameters[q].name for path, q in flat.parameters.items()}
         self._inputs = {name: layout.inputs[s].name for name, s in flat.inputs.items()}
         self._outputs = {path: (s, layout.outputs[path].name) for path, s in flat.outputs.items()}
-
-
-class CompiledMachine(BuiltMachine):
-    """One running instance, in the memory of the C structs.
-
-    `instance` is what the target gave: the structs, and the calls on them.
-    """
-
-    def __init__(self, program: CompiledProgram) -> None:
-        super().__init__(program)
         self.program = program
         self._plain_floats = program.precision == "float64"
         self.instance = instance = program.backend.instance()

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.compile.program.flat_program import FlatProgram
-from twodof.compile.program.layout import LaneShape, MemoryLayout
+from twodof.compile.program.layout import MemoryLayout
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,6 @@ class EmittedProgram:
     source: str
     layout: MemoryLayout
     precision: str
-    shape: LaneShape | None = None  # of structs that hold several instances
 
     @property
     def name(self) -> str:
@@ -30,7 +29,7 @@ class EmittedProgram:
     @cached_property
     def dtypes(self) -> dict[str, np.dtype[Any]]:
         """The numpy types of the structs "P", "S", "U" and "Y", on all targets alike."""
-        return self.layout.dtypes(self.precision, self.shape)
+        return self.layout.dtypes(self.precision)
 
     @cached_property
     def sizes(self) -> list[int]:

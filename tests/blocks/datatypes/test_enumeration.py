@@ -17,9 +17,8 @@ from twodof.blocks.library import Compare, CompareToConstant, Constant, Convert,
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
-from twodof.compile.lanes import build_lanes
 from twodof.compile.program.check import check
-from twodof.errors import DiagramError, ParameterError, TwodofError
+from twodof.errors import DiagramError, ParameterError
 
 
 def test_an_enumeration_of_ours_and_one_of_python_are_the_same() -> None:
@@ -169,14 +168,6 @@ def test_names_go_into_a_running_program_and_nothing_else_does() -> None:
             with pytest.raises((DiagramError, ParameterError)) as found:
                 call(*arguments)
             assert text in str(found.value)
-
-
-def test_lanes_take_members_only() -> None:
-    d = Diagram("d")
-    d.output("y", d.input("asked", Mode))
-    lanes = build_lanes(d, 0.1, 2, optimise="-O0").machine()
-    with pytest.raises(TwodofError, match="4 is not a member of Mode"):
-        lanes.run(2, {"asked": [[0, 0], [4, 0]]})
 
 
 def test_the_c_reads_like_the_drawing() -> None:

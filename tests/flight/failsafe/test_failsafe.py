@@ -1,4 +1,4 @@
-"""The failsafe as a whole: ports, hostile inputs on many lanes, and its cost on the processor."""
+"""The failsafe as a whole: ports, hostile inputs in many instances, and its cost on the processor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from tests.toolchains import need
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
-from twodof.compile.lanes.lanes_program import build_lanes
+from twodof.compile.instances import Instances
+from twodof.compile.machine import CompiledProgram
 from twodof.errors import DiagramError
 from twodof.flight.core import OUTPUTS, core
 from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
@@ -30,7 +31,7 @@ from twodof.signals import PERIOD
 
 pytestmark = pytest.mark.slow
 
-LANES, STEPS = 64, 2500
+INSTANCES, STEPS = 64, 2500
 
 
 def test_the_ports_are_those_that_are_documented() -> None:
@@ -48,8 +49,8 @@ def test_it_travels_as_json() -> None:
 
 
 def hostile(rng: np.random.Generator, kind: str, sound: float, wild: NDArray[Any]) -> NDArray[Any]:
-    """An input for STEPS steps on LANES lanes: mostly `sound`, in `wild` stretches anything at all."""
-    shape = (STEPS, LANES)
+    """An input for STEPS steps for INSTANCES instances: mostly `sound`, in `wild` stretches anything at all."""
+    shape = (STEPS, INSTANCES)
     if kind == "bool":
         return np.where(wild, rng.random(shape) < 0.5, bool(sound))
     if kind == "int32":
@@ -61,7 +62,7 @@ def hostile(rng: np.random.Generator, kind: str, sound: float, wild: NDArray[Any
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(precision: str) -> None:
-    """NaN, infinities, any mode, any flag, controllers gone mad, on 64 lanes; what holds must hold in every step."""
+    """NaN, infinities, any mode, any flag, controllers gone mad, in 64 instances; what holds, holds in every step."""
     rng = np.random.default_rng(1)
     diagram = failsafe()
     sound = {
@@ -81,7 +82,7 @@ def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(
     inputs = {}
     for name, port in diagram.inputs.items():
         # One input in a hundred is wild at a time, for a while: of some forty a third of the time none.
-        stretches = rng.random((STEPS // 20, LANES)) < 0.01
+        stretches = rng.random((STEPS // 20, INSTANCES)) < 0.01
         inputs[name] = hostile(rng, port.kind, sound.get(name, 0.0), np.repeat(stretches, 20, axis=0))
     # Disarmed, armed idle, flown, again and again.
     phase = np.arange(STEPS)[:, None] % 250
@@ -89,7 +90,9 @@ def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(
     for name in ("thrust", "M_open", "mode"):
         inputs[name] = np.where(phase < 60, 0, inputs[name])
     with np.errstate(over="ignore"):
-        machine = build_lanes(diagram, PERIOD, LANES, precision).machine()
+        program = build(diagram, PERIOD, precision)
+        assert isinstance(program, CompiledProgram)
+        machine = Instances(program, INSTANCES)
         # Wild stretches last 80 ms: shorter timers, so that descending is seen, too.
         machine.set_many({"battery_critical.timeout": 0.02, "descent": 0.1, "machine.level_limit": 1.0})
         out = machine.run(STEPS, inputs)

@@ -102,9 +102,7 @@ def emit(
         *bodies,
     ]
     text = "".join(parts)
-    return [
-        EmittedProgram(p, text, layout, precision, style.shape) for p, layout in zip(programs, layouts, strict=True)
-    ]
+    return [EmittedProgram(p, text, layout, precision) for p, layout in zip(programs, layouts, strict=True)]
 
 
 def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle) -> tuple[list[str], set[str]]:

@@ -11,14 +11,13 @@ from twodof.compile.c.names import STRAIGHT as STRAIGHT_NAME
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.writer import CWriter
-from twodof.compile.program.layout import LaneShape, Member
+from twodof.compile.program.layout import Member
 
 
 class CStyle:
     """C for one instance: values are scalars, conditions are C's."""
 
     types: Mapping[str, str] = C_TYPES
-    shape: LaneShape | None = None
     writer: type[CWriter] = CWriter
     renderer: type[Renderer] = BranchingRenderer
     function = "static"  # how an elementary function is declared

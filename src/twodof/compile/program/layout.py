@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.expressions.kinds import BY_NAME, dtype_of
+from twodof.blocks.expressions.kinds import dtype_of
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.block_kinds import BlockKind
@@ -15,30 +15,6 @@ from twodof.compile.program.flat_program import FlatParameter, FlatProgram, Flat
 from twodof.compile.program.holding import passing
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack
-
-
-@dataclass(frozen=True)
-class LaneShape:
-    """How many lanes a struct holds: `vectors` vectors of `size` bytes (16, 32 or 64) of reals."""
-
-    precision: str
-    size: int
-    vectors: int
-
-    @property
-    def each(self) -> int:
-        """Lanes in a vector."""
-        return self.size // (4 if self.precision == "float32" else 8)
-
-    @property
-    def lanes(self) -> int:
-        """Lanes in a struct."""
-        return self.each * self.vectors
-
-    @property
-    def bits(self) -> bool:
-        """Whether a mask is one bit a lane, the lowest first, and no vector."""
-        return self.size == 64
 
 
 @dataclass(frozen=True)
@@ -51,12 +27,11 @@ class Member:
     path: str = ""
     unit: str = ""
     remark: str = ""
-    shared: bool = False  # one for all lanes
 
     def declaration(self, types: Mapping[str, str] = C_TYPES) -> str:
         """The member's line in the struct."""
         size = "" if self.width is None else f"[{self.width}]"
-        return f"{(C_TYPES if self.shared else types)[self.kind]} {self.name}{size};"
+        return f"{types[self.kind]} {self.name}{size};"
 
 
 @dataclass
@@ -106,7 +81,7 @@ class MemoryLayout:
         self.inputs: dict[FlatSignal, Member] = {}
         self.outputs: dict[str, Member] = {}
         self.s.names.taken.add("x")
-        self.tick = self.s.add(Member("tick", "uint32", None, remark="base ticks since the start", shared=True))
+        self.tick = self.s.add(Member("tick", "uint32", None, remark="base ticks since the start"))
         kinds = list(kinds)
         copied = {n for kind in kinds for n in kind.nodes}
         inside = {n.parameters[name] for kind in kinds for n in kind.nodes for name in kind.own}
@@ -180,12 +155,12 @@ class MemoryLayout:
                     copies += [self.states[node, state.name] for state in node.block.states]
         return [*own, *copies]
 
-    def dtypes(self, precision: str, shape: LaneShape | None = None) -> dict[str, np.dtype[Any]]:
-        """The numpy types of P, S, U and Y: their memory is that of the C structs, of one instance or of `shape`'s."""
-        word = np.dtype(precision).itemsize * (shape.each if shape else 1)
+    def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
+        """The numpy types of P, S, U and Y: their memory is that of the C structs."""
+        word = np.dtype(precision).itemsize
 
         def laid(struct: Struct) -> list[_Place]:
-            return [_place(m, precision, shape) for m in struct.members]
+            return [_place(m, precision) for m in struct.members]
 
         x = _struct_dtype(laid(self.x))
         made = {}
@@ -235,20 +210,10 @@ class _Copies(NamedTuple):
     number: int
 
 
-def _place(m: Member, precision: str, shape: LaneShape | None) -> _Place:
-    """Where a member stands in numpy.
-
-    Of lanes the last axis is the lane, or, of bools whose masks are bits, a byte of eight lanes.
-    """
-    dims = () if m.width is None else (m.width,)
-    if shape is None or m.shared:
-        base = dtype_of(m.kind, precision)
-        return _Place(m.name, np.dtype((base, dims)), base.itemsize)
-    if m.kind == "bool" and shape.bits:
-        return _Place(m.name, np.dtype((np.uint8, (*dims, shape.lanes // 8))), shape.each // 8)
-    masks = "int32" if precision == "float32" else "int64"
-    base = np.dtype(masks) if m.kind == "bool" else dtype_of(BY_NAME[m.kind].computes, precision)
-    return _Place(m.name, np.dtype((base, (*dims, shape.lanes))), min(base.itemsize * shape.each, 64))
+def _place(m: Member, precision: str) -> _Place:
+    """Where a member stands in numpy."""
+    base = dtype_of(m.kind, precision)
+    return _Place(m.name, np.dtype((base, () if m.width is None else (m.width,))), base.itemsize)
 
 
 def _struct_dtype(places: Sequence[_Place | _Copies]) -> np.dtype[Any]:

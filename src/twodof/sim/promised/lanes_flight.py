@@ -1,4 +1,4 @@
-"""Fly one step of a set-point on many rigs at once: lanes of one compiled closed loop."""
+"""One step of a set-point flown on many rigs: instances of one compiled closed loop."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
-from twodof.compile.lanes.lanes_program import build_lanes
-from twodof.errors import ParameterError
+from twodof.compile.builder import build
+from twodof.compile.instances import Instances
+from twodof.compile.machine import CompiledProgram
+from twodof.errors import CompileError, ParameterError
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.rig.rig import BASE_DT
 from twodof.signals import HOVER, MODES, PERIOD
@@ -53,12 +55,15 @@ def fly_lanes(
     Each of `rigs` is a rig's parameters by name; the k-th has the noise of `seed` + k. `read` are outputs of the closed
     loop. `gains` are those of the stock loops, and `controllers` fly in place of some. `tuned` are parameters of the
     closed loop by path, a value for each rig. `said` is called with the share done; an exception that it raises ends
-    the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build_lanes`.
+    the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build`.
     """
     modes = {"theta0": "attitude", "v0": "velocity", "x0": "position"}
     if setpoint not in modes:
         raise ParameterError(f"a set-point {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
-    machine = build_lanes(closed_loop(gains, controllers=controllers), BASE_DT, len(rigs)).machine()
+    program = build(closed_loop(gains, controllers=controllers), BASE_DT)
+    if not isinstance(program, CompiledProgram):
+        raise CompileError("flights of many rigs need a C compiler", "fly_lanes", "install gcc, or the wheel ziglang")
+    machine = Instances(program, len(rigs))
     values = {f"rig.{name}": [rig[name] for rig in rigs] for name in rigs[0]}
     # As the experiments have it, rings lock the cart while the pitch is stepped.
     values["rig.rings"] = [setpoint == "theta0"] * len(rigs)

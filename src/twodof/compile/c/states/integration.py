@@ -122,7 +122,7 @@ class IntegrationEmitter:
 
         leaf = self.scope.leaf(node, signal, partial(self._state, node), "held->tick")
         if self._tick is None and any(e.op == "tick" for e in walk(roots)):
-            self._tick = self.held.add(Member("tick", "uint32", None, shared=True))
+            self._tick = self.held.add(Member("tick", "uint32", None))
         made = self.scope.renderer(self.writer, self.names, leaf, node.path, known)
         if node.guard.always:
             self.renderers[node] = made
