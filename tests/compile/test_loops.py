@@ -11,7 +11,7 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.program.lower import lower
-from twodof.compile.wasm.cost import operations
+from twodof.compile.wasm.module import operations
 
 pytestmark = pytest.mark.slow
 

@@ -21,10 +21,8 @@ from twodof.compile.builder import emit_program
 from twodof.compile.c.emitter import emit
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
-from twodof.compile.wasm import engine, module
-from twodof.compile.wasm.binary import PAGE
-from twodof.compile.wasm.cost import step_fuel
-from twodof.compile.wasm.module import FUNCTIONS, compile_module, find_wasm_compiler
+from twodof.compile.wasm import module, target
+from twodof.compile.wasm.module import FUNCTIONS, PAGE, compile_module, find_wasm_compiler, step_fuel
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import CompileError, ControllerFault
 from twodof.sim.closed_loop import closed_loop
@@ -44,7 +42,7 @@ def tampered(place: str, code: str, **options: Any) -> CompiledMachine:
 
 
 def test_a_module_imports_nothing_and_exports_its_functions_and_a_memory_that_cannot_grow() -> None:
-    wasmtime = engine.wasmtime()
+    wasmtime = target.wasmtime()
     data = compile_module([emit_program(closed_loop(), 0.001)]).data
     loaded = wasmtime.Module(wasmtime.Engine(), data)
     assert list(loaded.imports) == []
@@ -101,6 +99,13 @@ def test_parameters_stay_where_preparing_them_fails() -> None:
         machine.set_many({"pendulum.omega": 2.0, "k": 5.0})
     assert machine.instance.structs["P"].tobytes() == before
     assert (machine.get("k"), machine.get("pendulum.omega")) == (4.0, 3.0)
+
+
+def test_module_that_imports_is_refused() -> None:
+    data = target.wasmtime().wat2wasm('(module (import "env" "f" (func)))')
+    program = emit_program(examples.loop(), 0.01)
+    with pytest.raises(CompileError, match=r"imports env\.f"):
+        target.backends(module.WasmModule(data, 1, {"loop": program}, {}))
 
 
 def test_fuel_can_be_given() -> None:
@@ -186,7 +191,7 @@ def test_without_wasmtime_the_error_says_what_to_install(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(importlib, "import_module", missing)
     # Asked for anew, and the one that the programs of other tests have stays theirs.
-    monkeypatch.setattr(engine, "_engine", functools.cache(engine._engine.__wrapped__))
+    monkeypatch.setattr(target, "_engine", functools.cache(target._engine.__wrapped__))
     with pytest.raises(CompileError, match=r"pip install wasmtime"):
         build(examples.loop(), 0.01, target="wasm")
 

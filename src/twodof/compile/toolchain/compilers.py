@@ -101,9 +101,8 @@ def compiled(
 
     `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
     `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option
-    may name them (a linker script). The file ends with a seal, which loaders of shared objects and ELF ignore;
-    `compiled_bytes` gives the bytes without it. It may be gone after the `with`, and before where another process makes
-    room. `afresh` makes it even if it is there. Raises CompileError if the compiler refuses or hangs.
+    may name them (a linker script). The file may be gone after the `with`, and before where another process makes room.
+    `afresh` makes it even if it is there. Raises CompileError if the compiler refuses or hangs.
     """
     key = _key(source, compiler, options, depends, files)
     with cached(key, suffix, lambda made: compile_c(source, made, compiler, options, files), afresh) as file:
@@ -113,7 +112,7 @@ def compiled(
 def compiled_bytes(
     source: str, compiler: Compiler, options: Sequence[str], suffix: str, files: Mapping[str, str] | None = None
 ) -> bytes:
-    """The bytes of the file that `compiled` gives, without its seal. Raises CompileError as that does."""
+    """Return the bytes of the file that `compiled` yields. Raises CompileError as that does."""
     key = _key(source, compiler, options, "", files)
     return cached_bytes(key, suffix, lambda made: compile_c(source, made, compiler, options, files))
 

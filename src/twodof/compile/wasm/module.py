@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from twodof.blocks.declarations import Param, Port, State
+from twodof.blocks.expressions.cost import CostMeter
+from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.kinds import dtype_of
 from twodof.compile.c import freestanding
+from twodof.compile.program.flat_program import FlatProgram, Node
 from twodof.compile.program.layout import Member
 from twodof.compile.target import EmittedProgram
 from twodof.compile.toolchain import compilers
 from twodof.compile.toolchain.compilers import Compiler
-from twodof.compile.wasm.binary import PAGE, closed
-from twodof.compile.wasm.cost import OPTIMISATION_BUDGET, optimisation_cost, step_fuel
 from twodof.errors import CompileError
 
 FUNCTIONS = ("defaults", "prepare", "init", "step", "run", "tick")
+PAGE = 65536  # bytes
 STACK = 1 << 20  # bytes; three nested functions may have 320 kB of arrays each
 ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at once
 ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
@@ -164,22 +168,23 @@ def compile_module(
     places = {p.name: WasmAddresses.of(p) for p in programs}
     functions = [f"{p.name}_{f}" for p in programs for f in FUNCTIONS]
     start = max(p.end for p in places.values())
+    # Constants stand in the source: a number of 4 bytes with 2 characters at least, one of 8 bytes with 7.
+    pages = -(-(start + 2 * len(programs[0].source)) // PAGE) + 1
+    if pages * PAGE > LARGEST:
+        what = f"it needs {pages * PAGE >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}"
+        raise CompileError(what, ", ".join(list(places)[:3]), "shorten tables")
     options = (
         *FLAGS,
         "-O0" if optimisation_cost(programs[0].source) > OPTIMISATION_BUDGET else optimise,
         *found.flags,
         f"-Wl,--global-base={start}",
+        f"-Wl,--initial-memory={pages * PAGE}",  # which is also the largest: it cannot grow
+        f"-Wl,--max-memory={pages * PAGE}",
         *(f"-Wl,--export={f}" for f in functions),
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
     source = "".join([programs[0].source, *ticks, freestanding.MEMORY, freestanding.layout_checks(programs)])
     data = compilers.compiled_bytes(source, found, options, ".wasm", freestanding.FILES)
-    where = ", ".join(list(places)[:3])
-    data, pages = closed(data, functions, where, (STACK, start))
-    if pages * PAGE > LARGEST:
-        raise CompileError(
-            f"it needs {pages * PAGE >> 20} MiB of memory, the sandbox gives {LARGEST >> 20}", where, "shorten tables"
-        )
     return WasmModule(data, pages, {p.name: p for p in programs}, places)
 
 
@@ -196,3 +201,85 @@ void {name}_tick(void)
     {name}_step({arguments});
 }}
 """
+
+
+PER_OPERATION = 100
+PER_BYTE = 8
+AT_LEAST = 10_000
+
+
+def step_fuel(program: EmittedProgram) -> int:
+    """The fuel [instructions of WebAssembly, about] that one call of a function but `run` may use.
+
+    An upper bound with a wide margin: PER_OPERATION for each operation of the language that any path computes, PER_BYTE
+    for what is filled and copied, and AT_LEAST. A program that needs more has a fault, or its compiler.
+    """
+    return PER_OPERATION * operations(program.flat) + PER_BYTE * sum(program.sizes[1:]) + AT_LEAST
+
+
+def operations(program: FlatProgram) -> int:
+    """At most this many operations of the language (elements of arrays included) are computed in a step."""
+    stages = (4 if program.integrator == "rk4" else 1) * (len(program.edged) + 1)
+    continuous = bool(program.integrated)
+    total = 0
+    for node in program.nodes:
+        trace = node.trace
+        edges = [e for pair in trace.edges.values() for e in pair]
+        outputs = list(trace.outputs.values())
+        once = _cost([*outputs, *edges, *trace.update.values(), *trace.project.values(), *trace.prepare.values()])
+        again = _cost([*outputs, *trace.derivative.values()]) if continuous else 0
+        total += once + stages * again + _moved(node)
+    return total
+
+
+def _cost(expressions: Iterable[Expr]) -> int:
+    return CostMeter(None).measure(expressions).operations
+
+
+def _moved(node: Node) -> int:
+    """Values that are held, reset, zeroed or committed: a few operations for each element."""
+    block = node.block
+    started = len(node.starts) * sum(s.width or 1 for s in block.states)
+    declared: list[Port | State | Param] = [*block.states, *block.outputs, *block.inputs, *block.params]
+    return sum(4 * (d.width or 1) for d in declared) + started + 8
+
+
+_WORD = re.compile(r"[A-Za-z_]\w*")
+_LOCAL = re.compile(r" +(?:const )?(?:real|int32_t|uint32_t|bool) (\w+) = ")
+OPTIMISATION_BUDGET = 100_000_000
+"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much; cubic in the values."""
+
+
+def optimisation_cost(source: str) -> int:
+    """The sum over the lines of C of the square of the number of local values that a later line still reads.
+
+    `source` is as the emitter writes it: a local value a line, a function's end at the line's beginning.
+    """
+    total = 0
+    body: list[str] = []
+    for line in source.splitlines():
+        if line.startswith("}"):
+            total += _function_cost(body)
+            body = []
+        else:
+            body.append(line)
+    return total
+
+
+def _function_cost(lines: list[str]) -> int:
+    last: dict[str, int] = {}
+    for number, line in enumerate(lines):
+        if match := _LOCAL.match(line):
+            last[match[1]] = number
+        for word in _WORD.findall(line):
+            if word in last:
+                last[word] = number
+    alive = total = 0
+    ends = [0] * (len(lines) + 1)
+    for number, line in enumerate(lines):
+        if match := _LOCAL.match(line):
+            alive += 1
+            ends[last[match[1]]] += 1
+        total += alive * alive
+        alive -= ends[number]
+    return total

@@ -60,7 +60,7 @@ def build(files: Mapping[str, str]) -> ModuleType:
         data = cache.cached_bytes(key, ".code", lambda made: _generate(files, made), afresh)
         try:
             code = marshal.loads(data)
-        except (ValueError, EOFError, TypeError):  # sealed, and still none: another Python wrote it under our key
+        except (ValueError, EOFError, TypeError):  # damaged, or written by another Python
             continue
         module = ModuleType(MODULE, "MAVLink as generated from dialect.xml.")
         exec(code, module.__dict__)
