@@ -1,16 +1,16 @@
-"""MAVLink 2 signing: what leaves is signed by pymavlink, what comes is accepted only signed, fresh and unrepeated.
+"""MAVLink 2 signing: keys in files, time stamps that are never used twice, and the check of a frame's signature.
 
-Why not pymavlink's own check: it stores a stream's time stamp before it has looked at the signature. One forged packet
-with a stamp of the year 2100 shuts the true sender out (tried with pymavlink 2.4.50: the next good packet is refused).
-This check looks at the signature first. Otherwise its rules are those of
+pymavlink signs what leaves. It does not check what arrives, because it stores the time stamp of a frame before it has
+checked the signature: one forged frame with a stamp of the year 2100 shuts the true sender out (tried with pymavlink
+2.4.50). The check here looks at the signature first. Its other rules are those of
 https://mavlink.io/en/guide/message_signing.html:
 
-- a signature is the first 6 bytes of SHA-256 over the key and the packet up to there;
-- a stamp must exceed the last of its stream; a new stream may be one minute behind our time;
-- our time follows the highest stamp that was taken.
+- a signature is the first 6 bytes of SHA-256 over the key and the frame up to the signature;
+- a stamp must exceed the last stamp of its stream; a new stream may be one minute behind our time;
+- our time is the later one of the clock and the highest accepted stamp.
 
-So who was ahead once has set the time for all. Who is behind since then catches up by hearing anybody: `Connection`
-sees to it that it hears us.
+A peer whose clock is ahead therefore sets the time for all. A peer that is behind catches up as soon as it hears a
+signed frame; `Connection` sends it one.
 """
 
 import fcntl
@@ -37,10 +37,32 @@ KEY_BYTES = 32
 SHORTEST_PASSPHRASE = 12
 _HEX = re.compile(rb"[0-9a-fA-F]{64}\s*")
 
+PER_SECOND = 100_000
+"""Stamps in a second: a stamp counts 10 us since 2015-01-01."""
+EPOCH_S = 1_420_070_400
+HIGHEST = 2**48 - 1
+MARGIN = 10 * PER_SECOND
+"""How far the stamp on the disk runs ahead of the stamps that were used, so that frames need no write each."""
+MOST_AHEAD = 365 * 24 * 3600 * PER_SECOND
+"""A stamp further ahead of the clock is refused, since it would spend the range of stamps, which ends in 2104.
+
+A lower bound would refuse a peer whose clock is wrong, and its refused frames could be replayed once their time comes.
+"""
+MOST_STREAMS = 1024
+MOST_FILE_BYTES = 100_000
+WRITE_S = 5.0
+RETRY_S = 1.0
+OWN = "own"
+
+SIGNATURE_HASH = 6
+NEW_STREAM_BEHIND = 60 * PER_SECOND
+# A clock in the first year of the count was never set, so it judges nobody.
+UNSET = 365 * 24 * 3600 * PER_SECOND
+
 
 @dataclass(frozen=True, eq=False)
 class Key:
-    """A MAVLink 2 signing key; its text shows a fingerprint, which tells two keys apart and gives neither away."""
+    """A MAVLink 2 signing key. Its text is a fingerprint, which tells two keys apart and reveals neither."""
 
     secret: bytes
 
@@ -61,62 +83,37 @@ class Key:
 
     @classmethod
     def fresh(cls) -> "Key":
-        """A key drawn at random."""
+        """Draw a key at random."""
         return cls(secrets.token_bytes(KEY_BYTES))
 
     @classmethod
     def of(cls, passphrase: str) -> "Key":
-        """The key of a passphrase: its SHA-256, as QGroundControl and MAVProxy make it.
+        """Make the key of a passphrase: its SHA-256, as in QGroundControl and MAVProxy.
 
-        Whoever records one packet can try passphrases at leisure, so that a short one is refused: raises LinkError
-        under SHORTEST_PASSPHRASE characters.
+        One recorded frame is enough to try passphrases offline, so short ones are refused. Raises LinkError under
+        SHORTEST_PASSPHRASE characters.
         """
         if len(passphrase) < SHORTEST_PASSPHRASE:
-            what = f"a passphrase of {len(passphrase)} characters is guessed"
+            what = f"a passphrase of {len(passphrase)} characters is easily guessed"
             raise LinkError(what, "key", f"take {SHORTEST_PASSPHRASE} or more, such as five random words")
         return cls(hashlib.sha256(passphrase.encode()).digest())
 
 
 def read_key(path: str | Path) -> Key:
-    """The key in a file of 64 hexadecimal digits.
+    """Read a key from a file of 64 hexadecimal digits.
 
-    Raises LinkError if the file cannot be read, holds no key, or could be read or written by anybody but its owner.
+    Raises LinkError if the file cannot be read, holds no key, or gives rights to users other than its owner.
     """
-    data = read_guarded(Path(path), 200, 0o077, "the key", "and change the key", f"make one: twodof key {path}")
+    data = _read_guarded(Path(path), 200, 0o077, "the key", "and change the key", f"make one: twodof key {path}")
     if not _HEX.fullmatch(data):
         raise LinkError("holds no key of 64 hexadecimal digits", str(path), f"make one: twodof key {path}")
     return Key(bytes.fromhex(data.decode("ascii").strip()))
 
 
-def read_guarded(path: Path, most: int, forbidden: int, what: str, beside: str, remedy: str) -> bytes:
-    """At most `most` bytes of a file of ours, `what`, of which nobody else has the `forbidden` rights.
-
-    Raises LinkError for any other, with `beside` as what to do besides mending owner or rights. With `remedy`, and the
-    OSError as its cause, if it cannot be read.
-    """
-    try:
-        # A pipe would wait for who writes to it.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError as error:
-        raise LinkError(f"{what} cannot be read: {error.strerror}", str(path), remedy) from error
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
-            raise LinkError(f"{what}: is not a file", str(path), "name a file")
-        if found.st_uid != os.geteuid():
-            said = f"{what}: the file belongs to another user"
-            raise LinkError(said, str(path), f"copy it to a file of your own, {beside}")
-        if found.st_mode & forbidden:
-            rights = "read or write" if forbidden & 0o044 else "write"
-            said = f"others may {rights} {what} (mode {stat.S_IMODE(found.st_mode):04o})"
-            raise LinkError(said, str(path), f"chmod 600 {path}, {beside}")
-        return file.read(most)
-
-
 def write_key(path: str | Path, key: Key) -> None:
     """Write a key to a new file that only its owner can read.
 
-    Raises LinkError where there is a file already, and where the system refuses.
+    Raises LinkError if the file exists or the system refuses.
     """
     try:
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600)
@@ -131,189 +128,181 @@ def write_key(path: str | Path, key: Key) -> None:
             os.fsync(file.fileno())
         sync_folder(Path(path).resolve().parent)
     except (OSError, LogError) as error:
-        Path(path).unlink(missing_ok=True)  # half a key is none
+        Path(path).unlink(missing_ok=True)  # half a key is useless
         why = error.strerror if isinstance(error, OSError) else error.what
         raise LinkError(f"cannot be written: {why}", str(path), "make room on the disk") from error
 
 
-PER_SECOND = 100_000
-EPOCH_S = 1_420_070_400
-HIGHEST = 2**48 - 1
-# After a crash a peer is refused for as long at most, and ours run ahead of the clock by as much.
-MARGIN = 10 * PER_SECOND
-# A stamp further ahead of our clock than this is no clock's, and would spend the range, which ends in 2104. Less would
-# refuse a peer whose clock is wrong, and let what was refused of it be said again by others once its time has come.
-MOST_AHEAD = 365 * 24 * 3600 * PER_SECOND
-MOST_STREAMS = 1024
-MOST_FILE_BYTES = 100_000
-WRITE_SECONDS = 5.0
-OWN = "own"
+def _read_guarded(path: Path, most: int, forbidden: int, what: str, beside: str, remedy: str) -> bytes:
+    """Read at most `most` bytes of `what` from our own file, on which other users have no `forbidden` rights.
+
+    Raises LinkError otherwise. `beside` completes the remedy for a wrong owner or mode. If the file cannot be read,
+    the remedy is `remedy` and the OSError is the cause.
+    """
+    try:
+        # Without O_NONBLOCK a named pipe would wait for a writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    except OSError as error:
+        raise LinkError(f"{what} cannot be read: {error.strerror}", str(path), remedy) from error
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise LinkError(f"{what}: is not a file", str(path), "name a file")
+        if found.st_uid != os.geteuid():
+            owner = f"{what}: the file belongs to another user"
+            raise LinkError(owner, str(path), f"copy it to a file of your own, {beside}")
+        if found.st_mode & forbidden:
+            rights = "read or write" if forbidden & 0o044 else "write"
+            mode = f"others may {rights} {what} (mode {stat.S_IMODE(found.st_mode):04o})"
+            raise LinkError(mode, str(path), f"chmod 600 {path}, {beside}")
+        return file.read(most)
 
 
 def wall_stamp() -> int:
-    """Now, by the system's clock."""
+    """Return the stamp of the system's clock."""
     return max(0, int((time.time() - EPOCH_S) * PER_SECOND))
 
 
 class Stamps:
-    """Highest stamp used by each stream, on the disk ahead of its use.
+    """Time stamps over restarts: none of ours is used twice, none of a peer's is accepted twice.
 
-    A stream is a name: `OWN`, or link, system and component of a sender. `path` None keeps nothing: for tests, and for
-    a key that lives no longer than the process. One process at a time may have a file. Raises LinkError if another
-    has it, or if it cannot be read: guessing would let old packets in. A disk that fails later stops no flight, as a
-    kill must always get through: `failure` says so, and it is tried again each second.
+    The file at `path` holds one stamp. All stamps up to it count as used in the next run, whoever used them. It runs
+    ahead of use by up to MARGIN, so that it is written every few seconds, in the background, and holds after a crash.
+    `path` None keeps nothing. Only one process may have a file at a time. Raises LinkError if another process has it,
+    or if it cannot be read, because a guess would let old frames in. A disk that fails later stops no flight, since a
+    kill must get through: `failure` says why, and the write is tried again each second.
     """
 
     def __init__(self, path: str | Path | None, clock: Callable[[], int] = wall_stamp) -> None:
-        self._path = Path(path) if path is not None else None
         self.clock = clock
-        self._used: dict[str, int] = {}
-        self._stored: dict[str, int] = {}
-        self._writing: Future[None] | None = None
-        self._ahead: dict[str, int] = {}
-        self._lock_file = -1
         self.failure = ""
+        self._path = None if path is None else Path(path)
+        self._streams: dict[str, int] = {}
+        self._lock = -1 if self._path is None else _lock(self._path)
+        try:
+            self.floor = 0 if self._path is None else _read(self._path)
+        except LinkError:
+            os.close(self._lock)
+            raise
+        self._used = self._stored = self.floor
+        self._pool = None if self._path is None else ThreadPoolExecutor(1, "stamps")
+        self._writing: tuple[int, Future[None]] | None = None
         self._retry_at = 0.0
-        if self._path is not None:
-            self._take_lock(self._path)
-            try:
-                self._stored = _read(self._path)
-            except LinkError:
-                self._drop_lock()
-                raise
-            self._used = dict(self._stored)
-        self._pool = ThreadPoolExecutor(1, "stamps") if self._path is not None else None
-
-    def next_own(self) -> int:
-        """A stamp of ours that was never used: the clock, or one more than the last."""
-        stamp = max(self.clock(), self._used.get(OWN, 0) + 1)
-        if stamp > HIGHEST:
-            raise LinkError("the time stamps of this key are used up", "signing", "set the clock and change the key")
-        self.use(OWN, stamp)
-        return stamp
 
     @property
     def own(self) -> int:
-        """Our time: the clock, or the highest stamp of ours."""
-        return max(self.clock(), self._used.get(OWN, 0))
+        """Our time: the clock, or the highest stamp that was used."""
+        return max(self.clock(), self._used)
 
-    @property
-    def room(self) -> bool:
-        """Whether one more stream may begin."""
-        return len(self._used) < MOST_STREAMS
+    def next_own(self) -> int:
+        """Return a stamp that was never used: the clock, or the highest used stamp plus one."""
+        stamp = max(self.clock(), self._used + 1)
+        if stamp > HIGHEST:
+            raise LinkError("the time stamps of this key are used up", "signing", "set the clock and change the key")
+        self._use(stamp)
+        return stamp
 
     def last(self, stream: str) -> int | None:
-        """The highest stamp that `stream` used, None if it is new."""
-        return self._used.get(stream)
+        """Return the highest stamp accepted of a stream in this run, None if the stream is new."""
+        return self._streams.get(stream)
 
-    def use(self, stream: str, stamp: int) -> None:
-        """Say that `stream` used everything up to `stamp`; it is on the disk, or `failure` says why not."""
-        self._used[stream] = stamp
-        if self._path is None:
-            return
-        if stamp > self._stored.get(stream, -1):
-            self._settle()
-            if stamp > self._stored.get(stream, -1) and time.monotonic() >= self._retry_at:
-                self._try(lambda: self._write(self._reserved()))
-        elif stamp > self._stored[stream] - MARGIN // 2 and self._writing is None and self._pool is not None:
-            self._ahead = self._reserved()
-            self._writing = self._pool.submit(_write, self._path, self._ahead)
-        elif self._writing is not None and self._writing.done():
-            self._settle()
+    def accept(self, stream: str, stamp: int) -> None:
+        """Record that a stream used all stamps up to `stamp`; our time follows it."""
+        self._streams[stream] = stamp
+        self._use(max(stamp, self._used))
+
+    @property
+    def full(self) -> bool:
+        """Whether MOST_STREAMS are known, so that no new one is accepted."""
+        return len(self._streams) >= MOST_STREAMS
 
     def close(self) -> None:
-        """Write what was really used, so that nobody waits for the margin, and let others have the file.
-
-        Raises LinkError if that fails.
-        """
+        """Write the exact stamp and release the file. Raises LinkError if the write fails."""
         if self._path is None or self._pool is None:
             return
         try:
-            self._settle()
-            self._write(dict(self._used))
+            self._finish_write()
+            _write(self._path, self._used)
         finally:
             self._pool.shutdown()
             self._pool = None
-            self._drop_lock()
+            os.close(self._lock)
 
-    def _reserved(self) -> dict[str, int]:
-        return {stream: min(HIGHEST, used + MARGIN) for stream, used in self._used.items()}
+    def _use(self, stamp: int) -> None:
+        """Note a used stamp. Wait for the disk only if the stored stamp is already behind."""
+        self._used = stamp
+        if self._path is None or self._pool is None or stamp <= self._stored - MARGIN // 2:
+            return
+        late = stamp > self._stored
+        if self._writing is not None and (late or self._writing[1].done()):
+            self._finish_write()
+        behind = stamp > self._stored - MARGIN // 2
+        if self._writing is None and behind and time.monotonic() >= self._retry_at:
+            ahead = min(HIGHEST, stamp + MARGIN)
+            self._writing = ahead, self._pool.submit(_write, self._path, ahead)
+            if late:
+                self._finish_write()
 
-    def _write(self, stamps: dict[str, int]) -> None:
-        if self._path is not None:
-            _write(self._path, stamps)
-            self._stored = stamps
-
-    def _settle(self) -> None:
-        """Wait for the write in the background, if there is one."""
-        if self._writing is not None:
-            writing, self._writing = self._writing, None
-            if self._try(lambda: writing.result(timeout=WRITE_SECONDS)):
-                self._stored = self._ahead
-
-    def _try(self, write: Callable[[], None]) -> bool:
-        """Whether a write went well; if not, it is kept in mind and not tried again for a second."""
+    def _finish_write(self) -> None:
+        if self._writing is None:
+            return
+        (ahead, writing), self._writing = self._writing, None
         try:
-            write()
+            writing.result(timeout=WRITE_S)
         except (LinkError, TimeoutError) as error:
             self.failure = str(error) or "the disk does not answer"
-            self._retry_at = time.monotonic() + 1.0
-            return False
-        self.failure = ""
-        return True
-
-    def _take_lock(self, path: Path) -> None:
-        try:
-            flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
-            self._lock_file = os.open(f"{path}.lock", flags, 0o600)
-            fcntl.flock(self._lock_file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            self._drop_lock()
-            taken = isinstance(error, BlockingIOError)
-            what = "another process signs with these time stamps" if taken else f"cannot be locked: {error.strerror}"
-            raise LinkError(what, str(path), "give each process a file of its own") from error
-
-    def _drop_lock(self) -> None:
-        if self._lock_file >= 0:
-            os.close(self._lock_file)
-            self._lock_file = -1
+            self._retry_at = time.monotonic() + RETRY_S
+        else:
+            self.failure, self._stored = "", ahead
 
 
-def _read(path: Path) -> dict[str, int]:
-    """The stamps in a file that nobody but its owner, us, can have set back."""
+def _lock(path: Path) -> int:
+    """Lock the file beside `path` for this process and return its descriptor."""
+    descriptor = -1
+    try:
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
+        descriptor = os.open(f"{path}.lock", flags, 0o600)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if descriptor >= 0:
+            os.close(descriptor)
+        taken = isinstance(error, BlockingIOError)
+        what = "another process signs with these time stamps" if taken else f"cannot be locked: {error.strerror}"
+        raise LinkError(what, str(path), "give each process a file of its own") from error
+    return descriptor
+
+
+def _read(path: Path) -> int:
+    """Read the highest stamp of a file that no other user can have set back; 0 if there is no file.
+
+    Files of earlier versions hold a stamp for each stream.
+    """
     beside = "and change the key: old packets could come back"
     try:
-        data = read_guarded(path, MOST_FILE_BYTES + 1, 0o022, "the time stamps", beside, "make it readable")
+        data = _read_guarded(path, MOST_FILE_BYTES + 1, 0o022, "the time stamps", beside, "make it readable")
     except LinkError as error:
-        if isinstance(error.__cause__, FileNotFoundError):  # any other refusal may hide stamps that were kept
-            return {}
+        if isinstance(error.__cause__, FileNotFoundError):  # any other reason may hide stamps
+            return 0
         raise
     try:
         found: Any = json.loads(data) if len(data) <= MOST_FILE_BYTES else None
     except (ValueError, RecursionError):
         found = None
-    sound = isinstance(found, dict) and len(found) <= MOST_STREAMS
-    if not sound or not all(type(value) is int and 0 <= value <= HIGHEST for value in found.values()):
+    if not isinstance(found, dict) or not all(type(one) is int and 0 <= one <= HIGHEST for one in found.values()):
         raise LinkError("holds no time stamps", str(path), f"remove it {beside}")
-    return {str(stream): value for stream, value in found.items()}
+    return max(found.values(), default=0)
 
 
-def _write(path: Path, stamps: dict[str, int]) -> None:
+def _write(path: Path, stamp: int) -> None:
     try:
         with atomic_write(path, "w") as file:
-            json.dump(stamps, file)
+            json.dump({OWN: stamp}, file)
     except LogError as error:
         raise LinkError(f"the time stamps are not kept: {error.what}", str(path), "make room on the disk") from error
 
 
-SIGNATURE_HASH = 6
-NEW_STREAM_BEHIND = 60 * PER_SECOND
-# A clock in the first year of the stamps' count was never set; whoever is ahead of it is right.
-UNSET = 365 * 24 * 3600 * PER_SECOND
-
-
 class SigningVerdict(Enum):
-    """What became of a frame; its value is the reason in words."""
+    """Result of the check of a frame; the value is the reason in words."""
 
     ACCEPTED = "accepted"
     UNSIGNED = "not signed"
@@ -325,7 +314,7 @@ class SigningVerdict(Enum):
 
 @dataclass(slots=True)
 class SigningCounts:
-    """Frames by verdict."""
+    """Numbers of frames by verdict."""
 
     accepted: int = 0
     unsigned: int = 0
@@ -336,13 +325,13 @@ class SigningCounts:
 
     @property
     def refused(self) -> int:
-        """Frames that were not let in."""
+        """Frames that were not accepted."""
         return self.unsigned + self.forged + self.repeated + self.stale + self.ahead
 
 
 @dataclass(slots=True)
 class _Outgoing:
-    """What pymavlink's packing asks for."""
+    """Signing state in the form that pymavlink's `pack` takes."""
 
     secret_key: bytes
     link_id: int
@@ -354,7 +343,7 @@ class _Outgoing:
 
 
 class Signing:
-    """A key, its time stamps, and what was accepted and refused. `link_id` (0 to 255) tells one's own links apart."""
+    """A key with its time stamps and counts. `link_id` (0 to 255) tells the links of one sender apart."""
 
     def __init__(self, key: Key, stamps: Stamps, link_id: int = 0) -> None:
         self.key = key
@@ -366,12 +355,12 @@ class Signing:
         return f"Signing({self.key!r}, link {self._outgoing.link_id})"
 
     def outgoing(self) -> object:
-        """What `framing.encode` signs the next packet with."""
+        """Return the argument with which `framing.encode` signs the next frame."""
         self._outgoing.timestamp = self.stamps.next_own()
         return self._outgoing
 
     def check(self, frame: Frame) -> SigningVerdict:
-        """Whether to take a frame; counted."""
+        """Judge a received frame and count the verdict."""
         verdict = self._judge(frame)
         name = verdict.name.lower()
         setattr(self.counts, name, getattr(self.counts, name) + 1)
@@ -379,26 +368,23 @@ class Signing:
 
     def _judge(self, frame: Frame) -> SigningVerdict:
         if not frame.signed:
-            return SigningVerdict.UNSIGNED  # a radio's own RADIO_STATUS too: whom it names it would keep alive
-        raw = frame.raw
+            return SigningVerdict.UNSIGNED  # RADIO_STATUS too: it would keep alive any sender that it names
+        raw, stamps = frame.raw, self.stamps
         signed = hashlib.sha256(self.key.secret + raw[:-SIGNATURE_HASH]).digest()[:SIGNATURE_HASH]
         if not hmac.compare_digest(signed, raw[-SIGNATURE_HASH:]):
             return SigningVerdict.FORGED
         link, stamp = raw[-SIGNATURE], int.from_bytes(raw[-SIGNATURE + 1 : -SIGNATURE_HASH], "little")
         stream = f"{link}:{frame.system}:{frame.component}"
-        last, own = self.stamps.last(stream), self.stamps.own
-        if last is not None and stamp <= last:
+        last, own, now = stamps.last(stream), stamps.own, stamps.clock()
+        if stamp <= (stamps.floor if last is None else last):
             return SigningVerdict.REPEATED
-        if last is None and (stamp + NEW_STREAM_BEHIND < own or not self.stamps.room):
+        if last is None and (stamp + NEW_STREAM_BEHIND < own or stamps.full):
             return SigningVerdict.STALE
-        now = self.stamps.clock()
         if now > UNSET and stamp > max(now + MOST_AHEAD, own + NEW_STREAM_BEHIND):
             return SigningVerdict.AHEAD
-        self.stamps.use(stream, stamp)
-        if stamp > own:  # their clock is ahead: ours follows, or they would refuse what we send
-            self.stamps.use(OWN, stamp)
+        stamps.accept(stream, stamp)
         return SigningVerdict.ACCEPTED
 
     def close(self) -> None:
-        """Keep the time stamps. Raises LinkError if they cannot be."""
+        """Store the time stamps. Raises LinkError if that fails."""
         self.stamps.close()

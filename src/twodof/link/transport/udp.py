@@ -1,34 +1,97 @@
-"""UDP: to one address, or listening, where who sends sound packets is a peer until it has long been silent, or both.
+"""UDP: a socket with one address, a listening socket with the peers that were heard, or both.
 
-Bound to a port of its own it always sends to its address, and also to each peer that writes to that port, as PX4's
-links do. It broadcasts only while no peer is heard.
+A socket that is bound to a port of its own always sends to its address, and also to each peer that writes to that
+port, as the links of PX4 do. It broadcasts only while no peer is heard.
 """
 
 import asyncio
+import random
 import socket
-from collections.abc import Hashable
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from typing import Any, cast
 
 from twodof.link.transport.base import Packet, Transport
-from twodof.link.transport.flood_filter import FloodFilter
-from twodof.link.transport.stop_frames import find_stop_frames
+from twodof.link.transport.stop_frames import find_stop_frames, looks_like_a_stop
 from twodof.link.transport.url import Address
 
 MOST_PEERS = 32
-# A ground station sends a heartbeat each second; ten missed ones, and its place may go to another.
+# A ground station sends a heartbeat each second; after ten missed ones its place may go to another peer.
 SILENT_S = 10.0
 SOCKET_BUFFER = 4 << 20
-# Of a socket that anybody may fill: what waits there is ahead of a kill.
+# The buffer of a listening socket is smaller: a kill waits behind everything in it.
 LISTENING_BUFFER = 1 << 20
-# What MAVLink sends fits into Ethernet's 1500; what is longer would be looked through at the cost of who flies.
+# MAVLink fits into Ethernet's 1500 bytes; to parse longer datagrams would only cost time.
 LONGEST_DATAGRAM = 2048
-# Datagrams are read for so long [s] before anybody else gets a turn, and no more than so many.
+# The longest time [s] and the most datagrams that are read before other tasks get a turn.
 TURN_S, BURST = 0.0005, 256
+
+REFUSED_S = 2.0
+# Linux charges a socket's buffer at least 768 bytes for a packet, even for one of a few bytes.
+PACKET_BYTES = 700
+# A peer with less than a quarter of its share of a flood, or with so few packets, is no part of it.
+SHARE, FEW = 4, 8
+MOST_REFUSED = 32
+# If the flooding peers are too many to list, unknown peers keep one packet in so many.
+ONE_IN = 256
+
+
+class FloodGuard:
+    """Refusal of peers that fill a socket faster than it is read; packets that look like a stop always pass.
+
+    A flood is noticed when more than twice the content of the socket's buffer was read without finding it empty.
+    `known` returns the peers that sent valid frames before.
+    """
+
+    def __init__(
+        self, buffer_bytes: int, loop: asyncio.AbstractEventLoop, known: Callable[[], Iterable[Hashable]]
+    ) -> None:
+        self.count = 0
+        """Floods noticed so far."""
+        self._loop = loop
+        self._known = known
+        self._most = max(2 * buffer_bytes // PACKET_BYTES, 64)
+        self._packets: Counter[Hashable] = Counter()  # by peer, since the socket was last empty
+        self._left = self._most
+        self._refuses: Callable[[Hashable], bool] | None = None
+        self._until = 0.0
+
+    def emptied(self) -> None:
+        """Start a new count; the socket was read empty."""
+        if self._left != self._most:
+            self._packets.clear()
+            self._left = self._most
+
+    def passes(self, peer: Hashable, data: bytes) -> bool:
+        """Return whether to take a packet, and count it if so."""
+        if self._refuses is not None:
+            if self._loop.time() > self._until:
+                self._refuses = None
+            elif self._refuses(peer):
+                return looks_like_a_stop(data)
+        self._packets[peer] += 1
+        self._left -= 1
+        if not self._left:
+            self._refuse()
+        return True
+
+    def _refuse(self) -> None:
+        """Refuse flooding peers; if there are too many, refuse every unknown peer."""
+        limit = max(FEW, self._most // (SHARE * len(self._packets)))
+        flooding = {peer for peer, count in self._packets.items() if count > limit}
+        if self._refuses is not None or len(flooding) > MOST_REFUSED:
+            trusted = {peer for peer in self._known() if peer not in flooding}
+            self._refuses = lambda peer: peer not in trusted and bool(random.randrange(ONE_IN))
+        else:
+            self._refuses = flooding.__contains__
+        self._until = self._loop.time() + REFUSED_S
+        self.count += 1
+        self.emptied()
 
 
 class UdpTransport(Transport):
-    """One UDP socket; the system's buffer is its queue. Made by `open_udp`."""
+    """One UDP socket; the system's buffer is its queue. `open_udp` makes it."""
 
     whole = True
 
@@ -38,14 +101,14 @@ class UdpTransport(Transport):
         self._learns = address.listens or self._broadcast or bool(address.bind_name)
         self._loop = asyncio.get_running_loop()
         self._socket = opened
-        self._heard: dict[Hashable, float] = {}  # peer -> when a sound packet of it came last
+        self._heard: dict[Hashable, float] = {}  # peer -> time of its last valid frame
         self._server = there
-        self._flood = FloodFilter(opened, self._loop, lambda: self.peers)
+        self._flood = FloodGuard(opened.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF), self._loop, lambda: self.peers)
         self._loop.add_reader(opened.fileno(), self._readable)
 
     @property
     def peers(self) -> tuple[Hashable, ...]:
-        """The address it was opened to, and those that sent sound packets to where it listens."""
+        """The address that was opened, and the peers that sent valid frames to a listening socket."""
         if self._server is None:
             return tuple(self._heard)
         if self._broadcast and self._heard:
@@ -60,7 +123,7 @@ class UdpTransport(Transport):
         return 0 if self.closed else int(self._socket.getsockname()[1])
 
     def confirm(self, peer: Hashable) -> None:
-        """Make room for `peer` if need be, by forgetting one that has been silent for SILENT_S."""
+        """Add `peer`; if there is no room, forget a peer that has been silent for SILENT_S."""
         if not self._learns or peer == self._server:
             return
         now = self._loop.time()
@@ -72,17 +135,16 @@ class UdpTransport(Transport):
         self._heard[peer] = now
 
     def stranger(self, peer: Hashable) -> bool:
-        """Whether a peer did not get a place."""
+        """Return True if a peer did not get a place."""
         return self._learns and peer not in self._heard and peer != self._server
 
     @property
     def floods(self) -> int:
-        """How often somebody filled the socket faster than it is read, and was refused for a while."""
+        """Number of floods after which peers were refused for a while."""
         return self._flood.count
 
     def _readable(self) -> None:
-        now = self._loop.time()
-        end = now + TURN_S
+        end = self._loop.time() + TURN_S
         for number in range(BURST):
             if number % 16 == 15 and self._loop.time() > end:
                 return
@@ -91,10 +153,10 @@ class UdpTransport(Transport):
             except (BlockingIOError, InterruptedError):
                 self._flood.emptied()
                 return
-            except OSError:  # the other side's port is closed (yet): counted, no reason to end
+            except OSError:  # the other side's port is closed for now: counted only
                 self.counts.errors += 1
                 continue
-            refused = self._learns and not self._flood.came(peer, data)
+            refused = self._learns and not self._flood.passes(peer, data)
             if refused or len(data) > LONGEST_DATAGRAM:
                 self.counts.dropped_in += 1
                 continue
@@ -119,13 +181,12 @@ class UdpTransport(Transport):
         return True
 
     def _release(self) -> None:
-        self._flood.close()
         self._loop.remove_reader(self._socket.fileno())
         self._socket.close()
 
 
 async def open_udp(address: Address) -> UdpTransport:
-    """A UDP socket that listens at or sends to `address`, or does both. Raises OSError where the system refuses."""
+    """Open a UDP socket that listens at `address`, sends to it, or both. Raises OSError if the system refuses."""
     loop = asyncio.get_running_loop()
     places = await loop.getaddrinfo(address.name, address.port, type=socket.SOCK_DGRAM)
     family, kind, protocol, _, place = places[0]
@@ -148,6 +209,6 @@ async def open_udp(address: Address) -> UdpTransport:
         (socket.SO_RCVBUF, LISTENING_BUFFER if anybody else SOCKET_BUFFER),
         (socket.SO_SNDBUF, SOCKET_BUFFER),
     ):
-        with suppress(OSError):  # the system's own bound stays
+        with suppress(OSError):  # the system's own bound remains
             opened.setsockopt(socket.SOL_SOCKET, option, size)
     return UdpTransport(address, opened, None if address.listens else place)
