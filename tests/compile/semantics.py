@@ -14,7 +14,7 @@ import numpy as np
 
 from tests.compile.differential import DT, Case
 from twodof.blocks import Block, Diagram, Port, State
-from twodof.blocks.action_group import action_group
+from twodof.blocks.action_group import action_group, resettable_integrator
 from twodof.blocks.conditions import EDGES
 from twodof.blocks.library import (
     CompareToConstant,
@@ -31,7 +31,6 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.blocks.library.discrete import RESETS
-from twodof.blocks.resettable_integrator import resettable_integrator
 
 Row = Mapping[str, Any]
 STEPS = 80

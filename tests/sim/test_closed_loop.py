@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Diagram
+from twodof.blocks.block import check_steady
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
-from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.failsafe.state_machine import FLYING

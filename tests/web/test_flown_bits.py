@@ -12,8 +12,7 @@ import pytest
 
 from tests.patience import PATIENCE_S
 from twodof.blocks import Diagram
-from twodof.blocks.schema.catalogue import block_shape
-from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.blocks.schema.json_form import block_shape, from_json, to_json
 from twodof.flight.gains import DEFAULT
 from twodof.flight.starters import starter
 from twodof.rig.parameters import lab

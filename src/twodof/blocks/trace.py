@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from itertools import chain
+from typing import Any, TypeVar
 
 from twodof.blocks.datatypes.bus import check_paths, fields_given
 from twodof.blocks.datatypes.enumeration import Enumeration, comparing, stays_within
-from twodof.blocks.declarations import Declared, alike, check_lists, located, shape
+from twodof.blocks.declarations import Declared, Param, Port, State, alike, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
@@ -16,10 +17,55 @@ from twodof.blocks.expressions.graph import Sight, evaluate, walk
 from twodof.blocks.expressions.kinds import STORED
 from twodof.blocks.expressions.matrix import Matrix, flat_of, matrix, shape_of, shape_text
 from twodof.blocks.expressions.numbers import Vector
-from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import definition, is_missing, mistake, place
 from twodof.blocks.namespaces import BusView, Clock, Inputs, Parameters, States
 from twodof.errors import DiagramError, nearest, shown
+
+View = TypeVar("View")
+
+
+class Shapes(dict[str, tuple[int, int]]):
+    """The shapes of declared matrices by name; `buses`: whether something declared is the field of a bus."""
+
+    def __init__(self, declared: Iterable[Port | State | Param] = ()) -> None:
+        every = list(declared)
+        super().__init__({d.name: d.shape for d in every if d.shape})
+        self.buses = any("." in d.name for d in every)
+
+    def __bool__(self) -> bool:
+        """Whether a view shows anything in another form than it is kept."""
+        return self.buses or len(self) > 0
+
+
+def matrices(*declared: Iterable[Port | State | Param]) -> Shapes:
+    """The names of the declared matrices, with their shapes."""
+    return Shapes(chain.from_iterable(declared))
+
+
+def with_matrices(view: View, shapes: Shapes) -> View:
+    """A view (Inputs, States, Parameters) with its matrices and buses as such; `view` itself without any."""
+    if not shapes:
+        return view
+    values: dict[str, Any] = vars(view)
+    made: Any = type(view)
+    values = {**values, **{n: Matrix(values[n], s) for n, s in shapes.items() if n in values}}
+    shown: View = made(_nested(values) if shapes.buses else values)
+    return shown
+
+
+def _nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by path as values by name, those of a bus as a view of its fields."""
+    found: dict[str, Any] = {}
+    inside: dict[str, dict[str, Any]] = {}
+    for path, value in values.items():
+        name, _, field = path.partition(".")
+        if field:
+            inside.setdefault(name, {})[field] = value
+            found.setdefault(name, None)  # in its place
+        else:
+            found[name] = value
+    return {**found, **{name: BusView(_nested(fields)) for name, fields in inside.items()}}
+
 
 MAX_PORTS = 1000  # inputs, outputs, states or parameters of one block
 

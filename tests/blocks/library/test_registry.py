@@ -5,11 +5,10 @@ import pytest
 
 from tests.blocks.library.samples import EXTRA, LIBRARY, ROOMS, SAMPLES, random_inputs, room
 from twodof.blocks import library
-from twodof.blocks.block import Block
+from twodof.blocks.block import Block, check_steady
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.blocks.steady import check_steady
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
 

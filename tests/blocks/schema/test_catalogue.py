@@ -1,6 +1,6 @@
 """The catalogue: what an editor offers for the arguments of a block."""
 
-from twodof.blocks.schema.catalogue import catalogue
+from twodof.blocks.schema.json_form import catalogue
 
 
 def test_an_argument_that_may_be_a_word_offers_its_words_whatever_its_default_is() -> None:

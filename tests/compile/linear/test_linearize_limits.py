@@ -11,7 +11,7 @@ import pytest
 from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
 from twodof.blocks import Block, Diagram, Port, State, maximum, sqrt, where
 from twodof.blocks import library as lib
-from twodof.blocks.resettable_integrator import resettable_integrator
+from twodof.blocks.action_group import resettable_integrator
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import CompileError, DiagramError, ParameterError
 

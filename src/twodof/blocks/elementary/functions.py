@@ -18,8 +18,8 @@ from typing import Any
 from twodof.blocks.elementary import definitions
 from twodof.blocks.elementary.definitions import DOUBLE, SINGLE
 from twodof.blocks.expressions import expr, numbers
-from twodof.blocks.expressions.array_operators import rules
 from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.numbers import rules
 
 
 def _apply(name: str, *values: Any) -> Any:

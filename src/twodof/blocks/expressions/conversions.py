@@ -7,7 +7,6 @@ NaN gives 0 and an infinity the end of int32's range, on every target; then the 
 from typing import Any
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.array_operators import rules
 from twodof.blocks.expressions.expr import (
     Expr,
     arrays_among,
@@ -21,6 +20,7 @@ from twodof.blocks.expressions.expr import (
     to_int32,
 )
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, STORED
+from twodof.blocks.expressions.numbers import rules
 
 OVERFLOW = ("wrap", "saturate")
 

@@ -13,17 +13,15 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, INTEGERS, STORED, TAKES, WORDS
-from twodof.blocks.expressions.numbers import Int32, Integer, UInt32
-from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, users_line
+from twodof.blocks.expressions.numbers import ArrayOperators, Int32, Integer, UInt32, rules
+from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, Refusals, users_line
 from twodof.blocks.expressions.recording import at_most as at_most
 from twodof.blocks.expressions.recording import during as during
 from twodof.blocks.expressions.recording import fault as fault
 from twodof.blocks.expressions.recording import noting_lines as noting_lines
 from twodof.blocks.expressions.recording import recording as recording
 from twodof.blocks.expressions.recording import tracing as tracing
-from twodof.blocks.expressions.refusals import Refusals
 from twodof.errors import DiagramError
 
 LOOPS = ("build", "fold")

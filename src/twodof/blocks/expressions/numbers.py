@@ -16,9 +16,73 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from twodof.blocks.expressions.array_operators import ArrayOperators, rules
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, KINDS
 from twodof.errors import DiagramError, shown
+
+
+class ArrayRules:
+    """What the operators do. `matrix` fills it in, because numbers and nodes, which are below it, have operators too.
+
+    `spread(f, *values)` is `f` element by element; `product(a, b)` is `a @ b`; `part(a, index)` is a slice or an
+    element of a matrix.
+    """
+
+    spread: Callable[..., Any]
+    product: Callable[[Any, Any], Any]
+    part: Callable[[Any, Any], Any]
+
+
+rules = ArrayRules()
+
+
+def _both_ways(compute: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+    """The methods for `self op other` and `other op self`."""
+    return (
+        lambda self, other: rules.spread(compute, self, other),
+        lambda self, other: rules.spread(compute, other, self),
+    )
+
+
+class ArrayOperators:
+    """The base of the arrays that are not nodes: operators element by element, and `@`."""
+
+    __slots__ = ()
+    __array_ufunc__ = None  # numpy must not make arrays of its own of these
+
+    __add__, __radd__ = _both_ways(operator.add)
+    __sub__, __rsub__ = _both_ways(operator.sub)
+    __mul__, __rmul__ = _both_ways(operator.mul)
+    __truediv__, __rtruediv__ = _both_ways(operator.truediv)
+    __floordiv__, __rfloordiv__ = _both_ways(operator.floordiv)
+    __mod__, __rmod__ = _both_ways(operator.mod)
+    __lshift__, __rlshift__ = _both_ways(operator.lshift)
+    __rshift__, __rrshift__ = _both_ways(operator.rshift)
+    __and__, __rand__ = _both_ways(operator.and_)
+    __or__, __ror__ = _both_ways(operator.or_)
+    __xor__, __rxor__ = _both_ways(operator.xor)
+    __lt__, __gt__ = _both_ways(operator.lt)
+    __le__, __ge__ = _both_ways(operator.le)
+    __eq__ = _both_ways(operator.eq)[0]
+    __ne__ = _both_ways(operator.ne)[0]
+
+    def __matmul__(self, other: Any) -> Any:
+        return rules.product(self, other)
+
+    def __rmatmul__(self, other: Any) -> Any:
+        return rules.product(other, self)
+
+    def __neg__(self) -> Any:
+        return rules.spread(operator.neg, self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return rules.spread(abs, self)
+
+    def __invert__(self) -> Any:
+        return rules.spread(operator.invert, self)
+
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
 _Method = Callable[[Any, Any], Any]

@@ -60,7 +60,7 @@ class ResetLatch(Block):
 
     It does so in its first sample. With `reset` "level" it also does so while the bool `clear` is true. With "rising",
     "falling" or "either" it does so at the edges of `clear`. The first sample is not an edge. `initial` gives x0. With
-    initial="input" the input `x0` gives it. `resettable_integrator` (module `twodof.blocks.resettable_integrator`)
+    initial="input" the input `x0` gives it. `resettable_integrator` (module `twodof.blocks.action_group`)
     connects the two.
     """
 

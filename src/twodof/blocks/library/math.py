@@ -10,7 +10,7 @@ from twodof.blocks.elementwise import ORDERED, Pointwise, count, dot, matrix, on
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.blocks.expressions.kinds import FLOATS, NUMERIC
-from twodof.blocks.expressions.linear_algebra import norm
+from twodof.blocks.expressions.matrix import norm
 from twodof.errors import DiagramError
 
 __all__ = [

@@ -18,9 +18,8 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import UInt32, Vector
 from twodof.blocks.machine import Machine
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
-from twodof.blocks.reference.hierarchy import Hierarchy
+from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, PortOf
 from twodof.blocks.reference.method import running
-from twodof.blocks.reference.places import Cell, DiagramLevel, PortOf
 from twodof.errors import DiagramError
 
 Watch = Callable[[Cell, str, Mapping[str, Any], tuple[Any, Any, Any, Any]], None]

@@ -12,10 +12,9 @@ from twodof.blocks.declarations import Port, State, numeric
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import Vector
-from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import HIDDEN, is_users, mistake, place
 from twodof.blocks.namespaces import Namespace, twin
-from twodof.blocks.trace import by_method, by_path, computed
+from twodof.blocks.trace import by_method, by_path, computed, matrices, with_matrices
 from twodof.errors import DiagramError, shown
 
 _OWN_PRECISION = "write float(...) around numbers of numpy, which have a precision of their own"

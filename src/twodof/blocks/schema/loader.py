@@ -11,8 +11,7 @@ from twodof.blocks.declarations import NAME, Param, Port, State, check_shape, lo
 from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
-from twodof.blocks.schema.traced_block import TracedBlock, graph_from_json
-from twodof.blocks.schema.traced_machine import TracedMachine, machine_from_json
+from twodof.blocks.schema.traced_block import TracedBlock, TracedMachine, graph_from_json, machine_from_json
 from twodof.errors import DiagramError, TwodofError, nearest, shown
 
 MAX_DEPTH = 64  # of sub-diagrams

@@ -9,12 +9,11 @@ from twodof.blocks.datatypes.enumeration import Enumeration, comparing
 from twodof.blocks.declarations import Declared, Port, State
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
-from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.mistakes import mistake
 from twodof.blocks.namespaces import Inputs, Parameters, States
 from twodof.blocks.state_machine.chart import Chart
 from twodof.blocks.state_machine.mode import MachineFunction, ModeClock
-from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, returned
+from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, matrices, returned, with_matrices
 from twodof.errors import DiagramError, listed, shown
 
 MODE, ELAPSED, OUTER_ELAPSED = "mode", "elapsed", "elapsed_outer"

@@ -12,7 +12,6 @@ from typing import Any, Protocol
 from twodof.blocks.declarations import Port, State, numeric
 from twodof.blocks.expressions.expr import int32, recording, to_real, uint32, where
 from twodof.blocks.expressions.matrix import flat_of, shaped
-from twodof.blocks.matrix_views import matrices, with_matrices
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine.chart import Leaf, Route
 from twodof.blocks.state_machine.machine_graph import (
@@ -25,7 +24,7 @@ from twodof.blocks.state_machine.machine_graph import (
     owner_clock,
 )
 from twodof.blocks.state_machine.mode import MachineFunction, Mode, ModeClock
-from twodof.blocks.trace import by_path, returned
+from twodof.blocks.trace import by_path, matrices, returned, with_matrices
 
 LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
 

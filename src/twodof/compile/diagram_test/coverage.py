@@ -18,8 +18,8 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.expr import LOOPS, Expr, noting_lines
 from twodof.blocks.expressions.expression_text import limit_of, text_of
 from twodof.blocks.expressions.graph import walk
+from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, PortOf
 from twodof.blocks.reference.interpreter import Reference
-from twodof.blocks.reference.places import Cell, DiagramLevel, PortOf
 from twodof.blocks.state_machine import StateMachine
 from twodof.blocks.trace import by_method, computed, trace_of
 from twodof.compile.diagram_test.run_scenarios import DT, Plan, plan, run_plan

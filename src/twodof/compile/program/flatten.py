@@ -6,13 +6,12 @@ import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 
-from twodof.blocks.block import Block
+from twodof.blocks.block import Block, steady_trace
 from twodof.blocks.conditions import EnabledAgain, TriggerEdge
 from twodof.blocks.declarations import Param, Port, alike, check_initial, located, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate, told_values, two_values
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
-from twodof.blocks.steady import steady_trace
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
 from twodof.compile.program.level import Level, scalar
 from twodof.errors import DiagramError, nearest

@@ -6,9 +6,8 @@ from dataclasses import asdict
 from typing import Any
 
 from twodof.blocks import Diagram
-from twodof.blocks.schema.catalogue import block_shape
-from twodof.blocks.schema.catalogue import catalogue as library_catalogue
-from twodof.blocks.schema.json_form import from_json, to_json
+from twodof.blocks.schema.json_form import block_shape, from_json, to_json
+from twodof.blocks.schema.json_form import catalogue as library_catalogue
 from twodof.blocks.schema.loader import Loader
 from twodof.compile.builder import emit_program
 from twodof.compile.c_files.source_map import source_map
