@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from twodof.design.synthesis.cascade import cascade_design
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.promise import CHANNELS, Promise, promise
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.cascade import cascade_design
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import CHANNELS, Promise, promise
+from twodof.design.sampled_controller import SampledController
 from twodof.flight.gains import Gains
 from twodof.flight.starters.attitude import stock_attitude
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate

@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 
 from tests.cli.test_interrupts import interrupted
-from twodof.design.synthesis.designed_controller import design_controller
-from twodof.design.synthesis.specification import Specification
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.designed_controller import design_controller
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.specification import Specification
 from twodof.errors import ParameterError
 
 pytestmark = pytest.mark.slow

@@ -5,12 +5,12 @@ import math
 
 import numpy as np
 import pytest
-
 from twodof.design.synthesis.schedule import gain_ratio, scheduled_motor
-from twodof.design.synthesis.state_feedback import placed_attitude
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.promise import Promise, promise
-from twodof.design.uncertain.sampled_controller import SampledController
+
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import Promise, promise
+from twodof.design.sampled_controller import SampledController
+from twodof.design.state_feedback import placed_attitude
 from twodof.excitation import Steps
 from twodof.experiment.experiments import experiment
 from twodof.experiment.flight import Flight, Laboratory

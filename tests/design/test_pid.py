@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import cont2discrete
 
 from twodof.design import LoopTransfer, margins
-from twodof.design.synthesis.cascade import CascadeLoops, cascade_design
-from twodof.design.synthesis.pid import PidGains, pid, pid_at, shaped_pid
+from twodof.design.cascade import CascadeLoops, cascade_design
+from twodof.design.pid import PidGains, pid, pid_at, shaped_pid
 from twodof.errors import ParameterError
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, Velocity
 from twodof.signals import PERIOD

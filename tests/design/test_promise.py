@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from twodof.design.uncertain.pitch_family import PitchFamily, PitchMembers
-from twodof.design.uncertain.pitch_loop import PitchLoop
-from twodof.design.uncertain.promise import Promise, promise
-from twodof.design.uncertain.robustness import robustness
-from twodof.design.uncertain.sampled_controller import SampledController
-from twodof.design.uncertain.step_statistics import interval
+from twodof.design.pitch_family import PitchFamily, PitchMembers
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.promise import Promise, promise
+from twodof.design.robustness import robustness
+from twodof.design.sampled_controller import SampledController
+from twodof.design.step_statistics import interval
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flight.starters.attitude import lqr_attitude, pid_attitude

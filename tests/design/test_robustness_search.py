@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from twodof.cli.app import run
-from twodof.design.uncertain.pitch_family import PARAMETERS, PitchFamily, PitchMembers
-from twodof.design.uncertain.pitch_loop import PitchLoop
-from twodof.design.uncertain.robustness import robustness
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.robustness import robustness
+from twodof.design.sampled_controller import SampledController
 from twodof.flight.gains import STUDENT
 from twodof.flight.starters.attitude import pid_attitude
 

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from twodof.design.synthesis.state_feedback import lqg_attitude, lqi, placed_attitude, pole_placement
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.pitch_loop import PitchLoop
-from twodof.design.uncertain.promise import promise
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.promise import promise
+from twodof.design.sampled_controller import SampledController
+from twodof.design.state_feedback import lqg_attitude, lqi, placed_attitude, pole_placement
 from twodof.errors import ParameterError
 from twodof.flight.templates import check_template
 from twodof.models.lqr import lqr

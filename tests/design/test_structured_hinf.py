@@ -7,14 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from twodof.design.synthesis.cascade_hinf import HIGH, LOW, HinfCascade, cascade_hinf, weighted_cascade
-from twodof.design.synthesis.hinf_norm import hinf_norm
-from twodof.design.synthesis.requirements import check
-from twodof.design.synthesis.specification import Specification, read_specification
-from twodof.design.synthesis.structured_hinf import System, largest_norm, structured_hinf
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.promise import promise
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.cascade import HIGH, LOW, HinfCascade, cascade_hinf, weighted_cascade
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import promise
+from twodof.design.sampled_controller import SampledController
+from twodof.design.specification import Specification, check, read_specification
+from twodof.design.structured_hinf import System, hinf_norm, largest_norm, structured_hinf
 from twodof.errors import ParameterError
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.signals import PERIOD

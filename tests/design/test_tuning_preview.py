@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from twodof.design.synthesis.cascade import cascade_loops_of
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.pitch_loop import PitchLoop
-from twodof.design.uncertain.promise import promise
-from twodof.design.uncertain.sampled_controller import SampledController
-from twodof.design.uncertain.tuning_preview import SETTLED, SHOWN, TuningPreview, tuning_preview
+from twodof.design.cascade import cascade_loops_of
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.promise import promise
+from twodof.design.sampled_controller import SampledController
+from twodof.design.tuning_preview import SETTLED, SHOWN, TuningPreview, tuning_preview
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flight.starters.attitude import stock_attitude

@@ -25,8 +25,7 @@ from twodof.signals import HOVER, PERIOD, Q_AGE
 from twodof.sim.closed_loop import ClosedLoop, closed_loop
 from twodof.sim.identified_rig import identified_rig, load_rig_or_model
 from twodof.sim.initial_state import InitialState
-from twodof.sim.linear.cascade_margins import LOOPS, cascade_loop, cascade_margins
-from twodof.sim.linear.linear_rig import _filter_at_rest, publishing_ages
+from twodof.sim.linear import LOOPS, _filter_at_rest, cascade_loop, cascade_margins, publishing_ages
 
 pytestmark = pytest.mark.slow
 

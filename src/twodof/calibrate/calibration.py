@@ -22,7 +22,7 @@ from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS
-from twodof.identify.search.levenberg_marquardt import minimise
+from twodof.identify.search.least_squares import minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import lift

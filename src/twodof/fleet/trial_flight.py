@@ -18,7 +18,7 @@ from twodof.rig.parameters import lab
 from twodof.signals import HOVER, PERIOD
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.initial_state import InitialState
-from twodof.sim.linear.cascade_margins import LOOPS, cascade_margins
+from twodof.sim.linear import LOOPS, cascade_margins
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,7 @@ from twodof.identify.disturbance.search import check_disturbance, search
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, check_record
-from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure, check_structure
 

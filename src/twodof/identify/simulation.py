@@ -12,7 +12,7 @@ from twodof.identify.disturbance.autoregression import Autoregression, autoregre
 from twodof.identify.estimate import Estimate
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples, check_record
-from twodof.identify.search.levenberg_marquardt import minimise
+from twodof.identify.search.least_squares import minimise
 from twodof.identify.simulate import RecordSimulator
 from twodof.models.structure import Structure, check_structure
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from twodof.cli.app import run
-from twodof.sim.linear.cascade_margins import cascade_loop
+from twodof.sim.linear import cascade_loop
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily
 from twodof.errors import IdentificationError
 from twodof.excitation import Multisine
 from twodof.experiment.experiments import Experiment

@@ -5,11 +5,11 @@ from dataclasses import replace
 import pytest
 
 from tests.sim.promised.test_rail_promise import FAMILY
+from twodof.design.specification import Specification
 from twodof.errors import ParameterError
 from twodof.flight.gains import STUDENT
 from twodof.sim.promised.rail_design import rail_design
-from twodof.sim.promised.rail_promise import rail_promise
-from twodof.sim.promised.rail_specification import RailSpecification, check_rail
+from twodof.sim.promised.rail_promise import check_rail, rail_promise
 
 pytestmark = pytest.mark.slow
 
@@ -19,7 +19,7 @@ FEW = 40
 @pytest.mark.long
 def test_gains_that_are_found_meet_what_the_first_ones_miss() -> None:
     """The promise is made anew, by the gains alone; the loops that are not asked about keep their gains."""
-    wanted = RailSpecification(overshoot=0.12, rise_time=0.6)
+    wanted = Specification(loop="velocity", overshoot=0.12, rise_time=0.6)
     before = check_rail(wanted, FAMILY, STUDENT, promised=rail_promise(FAMILY, gains=STUDENT, members=FEW))
     assert not all(row.met for row in before)
     shares: list[float] = []
@@ -35,7 +35,7 @@ def test_gains_that_are_found_meet_what_the_first_ones_miss() -> None:
 @pytest.mark.soak
 def test_what_cannot_be_met_comes_as_near_as_it_can() -> None:
     """A rise in 50 ms takes more than the motors give: all gains miss it, and the first ones miss it by more."""
-    wanted = RailSpecification(rise_time=0.05)
+    wanted = Specification(loop="velocity", rise_time=0.05)
     (before,) = check_rail(wanted, FAMILY, STUDENT, promised=rail_promise(FAMILY, gains=STUDENT, members=FEW))
     found = rail_design(wanted, FAMILY, STUDENT, FEW)
     (after,) = found.requirements
@@ -45,19 +45,21 @@ def test_what_cannot_be_met_comes_as_near_as_it_can() -> None:
 
 def test_refuses_a_specification_that_asks_for_nothing() -> None:
     with pytest.raises(ParameterError, match="asks for nothing"):
-        rail_design(RailSpecification(), FAMILY)
+        rail_design(Specification(loop="velocity"), FAMILY)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize(
     "wanted",
     [
-        RailSpecification(velocity_bandwidth=5.0, position_bandwidth=2.0, phase_margin_deg=60.0, peak_sensitivity=1.5),
-        RailSpecification(overshoot=0.12, rise_time=0.6, velocity_bandwidth=3.0),
-        RailSpecification(overshoot=0.12, rise_time=2.5, position_bandwidth=1.5, loop="position"),
+        Specification(
+            loop="velocity", velocity_bandwidth=5.0, position_bandwidth=2.0, phase_margin_deg=60.0, peak_sensitivity=1.5
+        ),
+        Specification(loop="velocity", overshoot=0.12, rise_time=0.6, velocity_bandwidth=3.0),
+        Specification(overshoot=0.12, rise_time=2.5, position_bandwidth=1.5, loop="position"),
     ],
 )
-def test_other_members_keep_what_was_searched(wanted: RailSpecification) -> None:
+def test_other_members_keep_what_was_searched(wanted: Specification) -> None:
     """Members, gusts and noise of another seed than the search's."""
     found = rail_design(wanted, FAMILY, STUDENT)
     assert found.met

@@ -9,15 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import STEPS, Promise
+from twodof.design.specification import Specification, read_specification
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.steady_state import model_parameters
-from twodof.sim.linear.cascade_margins import cascade_margins
+from twodof.sim.linear import cascade_margins
 from twodof.sim.promised.lanes_flight import BEFORE, fly_lanes
 from twodof.sim.promised.rail_family import RailFamily
-from twodof.sim.promised.rail_promise import CHANNELS, STEPS, RailPromise, rail_promise
-from twodof.sim.promised.rail_specification import RailSpecification, check_rail, read_rail_specification
+from twodof.sim.promised.rail_promise import check_rail, rail_promise
 
 pytestmark = pytest.mark.slow
 
@@ -32,7 +33,7 @@ FAMILY = RailFamily(PITCH, 4.9, 1.4, np.array([[0.04, 0.01], [0.01, 0.0225]]))
 
 
 @functools.cache
-def promised() -> RailPromise:
+def promised() -> Promise:
     return rail_promise(FAMILY, "velocity", gains=STUDENT, members=200)
 
 
@@ -53,12 +54,13 @@ def test_members_are_rigs_of_the_models_drawn() -> None:
 def test_promise_holds_for_other_members() -> None:
     """Members, gusts and noise that were not flown for the promise: 95 % keep it, up to chance."""
     made, count = promised(), 200
-    assert made.lost == 0.0
-    setpoint, _, goal, duration = STEPS["velocity"]
-    fresh = fly_lanes(FAMILY.rigs(count, seed=77), setpoint, goal, duration, gains=STUDENT, read=CHANNELS, seed=999_999)
+    assert made.failed == 0.0
+    step = STEPS["velocity"]
+    rigs = FAMILY.rigs(count, seed=77)
+    fresh = fly_lanes(rigs, step.setpoint, step.goal, step.duration, gains=STUDENT, read=step.channels, seed=999_999)
     kept: dict[str, int] = {}
     for k in range(count):
-        found = made.measured({name: y[:, k] for name, y in fresh.channels.items()})
+        found = made.verdict(fresh.time, {name: y[:, k] for name, y in fresh.channels.items()}).steps[0]
         for name in (*found.outside, *found.figures):
             kept[name] = kept.get(name, 0) + found.kept(name)
     # 190 of 200 +- 3.1, and the 100 members that set a factor tell it to +- 4.4: three times the root of the sum of
@@ -70,7 +72,7 @@ def test_promise_holds_for_other_members() -> None:
 def test_middle_of_the_band_obeys_the_model() -> None:
     """On the mean of the members x is the integral of v, and v + p_v x that of -k_v theta: the model that was drawn."""
     made = promised()
-    time, theta, v, x = made.time, *(made.middle[name] for name in CHANNELS)
+    time, theta, v, x = made.time, *(made.middle[name] for name in made.step.channels)
     travelled = x - x[0]
     assert np.trapezoid(v, time) == pytest.approx(travelled[-1], abs=0.005)
     pushed = -4.9 * np.trapezoid(theta, time)
@@ -82,14 +84,14 @@ def test_middle_of_the_band_obeys_the_model() -> None:
 def test_promise_comes_back_from_its_file() -> None:
     made = promised()
     text = json.dumps(made.to_json(), allow_nan=False)
-    assert json.dumps(RailPromise.from_json(json.loads(text)).to_json(), allow_nan=False) == text
+    assert json.dumps(Promise.from_json(json.loads(text)).to_json(), allow_nan=False) == text
 
 
 def test_a_step_into_the_stop_promises_nothing() -> None:
     lost = rail_promise(FAMILY, "velocity", gains=STUDENT, members=40, goal=0.4, duration=2.0)
-    assert lost.lost == 1.0
+    assert lost.failed == 1.0
     assert "nothing is promised" in lost.table()
-    wanted = RailSpecification(overshoot=0.5, step=0.4)
+    wanted = Specification(loop="velocity", overshoot=0.5, step=0.4)
     assert not any(row.met for row in check_rail(wanted, FAMILY, STUDENT, promised=lost))
 
 
@@ -99,8 +101,13 @@ def test_specification_is_checked() -> None:
     rows = {
         row.name: row
         for row in check_rail(
-            RailSpecification(
-                velocity_bandwidth=2.0, position_bandwidth=20.0, phase_margin_deg=45.0, rail_use=0.3, overshoot=0.01
+            Specification(
+                loop="velocity",
+                velocity_bandwidth=2.0,
+                position_bandwidth=20.0,
+                phase_margin_deg=45.0,
+                rail_use=0.3,
+                overshoot=0.01,
             ),
             FAMILY,
             STUDENT,
@@ -112,7 +119,7 @@ def test_specification_is_checked() -> None:
     assert rows["rail_use"].got == promised().figures["rail_use"][2]
     assert {name for name, row in rows.items() if not row.met} == {"position_bandwidth", "overshoot"}
     # more gain, more bandwidth: the check sees the gains
-    wider = check_rail(RailSpecification(velocity_bandwidth=2.0), FAMILY, DEFAULT)[0]
+    wider = check_rail(Specification(loop="velocity", velocity_bandwidth=2.0), FAMILY, DEFAULT)[0]
     assert wider.got > rows["velocity_bandwidth"].got
 
 
@@ -123,7 +130,7 @@ def test_refuses_a_bad_specification(text: str, tmp_path_factory: pytest.TempPat
     path: Path = tmp_path_factory.mktemp("spec") / "spec.toml"
     path.write_text(text)
     with pytest.raises(ParameterError) as caught:
-        read_rail_specification(path)
+        read_specification(path, "rail")
     assert caught.value.remedy
 
 
@@ -137,8 +144,8 @@ def test_refuses_a_bad_specification(text: str, tmp_path_factory: pytest.TempPat
         lambda: rail_promise(FAMILY, goal=math.nan),
         lambda: rail_promise(FAMILY, members=3),
         lambda: fly_lanes(FAMILY.rigs(1), "q0", 1.0, 1.0),
-        lambda: RailPromise.from_json({"rail_promise": 1}),
-        lambda: check_rail(RailSpecification(overshoot=0.1), FAMILY),
+        lambda: Promise.from_json({"rail_promise": 1}),
+        lambda: check_rail(Specification(loop="velocity", overshoot=0.1), FAMILY),
     ],
 )
 def test_refuses_with_a_remedy(call: Callable[[], object]) -> None:

@@ -66,7 +66,7 @@ export interface Preview {
   bands: Record<"theta" | "q" | "M", { low: number[]; middle: number[]; high: number[] }>;
   loops: Record<string, LoopMargins>;
   figures: Record<string, Interval>;
-  verdict: { robust: boolean; decision: string; text: string };
+  verdict: { robust: boolean; text: string };
 }
 
 /** A step of theta that was flown, scaled to the goal that was asked for. */

@@ -13,14 +13,13 @@ from twodof.cli.diagrams.design_rail import rail
 from twodof.cli.flown import write_view
 from twodof.cli.options import PromiseFile, PromisePlot, Seed
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
-from twodof.design.synthesis.cascade import SEPARATION, CascadeDesign
-from twodof.design.synthesis.designed_controller import CROSSOVER, design_controller
-from twodof.design.synthesis.requirements import Requirement
-from twodof.design.synthesis.specification import read_specification
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.promise import MEMBERS, Promise
-from twodof.design.uncertain.robustness import Robustness
-from twodof.design.uncertain.saturated_step import SaturatedStep
+from twodof.design.cascade import SEPARATION, CascadeDesign
+from twodof.design.designed_controller import CROSSOVER, design_controller
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import MEMBERS, Promise
+from twodof.design.robustness import Robustness
+from twodof.design.saturated_step import SaturatedStep
+from twodof.design.specification import Requirement, read_specification
 from twodof.errors import LogError, ParameterError
 from twodof.flight.starters import save_diagram
 from twodof.flightlog.atomic import atomic_write, check_free
@@ -28,7 +27,6 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.provenance import read_bytes
 from twodof.report.plots.flight_view import check_place
 from twodof.report.plots.promise_view import promise_view
-from twodof.sim.promised.rail_promise import RailPromise
 
 app = typer.Typer(
     add_completion=False,
@@ -96,9 +94,9 @@ def controller(
 ) -> None:
     """Design the cascade's rate PID and attitude P on an identified pitch, and promise what they will do.
 
-    The family of the model is its estimate with its covariance. Members are drawn of it, and the least stable one of
-    its 99.9 % region is searched. Where none is unstable it is proved that none is. A controller that may not keep
-    them all stable is not written: exit status 1.
+    The family of the model is its estimate with its covariance. 2,000 drones are sampled from it, and a local search
+    looks for the worst one on the border of its 99.9 % region. If one of them is unstable, the controller is not
+    written: exit status 1.
 
     With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also where
     they miss it.
@@ -182,9 +180,7 @@ def verdict(
     if plot is not None:
         check_place(plot, force)
     document = _document(promised)
-    made = (RailPromise if isinstance(document, dict) and "rail_promise" in document else Promise).from_json(
-        document, str(promised)
-    )
+    made = Promise.from_json(document, str(promised))
     flight = read_log(log)
     found = made.verdict_of(flight)
     if plot is not None:

@@ -10,6 +10,8 @@ import typer
 from twodof.cli.flown import write_view
 from twodof.cli.options import PromiseFile, PromisePlot, Seed
 from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.design.promise import STEPS
+from twodof.design.specification import read_specification
 from twodof.errors import LogError, ParameterError
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
@@ -19,8 +21,7 @@ from twodof.report.plots.flight_view import check_place
 from twodof.report.plots.promise_view import promise_view
 from twodof.sim.promised.rail_design import RailDesign, rail_design
 from twodof.sim.promised.rail_family import RailFamily
-from twodof.sim.promised.rail_promise import MEMBERS, STEPS, rail_promise
-from twodof.sim.promised.rail_specification import check_rail, read_rail_specification
+from twodof.sim.promised.rail_promise import MEMBERS, check_rail, rail_promise
 
 MAX_BYTES = 1 << 24
 _SEARCH, _FLOWN = 0.8, 0.9  # shares of the work that end there
@@ -85,9 +86,9 @@ def rail(
         check_place(plot, force)
     family = RailFamily.from_identified(_document(pitch), _document(cart), rig)
     diagrams, flown = [load_diagram(one) for one in controller or []], load_gains(gains)
-    asked = None if spec is None else read_rail_specification(spec)
+    asked = None if spec is None else read_specification(spec, "rail")
     which = loop.value if loop is not None else (asked.loop if asked is not None else "velocity")
-    step = goal if goal is not None else (asked.step if asked is not None else STEPS[which][2])
+    step = goal if goal is not None else (asked.step if asked is not None else STEPS[which].goal)
     found: RailDesign | None = None
     with progress() as report:
         if out is not None and asked is not None:
@@ -109,7 +110,7 @@ def rail(
         report("the margins", _FLOWN)
         checked = () if asked is None else check_rail(asked, family, flown, diagrams, made)
     written: dict[str, str] = {}
-    if not made.lost:
+    if made.robust:
         if out is not None:
             written["gains"] = _write(out, flown.to_json())
         if promise_file is not None:
@@ -135,7 +136,7 @@ def rail(
             table_console().print(one.text)
         for name in written.values():
             say_line(f"written: {name}")
-    if made.lost or not all(one.met for one in checked):
+    if not made.robust or not all(one.met for one in checked):
         raise typer.Exit(1)
 
 

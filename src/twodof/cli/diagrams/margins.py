@@ -13,7 +13,7 @@ from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.report.plots.pictures import SUFFIXES, check_picture
 from twodof.sim.identified_rig import load_rig_or_model
-from twodof.sim.linear.cascade_margins import LOOPS, cascade_margins
+from twodof.sim.linear import LOOPS, cascade_margins
 
 UNSTABLE = 1
 

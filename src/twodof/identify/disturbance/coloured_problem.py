@@ -10,7 +10,7 @@ from twodof.identify.disturbance.autoregression import MAX_ORDER, Autoregression
 from twodof.identify.disturbance.loudness import Loudness
 from twodof.identify.disturbance.noise_rows import NoiseRows
 from twodof.identify.problem import Problem
-from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twodof.identify.disturbance.autoregression import Autoregression
 from twodof.identify.disturbance.gust import Gust, GustModel, answers_at_once, impulse_response
 from twodof.identify.problem import Problem
-from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, Di
 from twodof.identify.disturbance.feedback import inputs_that_answer
 from twodof.identify.disturbance.pushed_problem import can_be_pushed, pushed
 from twodof.identify.problem import Problem
-from twodof.identify.search.levenberg_marquardt import LeastSquaresMinimum, minimise
+from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.validate import whiteness
 
 Array = NDArray[np.float64]

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from twodof.design.synthesis.designed_controller import design_controller
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.designed_controller import design_controller
+from twodof.design.pitch_family import PitchFamily
 from twodof.errors import ParameterError, shown
 from twodof.flight.starters import save_diagram
 from twodof.flightlog.atomic import check_free

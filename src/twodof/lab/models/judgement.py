@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from twodof.design.certified.certificate import RegionStability
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.pitch_law import PitchLaw
-from twodof.design.uncertain.robustness import Robustness
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.robustness import Robustness
+from twodof.design.tuning_preview import PitchLaw
 
 
 def judge(
@@ -21,8 +20,7 @@ def judge(
     """The law with `changes` on the `family`: its verdict, and with a `goal` [rad] what a page shows of it.
 
     `touches` tells whether they change the law at all; where they do not, and nothing is shown, there is no verdict.
-    `unstable`: the search has found a member that is not kept stable. What is merely not proved is not refused: the
-    page says so, and a refusal of what nobody has found wrong would soon be confirmed unread.
+    `unstable`: a sampled drone, or one that the search found, is unstable.
     """
     before, after = PitchLaw.flown(values, diagram, paths), PitchLaw.flown({**values, **changes}, diagram, paths)
     own = PitchFamily.from_json(family)
@@ -42,4 +40,4 @@ def judge(
 
 
 def _verdict(found: Robustness) -> dict[str, Any]:
-    return {"unstable": found.decision is RegionStability.unstable or found.unstable > 0.0, "text": found.text}
+    return {"unstable": not found.robust, "text": found.text}

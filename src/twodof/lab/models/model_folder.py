@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily
 from twodof.errors import LogError, ParameterError, Rejected, TwodofError, shown
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.provenance import read_bytes

@@ -8,7 +8,7 @@ import secrets
 from collections.abc import Mapping
 from typing import Any
 
-from twodof.design.uncertain.pitch_law import GAINS
+from twodof.design.tuning_preview import GAINS
 from twodof.errors import DiagramError, Rejected
 from twodof.flight.templates import ATTITUDE
 from twodof.gcs.active_controller import ActiveController

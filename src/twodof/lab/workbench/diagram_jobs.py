@@ -11,13 +11,13 @@ from typing import Any
 
 from twodof.blocks.schema.json_form import from_json
 from twodof.compile.px4 import export
-from twodof.design.bode import bode
+from twodof.design.margins import bode
 from twodof.errors import DiagramError
 from twodof.fleet.flash import rehearse
 from twodof.flight.gains import DEFAULT
 from twodof.flight.templates import check_template
 from twodof.lab.jobs.worker import Progress
-from twodof.sim.linear.cascade_margins import LOOPS, cascade_margins
+from twodof.sim.linear import LOOPS, cascade_margins
 
 _CLOSED = {"attitude_control": ("motors", "rate", "attitude"), "position_control": ("velocity", "position")}
 """The loops that a controller of a template closes; a motor controller closes all."""

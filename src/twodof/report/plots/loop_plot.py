@@ -18,7 +18,7 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from twodof.design import LoopMargins, LoopTransfer, margins
-from twodof.design.bode import bode_at
+from twodof.design.margins import bode_at
 from twodof.flightlog.atomic import atomic_write
 from twodof.models.lti import DelayedStateSpace
 from twodof.report.plots.canvas import Colours, on_paper, settings

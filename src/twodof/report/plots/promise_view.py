@@ -6,10 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.uncertain.promise import Promise
+from twodof.design.promise import Promise
 from twodof.flightlog.log import FlightLog
 from twodof.report.plots.flight_view import Curve, ExpectedBand, FlightView, View
-from twodof.sim.promised.rail_promise import STEPS, RailPromise
 
 Array = NDArray[np.float64]
 
@@ -20,23 +19,20 @@ _PANELS: Mapping[str, tuple[str, float]] = {
     "v": ("v [m/s]", 1.0),
     "x": ("x from where it was [m]", 1.0),
 }
-_UNITS = {"velocity": "m/s", "position": "m"}
 _MOST_STEPS = 4
 """In one picture; more lines than that are a carpet."""
 
 
-def promise_view(made: Promise | RailPromise, log: FlightLog | None = None) -> FlightView:
+def promise_view(made: Promise, log: FlightLog | None = None) -> FlightView:
     """The bands of `made` and, with `log`, the first steps of it that were promised, each from its own start.
 
     Raises ParameterError as the promise's `steps_of`, LogError where channels are missing.
     """
     time = made.time
     flown = [] if log is None else made.steps_of(log)[:_MOST_STEPS]
-    if isinstance(made, RailPromise):
-        stepped, about = STEPS[made.loop][1], f"a {made.loop} step by {made.goal:g} {_UNITS[made.loop]}"
-        shown = (stepped, *(name for name in made.middle if name != stepped))
-    else:
-        stepped, about, shown = "theta", f"a step of θ by {math.degrees(made.goal):g} deg", ("theta", "q", "M")
+    step, stepped = made.step, made.step.follows
+    about = f"a step of {step.setpoint} by {step.factor * made.goal:g} {step.unit}"
+    shown = (stepped, *(name for name in step.channels if name != stepped))
     views = []
     for name in shown:
         label, factor = _PANELS[name]

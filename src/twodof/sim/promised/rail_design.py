@@ -9,13 +9,12 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.synthesis.requirements import Requirement
+from twodof.design.specification import Requirement, Specification
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.parameters import PARAMETERS
 from twodof.sim.promised.rail_family import RailFamily
-from twodof.sim.promised.rail_promise import MEMBERS, rail_promise
-from twodof.sim.promised.rail_specification import RailSpecification, check_rail
+from twodof.sim.promised.rail_promise import MEMBERS, check_rail, rail_promise
 
 Array = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class _Search:
 
     def __init__(
         self,
-        asked: RailSpecification,
+        asked: Specification,
         family: RailFamily,
         kept: Gains,
         members: int,
@@ -73,7 +72,7 @@ class _Search:
     def judge(self, x: Array) -> float:
         """The largest miss, as the logarithm of a ratio; below 0 where all is met. Raises _Met where that is enough."""
         gains = self.gains(x)
-        linear, flown = self.asked.parts
+        linear, flown = self.asked.of_loops, self.asked.of_step
         rows: tuple[Requirement, ...] = ()
         if linear is not None:
             rows += check_rail(linear, self._family, gains)
@@ -100,7 +99,7 @@ class _Search:
 
 
 def rail_design(
-    specification: RailSpecification,
+    specification: Specification,
     family: RailFamily,
     kept: Gains = DEFAULT,
     members: int = MEMBERS,
@@ -114,11 +113,11 @@ def rail_design(
     position's gain stands where nothing is asked of it. `said` is called with the
     share done, and may raise. Raises ParameterError where nothing is asked, and as `rail_promise`.
     """
-    linear, flown = specification.parts
+    linear, flown = specification.of_loops, specification.of_step
     if linear is None and flown is None:
         raise ParameterError("it asks for nothing", "specification", "ask for a figure, such as velocity_bandwidth = 4")
     search = _Search(specification, family, kept, members, seed, said)
-    outer = linear is not None and set(linear.asked) - {"step", "velocity_bandwidth"}
+    outer = linear is not None and set(linear.asked) - {"velocity_bandwidth"}
     names = _NAMES if outer or specification.loop == "position" else _NAMES[:2]
     high = np.log([_HIGHEST[name] for name in names])
     low = high + math.log(_LOWEST)

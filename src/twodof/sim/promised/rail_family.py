@@ -8,7 +8,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.uncertain.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily
 from twodof.errors import ParameterError, shown
 from twodof.rig.parameters import load_rig
 from twodof.sim.identified_rig import identified_rig

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.reference.interpreter import Reference
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.pitch_loop import PitchLoop, Q
-from twodof.design.uncertain.promise import DURATION, GOAL
-from twodof.design.uncertain.sampled_controller import SampledController
-from twodof.design.uncertain.tuning_preview import SETTLED
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop, Q
+from twodof.design.promise import DURATION, GOAL
+from twodof.design.sampled_controller import SampledController
+from twodof.design.tuning_preview import SETTLED
 from twodof.errors import ParameterError
 from twodof.models.lti import step_figures
 from twodof.signals import HOVER, PERIOD

@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.design.loop_transfer import LoopTransfer
-from twodof.design.uncertain.pitch_family import PitchMembers
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.pitch_family import PitchMembers
+from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
+from twodof.flight.gains import Gains
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -150,10 +151,16 @@ class PitchLoop:
         """L, the loop broken at M, at `omega` [rad/s]: (n, k). With positive sign: the loop is 1 + L = 0."""
         plant, b = self.plant
         z = np.exp(1j * np.atleast_1d(omega) * PERIOD)
-        m = b.shape[1]
-        inner = np.linalg.solve(z[None, :, None, None] * np.eye(m) - plant[:, None], b[:, None, :, None] + 0j)[..., 0]
+        # The moments under way are a delay line; rotors and pitch are solved for by hand, for all members at once.
+        ahead = b[:, :, None] + sum(plant[:, :, 4 + j, None] * z ** -(j + 1) for j in range(b.shape[1] - 5))
+        rotors = ahead[:, ROTORS] / (z - plant[:, ROTORS, ROTORS, None])
+        one, two = (ahead[:, i] + plant[:, i, ROTORS, None] * rotors for i in (THETA, Q))
+        a = plant[:, :2, :2, None]
+        determinant = (z - a[:, 0, 0]) * (z - a[:, 1, 1]) - a[:, 0, 1] * a[:, 1, 0]
+        theta = ((z - a[:, 1, 1]) * one + a[:, 0, 1] * two) / determinant
+        q = ((z - a[:, 0, 0]) * two + a[:, 1, 0] * one) / determinant
         back = np.stack([self.controller.response(float(w)) for w in np.atleast_1d(omega)])
-        return np.asarray(-(back[:, 1] * inner[..., m - 1] + back[:, 2] * inner[..., Q]))
+        return np.asarray(-(back[:, 1] * theta / z + back[:, 2] * q))
 
     def simulate(
         self,
@@ -189,3 +196,21 @@ class PitchLoop:
             x = a @ x + b @ given
             x[:, GUST, 0] += fresh * rng.standard_normal(n)
         return out[..., 0], out[..., 1], out[..., 2]
+
+
+PITCH_LOOPS = ("motors", "rate", "attitude")
+"""At M with both loops closed, at q in rate mode, and at theta with the rate loop closed."""
+
+
+def pitch_loops(member: PitchMembers, gains: Gains) -> dict[str, LoopTransfer]:
+    """L of each of `PITCH_LOOPS`, sampled at 250 Hz as it flies, for the first of `member` and stock `gains`."""
+    plant = PitchLoop(member, SampledController.of_cascade(*gains.rate, gains.attitude))
+    rate = plant.under(SampledController.of_cascade(*gains.rate, 0.0))
+    inner = plant.under(SampledController.of_cascade(*gains.rate, gains.attitude, theta_loop=False))
+    a, drive, _, _ = (part[0] for part in inner.matrices)
+    kept = np.delete(np.arange(len(a)), GUST)
+    # The theta that the attitude loop reads is the last state of the plant.
+    read = np.zeros((1, len(a)))
+    read[0, inner.plant[1].shape[1] - 1] = 1.0
+    attitude = LoopTransfer(a[np.ix_(kept, kept)], drive[kept][:, :1], read[:, kept], 0.0, PERIOD)
+    return {"motors": plant.loop_transfer(), "rate": rate.loop_transfer(), "attitude": attitude}

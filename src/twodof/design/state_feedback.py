@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike, NDArray
 from twodof.blocks import Diagram
 from twodof.blocks.library import DiscreteIntegrator, DiscreteStateSpace, Gain, Logic, Mux, Pid, Saturation, Sum, Switch
 from twodof.blocks.library.delays import UnitDelay
-from twodof.design.synthesis.cascade import cascade_design
-from twodof.design.uncertain.pitch_family import PARAMETERS, PitchFamily, PitchMembers
-from twodof.design.uncertain.pitch_loop import GUST, PitchLoop, Q
-from twodof.design.uncertain.sampled_controller import SampledController
+from twodof.design.cascade import cascade_design
+from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
+from twodof.design.pitch_loop import GUST, PitchLoop, Q
+from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import ATTITUDE

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.diagram import Diagram
-from twodof.design.synthesis.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_loops_of
-from twodof.design.synthesis.cascade_hinf import cascade_hinf
-from twodof.design.synthesis.requirements import Requirement, check
-from twodof.design.synthesis.specification import Specification
-from twodof.design.synthesis.state_feedback import lqg_attitude
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.promise import MEMBERS, Promise, promise
-from twodof.design.uncertain.robustness import Robustness, robustness
-from twodof.design.uncertain.sampled_controller import SampledController
-from twodof.design.uncertain.saturated_step import SaturatedStep, saturated_step
+from twodof.design.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_hinf, cascade_loops_of
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import MEMBERS, Promise, promise
+from twodof.design.robustness import Robustness, robustness
+from twodof.design.sampled_controller import SampledController
+from twodof.design.saturated_step import SaturatedStep, saturated_step
+from twodof.design.specification import Requirement, Specification, check
+from twodof.design.state_feedback import lqg_attitude
 from twodof.errors import ParameterError, shown
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.models.plant import PitchRate
@@ -90,7 +88,7 @@ def design_controller(
         raise ParameterError("anti-windup is of the cascade's PID", f"method {method}", "leave it out")
     v = family.values
     plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
-    goal = goal if specification is None else math.radians(specification.step_deg)
+    goal = goal if specification is None else specification.goal
     if specification is None:
         made = cascade_design(plant, crossover, phase_margin=phase_margin, lag=v["lag"], separation=separation)
     else:
@@ -98,7 +96,7 @@ def design_controller(
         made = cascade_loops_of(plant, best.gains, lag=v["lag"])
     diagram = pid_attitude(made.gains, anti_windup) if method == "cascade" else lqg_attitude(family)
     flown = SampledController.of(diagram)
-    sure = robustness(flown, family, members, seed=seed, said=lambda s: said("the worst member", 0.3 + 0.1 * s))
+    sure = robustness(flown, family, seed=seed, said=lambda s: said("the worst member", 0.3 + 0.1 * s))
     found = promise(
         flown,
         family,

@@ -186,13 +186,17 @@ class PitchFamily:
             columns |= {name: drawn[:, i] for i, name in enumerate(self.uncertain)}
         return PitchMembers(**columns)
 
+    def root(self) -> Array:
+        """Return a square root of the covariance, (k, k): its product with its own transpose."""
+        size = np.sqrt(np.diag(self.covariance))
+        values, vectors = np.linalg.eigh(_scaled(self.covariance))
+        return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
     def _rows(self, count: int, rng: np.random.Generator) -> Array:
         """(count, k) of the uncertain parameters."""
         centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
         bounds = np.array([PARAMETERS[name] for name in self.uncertain])
-        size = np.sqrt(np.diag(self.covariance))
-        values, vectors = np.linalg.eigh(_scaled(self.covariance))
-        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        root = self.root()
         kept = np.zeros((0, len(centre)))
         tried = 0
         while len(kept) < count:

@@ -1,30 +1,90 @@
-"""The rig in hover as a linear model: from the commands of the rotor pairs to what the controllers read, at 250 Hz.
-
-It is the exact linearisation of the rig and the estimator as they fly: delay and lag of the rotors, the thrust curve,
-the age of each sample. Four things are made linear before. Dry friction is left out: it holds what rests, and takes
-part of a swing, more of a small one. The battery and the wake stand still. The samples of the range sensor come with
-their own clock: it corrects a little at every step instead of more at every fourteenth. What the estimator publishes at
-100 Hz is as old as it is on the mean. At a crossover of 4 rad/s these two change the phase by less than 1 deg.
-"""
+"""The loops of the cascade as they fly, controllers and rig together, and the margins of each."""
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks import Diagram
+from twodof.blocks.declarations import unknown_name
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
-from twodof.flight.core import PreviousPitch
+from twodof.design import LoopMargins, LoopTransfer, margins
+from twodof.flight.core import PreviousPitch, core
 from twodof.flight.declarations import IMU, RANGE
 from twodof.flight.estimator.diagram import Publisher, estimator
 from twodof.flight.estimator.longitudinal_filter import PAIRS, LongitudinalFilter
+from twodof.flight.gains import DEFAULT, Gains
+from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import RING
-from twodof.signals import GRAVITY, HOVER, PERIOD
+from twodof.signals import GRAVITY, HOVER, MODES, PERIOD
+
+MOTORS = "motors"
+
+LOOPS: Mapping[str, str] = MappingProxyType(
+    {
+        MOTORS: "at the moment M, rate and attitude loop closed: what the motors may do",
+        "rate": "at q, in rate mode",
+        "attitude": "at theta, the rate loop closed",
+        "velocity": "at v, the loops inside closed",
+        "position": "at x, the loops inside closed",
+    }
+)
+"""The loops, and where each is broken."""
+
+_BROKEN_AT = MappingProxyType({"rate": "q", "attitude": "theta", "velocity": "v", "position": "x"})
+
+
+def cascade_loop(
+    loop: str,
+    gains: Gains = DEFAULT,
+    controllers: Iterable[Diagram] = (),
+    rig: str | Mapping[str, float] = "lab",
+) -> LoopTransfer:
+    """L of one of `LOOPS` as it flies, sampled at 250 Hz: the loops inside closed, those outside open.
+
+    `rig` is "lab", "paper", a file, or the values of a rig's parameters by name. `controllers` fly in place of the
+    stock ones, with the gains of those that are left. What is made linear and how: `linear_rig`. Raises DiagramError
+    for another loop, for a controller that fits no template, and for one without a slope in hover; ParameterError for
+    another rig.
+    """
+    if loop not in LOOPS:
+        raise unknown_name("loop", loop, LOOPS, "cascade_loop")
+    values = load_rig(rig).snapshot() if isinstance(rig, str) else rig
+    plant = linear_rig(values)
+    law = linear_controller("attitude" if loop == MOTORS else loop, gains, controllers)
+    m = len(law.a)
+    if loop == MOTORS:
+        # fore = T + M, aft = T - M; the thrust's way stays closed.
+        moment, thrust = np.array([[0.5, -0.5]]), np.full((2, 2), 0.5)
+        kept = plant.b @ thrust
+        a = np.block([[plant.a + kept @ law.d @ plant.c, kept @ law.c], [law.b @ plant.c, law.a]])
+        b = np.vstack([plant.b @ [[1.0], [-1.0]], np.zeros((m, 1))])
+        return LoopTransfer(a, b, -(moment @ np.hstack([law.d @ plant.c, law.c])), 0.0, PERIOD)
+    broken = SIGNALS.index(_BROKEN_AT[loop])
+    closed = np.ones((len(SIGNALS), 1))
+    closed[broken] = 0.0
+    read = closed * plant.c
+    a = np.block([[plant.a + plant.b @ law.d @ read, plant.b @ law.c], [law.b @ read, law.a]])
+    b = np.vstack([plant.b @ law.d[:, [broken]], law.b[:, [broken]]])
+    return LoopTransfer(a, b, -np.hstack([plant.c[[broken]], np.zeros((1, m))]), 0.0, PERIOD)
+
+
+def cascade_margins(
+    gains: Gains = DEFAULT,
+    controllers: Iterable[Diagram] = (),
+    rig: str | Mapping[str, float] = "lab",
+    loops: Sequence[str] = tuple(LOOPS),
+) -> dict[str, LoopMargins]:
+    """The margins of each of `loops` as it flies, see `cascade_loop`: `cascade_margins(rig="paper")["rate"].disk`."""
+    flown = tuple(controllers)
+    return {loop: margins(cascade_loop(loop, gains, flown, rig)) for loop in loops}
+
 
 Array = NDArray[np.float64]
 
@@ -157,3 +217,27 @@ def _published(model: LinearModel) -> LinearModel:
         c[row, first : first + oldest] = shares[1:]
     kept = [f"published.{READ[row]}[k-{k + 1}]" for row in late for k in range(oldest)]
     return LinearModel(a, b, c, model.d, PERIOD, (*model.states, *kept), model.inputs, SIGNALS, name=model.name)
+
+
+_CONTROLLER_INPUTS = ("estimator.filter.q", "previous.theta", "estimator.publisher.v", "estimator.publisher.x", *IMU)
+_ARMED, _HELD = 1000, 10**6  # steps since arming, and of the level hold: more than the flight code waits for
+
+
+def linear_controller(mode: str, gains: Gains = DEFAULT, controllers: Iterable[Diagram] = ()) -> LinearModel:
+    """The flight core's controllers in `mode` ("rate", ...), level and at their set-points, at 250 Hz.
+
+    The inputs are those of `linear_rig.SIGNALS`, the outputs fore and aft. `controllers` fly in place of the stock
+    ones, as in `flight.core`. Raises DiagramError for a diagram that fits no template. Raises it also where a
+    controller has no slope: a switch, a limit or a dead zone at just that point.
+    """
+    at = {
+        "mode": MODES.index(mode),
+        "thrust": HOVER,
+        "acc_z": 0.0,
+        "arming.count": _ARMED,
+        "hold.samples": _HELD,
+        "estimator.filter.started": True,
+    }
+    return linearize(
+        core(gains, controllers=controllers), PERIOD, at, list(_CONTROLLER_INPUTS), ["fore", "aft"], time="discrete"
+    )

@@ -1,23 +1,26 @@
 """TuningPreview: what gains will do on an identified family before they are sent, fast enough to follow a slider."""
 
+import hashlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.schema.json_form import from_json
 from twodof.design.loop_transfer import LoopTransfer
 from twodof.design.margins import LoopMargins, margins
-from twodof.design.uncertain.pitch_cascade import PITCH_LOOPS, pitch_loops
-from twodof.design.uncertain.pitch_family import PitchFamily
-from twodof.design.uncertain.pitch_loop import PitchLoop
-from twodof.design.uncertain.promise import CHANNELS, GOAL, LEVEL, Promise, promise
-from twodof.design.uncertain.robustness import Robustness, robustness
-from twodof.design.uncertain.sampled_controller import SampledController
-from twodof.design.uncertain.step_statistics import interval
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PITCH_LOOPS, PitchLoop, pitch_loops
+from twodof.design.promise import CHANNELS, GOAL, LEVEL, Promise, promise
+from twodof.design.robustness import Robustness, robustness
+from twodof.design.sampled_controller import SampledController
+from twodof.design.step_statistics import interval
+from twodof.errors import ParameterError
 from twodof.flight.gains import Gains
+from twodof.flight.templates import ATTITUDE
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -28,7 +31,6 @@ SETTLED = 0.05
 SHOWN: Mapping[str, float] = {"theta": math.pi, "q": 50.0, "M": 5.0}
 """Where a band is cut off [rad, rad/s, -]: beyond it an unstable loop draws nothing that a person could read."""
 
-_BOXES = 80_000  # some .5 s: a preview that has no time for a proof says so
 _FIGURES = ("rise_time", "overshoot", "settling_time", "peak_q", "peak_M")
 
 
@@ -128,7 +130,7 @@ def _preview(
     for k, (name, loop) in enumerate(broken.items()):
         said(0.7 + 0.1 * k / len(PITCH_LOOPS))
         loops[name] = margins(loop)
-    sure = robustness(controller, family, members, seed=seed, said=lambda s: said(0.8 + 0.2 * s), most=_BOXES)
+    sure = robustness(controller, family, seed=seed, said=lambda s: said(0.8 + 0.2 * s))
     band = [_cut(side) for side in (made.low, made.middle, made.high)]
     figures = {name: every[name] for name in _FIGURES}
     return TuningPreview(gains, goal, LEVEL, members, loops, made.time, band[0], band[1], band[2], figures, sure)
@@ -162,3 +164,60 @@ def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
 
 def _rounded(values: Array) -> list[float]:
     return [float(f"{value:.5g}") for value in values]
+
+
+GAINS = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP")
+"""The parameters of the stock law of the pitch that a preview knows."""
+
+SURE = 200
+"""Members that fly in a preview."""
+
+
+@dataclass(frozen=True, eq=False)
+class PitchLaw:
+    """`controller` is the law as matrices; `gains` those of the stock law, None of a user's controller `name`.
+
+    `parameters` are the names of what tunes it.
+    """
+
+    name: str
+    controller: SampledController
+    gains: Gains | None
+    parameters: frozenset[str]
+
+    @classmethod
+    def flown(
+        cls, values: Mapping[str, float], diagram: str | bytes | None = None, paths: Mapping[str, str] | None = None
+    ) -> Self:
+        """The law of a drone with the parameters `values`, by name.
+
+        `diagram` is the JSON of its own controller of the template attitude_control, whose parameters `paths` says
+        where they are: name -> "attitude_control.k_q". Raises ParameterError for gains that cannot be, DiagramError for
+        a controller that has no linear model.
+        """
+        if diagram is not None:
+            found = from_json(diagram if isinstance(diagram, str) else diagram.decode())
+            start = f"{ATTITUDE.name}."
+            inside = {name: path[len(start) :] for name, path in (paths or {}).items() if path.startswith(start)}
+            set_to = {path: values[name] for name, path in inside.items() if name in values}
+            return cls(found.name, SampledController.of(found, set_to), None, frozenset(inside))
+        gains = Gains.flown({"parameters": dict(values)})
+        if gains is None:
+            raise ParameterError("its gains are out of their bounds", "the drone's parameters", "set them back")
+        return cls("", SampledController.of_cascade(*gains.rate, gains.attitude), gains, frozenset(GAINS))
+
+    @property
+    def digest(self) -> str:
+        """The same for the same law to the bit, and for no other."""
+        parts = (self.controller.a, self.controller.b, self.controller.c, self.controller.d)
+        return hashlib.sha256(b"".join(repr(part.shape).encode() + part.tobytes() for part in parts)).hexdigest()
+
+    def preview(self, family: PitchFamily, goal: float) -> TuningPreview:
+        """What it does on `family`, with a step of theta by `goal` [rad]."""
+        if self.gains is not None:
+            return tuning_preview(family, self.gains, goal=goal, members=SURE)
+        return controller_preview(family, self.controller, goal=goal, members=SURE)
+
+    def verdict(self, family: PitchFamily) -> Robustness:
+        """Return whether it keeps the family stable, as the preview has it."""
+        return robustness(self.controller, family)

@@ -1,0 +1,444 @@
+"""Promise: what a step of a set-point will do in flight, bands and figures at 95 %, and the verdict on a flight."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.sampled_controller import SampledController
+from twodof.design.step_statistics import TRIM, interval, step_bands, step_statistics
+from twodof.errors import ParameterError, shown
+from twodof.flightlog.events import steps_by
+from twodof.flightlog.log import FlightLog
+from twodof.signals import PERIOD
+
+Array = NDArray[np.float64]
+
+LEVEL = 0.95
+MEMBERS = 1000
+
+CHANCE = 0.05
+"""Steps outside are put down to chance as long as that many come by chance at least so often."""
+
+_LEAD = 500  # steps before the step, in which the gust becomes what it is in flight
+_LEAST_MEMBERS, _MOST_MEMBERS = 40, 20_000
+_MOST_SAMPLES = 100_000
+
+_TIMES = {"rise_time": (1.0, "s"), "overshoot": (100.0, "%"), "settled_error": (100.0, "%")}
+
+
+@dataclass(frozen=True)
+class PromisedStep:
+    """A step that can be promised: the `setpoint` of a loop, and the channel that `follows` it.
+
+    `goal` [rad, m/s or m] and `duration` [s] are the usual ones; `factor` and `unit` show the goal. `channels` have
+    bands; of those in `zeroed` the mean of the half second before the step is taken away. The largest sizes of `peaks`
+    (channels by the figure's name) are figures, beside those of the response. `figures` have factor and unit as shown.
+    `failure` is the end of the sentence about the share of members of which nothing can be promised.
+    """
+
+    setpoint: str
+    follows: str
+    goal: float
+    duration: float
+    factor: float
+    unit: str
+    channels: tuple[str, ...]
+    zeroed: tuple[str, ...]
+    peaks: Mapping[str, str]
+    figures: Mapping[str, tuple[float, str]]
+    failure: str
+
+
+GOAL = math.radians(10.0)
+DURATION = 1.6
+
+_ATTITUDE = PromisedStep(
+    setpoint="theta0",
+    follows="theta",
+    goal=GOAL,
+    duration=DURATION,
+    factor=180.0 / math.pi,
+    unit="deg",
+    channels=("theta", "q", "M"),
+    zeroed=("M",),
+    peaks={"peak_q": "q", "peak_M": "M"},
+    figures={**_TIMES, "peak_q": (1.0, "rad/s"), "peak_M": (1.0, "-")},
+    failure="of the members are unstable",
+)
+_VELOCITY = PromisedStep(
+    setpoint="v0",
+    follows="v",
+    goal=0.15,
+    duration=2.0,
+    factor=1.0,
+    unit="m/s",
+    channels=("theta", "v", "x"),
+    zeroed=("x",),
+    peaks={"peak_theta": "theta", "rail_use": "x"},
+    figures={**_TIMES, "peak_theta": (180.0 / math.pi, "deg"), "rail_use": (1.0, "m")},
+    failure="of the members meet an end stop or are lost",
+)
+STEPS: Mapping[str, PromisedStep] = MappingProxyType(
+    {
+        "attitude": _ATTITUDE,
+        "velocity": _VELOCITY,
+        "position": replace(_VELOCITY, setpoint="x0", follows="x", duration=4.5, unit="m"),
+    }
+)
+"""What can be promised, by loop. `rail_use` is how far the drone comes from where it was."""
+
+CHANNELS = STEPS["attitude"].channels
+"""Channels of a step of the pitch: theta [rad], measured q [rad/s], and M about its mean before the step."""
+
+_THETA_LATER = 0.25 * PERIOD
+"""A log stamps the theta of a step a third of a millisecond after the step's M: a sample held there is one step old."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One flown step: `outside`, the share of its time that each channel was out of its band, and its `figures`.
+
+    `promised` holds the intervals of the figures.
+    """
+
+    outside: Mapping[str, float]
+    figures: Mapping[str, float]
+    promised: Mapping[str, tuple[float, float]]
+
+    def kept(self, name: str) -> bool:
+        """Return True if the channel or figure `name` was as promised."""
+        if name in self.outside:
+            return self.outside[name] == 0.0
+        low, high = self.promised[name]
+        return low <= self.figures[name] <= high
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """All `steps` of a flight, at least one, beside a promise at `level`."""
+
+    level: float
+    steps: tuple[Measured, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the channels, then of the figures."""
+        return (*self.steps[0].outside, *self.steps[0].figures)
+
+    def count(self, name: str) -> int:
+        """Return the number of steps in which `name` was as promised."""
+        return sum(step.kept(name) for step in self.steps)
+
+    def kept(self, name: str) -> bool:
+        """Return True if no more steps broke the promise of `name` than chance explains."""
+        n, broken = len(self.steps), len(self.steps) - self.count(name)
+        rare = 1.0 - self.level
+        tail = sum(math.comb(n, k) * rare**k * self.level ** (n - k) for k in range(broken, n + 1))
+        return broken == 0 or tail > max(CHANCE, rare) + 1e-9
+
+    @property
+    def stands(self) -> bool:
+        """Return True if the whole promise was kept."""
+        return all(self.kept(name) for name in self.names)
+
+    def table(self) -> str:
+        """Return measured beside promised, as text for a terminal."""
+        n = len(self.steps)
+        lines = [f"{n} step{'s' * (n > 1)}, promised at {100.0 * self.level:g} %"]
+        for name in self.names:
+            word = "kept" if self.kept(name) else "BROKEN"
+            lines.append(f"  {word:7}{name.replace('_', ' '):14}{self._line(name)}")
+        return "\n".join(lines)
+
+    def _line(self, name: str) -> str:
+        inside = f"{self.count(name)} of {len(self.steps)}"
+        first = self.steps[0]
+        if name in first.outside:
+            worst = max(step.outside[name] for step in self.steps)
+            return f"{inside} inside the band" + (f", at worst {100.0 * worst:.0f} % outside" if worst else "")
+        low, high = first.promised[name]
+        figures = ", ".join(f"{step.figures[name]:.3g}" for step in self.steps)
+        return f"{inside} within {low:.3g} to {high:.3g}: {figures}"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data; a figure that is infinite is null."""
+        return {
+            "level": self.level,
+            "stands": self.stands,
+            "channels": {
+                name: {"kept": self.kept(name), "outside": [step.outside[name] for step in self.steps]}
+                for name in self.steps[0].outside
+            },
+            "figures": {
+                name: {
+                    "kept": self.kept(name),
+                    "promised": [_finite(v) for v in self.steps[0].promised[name]],
+                    "measured": [_finite(step.figures[name]) for step in self.steps],
+                }
+                for name in self.steps[0].figures
+            },
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """The step of a `loop` of `STEPS` by `goal` [rad, m/s or m], promised at `level`.
+
+    `low`, `middle` and `high` are the bands of the channels, each (steps,) at 250 Hz from the step on. A share `level`
+    of flights stays inside for the whole time. `figures` are intervals with as large a share, each by itself. `failed`
+    is the share of members that are unstable or lost: if it is not 0, nothing else counts. `family` is the family's
+    `to_json`.
+    """
+
+    controller: str
+    family: Mapping[str, Any]
+    loop: str
+    goal: float
+    level: float
+    members: int
+    seed: int
+    failed: float
+    low: Mapping[str, Array]
+    high: Mapping[str, Array]
+    middle: Mapping[str, Array]
+    figures: Mapping[str, tuple[float, float, float]]
+
+    @classmethod
+    def of_flights(
+        cls,
+        controller: str,
+        family: Mapping[str, Any],
+        loop: str,
+        goal: float,
+        level: float,
+        seed: int,
+        failed: float,
+        flown: Mapping[str, Array],
+    ) -> Self:
+        """Return the promise that follows from flights of members: `flown` has (steps, members) of each channel."""
+        flown = {name: np.clip(np.nan_to_num(flown[name], nan=1e6), -1e6, 1e6) for name in STEPS[loop].channels}
+        low, middle, high = step_bands(flown, level)
+        figures = {name: interval(values, level) for name, values in step_figures(flown, loop, goal).items()}
+        count = next(iter(flown.values())).shape[1]
+        return cls(controller, family, loop, goal, level, count, seed, failed, low, high, middle, figures)
+
+    @property
+    def step(self) -> PromisedStep:
+        """Return the row of `STEPS`."""
+        return STEPS[self.loop]
+
+    @property
+    def time(self) -> Array:
+        """Return the times of the bands, from the step on [s]."""
+        return np.asarray(np.arange(len(self.middle[self.step.follows])) * PERIOD, dtype=np.float64)
+
+    @property
+    def robust(self) -> bool:
+        """Return True if no member failed."""
+        return self.failed == 0.0
+
+    def table(self) -> str:
+        """Return the figures as text for a terminal."""
+        step = f"a step of {self.step.setpoint} by {self.step.factor * self.goal:g} {self.step.unit}"
+        lines = [f"promise of {self.controller}: {step}, {100.0 * self.level:g} % of flights"]
+        if not self.robust:
+            lines.append(f"nothing is promised: {100.0 * self.failed:.1f} % {self.step.failure}")
+            return "\n".join(lines)
+        lines.append(f"{'':14}{'from':>9}{'middle':>9}{'to':>9}  unit")
+        for name, row in self.figures.items():
+            factor, unit = self.step.figures[name]
+            cells = "".join(f"{factor * value:9.3g}" for value in row)
+            lines.append(f"{name.replace('_', ' '):14}{cells}  {unit}")
+        return "\n".join(lines)
+
+    def verdict(self, time: ArrayLike, signals: Mapping[str, ArrayLike]) -> Verdict:
+        """Return one flown step beside what was promised.
+
+        `time` [s] is from the step on, with at least .2 s before it; `signals` has channels of a step from 0 to `goal`,
+        each of the shape of `time`. Channels that are missing are left out. Raise ParameterError for other signals,
+        shapes, numbers that are not finite, and a record that does not hold the step.
+        """
+        t = np.asarray(time, dtype=float)
+        if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
+            raise _error(f"a time of shape {t.shape}", "give times that rise, in seconds from the step on")
+        channels = self.step.channels
+        if not set(signals) <= set(channels) or not signals:
+            raise _error(f"signals {', '.join(map(str, signals)) or 'none'}", f"give {', '.join(channels)}")
+        if t[0] > -0.2 or t[-1] < self.time[-1] - PERIOD:
+            raise _error(
+                f"the record goes from {t[0]:.2f} to {t[-1]:.2f} s about the step",
+                f"give -0.5 to {self.time[-1]:.2f} s",
+            )
+        flown: dict[str, Array] = {}
+        for name, values in signals.items():
+            y = np.asarray(values, dtype=float)
+            if y.shape != t.shape or not np.isfinite(y).all():
+                raise _error(f"{name} of shape {y.shape}", "give finite numbers, one for each time")
+            flown[name] = np.interp(self.time, t, y)
+            if name in self.step.zeroed:
+                flown[name] -= float(y[(t < 0.0) & (t >= -TRIM * PERIOD)].mean())
+        return Verdict(self.level, (self._measured(flown),))
+
+    def verdict_of(self, log: FlightLog) -> Verdict:
+        """Return all steps that `steps_of` finds in `log`, beside what was promised. Raise as it does."""
+        return Verdict(self.level, tuple(self.verdict(*one).steps[0] for one in self.steps_of(log)))
+
+    def steps_of(self, log: FlightLog) -> list[tuple[Array, dict[str, Array]]]:
+        """Return all steps by `goal`, up or down, that `log` holds: (time from the step, the channels).
+
+        Each is turned and moved as if it went up from 0, and begins half a second before the step. Raise
+        ParameterError if there is none of that size, LogError if channels are missing.
+        """
+        step, end, found = self.step, self.time[-1], []
+        grid = np.asarray(np.arange(-TRIM, len(self.time)) * PERIOD, dtype=np.float64)
+        later = {"theta": _THETA_LATER} if step.follows == "theta" else {}
+        for one in steps_by(log, step.setpoint, self.goal, end):
+            sign = math.copysign(1.0, one.after - one.before)
+            flown = {c: sign * log.resample(c, grid + one.time + later.get(c, 0.0)) for c in step.channels}
+            if step.follows not in step.zeroed:
+                flown[step.follows] -= sign * one.before
+            for channel in step.zeroed:
+                flown[channel] -= float(flown[channel][:TRIM].mean())
+            found.append((grid, flown))
+        if not found:
+            size = f"{step.factor * self.goal:g} {step.unit}"
+            raise ParameterError(
+                f"it holds no step of {step.setpoint} by {size} that lasts {end:.2f} s",
+                log.source,
+                f"fly one in {self.loop} mode, or promise the step that was flown",
+            )
+        return found
+
+    def _measured(self, flown: Mapping[str, Array]) -> Measured:
+        outside = {name: float(np.mean((y < self.low[name]) | (y > self.high[name]))) for name, y in flown.items()}
+        columns = {name: y[:, None] for name, y in flown.items()}
+        found = {name: float(value[0]) for name, value in step_figures(columns, self.loop, self.goal).items()}
+        promised = {name: (low, high) for name, (low, _, high) in self.figures.items() if name in found}
+        return Measured(outside, found, promised)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data, which `from_json` reads back; an infinite figure is null."""
+        sides = {"low": self.low, "middle": self.middle, "high": self.high}
+        kept = ("controller", "loop", "goal", "level", "members", "seed", "failed")
+        return {
+            "promise": 1,
+            **{name: getattr(self, name) for name in kept},
+            "family": dict(self.family),
+            "period": PERIOD,
+            "bands": {
+                name: {side: [float(f"{v:.6g}") for v in rows[name]] for side, rows in sides.items()}
+                for name in self.step.channels
+            },
+            "figures": {name: dict(zip(sides, map(_finite, row), strict=True)) for name, row in self.figures.items()},
+        }
+
+    @classmethod
+    def from_json(cls, data: object, where: str = "promise") -> Self:
+        """Return the promise that `to_json` gave, also from a version before. Raise ParameterError for anything else.
+
+        Before, a promise of the rail had the key `rail_promise`, and the failed share was `unstable` or `lost`.
+        """
+        try:
+            if not isinstance(data, Mapping) or 1 not in (data.get("promise"), data.get("rail_promise")):
+                raise TypeError(shown(data))
+            loop = str(data.get("loop", "attitude"))
+            step, family, goal = STEPS[loop], data["family"], float(data["goal"])
+            bands = {
+                side: {name: np.array(data["bands"][name][side], dtype=float) for name in step.channels}
+                for side in ("low", "high", "middle")
+            }
+            shapes = {one.shape for side in bands.values() for one in side.values()}
+            if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or not 1 < shape[0] < _MOST_SAMPLES:
+                raise ValueError("the bands differ in length")
+            if not (math.isfinite(goal) and goal > 0.0 and isinstance(family, Mapping)):
+                raise ValueError("the step is not above 0, or there is no family")
+            return cls(
+                str(data["controller"]),
+                family,
+                loop,
+                goal,
+                float(data["level"]),
+                int(data["members"]),
+                int(data["seed"]),
+                float(next(data[name] for name in ("failed", "unstable", "lost") if name in data)),
+                bands["low"],
+                bands["high"],
+                bands["middle"],
+                {name: _row(data["figures"][name]) for name in step.figures},
+            )
+        except (KeyError, TypeError, ValueError, OverflowError, StopIteration) as reason:
+            raise ParameterError(
+                f"it is not a promise ({reason!s:.80})", where, "give the file that `twodof design` wrote"
+            ) from reason
+
+
+def step_figures(flown: Mapping[str, Array], loop: str, goal: float) -> dict[str, Array]:
+    """Return each figure, (n,), that the channels `flown` (steps, n) of a step tell."""
+    step = STEPS[loop]
+    found = step_statistics(flown[step.follows], goal) if step.follows in flown else {}
+    peaks = {name: np.abs(flown[one]).max(axis=0) for name, one in step.peaks.items() if one in flown}
+    return {**found, **peaks}
+
+
+def promise(
+    controller: SampledController,
+    family: PitchFamily,
+    *,
+    goal: float = GOAL,
+    duration: float = DURATION,
+    level: float = LEVEL,
+    members: int = MEMBERS,
+    seed: int = 1,
+    name: str = "controller",
+    said: Callable[[float], None] = lambda share: None,
+) -> Promise:
+    """Fly `members` of the family under `controller`, with its gust and noise, and promise a step of the pitch.
+
+    The step of theta is by `goal` [rad] and watched for `duration` [s]. The bands are as wide at each time as the
+    responses spread there, times one factor for the whole time. `said` is called with the share done. Raise
+    ParameterError for numbers out of range.
+    """
+    if not 1e-3 <= goal <= 0.8:
+        raise _error(f"a step of {goal!r} rad", "give 0.001 to 0.8 rad")
+    check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
+    loop = PitchLoop(family.draw(members, seed), controller, family.gust_time)
+    steps = round(duration / PERIOD) + 1
+    setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
+    with np.errstate(over="ignore", invalid="ignore"):
+        theta, q, moment = loop.simulate(setpoint, seed, family.gust, family.q_noise, said)
+        moment = moment - moment[_LEAD - TRIM : _LEAD].mean(axis=0)
+    flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
+    unstable = float(np.mean(loop.radii() >= 1.0))
+    return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
+
+
+def check_numbers(duration: float, level: float, members: object, among: tuple[int, int]) -> None:
+    """Raise ParameterError for a duration [s], a level or a number of members that is out of range."""
+    if not 0.1 <= duration <= 20.0:
+        raise _error(f"a duration of {duration!r} s", "give 0.1 to 20 s")
+    if not 0.5 <= level <= 0.999:
+        raise _error(f"a level of {level!r}", "give 0.5 to 0.999")
+    if isinstance(members, bool) or not isinstance(members, int) or not among[0] <= members <= among[1]:
+        raise _error(f"{shown(members)} members", f"give {among[0]} to {among[1]}")
+
+
+def _row(given: Mapping[str, float | None] | Sequence[float | None]) -> tuple[float, float, float]:
+    """Return the low end, the middle and the high end of a figure of a file."""
+    ends = [given[side] for side in ("low", "middle", "high")] if isinstance(given, Mapping) else list(given)
+    low, middle, high = (math.inf if value is None else float(value) for value in ends)
+    return low, middle, high
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _error(what: str, remedy: str) -> ParameterError:
+    return ParameterError(what, "promise", remedy)

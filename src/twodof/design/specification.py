@@ -1,0 +1,262 @@
+"""Specification: what is asked of the loops, as a TOML file that a person writes, and the check of a controller."""
+
+import math
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+
+from twodof.design.margins import LoopMargins, margins
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop
+from twodof.design.promise import STEPS, Promise
+from twodof.design.sampled_controller import SampledController
+from twodof.errors import LogError, ParameterError, listed, nearest, shown
+from twodof.flightlog.provenance import read_bytes
+
+MAX_BYTES = 1 << 20
+_HALF_POWER = math.sqrt(0.5)
+
+
+class AskedFigure(NamedTuple):
+    """A figure that a specification may ask for, from `low` to `high`.
+
+    `of_step` is the figure of a promise that it is checked by, and `factor` the unit of the file over SI units. Without
+    `of_step` it is a figure of the loops.
+    """
+
+    low: float
+    high: float
+    at_most: bool = False
+    of_step: str = ""
+    factor: float = 1.0
+
+
+_DEGREES = 180.0 / math.pi
+FIGURES: Mapping[str, AskedFigure] = MappingProxyType(
+    {
+        "bandwidth": AskedFigure(0.1, 100.0),
+        "velocity_bandwidth": AskedFigure(0.01, 100.0),
+        "position_bandwidth": AskedFigure(0.01, 100.0),
+        "gain_margin_db": AskedFigure(0.0, 40.0),
+        "phase_margin_deg": AskedFigure(0.0, 120.0),
+        "delay_margin": AskedFigure(0.0, 10.0),
+        "peak_sensitivity": AskedFigure(1.0, 100.0, at_most=True),
+        "rise_time": AskedFigure(0.005, 20.0, at_most=True, of_step="rise_time"),
+        "overshoot": AskedFigure(0.0, 5.0, at_most=True, of_step="overshoot"),
+        "peak_moment": AskedFigure(1e-3, 1.0, at_most=True, of_step="peak_M"),
+        "peak_theta_deg": AskedFigure(0.1, 60.0, at_most=True, of_step="peak_theta", factor=_DEGREES),
+        "rail_use": AskedFigure(0.01, 2.0, at_most=True, of_step="rail_use"),
+    }
+)
+
+_STEP_BOUNDS = {"step_deg": (0.1, 45.0), "step": (0.01, 1.0)}
+_PITCH_ONLY = ("bandwidth", "peak_moment", "step_deg")
+_RAIL_ONLY = ("velocity_bandwidth", "position_bandwidth", "peak_theta_deg", "rail_use", "step", "loop")
+TABLES: Mapping[str, tuple[str, ...]] = MappingProxyType({"pitch": _RAIL_ONLY, "rail": _PITCH_ONLY})
+"""The tables of a file, and the names that a table does not have."""
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Each figure that is not None is asked for; the tables `[pitch]` and `[rail]` of a file have the same names.
+
+    `[pitch]`: at least `bandwidth` [rad/s], where theta follows theta_0 by -3 dB. `gain_margin_db`, `phase_margin_deg`,
+    `delay_margin` [s] (at least) and `peak_sensitivity`, the largest |S| (at most), are of the loop broken at M. Three
+    more are at most, for 95 % of the flights of a step by `step_deg`: `rise_time` [s], `overshoot` (a share) and
+    `peak_moment`, the largest |M| about its trim.
+
+    `[rail]`: at least `velocity_bandwidth` and `position_bandwidth` [rad/s] of each closed loop; margins and
+    `peak_sensitivity` are those of both loops. Of a `step` [m/s or m] of `loop` ("velocity" or "position") it has
+    `rise_time`, `overshoot`, `peak_theta_deg` and `rail_use` [m].
+
+    `loop` "attitude" is the table `[pitch]`. Raise ParameterError for a figure out of range, and for a figure that the
+    other table has.
+    """
+
+    bandwidth: float | None = None
+    velocity_bandwidth: float | None = None
+    position_bandwidth: float | None = None
+    gain_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    delay_margin: float | None = None
+    peak_sensitivity: float | None = None
+    rise_time: float | None = None
+    overshoot: float | None = None
+    peak_moment: float | None = None
+    peak_theta_deg: float | None = None
+    rail_use: float | None = None
+    step_deg: float = 10.0
+    step: float = 0.15
+    loop: str = "attitude"
+
+    def __post_init__(self) -> None:
+        if self.loop not in STEPS:
+            raise ParameterError(f"loop = {shown(self.loop)}", "specification", f"give {' or '.join(STEPS)}")
+        for name, (low, high) in {n: (f.low, f.high) for n, f in FIGURES.items()}.items() | _STEP_BOUNDS.items():
+            value = getattr(self, name)
+            if value is None and name in FIGURES:
+                continue
+            number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+            if not low <= number <= high:
+                raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
+        if foreign := [name for name in TABLES[self.table] if name in self.asked]:
+            raise ParameterError(f"{foreign[0]} is asked of the {self.loop} loop", "specification", "leave it out")
+
+    @property
+    def table(self) -> str:
+        """Return the table of a file that it is."""
+        return "pitch" if self.loop == "attitude" else "rail"
+
+    @property
+    def goal(self) -> float:
+        """Return the step [rad, m/s or m]."""
+        return math.radians(self.step_deg) if self.loop == "attitude" else self.step
+
+    @property
+    def asked(self) -> dict[str, float]:
+        """Return the figures that are asked for, by name."""
+        return {name: float(value) for name in FIGURES if (value := getattr(self, name)) is not None}
+
+    @property
+    def of_loops(self) -> Self | None:
+        """Return what is asked of the loops; None if nothing is."""
+        return self._without(name for name, figure in FIGURES.items() if figure.of_step)
+
+    @property
+    def of_step(self) -> Self | None:
+        """Return what is asked of the flights of a step; None if nothing is."""
+        return self._without(name for name, figure in FIGURES.items() if not figure.of_step)
+
+    def _without(self, names: Iterable[str]) -> Self | None:
+        nothing: dict[str, Any] = dict.fromkeys(names)
+        found = replace(self, **nothing)
+        return found if found.asked else None
+
+    @classmethod
+    def of(cls, data: object, where: str = "specification", table: str = "pitch") -> Self:
+        """Return the specification in a `table` of a parsed file.
+
+        Raise ParameterError for a file without the table, an unknown name or a figure out of range.
+        """
+        found = data.get(table) if isinstance(data, Mapping) else None
+        if not isinstance(data, Mapping) or not isinstance(found, Mapping) or set(data) - set(TABLES):
+            has = listed(data) if isinstance(data, Mapping) else shown(data)
+            raise ParameterError(f"it has {has}", where, f"give a table [{table}]")
+        names = [field.name for field in fields(cls) if field.name not in TABLES[table]]
+        for name in found:
+            if name not in names:
+                raise ParameterError(f"nothing is called {shown(name)}", where, f"there are: {nearest(name, names)}")
+        given = {"loop": "velocity" if table == "rail" else "attitude", **found}
+        if table == "rail" and given["loop"] == "attitude":
+            raise ParameterError("loop = 'attitude'", where, "give velocity or position")
+        try:
+            return cls(**given)
+        except ParameterError as error:
+            raise ParameterError(error.what, where, error.remedy) from error
+
+
+def read_specification(path: str | Path, table: str = "pitch") -> Specification:
+    """Return a `table` of a TOML file. Raise ParameterError for one that cannot be read or is not one."""
+    line = "bandwidth = 6.0" if table == "pitch" else "overshoot = 0.2"
+    try:
+        data = tomllib.loads(read_bytes(path, MAX_BYTES).decode("utf-8"))
+    except LogError as reason:
+        raise ParameterError(reason.what, str(path), f"name a TOML file with a table [{table}]") from reason
+    except (ValueError, RecursionError) as reason:
+        raise ParameterError(
+            f"it is not TOML: {reason!s:.80}", str(path), f"write [{table}], and below it lines as: {line}"
+        ) from reason
+    return Specification.of(data, str(path), table)
+
+
+@dataclass(frozen=True)
+class Requirement:
+    """One figure: `asked`, at least or `at_most`, and what the controller has, `got`."""
+
+    name: str
+    asked: float
+    got: float
+    at_most: bool
+
+    @property
+    def met(self) -> bool:
+        """Return True if the figure is met; NaN is not."""
+        return self.got <= self.asked if self.at_most else self.got >= self.asked
+
+    @property
+    def text(self) -> str:
+        """Return the requirement as a line."""
+        way = "at most" if self.at_most else "at least"
+        return (
+            f"{'ok    ' if self.met else 'MISSED'} {self.name.replace('_', ' ')}: {self.got:.4g}, {way} {self.asked:g}"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {**vars(self), "got": self.got if math.isfinite(self.got) else None, "met": self.met}
+
+
+def check(
+    specification: Specification,
+    controller: SampledController,
+    family: PitchFamily,
+    promised: Promise | None = None,
+) -> tuple[Requirement, ...]:
+    """Return what `specification` asks of the pitch, in its order, beside what `controller` has.
+
+    Bandwidth and margins are those of the family's estimate. A figure of the step is checked by the far end of the
+    `promised` interval. Raise ParameterError if a step is asked for and `promised` is missing or of another step.
+    """
+    loop = PitchLoop(family.nominal(), controller)
+    found = {"motors": margins(loop.loop_transfer())} if specification.of_loops is not None else {}
+    return requirements(specification, found, {"bandwidth": bandwidth(loop)}, promised)
+
+
+def requirements(
+    specification: Specification,
+    loops: Mapping[str, LoopMargins],
+    bandwidths: Mapping[str, float],
+    promised: Promise | None,
+) -> tuple[Requirement, ...]:
+    """Return what is asked beside the worst margins of `loops`, the `bandwidths` by name, and the promise.
+
+    A figure of an unstable loop, and of a step with failed members, is NaN. Raise ParameterError if a step is asked for
+    and `promised` is missing or of another step.
+    """
+    asked = specification.asked
+    step = [name for name in asked if FIGURES[name].of_step]
+    other = promised is None or promised.loop != specification.loop or abs(promised.goal - specification.goal) > 1e-6
+    if step and other:
+        row = STEPS[specification.loop]
+        size = f"{row.factor * specification.goal:g} {row.unit}"
+        what = f"{', '.join(step)} are asked of a {specification.loop} step by {size}, which is not promised"
+        raise ParameterError(what, "check", "promise that step")
+    stable = all(one.stable for one in loops.values())
+    rows = []
+    for name, value in asked.items():
+        figure = FIGURES[name]
+        got = math.nan
+        if figure.of_step:
+            if promised is not None and promised.robust:
+                got = figure.factor * promised.figures[figure.of_step][2]
+        elif name in bandwidths:
+            got = bandwidths[name] if stable else math.nan
+        elif stable and name == "peak_sensitivity":
+            got = max(one.ms for one in loops.values())
+        elif stable:
+            got = min(float(getattr(one, name)) for one in loops.values())
+        rows.append(Requirement(name, value, float(got), figure.at_most))
+    return tuple(rows)
+
+
+def bandwidth(loop: PitchLoop) -> float:
+    """Return the first frequency [rad/s] at which theta of the first member follows theta_0 by less than -3 dB."""
+    omega = np.geomspace(0.01, 600.0, 3000)
+    size = np.abs(loop.theta_response(omega)[0])
+    below = np.flatnonzero(size < _HALF_POWER)
+    return float(omega[below[0]]) if below.size else math.inf

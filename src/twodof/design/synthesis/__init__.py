@@ -1,1 +1,0 @@
-"""Controllers from a model and what is asked of them."""

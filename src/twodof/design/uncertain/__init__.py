@@ -1,1 +1,0 @@
-"""What an identified family of drones does under a controller: robustness, promise, verdict."""
