@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from twodof.errors import LogError
-from twodof.flightlog.mat.mat_file import read_mat
+from twodof.flightlog.files import read_log
 from twodof.signals import BY_MAT, BY_NAME, MODES, TOPICS, topic, unit_of
 
 
@@ -44,7 +44,7 @@ def test_nothing_on_board_sees_the_truth() -> None:
 
 
 def test_real_logs_have_these_channels_at_these_rates(flight_data: Path) -> None:
-    log = read_mat(flight_data / "velocity-doublets-0.25.mat")
+    log = read_log(flight_data / "velocity-doublets-0.25.mat")
     assert set(log) <= set(BY_MAT)
     for name in log:
         row = BY_MAT[name]

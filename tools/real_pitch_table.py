@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import chi2
 
+from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.from_flight.closed_loop import BEND_BEFORE, FRICTION_BEFORE, machine_of
@@ -85,7 +85,7 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
     poles = {"w_n": rig["w_n_run"], "xi": rig["xi_run"]}
     for name in names:
         start, stop = FLIGHTS[name]
-        log = read_mat(folder / f"{name}.mat")
+        log = read_log(folder / f"{name}.mat")
         channels = {"M": "M", "T": "T", "theta": "theta", "gyro": "q"}
         record = Record.from_log(log, channels, {"q": "q"}, start, stop, smooth=["theta"], name=name)
         machine = machine_of(log, start, stop)

@@ -21,8 +21,8 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES, kind_of
-from twodof.flightlog.mcap.topic_stream import stream_of
-from twodof.flightlog.ulog.ulog_file import PX4_SOURCES
+from twodof.flightlog.mcap_stream import stream_of
+from twodof.flightlog.ulog_file import PX4_SOURCES
 from twodof.gcs.recording import SAFETY
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FILES

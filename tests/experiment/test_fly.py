@@ -28,7 +28,7 @@ from twodof.experiment.script import Script, script
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, named_causes
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.steps import BOOT
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD

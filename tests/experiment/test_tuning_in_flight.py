@@ -24,7 +24,7 @@ from twodof.fcu.control.hardware import SensorSample
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
-from twodof.flightlog.ulog.decoder import ULog, scan_ulog
+from twodof.flightlog.ulog_file import ULog, scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab
 from twodof.signals import TICK_US

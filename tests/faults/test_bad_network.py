@@ -13,7 +13,7 @@ from tests.faults.whole import LEVEL, PERIOD_S, Whole, acts, run, silent, stands
 from twodof.excitation import Doublet
 from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT, shift
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 from twodof.gcs import full_rate
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.mavlink.framing import Parser, decode

@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 
 from tests.patience import PATIENCE_S
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
 from twodof.link.transport import open_transport

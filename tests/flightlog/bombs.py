@@ -8,20 +8,45 @@ from struct import Struct
 from types import MappingProxyType
 from typing import Any
 
+import lz4.frame
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+import zstandard
+from mcap.opcode import Opcode as McapOpcode
 from scipy.io import savemat
 
-from twodof.flightlog.mcap.encoder import McapEncoder
-from twodof.flightlog.mcap.records import CHUNK_HEAD, MAGIC, McapOpcode, deflate, mapping, record, text
-from twodof.flightlog.mcap.topic_stream import McapStream, stream_of
-from twodof.flightlog.ulog.format import HEADER, MESSAGE
-from twodof.flightlog.ulog.format import MAGIC as ULOG
+from twodof.flightlog.mcap_encoder import MAGIC, McapEncoder
+from twodof.flightlog.mcap_stream import McapStream, stream_of
+from twodof.flightlog.ulog_writer import HEADER, MESSAGE
+from twodof.flightlog.ulog_writer import MAGIC as ULOG
 from twodof.signals import BY_MAT
 
 MIB = 1 << 20
-_ZEROS = record(0x80, bytes(60 * MIB))  # type: ignore[arg-type]
+CHUNK_HEAD = Struct("<QQQI")
+
+
+def text(value: str) -> bytes:
+    raw = value.encode()
+    return len(raw).to_bytes(4, "little") + raw
+
+
+def mapping(rows: Mapping[str, str]) -> bytes:
+    raw = b"".join(text(key) + text(value) for key, value in rows.items())
+    return len(raw).to_bytes(4, "little") + raw
+
+
+def record(op: int, content: bytes) -> bytes:
+    return Struct("<BQ").pack(op, len(content)) + content
+
+
+def deflate(codec: str, plain: bytes) -> bytes:
+    if codec == "lz4":
+        return lz4.frame.compress(plain)
+    return zstandard.compress(plain, 1) if codec else plain
+
+
+_ZEROS = record(0x80, bytes(60 * MIB))
 _MAT_HEAD = b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM"
 
 

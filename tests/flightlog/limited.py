@@ -69,6 +69,7 @@ def _child(arguments: list[str], said: Path) -> int:
     resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
     from twodof.cli.app import run
+    from twodof.flightlog import fence
 
     with said.open("w") as file, Path(os.devnull).open("w") as nowhere:
         os.dup2(file.fileno(), 2)
@@ -76,6 +77,7 @@ def _child(arguments: list[str], said: Path) -> int:
         status = 99
         with contextlib.suppress(SystemExit):
             status = run(arguments)
+        fence.close()  # what its processes have used counts, too
         sys.stderr.flush()
         sys.stdout.flush()
     return status

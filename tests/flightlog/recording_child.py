@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from twodof.flightlog.recorder import Recorder
-from twodof.flightlog.ulog.writer import ULogWriter
+from twodof.flightlog.ulog_writer import ULogWriter
 
 PERIOD_NS = 4_000_000
 FORMATS = {"imu_gyro": "uint64_t timestamp;double x;double y;double z;"}

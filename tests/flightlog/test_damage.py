@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.flightlog.ulog.test_ulog_file import px4_log
+from tests.flightlog.test_ulog_file import px4_log
 from twodof.cli.app import run
 from twodof.errors import LogError
-from twodof.flightlog import provenance
-from twodof.flightlog.mcap import encoder, topic_stream
-from twodof.flightlog.mcap.decoder import McapContents, scan
-from twodof.flightlog.mcap.encoder import Attachment
-from twodof.flightlog.mcap.mcap_file import attachments, read_mcap, to_log
-from twodof.flightlog.memory_budget import MemoryBudget
+from twodof.flightlog import mcap_encoder, mcap_stream, provenance
+from twodof.flightlog.files import attachments, read_log
+from twodof.flightlog.mcap_decoder import McapContents, scan
+from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.mcap_file import to_log
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
@@ -60,7 +59,7 @@ def facts(contents: McapContents) -> dict[str, object]:
 
 
 def provenance_of(contents: McapContents) -> dict[str, object]:
-    log = to_log(contents, {}, "a.mcap", MemoryBudget(1 << 20, "a.mcap"))
+    log = to_log(contents, {}, "a.mcap")
     return {key: value for key, value in log.provenance.items() if key not in ("file", "ignored")}
 
 
@@ -130,11 +129,11 @@ def test_what_was_found_is_told_in_the_file_and_by_the_command(
     ):
         path.write_bytes(whole.replace(old, new, 1) if old in whole else whole.replace(old.replace(b'"', b'\\"'), new))
         with pytest.raises(LogError, match="the checksum"):
-            read_mcap(path)
+            read_log(path)
         target.unlink(missing_ok=True)
         assert run(["log", "recover", str(path), str(target)]) == 1
         assert says in capsys.readouterr().out
-        log = read_mcap(target)
+        log = read_log(target)
         assert says in log.provenance["recovered"]["unverified"]
         assert says in recover(path).log.provenance["recovered"]["what"]
         assert log.provenance.get("seed") != 91
@@ -156,18 +155,18 @@ def test_what_was_found_is_told_in_the_file_and_by_the_command(
 
 def test_files_of_earlier_versions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """They had no checksums of tables and descriptions: they are read, and recovery says so."""
-    monkeypatch.setattr(encoder, "checked", lambda _, rows: dict(rows))
-    own = topic_stream.McapStream.metadata.fget
+    monkeypatch.setattr(mcap_encoder, "sealed", lambda record: record)
+    own = mcap_stream.McapStream.metadata.fget
     assert own is not None
 
-    def metadata(stream: topic_stream.McapStream) -> dict[str, str]:
+    def metadata(stream: mcap_stream.McapStream) -> dict[str, str]:
         return {key: text.split(', "schema"')[0] + "}" for key, text in own(stream).items()}
 
-    monkeypatch.setattr(topic_stream.McapStream, "metadata", property(metadata))
+    monkeypatch.setattr(mcap_stream.McapStream, "metadata", property(metadata))
     old = record(tmp_path / "old.mcap")
     assert b"crc32" not in old
     monkeypatch.undo()
-    log = read_mcap(tmp_path / "old.mcap")
+    log = read_log(tmp_path / "old.mcap")
     assert (log.provenance["seed"], log["gyr"].unit, len(log["theta"])) == (31, "rad/s", 12)
     closed = recover(tmp_path / "old.mcap")
     assert (closed.what, closed.unverified) == ((), ())
@@ -189,11 +188,11 @@ def test_a_log_without_checksums_says_so(tmp_path: Path) -> None:
 
 def test_this_finds_what_it_is_for(whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without checksums of tables and descriptions, as before, false values come through."""
-    monkeypatch.setattr("twodof.flightlog.mcap.decoder.unchecked", lambda _, rows: ({**rows}, True))
+    monkeypatch.setattr("twodof.flightlog.mcap_decoder._unsealed", lambda record, _: (record, True))
     found, _ = silent(cut(whole), ((at, 1) for at in range(8, whole.index(b"d.json"), 3)))
     assert len(found) > 10
 
 
 def test_the_provenance_is_bounded() -> None:
     with pytest.raises(LogError, match="nested over 32 deep"):
-        provenance.from_json('{"a": ' + "[" * 40 + "]" * 40 + "}", "a", MemoryBudget(1000, "a"))
+        provenance.from_json('{"a": ' + "[" * 40 + "]" * 40 + "}", "a")

@@ -10,7 +10,7 @@ import pytest
 from tests.flightlog.limited import Limited, limited
 from tests.flightlog.synthetic import attitude_steps
 from tests.flightlog.test_bombs import COMMANDS, used
-from tests.flightlog.ulog.test_ulog_file import px4_log
+from tests.flightlog.test_ulog_file import px4_log
 from tests.fuzz.runner import mutated
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe

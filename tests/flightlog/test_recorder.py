@@ -20,9 +20,9 @@ from tests.flightlog.conftest import SlowDisk
 from tests.flightlog.recording_child import PERIOD_NS, gyro
 from tests.patience import PATIENCE_S
 from twodof.errors import LogError, RecordingError
-from twodof.flightlog.mcap.encoder import Attachment
-from twodof.flightlog.mcap.mcap_file import attachments, read_mcap
-from twodof.flightlog.mcap.topic_stream import McapStream
+from twodof.flightlog.files import attachments, read_log
+from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.mcap_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 from twodof.signals import TOPICS
@@ -45,7 +45,7 @@ def test_every_topic_with_its_unit_and_provenance(tmp_path: Path) -> None:
         done = recorder.flush()
         assert done.samples == recorder.accepted == 8 * len(TOPICS)
         assert done.position == path.stat().st_size
-    log = read_mcap(path)
+    log = read_log(path)
     assert {key: log.provenance[key] for key in kept} == kept
     assert attachments(path) == [diagram]
     for row in TOPICS:
@@ -90,7 +90,7 @@ def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
         assert recorder.accepted == 0
         recorder.write("/own", 3, (1.0, float("nan")))
         recorder.write("estimate.q", 3, np.float32(0.5))
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert list(log) == ["q", "own"]
     assert log.provenance["left_out"] == {"own": {"not_finite": 1}}
     with pytest.raises(RecordingError, match="is closed"):
@@ -129,7 +129,7 @@ def test_what_a_slow_disk_cannot_take_is_counted(tmp_path: Path, slow_disk: Slow
             recorder.flush(0.05)
         slow_disk.go()
         assert recorder.flush().samples == sum(taken)
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert log["q"].value.tolist() == [k for k, one in enumerate(taken) if one]
     assert log.provenance["dropped"] == recorder.dropped
 
@@ -139,7 +139,7 @@ def test_who_may_wait_loses_nothing(tmp_path: Path, slow_disk: SlowDisk) -> None
         slow_disk.stop()
         threading.Timer(0.2, slow_disk.go).start()
         assert all(recorder.write("estimate.q", k, 1.0 * k) for k in range(1000))
-    assert read_mcap(tmp_path / "a.mcap")["q"].value.tolist() == list(range(1000))
+    assert read_log(tmp_path / "a.mcap")["q"].value.tolist() == list(range(1000))
     assert recorder.dropped == {}
 
 
@@ -156,7 +156,7 @@ def test_several_threads_record_at_once(tmp_path: Path) -> None:
             thread.start()
         for thread in threads:
             thread.join(PATIENCE_S)
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert all(channel.value.tolist() == list(range(2000)) for channel in log.channels.values())
 
 
@@ -168,7 +168,7 @@ def test_an_error_in_the_block_leaves_a_complete_file(tmp_path: Path) -> None:
 
     with pytest.raises(ZeroDivisionError):
         fly()
-    assert len(read_mcap(tmp_path / "a.mcap")["q"]) == 1
+    assert len(read_log(tmp_path / "a.mcap")["q"]) == 1
 
 
 def test_a_quarter_of_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
@@ -189,13 +189,13 @@ def test_a_quarter_of_a_minute_of_every_topic_costs_little(tmp_path: Path) -> No
     assert recorder.acknowledged.samples == len(events) > 60_000
     assert recorder.dropped == {}
     assert spent < 0.05 * 15.0
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert {row.name: len(log[row.mat]) for row in TOPICS} == {name: int(15 * rate) for name, rate in rates.items()}
 
 
 def start(kind: str, path: Path) -> subprocess.Popen[str]:
     """The child, once it has acknowledged something."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    environment = {**os.environ, "PYTHONPATH": f"{ROOT}:{ROOT / 'src'}"}
     child = subprocess.Popen([sys.executable, CHILD, kind, path], stdout=subprocess.PIPE, text=True, env=environment)
     assert child.stdout is not None
     deadline = time.monotonic() + PATIENCE_S
@@ -224,7 +224,7 @@ def killed_while_recording(folder: Path, rounds: int, seed: int) -> None:
         path = folder / f"{turn}.mcap"
         acknowledged = kill(start("mcap", path), moments.uniform(0.0, 0.3))
         with pytest.raises(LogError, match="twodof log recover"):
-            read_mcap(path)
+            read_log(path)
         found = recover(path)
         assert found.what[0] == "the recording was not closed"
         for log in (found.log, rewritten(found, folder / f"{turn}-whole.mcap")):
@@ -242,7 +242,7 @@ def rewritten(found: Any, path: Path) -> Any:
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert sum(1 for _ in reader.iter_messages()) == found.samples
-    return read_mcap(path)
+    return read_log(path)
 
 
 @pytest.mark.long

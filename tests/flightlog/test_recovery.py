@@ -10,8 +10,9 @@ from tests.flightlog.recording_child import PERIOD_NS, gyro
 from tests.flightlog.synthetic import attitude_steps, same_bits
 from twodof.cli.app import run
 from twodof.errors import LogError
-from twodof.flightlog.mcap.decoder import McapContents, scan
-from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
+from twodof.flightlog.files import read_log
+from twodof.flightlog.mcap_decoder import McapContents, scan
+from twodof.flightlog.mcap_file import write_mcap
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
@@ -153,7 +154,7 @@ def test_what_is_written_is_a_whole_file(recording: tuple[bytes, list[tuple[int,
         for kind in (make_reader, NonSeekingReader):
             with target.open("rb") as file:
                 assert sum(1 for _ in kind(file, validate_crcs=True).iter_messages()) == samples
-        log = read_mcap(target)
+        log = read_log(target)
         assert log.provenance["seed"] == 5
         assert log.provenance["recovered"]["lost_bytes"] == "17"
         assert recover(target).what == ()
@@ -165,7 +166,7 @@ def test_a_sound_log_passes_through(tmp_path: Path) -> None:
     assert (found.lost_bytes, found.what) == (0, ())
     same_bits(found.log, attitude_steps())
     found.write(tmp_path / "b.mcap")
-    same_bits(read_mcap(tmp_path / "b.mcap"), attitude_steps())
+    same_bits(read_log(tmp_path / "b.mcap"), attitude_steps())
 
 
 def test_the_command(
@@ -180,7 +181,7 @@ def test_the_command(
     said = capsys.readouterr().out
     assert "flight.recovered.mcap: 15 samples from 0.000 to 0.056 s" in said
     assert "4 bytes could not be used" in said
-    assert len(read_mcap(tmp_path / "flight.recovered.mcap")["gyr"]) == 15
+    assert len(read_log(tmp_path / "flight.recovered.mcap")["gyr"]) == 15
     assert run(["log", "recover", str(source)]) == 2
     assert "is there already" in capsys.readouterr().err
     assert run(["log", "recover", str(source), str(tmp_path / "b.mcap"), "--json"]) == 0
@@ -223,7 +224,7 @@ def fuzz(whole: bytes, rounds: int, seed: int, path: Path) -> int:
     read = named = 0
     for _ in range(rounds):
         path.write_bytes(damaged(whole, chance))
-        for way in (read_mcap, recover):
+        for way in (read_log, recover):
             try:
                 way(path)
                 read += 1

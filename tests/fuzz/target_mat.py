@@ -8,7 +8,7 @@ from scipy.io import savemat
 
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
-from twodof.flightlog.mat.mat_file import read_mat
+from twodof.flightlog.files import read_log
 
 
 def seeds() -> list[bytes]:
@@ -27,7 +27,7 @@ def seeds() -> list[bytes]:
 def attempt(data: bytes) -> None:
     """Read."""
     with contextlib.suppress(LogError):
-        log = read_mat(file("a.mat", data))
+        log = read_log(file("a.mat", data))
         assert all(np.isfinite(channel.value).all() for channel in log.channels.values())
 
 

@@ -5,9 +5,9 @@ import contextlib
 from tests.flightlog.synthetic import attitude_steps
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
-from twodof.flightlog.mcap.encoder import Attachment
-from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
-from twodof.flightlog.mcap.records import MAGIC
+from twodof.flightlog.files import read_log
+from twodof.flightlog.mcap_encoder import MAGIC, Attachment
+from twodof.flightlog.mcap_file import write_mcap
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.recovery import recover
 
@@ -31,14 +31,14 @@ def attempt(data: bytes) -> None:
     """Read, recovered, and what was recovered read."""
     path = file("a.mcap", data)
     with contextlib.suppress(LogError):
-        read_mcap(path)
+        read_log(path)
     try:
         found = recover(path)
         target = file("b.mcap", b"")
         found.write(target)
     except LogError:
         return
-    again = read_mcap(target)
+    again = read_log(target)
     assert list(again) == list(found.log)
     assert sum(map(len, again.channels.values())) == found.samples
 

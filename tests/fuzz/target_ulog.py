@@ -2,12 +2,12 @@
 
 import contextlib
 
-from tests.flightlog.ulog.test_ulog_file import px4_log
+from tests.flightlog.test_ulog_file import px4_log
 from tests.fuzz.target import Target, file
 from twodof.errors import LogError
+from twodof.flightlog.files import read_log
 from twodof.flightlog.recovery import recover
-from twodof.flightlog.ulog.ulog_file import read_ulog
-from twodof.flightlog.ulog.writer import ULogWriter
+from twodof.flightlog.ulog_writer import ULogWriter
 
 
 def seeds() -> list[bytes]:
@@ -23,7 +23,7 @@ def attempt(data: bytes) -> None:
     """Read and recovered."""
     path = file("a.ulg", data)
     with contextlib.suppress(LogError):
-        read_ulog(path)
+        read_log(path)
     with contextlib.suppress(LogError):
         recover(path)
 

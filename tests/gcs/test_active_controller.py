@@ -9,8 +9,7 @@ from pathlib import Path
 from tests.gcs.virtual import on_board
 from twodof.blocks.schema.json_form import to_json
 from twodof.flight.starters import starter
-from twodof.flightlog.files import read_log
-from twodof.flightlog.mcap.mcap_file import attachments
+from twodof.flightlog.files import attachments, read_log
 from twodof.gcs.drone import Drone
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from tools.real_pitch_table import agreement, real_flights
 from twodof.errors import IdentificationError, LogError
-from twodof.flightlog.mat.mat_file import read_mat
+from twodof.flightlog.files import read_log
 from twodof.identify import Estimate, Record, fit, frequency_response
 from twodof.identify.simple_pitch import read_free_response
 from twodof.models import free_response, pitch_rate, velocity
@@ -19,7 +19,7 @@ SPRING = ("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "tau")
 
 @pytest.fixture(scope="module")
 def free(flight_data: Path) -> Record:
-    log = read_mat(flight_data / "free-response-impulse.mat")
+    log = read_log(flight_data / "free-response-impulse.mat")
     return Record.from_log(log, ["M"], ["q"], 188.30, 197.50, name="free response")
 
 
@@ -52,7 +52,7 @@ def test_gain_without_thrust(spring: Estimate) -> None:
 
 
 def test_gain_with_thrust_is_more_than_twice_that(flight_data: Path, spring: Estimate) -> None:
-    log = read_mat(flight_data / "doublet-0.03.mat")
+    log = read_log(flight_data / "doublet-0.03.mat")
     # From rest before the motors restart at 244.67 s to before the end stop.
     record = Record.from_log(log, ["M"], ["q"], 244.60, 245.75, name="doublet")
     known = {"w_n": spring["w_n"], "hardening": spring["hardening"], "xi": 0.03, "coulomb": 0.05, "mu": 290.0}
@@ -66,7 +66,7 @@ def test_gain_with_thrust_is_more_than_twice_that(flight_data: Path, spring: Est
 
 
 def test_a_band_above_the_wake_gives_gain_and_delay_in_closed_loop(flight_data: Path) -> None:
-    log = read_mat(flight_data / "attitude-steps-10deg-default.mat")
+    log = read_log(flight_data / "attitude-steps-10deg-default.mat")
     record = Record.from_log(log, ["M"], ["q"], 127.5, 135.8, name="attitude steps")
     found = fit(
         pitch_rate(lag=True),
@@ -99,7 +99,7 @@ def test_all_flights_agree_on_gain_and_delay(flight_data: Path) -> None:
 
 
 def test_by_hand_the_free_response_gives_the_known_peaks_and_too_much_damping(flight_data: Path) -> None:
-    log = read_mat(flight_data / "free-response-impulse.mat")
+    log = read_log(flight_data / "free-response-impulse.mat")
     read = read_free_response(Record.from_log(log, ["M"], ["q"], 188.0, 200.0, name="free response"))
     np.testing.assert_allclose(read.peak_times[[0, 2, 4, 6]], [188.691, 190.677, 192.843, 195.081], atol=0.025)
     np.testing.assert_allclose(read.peaks[[0, 2, 4, 6]], [2.072, 1.407, 0.848, 0.317], atol=0.01)
@@ -114,7 +114,7 @@ def test_by_hand_the_free_response_gives_the_known_peaks_and_too_much_damping(fl
 
 
 def test_frequency_response_of_the_rate_loop_falls_like_an_integrator(flight_data: Path) -> None:
-    log = read_mat(flight_data / "rate-doublets-30dps-student.mat")
+    log = read_log(flight_data / "rate-doublets-30dps-student.mat")
     record = Record.from_log(log, ["M"], ["q"], 346.6, 355.6, name="rate doublets")
     found = frequency_response(record, "M", "q", segment=2.0)
     band = (found.omega > 12.0) & (found.omega < 60.0)
@@ -127,7 +127,7 @@ def test_frequency_response_of_the_rate_loop_falls_like_an_integrator(flight_dat
     ("file", "start", "stop"), [("velocity-doublets-0.25", 150.8, 160.5), ("position-sweep-default", 133.0, 159.4)]
 )
 def test_gain_of_the_velocity_between_estimates(flight_data: Path, file: str, start: float, stop: float) -> None:
-    log = read_mat(flight_data / f"{file}.mat")
+    log = read_log(flight_data / f"{file}.mat")
     record = Record.from_log(log, ["M", "theta"], ["v"], start, stop, smooth=["theta"], name=file)
     found = fit(velocity(), record, estimate=("k_v", "p_v", "v_0", "theta_trim"))
     # 4.75 to 5.24 is known where the on-board estimator is not modelled, as here; p_v is not known to better than
@@ -139,7 +139,7 @@ def test_gain_of_the_velocity_between_estimates(flight_data: Path, file: str, st
 
 
 def test_what_a_log_does_not_hold_is_said(flight_data: Path) -> None:
-    log = read_mat(flight_data / "free-response-impulse.mat")
+    log = read_log(flight_data / "free-response-impulse.mat")
     with pytest.raises(LogError, match="no channel 'alpha'"):
         Record.from_log(log, ["alpha"], ["q"], 188.3, 197.5)
     with pytest.raises(IdentificationError, match=r"window 500 to 510 s holds 0 samples"):

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError, LogError
+from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.mat.mat_file import read_mat
 from twodof.identify.rotor_speed import SLOPE, RotorSpeeds, rotor_speeds
 
 pytestmark = pytest.mark.slow
@@ -88,7 +88,7 @@ def test_what_cannot_tell_is_refused() -> None:
 
 
 def speeds(folder: Path, name: str, start: float, stop: float) -> RotorSpeeds:
-    return rotor_speeds(read_mat(folder / f"{name}.mat"), start, stop)
+    return rotor_speeds(read_log(folder / f"{name}.mat"), start, stop)
 
 
 def test_real_rotors_slow_down_in_hover_and_recover_in_a_pause(flight_data: Path) -> None:

@@ -16,7 +16,7 @@ from tests.patience import PATIENCE_S
 from twodof.fcu.mavlink.files.metadata import metadata_files
 from twodof.fcu.onboard_log.step_row import STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 
 pytestmark = pytest.mark.slow
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from twodof.flightlog.recorder import Recorder as Recorder
     from twodof.flightlog.recovery import Recovered as Recovered
     from twodof.flightlog.recovery import recover as recover
-    from twodof.flightlog.ulog.writer import ULogWriter as ULogWriter
+    from twodof.flightlog.ulog_writer import ULogWriter as ULogWriter
 
 _HOMES = {
     "atomic": ("atomic_write", "numbered"),
@@ -40,7 +40,7 @@ _HOMES = {
     "log": ("Channel", "FlightLog", "Gap"),
     "recorder": ("Recorder",),
     "recovery": ("Recovered", "recover"),
-    "ulog.writer": ("ULogWriter",),
+    "ulog_writer": ("ULogWriter",),
 }
 _HOME = {name: home for home, names in _HOMES.items() for name in names}
 

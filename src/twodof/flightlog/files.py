@@ -1,75 +1,140 @@
-"""One door for every file format: the suffix of the name decides."""
+"""One door for every file format: the suffix of the name decides. Files are read behind the fence."""
 
+import importlib
 import os
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TypeVar
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LogError
+from twodof.flightlog import fence
 from twodof.flightlog.atomic import check_free, partial_of
-from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mat.mat_file import read_mat, write_mat
-from twodof.flightlog.mcap.mcap_file import read_mcap, write_mcap
-from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
-from twodof.flightlog.ulog.export import write_ulg
-from twodof.flightlog.ulog.ulog_file import read_ulog
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.sanitise import naming_file
 
-_Function = TypeVar("_Function")
-_READERS: Mapping[str, Callable[[str | Path], FlightLog]] = MappingProxyType(
-    {".mat": read_mat, ".mcap": read_mcap, ".parquet": read_parquet, ".csv": read_csv, ".ulg": read_ulog}
+
+class _Format(NamedTuple):
+    """A file format: the functions `module:name` that decode a log, write one, and decode a user's table.
+
+    The modules are imported when they are used: scipy.io and pyarrow take longer than all others together.
+    """
+
+    decode: str
+    write: str
+    decode_table: str = ""
+
+
+_HERE = "twodof.flightlog"
+_FORMATS: Mapping[str, _Format] = MappingProxyType(
+    {
+        ".mat": _Format(*(f"{_HERE}.mat_file:{name}" for name in ("decode_mat", "write_mat", "decode_vectors"))),
+        ".mcap": _Format(f"{_HERE}.mcap_file:decode_mcap", f"{_HERE}.mcap_file:write_mcap"),
+        ".parquet": _Format(*(f"{_HERE}.table_file:{verb}_parquet" for verb in ("decode", "write", "decode"))),
+        ".csv": _Format(*(f"{_HERE}.table_file:{verb}_csv" for verb in ("decode", "write", "decode"))),
+        ".ulg": _Format(f"{_HERE}.ulog_file:decode_ulog", f"{_HERE}.ulog_writer:write_ulg"),
+    }
 )
-
-
-def _write_ulog(log: FlightLog, path: str | Path) -> None:
-    """By way of a file beside it: `write_ulg` writes new files only, and as it goes."""
-    begun = partial_of(path)
-    try:
-        write_ulg(log, begun)
-        begun.replace(Path(path).resolve())
-    finally:
-        begun.unlink(missing_ok=True)
-
-
-_WRITERS: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
-    {".mat": write_mat, ".mcap": write_mcap, ".parquet": write_parquet, ".csv": write_csv, ".ulg": _write_ulog}
-)
-
-_TABLES: Mapping[str, Callable[[FlightLog, str | Path], None]] = MappingProxyType(
-    {".parquet": partial(write_parquet, wide=True), ".csv": partial(write_csv, wide=True)}
-)
+_WIDE: Mapping[str, _Format] = MappingProxyType({suffix: _FORMATS[suffix] for suffix in (".parquet", ".csv")})
+_TABLES: Mapping[str, _Format] = MappingProxyType({suffix: one for suffix, one in _FORMATS.items() if one.decode_table})
 
 
 def read_log(path: str | Path) -> FlightLog:
-    """Reads a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
-    return _check(path, _READERS)(path)
+    """Read a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
+    kind = _check(path, _FORMATS)
+    with naming_file(path):
+        return log_of(*fence.read(_decoded, path, kind.decode, needs=_module(kind.decode)))
+
+
+def read_columns(path: str | Path, time: str) -> FlightLog:
+    """Read a .csv or .parquet table, or the vectors of a .mat file, whose time stamps [s] are in the column `time`.
+
+    The other columns become channels under their own names; of a heading such as `speed [m/s]` the bracket is the
+    unit. Raises LogError for another suffix, a missing column, and a file that is damaged or no table.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _TABLES:
+        raise LogError(f"no table has the suffix {suffix!r:.40}", str(path), f"use {', '.join(_TABLES)}")
+    kind = _TABLES[suffix]
+    return log_of(*fence.read(_decoded, path, kind.decode_table, time, needs=_module(kind.decode_table)))
+
+
+def attachments(path: str | Path) -> list[Attachment]:
+    """Return the files kept in an MCAP recording. Raises LogError."""
+    with naming_file(path):
+        named, contents = fence.read(_attachments, path, needs="twodof.flightlog.mcap_file")
+    rows = zip(named, contents, strict=True)
+    return [Attachment(name, media_type, data.tobytes(), time_ns) for (name, media_type, time_ns), data in rows]
+
+
+def log_of(plain: dict[str, Any], arrays: Sequence[NDArray[Any]]) -> FlightLog:
+    """Return the log that `answer_of` took apart. Raises LogError."""
+    channels = {
+        name: Channel(time, value, unit, tuple(fields), name)
+        for (name, unit, fields), time, value in zip(plain["channels"], arrays[::2], arrays[1::2], strict=True)
+    }
+    return FlightLog(channels, plain["provenance"])
+
+
+def answer_of(log: FlightLog) -> fence.Answer:
+    """Return a log as JSON values and arrays, as the fence hands it on."""
+    rows = [[name, channel.unit, channel.fields] for name, channel in log.channels.items()]
+    arrays = [array for channel in log.channels.values() for array in (channel.time, channel.value)]
+    return {"channels": rows, "provenance": log.provenance}, arrays
+
+
+def _decoded(data: bytes, where: str, decode: str, *arguments: str) -> fence.Answer:
+    """Decode a log. Runs behind the fence."""
+    return answer_of(_function(decode)(data, where, *arguments))
+
+
+def _attachments(data: bytes, where: str) -> fence.Answer:
+    """Return the attachments of a recording. Runs behind the fence."""
+    found = _function(f"{_HERE}.mcap_decoder:scan")(data, where).attachments
+    return [[one.name, one.media_type, one.time_ns] for one in found], [np.frombuffer(one.data, "u1") for one in found]
 
 
 def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: bool = False) -> None:
-    """Writes a log to a .mat, .mcap, .parquet, .csv or .ulg file, atomically. Raises LogError, also if it is there.
+    """Write a log to a .mat, .mcap, .parquet, .csv or .ulg file, atomically. Raises LogError, also if it is there.
 
     A .ulg holds the signals of TOPICS; channels of other names are left out.
 
     `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
     one row for each number.
     """
-    write = _check(path, _TABLES if wide else _WRITERS)
+    kind = _check(path, _WIDE if wide else _FORMATS)
     check_free(path, overwrite)
-    write(log, path)
+    write = _function(kind.write)
+    if wide:
+        write(log, path, wide=True)
+    elif kind is _FORMATS[".ulg"]:
+        _write_beside(write, log, path)
+    else:
+        write(log, path)
+
+
+def _write_beside(write: Callable[[FlightLog, Path], object], log: FlightLog, path: str | Path) -> None:
+    """Write a log beside its place and move it there, with a writer that writes new files only, and as it goes."""
+    begun = partial_of(path)
+    try:
+        write(log, begun)
+        begun.replace(Path(path).resolve())
+    finally:
+        begun.unlink(missing_ok=True)
 
 
 def check_place(path: str | Path, overwrite: bool = False) -> None:
-    """Whether `write_log` can write there, before what it is to hold is made: a known suffix, a folder that lets us in.
-
-    Raises LogError.
-    """
-    _check(path, _WRITERS)
+    """Check that `write_log` can write there: a known suffix, a folder that may be written. Raises LogError."""
+    _check(path, _FORMATS)
     check_folder(path, overwrite)
 
 
 def check_folder(path: str | Path, overwrite: bool = False) -> None:
-    """Whether a file of any kind can be written there, before what it is to hold is made. Raises LogError."""
+    """Check that a file of any kind can be written there, before its content is made. Raises LogError."""
     target = Path(path).resolve()
     if target.is_dir():
         raise LogError("is a directory", str(path), "name a file")
@@ -81,11 +146,11 @@ def check_folder(path: str | Path, overwrite: bool = False) -> None:
 
 
 def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: bool = False) -> FlightLog:
-    """Reads `src` and writes it as `dst` (see `write_log`); returns the log.
+    """Read `src` and write it as `dst` (see `write_log`); return the log.
 
     Raises LogError before anything is written.
     """
-    _check(dst, _TABLES if wide else _WRITERS)
+    _check(dst, _WIDE if wide else _FORMATS)
     if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
         raise LogError("would be written over itself", str(src), "name another file to write")
     check_free(dst, overwrite)
@@ -94,10 +159,19 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
     return log
 
 
-def _check(path: str | Path, known: Mapping[str, _Function]) -> _Function:
-    """What `known` has for the suffix of a name. Raises LogError."""
+def _module(function: str) -> str:
+    return function.partition(":")[0]
+
+
+def _function(name: str) -> Callable[..., Any]:
+    function: Callable[..., Any] = getattr(importlib.import_module(_module(name)), name.partition(":")[2])
+    return function
+
+
+def _check(path: str | Path, known: Mapping[str, _Format]) -> _Format:
+    """Return the format that the suffix of a name says. Raises LogError."""
     suffix = Path(path).suffix.lower()
-    if known is _TABLES and suffix in _WRITERS and suffix not in known:
+    if known is _WIDE and suffix in _FORMATS and suffix not in known:
         what = f"{suffix} logs are not tables"
         raise LogError(what, str(path), f"write {', '.join(known)}, or leave the wide form out")
     if suffix not in known:

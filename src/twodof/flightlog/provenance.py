@@ -1,11 +1,12 @@
-"""Where a log came from: the file read, its checksum, the files it was made from, the versions at work."""
+"""Provenance of a log: the file read, its checksum, the files it was made from, the versions at work."""
 
 import hashlib
 import json
 import os
 import platform
 import stat
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,6 @@ import numpy as np
 import twodof
 from twodof.errors import LogError
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.memory_budget import MemoryBudget
 
 MAX_FILE_BYTES = 1 << 29
 """Largest log file that is read, in bytes."""
@@ -23,36 +23,49 @@ MAX_DEPTH = 32
 
 
 def versions() -> dict[str, str]:
-    """The versions that a result depends on."""
+    """Return the versions that a result depends on."""
     return {"twodof": twodof.__version__, "python": platform.python_version(), "numpy": np.__version__}
 
 
-def read_bytes(path: str | Path, most: int | None = None) -> bytes:
-    """A whole file. Raises LogError for one that is missing, unreadable, empty, over `most` bytes, not regular."""
+@contextmanager
+def open_file(path: str | Path, most: int | None = None) -> Iterator[int]:
+    """Open a file and yield its descriptor. Raises LogError for one that is missing, unreadable, empty, not regular.
+
+    A file of more than `most` bytes, MAX_FILE_BYTES by default, is refused too.
+    """
     most = MAX_FILE_BYTES if most is None else most
     try:
-        # A pipe would wait for who writes to it, and a device has no end.
+        # Without O_NONBLOCK a pipe would wait for its writer. A device has no end.
         descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        try:
-            found = os.fstat(descriptor)
-            if not stat.S_ISREG(found.st_mode):
-                raise LogError("is not a regular file", str(path), "name a file on a disk")
-            if found.st_size > most:
-                raise LogError(f"{found.st_size} bytes", str(path), f"at most {most} bytes are read")
-            with os.fdopen(descriptor, "rb", closefd=False) as file:
-                data = file.read(found.st_size)
-        finally:
-            os.close(descriptor)
     except (OSError, ValueError) as refusal:
         why = refusal.strerror if isinstance(refusal, OSError) else refusal  # a name with a null character
         raise LogError(f"cannot be read: {why}", str(path), "check the name and the rights") from refusal
-    if not data:
-        raise LogError("the file is empty", str(path), "record or download it again")
-    return data
+    try:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise LogError("is not a regular file", str(path), "name a file on a disk")
+        if found.st_size > most:
+            raise LogError(f"{found.st_size} bytes", str(path), f"at most {most} bytes are read")
+        if not found.st_size:
+            raise LogError("the file is empty", str(path), "record or download it again")
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def read_bytes(path: str | Path, most: int | None = None) -> bytes:
+    """Return the content of a file. Raises LogError as `open_file` does."""
+    with open_file(path, most) as descriptor:
+        try:
+            with os.fdopen(descriptor, "rb", closefd=False) as file:
+                return file.read(os.fstat(descriptor).st_size)
+        except OSError as refusal:
+            what = f"cannot be read: {refusal.strerror}"
+            raise LogError(what, str(path), "check the disk") from refusal
 
 
 def of_file(path: str | Path, data: bytes, kind: str) -> dict[str, Any]:
-    """The entry `file` of a log's provenance: name, format, size and checksum."""
+    """Return the entry `file` of a log's provenance: name, format, size and checksum."""
     return {
         "name": Path(path).name,
         "format": kind,
@@ -62,7 +75,7 @@ def of_file(path: str | Path, data: bytes, kind: str) -> dict[str, Any]:
 
 
 def to_json(log: FlightLog) -> str:
-    """A log's provenance as it is kept in a file: what was read becomes the last entry of `history`.
+    """Return a log's provenance as a file keeps it: the file that was read becomes the last entry of `history`.
 
     Raises LogError for a provenance that JSON cannot hold.
     """
@@ -70,7 +83,7 @@ def to_json(log: FlightLog) -> str:
 
 
 def kept_json(entries: Mapping[str, Any], where: str) -> str:
-    """Entries of provenance as JSON, with `file` moved to the end of `history`. Raises LogError."""
+    """Return entries of provenance as JSON, with `file` moved to the end of `history`. Raises LogError."""
     kept = {key: value for key, value in entries.items() if key not in ("file", "history")}
     history = [*entries.get("history", [])]
     if "file" in entries:
@@ -85,9 +98,8 @@ def kept_json(entries: Mapping[str, Any], where: str) -> str:
         raise LogError(what, where, "keep numbers, text, lists and dicts in it") from reason
 
 
-def from_json(text: str, where: str, budget: MemoryBudget) -> dict[str, Any]:
-    """The reverse of `to_json`. Raises LogError."""
-    budget.json(len(text))
+def from_json(text: str, where: str) -> dict[str, Any]:
+    """Return the entries that `to_json` wrote. Raises LogError."""
     try:
         kept = json.loads(text)
     except (ValueError, RecursionError) as reason:

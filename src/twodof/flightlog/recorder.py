@@ -16,9 +16,9 @@ from numpy.typing import ArrayLike
 
 from twodof.errors import LogError, listed, shown
 from twodof.flightlog.append_only_file import AppendOnlyFile, Full
-from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
-from twodof.flightlog.mcap.mcap_file import END_NOTE, NOTE
-from twodof.flightlog.mcap.topic_stream import McapStream, named
+from twodof.flightlog.mcap_encoder import Attachment, McapEncoder, McapSamples
+from twodof.flightlog.mcap_file import END_NOTE, NOTE
+from twodof.flightlog.mcap_stream import McapStream, named
 from twodof.flightlog.provenance import kept_json
 from twodof.signals import Topic
 

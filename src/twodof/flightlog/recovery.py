@@ -1,26 +1,32 @@
-"""What is left of a recording that was cut off: by a crash, a power cut, a full or damaged disk."""
+"""Recovery of a recording that was cut off: by a crash, a power cut, a full or damaged disk."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from importlib import import_module
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from twodof.errors import LogError
-from twodof.flightlog import provenance
+from twodof.flightlog import fence, provenance
 from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.files import answer_of, log_of
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mcap.decoder import McapContents, scan
-from twodof.flightlog.mcap.mcap_file import RECOVERED_NOTE, to_log, write_contents, write_mcap
-from twodof.flightlog.memory_budget import MemoryBudget
-from twodof.flightlog.ulog.decoder import scan_ulog
-from twodof.flightlog.ulog.ulog_file import ulog_to_log
+from twodof.flightlog.mcap_decoder import McapContents, scan
+from twodof.flightlog.mcap_encoder import Attachment, McapSamples
+from twodof.flightlog.mcap_file import RECOVERED_NOTE, to_log, write_contents, write_mcap
+from twodof.flightlog.mcap_stream import McapStream
+from twodof.flightlog.sanitise import Loss
 
 NO_CHECKSUMS = "every value: a ULog has no checksums"
 
 
 @dataclass(frozen=True)
 class Recovered:
-    """What was read: `log`, `samples` in it, `lost_bytes` that could not be used, `what` was wrong, in words.
+    """Result of a recovery: the `log`, its `samples`, the `lost_bytes`, and what was wrong, in words.
 
-    `unverified` says what is in `log` although no checksum vouches for it; it is part of `what`.
+    `unverified` names what is in `log` although no checksum vouches for it; it is part of `what`.
     """
 
     log: FlightLog
@@ -31,7 +37,7 @@ class Recovered:
     contents: McapContents | None = None
 
     def write(self, path: str | Path, overwrite: bool = False) -> None:
-        """Writes a complete MCAP file, atomically. Raises LogError, also if it is there."""
+        """Write a complete MCAP file, atomically. Raises LogError, also if it is there."""
         check_free(path, overwrite)
         if self.contents is None:
             write_mcap(self.log, path)
@@ -41,25 +47,25 @@ class Recovered:
 
 
 def recover(path: str | Path) -> Recovered:
-    """Reads an .mcap or .ulg file as far as it is sound; of an MCAP file, what has a checksum only if that holds.
+    """Read an .mcap or .ulg file as far as it is sound; of an MCAP file, parts with a checksum only if that holds.
 
     Everything that a Recorder or ULogWriter has acknowledged is in the result, even if later bytes were cut off or
-    written over. What had to be taken unverified is named in `unverified` and in the provenance (`recovered`). These
-    are topics with a damaged description, all logs of PX4, and tables and descriptions of earlier versions. The last
-    two lack checksums. A table whose checksum is wrong is kept apart, in provenance["unverified"].
+    written over. Parts that had to be taken unverified are named in `unverified` and in the provenance (`recovered`).
+    These are topics with a damaged description, all logs of PX4, and tables and descriptions of earlier versions. The
+    last two lack checksums. A table whose checksum is wrong is kept apart, in provenance["unverified"].
     Raises LogError for a file in which no sample can be read: that is never a success.
     """
-    data = provenance.read_bytes(path)
     where = str(path)
-    budget = MemoryBudget(len(data), where)
     contents = None
-    if Path(path).suffix.lower() == ".ulg":
-        found = scan_ulog(data, where, salvage=True, budget=budget)
-        log = ulog_to_log(found, provenance.of_file(path, data, "ulog"), where, budget)
-        lost, finished, unverified = found.lost, found.finished, [NO_CHECKSUMS]
-    elif Path(path).suffix.lower() == ".mcap":
-        contents = scan(data, where, salvage=True, budget=budget)
-        log = to_log(contents, provenance.of_file(path, data, "mcap"), where, budget)
+    suffix = Path(path).suffix.lower()
+    if suffix == ".ulg":
+        plain, arrays = fence.read(_salvaged_ulog, path, needs="twodof.flightlog.ulog_file")
+        log = log_of(plain, arrays)
+        lost, finished, unverified = [Loss(*row) for row in plain["lost"]], plain["finished"], [NO_CHECKSUMS]
+    elif suffix == ".mcap":
+        plain, arrays = fence.read(_salvaged_mcap, path, needs="twodof.flightlog.mcap_file")
+        contents = _contents_of(plain, arrays)
+        log = to_log(contents, plain["file"], where)
         lost, finished, unverified = contents.lost, contents.finished, contents.unverified
     else:
         raise LogError(f"cannot recover {Path(path).suffix!r} files", where, "give an .mcap or .ulg file")
@@ -80,3 +86,57 @@ def recover(path: str | Path) -> Recovered:
     if what:
         log = FlightLog(log.channels, {**log.provenance, "recovered": note})
     return Recovered(log, samples, size, tuple(what), tuple(unverified), contents)
+
+
+def _salvaged_ulog(data: bytes, where: str) -> fence.Answer:
+    """Read a damaged ULog file. Runs behind the fence."""
+    from_ulog = import_module("twodof.flightlog.ulog_file")
+    found = from_ulog.scan_ulog(data, where, salvage=True)
+    plain, arrays = answer_of(from_ulog.ulog_to_log(found, provenance.of_file(where, data, "ulog"), where))
+    return {
+        **plain,
+        "lost": [[loss.at, loss.size, loss.why] for loss in found.lost],
+        "finished": found.finished,
+    }, arrays
+
+
+def _salvaged_mcap(data: bytes, where: str) -> fence.Answer:
+    """Read a damaged MCAP file. Runs behind the fence."""
+    found = scan(data, where, salvage=True)
+    joined = {number: found.joined(number) for number in found.streams}
+    arrays: list[NDArray[Any]] = [np.frombuffer(one.data, "u1") for one in found.attachments]
+    for some in joined.values():
+        arrays += [some.time_ns, some.value, *([] if some.stamp is None else [some.stamp])]
+    plain = {
+        "file": provenance.of_file(where, data, "mcap"),
+        "streams": [[number, asdict(stream)] for number, stream in found.streams.items()],
+        "attachments": [[one.name, one.media_type, one.time_ns] for one in found.attachments],
+        "lost": [[loss.at, loss.size, loss.why] for loss in found.lost],
+        "metadata": found.metadata,
+        "ignored": found.ignored,
+        "unverified": found.unverified,
+        "finished": found.finished,
+    }
+    return plain, arrays
+
+
+def _contents_of(plain: dict[str, Any], arrays: list[NDArray[Any]]) -> McapContents:
+    """Return the contents that `_salvaged_mcap` took apart."""
+    waiting = iter(arrays)
+    found = McapContents(
+        attachments=[
+            Attachment(name, kind, next(waiting).tobytes(), time) for name, kind, time in plain["attachments"]
+        ],
+        metadata=[(name, rows) for name, rows in plain["metadata"]],
+        lost=[Loss(*row) for row in plain["lost"]],
+        ignored=plain["ignored"],
+        unverified=plain["unverified"],
+        finished=plain["finished"],
+    )
+    for number, row in plain["streams"]:
+        stream = McapStream(**{**row, "fields": tuple(row["fields"])})
+        found.streams[number] = stream
+        time_ns, value = next(waiting), next(waiting)
+        stamp = next(waiting) if stream.stamped else None
+        found.samples[number] = [McapSamples(time_ns, value, stamp)]
+    return found

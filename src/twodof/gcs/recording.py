@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from twodof.errors import LogError, RecordingError, Timeout
 from twodof.flightlog import steps
 from twodof.flightlog.append_only_file import Acknowledged
-from twodof.flightlog.mcap.encoder import Attachment
-from twodof.flightlog.mcap.topic_stream import McapStream
+from twodof.flightlog.mcap_encoder import Attachment
+from twodof.flightlog.mcap_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.steps import BOOT, OpenLoopMessages, shift
 from twodof.gcs.active_controller import ActiveController, ParameterChanges

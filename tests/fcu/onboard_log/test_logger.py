@@ -27,7 +27,7 @@ from twodof.fcu.onboard_log.step_row import COLUMNS, STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flightlog import read_log, recover
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 
 pytestmark = pytest.mark.slow
 

@@ -20,7 +20,7 @@ from twodof.fcu.parameters.parameter_store import MOST_TUNED, ParametersRelisted
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
-from twodof.flightlog.ulog.decoder import scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 from twodof.signals import TICK_US
 
 pytestmark = pytest.mark.slow

@@ -9,8 +9,7 @@ from types import ModuleType
 from twodof.blocks.diagram import Diagram
 from twodof.errors import LogError, ParameterError, listed, nearest, shown
 from twodof.flight.starters import load_diagram
-from twodof.flightlog.columns import read_columns
-from twodof.flightlog.files import read_log
+from twodof.flightlog.files import read_columns, read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
 from twodof.models.structure import Structure

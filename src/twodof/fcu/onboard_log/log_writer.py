@@ -13,8 +13,7 @@ from twodof.fcu.onboard_log.log_folder import LogFolder
 from twodof.fcu.onboard_log.step_row import FORMAT, STEP_TOPIC
 from twodof.fcu.px4_compat.log_topics import PX4_TOPICS, Rows, records
 from twodof.fcu.px4_compat.parameters import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
-from twodof.flightlog.ulog.format import MESSAGE
-from twodof.flightlog.ulog.writer import ULogWriter
+from twodof.flightlog.ulog_writer import MESSAGE, ULogWriter
 
 MARGIN = 250
 """Steps that a log has before arming and after disarming."""

@@ -17,7 +17,7 @@ from twodof.fcu.mavlink.commands.command_service import CommandService, Received
 from twodof.fcu.mavlink.paced_sender import PacedSender
 from twodof.fcu.mavlink.service import Link, Service, Take
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.flightlog.ulog.fragments import MOST, ULogFragment, ULogFragments
+from twodof.flightlog.ulog_writer import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
 from twodof.link.mavlink.enums import MavCmd
 from twodof.link.mavlink.messages import message

@@ -13,7 +13,7 @@ from twodof.errors import LogError
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.thinning import thinned
-from twodof.flightlog.ulog.export import write_ulg
+from twodof.flightlog.ulog_writer import write_ulg
 from twodof.lab.logbook.log_summary import summary
 from twodof.lab.logbook.read_logs import kept_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps

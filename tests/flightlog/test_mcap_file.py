@@ -15,14 +15,11 @@ from scipy.io import loadmat
 
 from tests.flightlog.synthetic import attitude_steps, same_bits
 from twodof.errors import LogError
-from twodof.flightlog import memory_budget
-from twodof.flightlog.files import convert, read_log
+from twodof.flightlog.files import attachments, convert, read_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.mcap import records
-from twodof.flightlog.mcap.decoder import scan
-from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
-from twodof.flightlog.mcap.mcap_file import attachments, read_mcap, write_mcap
-from twodof.flightlog.mcap.topic_stream import ros_names, seconds, stream_of, streams_of
+from twodof.flightlog.mcap_encoder import MAGIC, Attachment, McapEncoder, McapSamples
+from twodof.flightlog.mcap_file import write_mcap
+from twodof.flightlog.mcap_stream import ros_names, seconds, stream_of, streams_of
 from twodof.signals import TOPICS, topic
 
 pytestmark = pytest.mark.slow
@@ -50,7 +47,7 @@ def test_a_log_survives_a_tour_of_all_formats(tmp_path: Path) -> None:
     write_mcap(log, tmp_path / "a.mcap")
     for source, target in [("a.mcap", "b.parquet"), ("b.parquet", "c.mcap"), ("c.mcap", "d.csv"), ("d.csv", "e.mcap")]:
         convert(tmp_path / source, tmp_path / target, overwrite=True)
-    back = read_mcap(tmp_path / "e.mcap")
+    back = read_log(tmp_path / "e.mcap")
     same_bits(log, back)
     assert [one["name"] for one in back.provenance["history"]] == ["a.mcap", "b.parquet", "c.mcap", "d.csv"]
 
@@ -69,7 +66,7 @@ def test_any_channels_round_trip(tmp_path_factory: pytest.TempPathFactory, data:
     path = tmp_path_factory.getbasetemp() / "any.mcap"
     log = FlightLog(channels)
     write_mcap(log, path)
-    same_bits(log, read_mcap(path))
+    same_bits(log, read_log(path))
 
 
 @given(st.integers(0, 2**53))
@@ -145,11 +142,10 @@ def test_ros_reads_every_topic(tmp_path: Path) -> None:
     assert seen == 2 * len(streams)
 
 
-def test_wide_samples_are_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(records, "MAX_CHUNK_BYTES", 1 << 23)
+def test_wide_samples_are_read_again(tmp_path: Path) -> None:
     log = FlightLog({"wide": Channel(np.arange(1200.0), np.arange(1_200_000.0).reshape(1200, 1000))})
-    write_mcap(log, tmp_path / "a.mcap")  # 9.6 MB, more than a chunk may hold
-    same_bits(log, read_mcap(tmp_path / "a.mcap"))
+    write_mcap(log, tmp_path / "a.mcap")
+    same_bits(log, read_log(tmp_path / "a.mcap"))
     for channels in ({"w": Channel([0.0], np.zeros((1, 1001)))}, {f"c{k}": Channel([], []) for k in range(1001)}):
         with pytest.raises(LogError, match="at most 1000"):
             write_mcap(FlightLog(channels), tmp_path / "b.mcap")
@@ -188,7 +184,7 @@ def test_files_that_others_wrote_of_our_topics(tmp_path: Path, compression: Comp
     )
     writer.finish()
     (tmp_path / "a.mcap").write_bytes(buffer.getvalue())
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert log["gyr"].value.tolist() == [[k, 2.0, 3.0] for k in range(500)]
     assert log["theta"].time.tolist() == [k * 4_000_000 / 1e9 for k in range(500)]
     assert log.provenance["ignored"] == {"/camera": 500}
@@ -200,13 +196,13 @@ def test_what_a_channel_cannot_hold_is_left_out_and_counted(tmp_path: Path) -> N
     times = np.array([10, 20, 20, 5, 30, 40], np.uint64) * np.uint64(1_000_000)
     value = np.array([1.0, 2.0, 9.0, 0.0, np.nan, 4.0])[:, None]
     (tmp_path / "a.mcap").write_bytes(encoder.head({}) + encoder.chunk({0: McapSamples(times, value)}) + encoder.tail())
-    log = read_mcap(tmp_path / "a.mcap")
+    log = read_log(tmp_path / "a.mcap")
     assert log["q"].time.tolist() == [0.005, 0.01, 0.02, 0.04]
     assert log["q"].value.tolist() == [0.0, 1.0, 2.0, 4.0]
     assert log.provenance["left_out"] == {"q": {"not_finite": 1, "reordered": 1, "repeated": 1}}
 
 
-def test_foreign_and_hostile_files_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_foreign_files_are_named(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     buffer = BytesIO()
     writer = Writer(buffer)
@@ -216,26 +212,13 @@ def test_foreign_and_hostile_files_are_named(tmp_path: Path, monkeypatch: pytest
     for content, says in [
         (b"", "the file is empty"),
         (b"PK\3\4" + bytes(100), "is no MCAP file"),
-        (records.MAGIC, "was not closed"),
-        (records.MAGIC + b"\x06" + b"\xff" * 8, "promises 18446744073709551615 bytes"),
+        (MAGIC, "was not closed"),
+        (MAGIC + b"\x06" + b"\xff" * 8, "promises 18446744073709551615 bytes"),
         (buffer.getvalue(), "no topic of a flight log is in it; topics: /camera"),
         (buffer.getvalue() + b"x", "goes on after its end"),
     ]:
         path.write_bytes(content)
         with pytest.raises(LogError, match=says):
-            read_mcap(path)
+            read_log(path)
     with pytest.raises(LogError, match="MCAP counts from 0"):
         write_mcap(FlightLog({"q": Channel([-1.0], [0.0])}), path)
-    encoder = McapEncoder([stream_of(topic("q"))])
-    bomb = encoder.head({}) + encoder.chunk(
-        {0: McapSamples(np.arange(100_000, dtype=np.uint64), np.zeros((100_000, 1)))}
-    )
-    monkeypatch.setattr(memory_budget, "BASE_BYTES", 1 << 20)
-    monkeypatch.setattr(memory_budget, "PER_BYTE", 0)
-    for salvage in (False, True):
-        with pytest.raises(LogError, match="asks for more than 1 MiB of memory"):
-            scan(bomb, "bomb.mcap", salvage)
-    monkeypatch.setattr(records, "MAX_CHUNK_BYTES", 1 << 10)
-    monkeypatch.setattr(memory_budget, "BASE_BYTES", 1 << 30)
-    with pytest.raises(LogError, match="a chunk of 4300000 bytes"):
-        scan(bomb, "bomb.mcap")

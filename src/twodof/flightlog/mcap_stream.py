@@ -1,9 +1,8 @@
-"""One topic of a recording: its name in MCAP, its schema, and the layout of its messages.
+"""Topic of a recording in MCAP: its name, its schema, and the layout of its messages.
 
 Messages are ROS 2's (schema `ros2msg`, encoding `cdr`), because Foxglove Studio and rosbags read them as they are. A
 message is a CDR head of four bytes and then float64 values. All are aligned, so a run of messages is one table of fixed
-rows.
-What ROS cannot say (units, the names of the drone's channels) travels as JSON in the channel's metadata.
+rows. Units and the names of the drone's channels, for which ROS has no place, travel as JSON in the channel's metadata.
 
 Time is a whole number of nanoseconds; in a FlightLog it is that number / 1e9, rounded once, exact to the bit up to
 104 days. Some stamps are not given back by this rule: the drone's own are microseconds * 1e-6, often one bit beside.
@@ -20,14 +19,15 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError, listed, shown
 from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
-from twodof.flightlog.mcap.records import MESSAGE_HEAD, RECORD_HEAD
-from twodof.flightlog.memory_budget import MemoryBudget
 from twodof.flightlog.sanitise import RECOVER
 from twodof.signals import BY_MAT, Topic, topic
 
 PACKAGE = "twodof_msgs/msg"
 KEY = "twodof"
 CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00: representation CDR_LE, no options
+RECORD_HEAD_BYTES = 9
+"""Opcode and length, with which each record begins."""
+_MESSAGE_HEAD_BYTES = 22
 MAX_WIDTH = 1000
 MAX_CHANNELS = 1000
 
@@ -64,12 +64,12 @@ class McapStream:
     @property
     def content_bytes(self) -> int:
         """Length of a message record's content."""
-        return MESSAGE_HEAD.size + 4 + 8 * (self.width + self.stamped)
+        return _MESSAGE_HEAD_BYTES + 4 + 8 * (self.width + self.stamped)
 
     @property
     def record_bytes(self) -> int:
         """Length of a message record."""
-        return RECORD_HEAD.size + self.content_bytes
+        return RECORD_HEAD_BYTES + self.content_bytes
 
     @property
     def definition(self) -> str:
@@ -145,16 +145,13 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
     return found
 
 
-def parse(
-    topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str, budget: MemoryBudget
-) -> McapStream | None:
+def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str) -> McapStream | None:
     """The stream that a channel's record describes; None for a topic that is not ours. Raises LogError.
 
     `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
     """
     if KEY not in metadata or encoding != "cdr":
         return None
-    budget.json(len(metadata[KEY]))
     damaged = LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
     try:
         kept = json.loads(metadata[KEY])

@@ -17,7 +17,7 @@ from tests.flightlog.synthetic import attitude_steps, same_bits
 from twodof.errors import LogError
 from twodof.flightlog.files import convert, read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.table.table_file import read_csv, read_parquet, write_csv, write_parquet
+from twodof.flightlog.table_file import write_parquet
 
 pytestmark = pytest.mark.slow
 
@@ -47,17 +47,14 @@ def test_real_logs_survive_a_tour_of_all_formats(flight_data: Path, tmp_path: Pa
         assert history[0]["sha256"] == first.provenance["file"]["sha256"]
 
 
-@pytest.mark.parametrize("format", [(write_csv, read_csv), (write_parquet, read_parquet)])
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
 @settings(max_examples=40)
 @given(value=arrays(float, (7, 2), elements=st.floats(allow_nan=False, allow_infinity=False)))
-def test_every_finite_number_survives(
-    tmp_path_factory: pytest.TempPathFactory, format: tuple[Callable, Callable], value: np.ndarray
-) -> None:
-    write, read = format
-    path = tmp_path_factory.getbasetemp() / "numbers"
+def test_every_finite_number_survives(tmp_path_factory: pytest.TempPathFactory, suffix: str, value: np.ndarray) -> None:
+    path = tmp_path_factory.getbasetemp() / f"numbers{suffix}"
     log = FlightLog({"odd": Channel(np.arange(7) / 3.0, value, "N m", ("a", "b")), "none": Channel([], [])})
-    write(log, path)
-    same_bits(log, read(path))
+    write_log(log, path, overwrite=True)
+    same_bits(log, read_log(path))
 
 
 def test_columns_without_names(tmp_path: Path) -> None:
@@ -72,7 +69,7 @@ def test_rows_may_come_in_any_order_of_channels(tmp_path: Path) -> None:
     write_parquet(log, tmp_path / "a.parquet")
     table = pq.read_table(tmp_path / "a.parquet")
     pq.write_table(table.sort_by([("time", "ascending"), ("field", "descending")]), tmp_path / "a.parquet")
-    same_bits(log, read_parquet(tmp_path / "a.parquet"))
+    same_bits(log, read_log(tmp_path / "a.parquet"))
 
 
 def test_a_tidy_table_without_our_line_takes_units_from_topics(tmp_path: Path) -> None:
@@ -156,7 +153,7 @@ def test_wrong_parquet_tables(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     for table, says in [
         (pa.table({"time": [1.0], "q": ["x"]}), "column 'q' is not of numbers"),
-        (pa.table({"time": [1.0], "q": [[1.0]]}), "column 'q' is of list"),
+        (pa.table({"time": [1.0], "q": [[1.0]]}), "column 'q' is not of numbers"),
         (pa.table({"a": [1.0]}), "no column 'time'"),
     ]:
         pq.write_table(table, path)
@@ -164,14 +161,8 @@ def test_wrong_parquet_tables(tmp_path: Path) -> None:
             read_log(path)
 
 
-def test_absurd_sizes_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for suffix in (".csv", ".parquet"):
-        write_log(attitude_steps(), tmp_path / f"a{suffix}")
-    monkeypatch.setattr("twodof.flightlog.memory_budget.BASE_BYTES", 1000)
-    monkeypatch.setattr("twodof.flightlog.memory_budget.PER_BYTE", 1)
-    for suffix in (".csv", ".parquet"):
-        with pytest.raises(LogError, match="asks for more than 0 MiB"):
-            read_log(tmp_path / f"a{suffix}")
+def test_a_file_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_log(attitude_steps(), tmp_path / "a.csv")
     monkeypatch.setattr("twodof.flightlog.provenance.MAX_FILE_BYTES", 1000)
     with pytest.raises(LogError, match="at most 1000 bytes are read"):
         read_log(tmp_path / "a.csv")
@@ -213,10 +204,10 @@ def test_a_time_stamp_that_is_no_number_is_named_and_its_remedy_works(text: str,
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(LogError, match=r"time stamp is nan in row [23]") as caught:
-        read_csv(path)
+        read_log(path)
     assert "remove them" in caught.value.remedy
     path.write_text(text.replace(without, ""))
-    assert len(read_csv(path).channels) == 1
+    assert len(read_log(path).channels) == 1
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -1,7 +1,7 @@
 """Flight logs in MCAP, the container that Foxglove Studio and rosbags open.
 
-`read_mcap` and `write_mcap` are for whole logs; `recorder.Recorder` writes the same layout while a drone flies, and
-`recovery.recover` reads what such a recording left when it was cut off.
+`decode_mcap` and `write_mcap` are for whole logs; `recorder.Recorder` writes the same layout while a drone flies, and
+`recovery.recover` reads a recording that was cut off.
 """
 
 from pathlib import Path
@@ -14,11 +14,10 @@ from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.mcap.decoder import UNVERIFIED_NOTE, McapContents, scan
-from twodof.flightlog.mcap.encoder import Attachment, McapEncoder, McapSamples
-from twodof.flightlog.mcap.topic_stream import nanoseconds, seconds, streams_of
-from twodof.flightlog.memory_budget import MemoryBudget
-from twodof.flightlog.sanitise import naming_file, noted, sanitise
+from twodof.flightlog.mcap_decoder import UNVERIFIED_NOTE, McapContents, scan
+from twodof.flightlog.mcap_encoder import McapEncoder, McapSamples
+from twodof.flightlog.mcap_stream import nanoseconds, seconds, streams_of
+from twodof.flightlog.sanitise import noted, sanitise
 
 NOTE = "twodof"
 END_NOTE = "twodof.end"
@@ -28,21 +27,17 @@ CHUNK_SAMPLES = 8192
 CHUNK_BYTES = 1 << 22
 
 
-def read_mcap(path: str | Path) -> FlightLog:
-    """Reads a recording or a log. Raises LogError for what is no MCAP, damaged, cut off, too large or not ours.
+def decode_mcap(data: bytes, where: str) -> FlightLog:
+    """Return the log in a recording. Raises LogError for what is no MCAP, damaged, cut off or not ours.
 
-    Topics of others are counted in provenance["ignored"]. Samples that are not finite or repeat a stamp are left
-    out and counted in provenance["left_out"]. Those that the recorder could not take are in provenance["dropped"].
+    Foreign topics are counted in provenance["ignored"]. Samples that are not finite or repeat a stamp are left out and
+    counted in provenance["left_out"]. Those that the recorder could not take are in provenance["dropped"].
     """
-    data = provenance.read_bytes(path)
-    budget = MemoryBudget(len(data), str(path))
-    with naming_file(path):
-        contents = scan(data, str(path), budget=budget)
-        return to_log(contents, provenance.of_file(path, data, "mcap"), str(path), budget)
+    return to_log(scan(data, where), provenance.of_file(where, data, "mcap"), where)
 
 
 def write_mcap(log: FlightLog, path: str | Path) -> None:
-    """Writes a log, atomically, so that it reads back bit for bit. Raises LogError for stamps before 0."""
+    """Write a log, atomically, so that it reads back bit for bit. Raises LogError for stamps before 0."""
     described = streams_of(log)
     contents = McapContents(dict(enumerate(described.values())))
     for k, (name, stream) in enumerate(described.items()):
@@ -56,7 +51,7 @@ def write_mcap(log: FlightLog, path: str | Path) -> None:
 
 
 def write_contents(contents: McapContents, file: IO[bytes]) -> None:
-    """Writes streams, samples, tables and attachments as a complete file, in chunks ordered by time."""
+    """Write streams, samples, tables and attachments as a complete file, in chunks ordered by time."""
     numbers = list(contents.streams)
     encoder = McapEncoder([contents.streams[number] for number in numbers])
     file.write(encoder.head({}, contents.attachments))
@@ -76,12 +71,12 @@ def write_contents(contents: McapContents, file: IO[bytes]) -> None:
     file.write(encoder.tail())
 
 
-def to_log(contents: McapContents, file: dict[str, Any], where: str, budget: MemoryBudget) -> FlightLog:
-    """The log that a file holds. Raises LogError if none of its topics is ours."""
+def to_log(contents: McapContents, file: dict[str, Any], where: str) -> FlightLog:
+    """Return the log that a file holds. Raises LogError if none of its topics is ours."""
     if not contents.streams:
         others = ", ".join(list(contents.ignored)[:10]) or "none"
         raise LogError(f"no topic of a flight log is in it; topics: {others}", where, "give a recording of twodof")
-    kept = _provenance(contents, where, budget)
+    kept = _provenance(contents, where)
     keep_empty = any(rows.get("empty") == "kept" for name, rows in contents.metadata if name == NOTE)
     channels, counts = {}, {}
     for number, stream in contents.streams.items():
@@ -99,19 +94,13 @@ def to_log(contents: McapContents, file: dict[str, Any], where: str, budget: Mem
     return FlightLog(channels, {**noted(kept, counts), "file": file})
 
 
-def attachments(path: str | Path) -> list[Attachment]:
-    """The files kept in a recording. Raises LogError."""
-    with naming_file(path):
-        return scan(provenance.read_bytes(path), str(path)).attachments
-
-
-def _provenance(contents: McapContents, where: str, budget: MemoryBudget) -> dict[str, Any]:
+def _provenance(contents: McapContents, where: str) -> dict[str, Any]:
     kept: dict[str, Any] = {}
     for name, rows in contents.metadata:
         if name == NOTE and "provenance" in rows:
-            kept |= provenance.from_json(rows["provenance"], where, budget)
+            kept |= provenance.from_json(rows["provenance"], where)
         elif name == END_NOTE and "noted" in rows:
-            kept |= provenance.from_json(rows["noted"], where, budget)
+            kept |= provenance.from_json(rows["noted"], where)
         elif name == RECOVERED_NOTE:
             kept["recovered"] = rows
         elif name == UNVERIFIED_NOTE:
@@ -120,6 +109,6 @@ def _provenance(contents: McapContents, where: str, budget: MemoryBudget) -> dic
 
 
 def _bounds(times: list[NDArray[np.uint64]], each: int) -> NDArray[np.uint64]:
-    """Times [ns] that cut all samples into stretches of about `each`; the last is after the last sample."""
+    """Return times [ns] that cut all samples into stretches of about `each`; the last is after the last sample."""
     every = np.sort(np.concatenate(times)) if times else np.empty(0, np.uint64)
     return np.append(np.unique(every[::each]), every[-1:] + np.uint64(1))

@@ -1,0 +1,186 @@
+"""Flight logs in the drone's .mat layout, a struct {timestamp, value} for each channel; scipy.io has the format."""
+
+import re
+import warnings
+import zlib
+from collections.abc import Mapping
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.io import loadmat, savemat
+from scipy.io.matlab import MatReadError, MatReadWarning
+
+from twodof.errors import LogError, nearest, shown
+from twodof.flightlog import provenance
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.log import Channel, FlightLog
+from twodof.signals import BY_MAT
+
+_NOTE = "provenance"
+# Channels whose parts are fields of their own, and the parts that MATLAB keeps as logical.
+_SPREAD = frozenset({"lmnf"})
+_LOGICAL = frozenset({"openloop", "enableM", "enableT"})
+_MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
+_HEADER_BYTES = 128
+
+
+def decode_mat(data: bytes, where: str) -> FlightLog:
+    """Return the log in the bytes of a .mat file. Channels that TOPICS does not know are kept, without a unit.
+
+    Raises LogError for a file that is truncated, foreign or damaged and for channels that Channel refuses. Variables
+    that are not channels are named in provenance["ignored"].
+    """
+    held = _variables(data, where)
+    channels = {}
+    for name, value in held.items():
+        fields = _struct(value)
+        if "timestamp" in fields and len(fields) > 1:
+            channels[name] = _channel(name, fields, f"{where}: {name}")
+        elif name in BY_MAT:
+            what = f"channel {name!r} is not a struct {{timestamp, value}} of real numbers"
+            raise LogError(what, where, "export the log again")
+    if not channels:
+        names = ", ".join(held) or "nothing"
+        raise LogError(
+            f"no struct {{timestamp, value}} in the file, which holds: {names}", where, "give a log of the drone"
+        )
+    note = held.get(_NOTE)
+    noted = isinstance(note, np.ndarray) and note.dtype.kind == "U" and note.size == 1
+    kept = provenance.from_json(str(note.item()), where) if isinstance(note, np.ndarray) and noted else {}
+    kept["file"] = provenance.of_file(where, data, "mat")
+    ignored = [name for name in held if name not in channels and not (noted and name == _NOTE)]
+    if ignored:
+        kept["ignored"] = ignored
+    return FlightLog(channels, kept)
+
+
+def decode_vectors(data: bytes, where: str, time: str) -> FlightLog:
+    """Return the real vectors of a .mat file that are as long as the one called `time`, which holds their stamps [s].
+
+    Raises LogError.
+    """
+    held = _variables(data, where)
+    if time not in held:
+        raise LogError(f"there is no variable {shown(time)}", where, f"there are: {nearest(time, held)}")
+    vectors = {name: vector for name, value in held.items() if (vector := _vector(value)) is not None}
+    if time not in vectors:
+        raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")
+    stamps = vectors.pop(time)
+    channels = {
+        name: Channel(stamps, vector, name=f"{where}: {name}")
+        for name, vector in vectors.items()
+        if vector.size == stamps.size
+    }
+    if not channels:
+        raise LogError(f"no vector is as long as {time!r:.80} ({stamps.size})", where, "give vectors of one length")
+    return FlightLog(channels, {"file": provenance.of_file(where, data, "mat")})
+
+
+def write_mat(log: FlightLog, path: str | Path) -> None:
+    """Write a log in the drone's layout, atomically. Raises LogError for names that MATLAB cannot hold."""
+    note = provenance.to_json(log)
+    content: dict[str, Any] = {}
+    for name, channel in log.channels.items():
+        if not _MATLAB_NAME.fullmatch(name) or name == _NOTE:
+            raise LogError(f"{name!r} cannot name a MATLAB variable", str(path), "rename the channel")
+        content[name] = {"timestamp": channel.time[:, None], **_parts(name, channel, str(path))}
+    content[_NOTE] = note
+    buffer = BytesIO()
+    savemat(buffer, content, do_compression=True, long_field_names=True)
+    with atomic_write(path) as file:
+        file.write(buffer.getbuffer())
+
+
+def _variables(data: bytes, where: str) -> dict[str, Any]:
+    """Return the variables of a MATLAB v5 file by name. Raises LogError."""
+    if data[:10] == b"MATLAB 7.3" or data[:4] == b"\x89HDF":
+        raise LogError("is a MATLAB v7.3 (HDF5) file", where, "save it in MATLAB with save(..., '-v7')")
+    mark = data[126:128]
+    if len(data) < _HEADER_BYTES or mark not in (b"IM", b"MI"):
+        raise LogError("is not a MATLAB v5 file", where, "give a .mat log of the drone")
+    version = int.from_bytes(data[124:126], "little" if mark == b"IM" else "big")
+    if version != 0x0100:
+        raise LogError(f"is of unknown MAT-file version {version:#06x}", where, "save it with '-v7'")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
+            found = loadmat(BytesIO(data))
+    except (ArithmeticError, LookupError, OSError, TypeError, ValueError, NotImplementedError) as reason:
+        raise _damaged(reason, where) from reason
+    except (zlib.error, MatReadError, MatReadWarning) as reason:
+        raise _damaged(reason, where) from reason
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _damaged(reason: Exception, where: str) -> LogError:
+    return LogError(f"is truncated or damaged: {reason!s:.200}", where, "record, export or download it again")
+
+
+def _struct(value: object) -> dict[str, NDArray[np.float64]]:
+    """Return the fields of a 1 x 1 struct of real matrices; none of anything else."""
+    if not isinstance(value, np.ndarray) or value.dtype.names is None or value.shape != (1, 1):
+        return {}
+    fields = {name: value[0, 0][name] for name in value.dtype.names}
+    if not all(isinstance(one, np.ndarray) and one.dtype.kind in "fiub" and one.ndim == 2 for one in fields.values()):
+        return {}
+    return {name: np.asarray(one, dtype=np.float64) for name, one in fields.items()}
+
+
+def _vector(value: object) -> NDArray[np.float64] | None:
+    """Return a 1 x n or n x 1 array of real numbers as (n,), None for anything else."""
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
+        return None
+    return np.asarray(value, dtype=np.float64).ravel() if value.size == max(value.shape, default=0) else None
+
+
+def _channel(name: str, struct: Mapping[str, NDArray[np.float64]], where: str) -> Channel:
+    stamps = struct["timestamp"]
+    if stamps.size and 1 not in stamps.shape:
+        raise LogError(f"timestamp is {stamps.shape}, not a column", where, "export the log again")
+    time = stamps.ravel()
+    row = BY_MAT.get(name)
+    parts = {
+        field: _column(values, len(time), f"{where}.{field}")
+        for field, values in struct.items()
+        if field != "timestamp"
+    }
+    if set(parts) == {"value"} and name not in _SPREAD:
+        value = parts["value"]
+        width = 1 if value.ndim == 1 else value.shape[1]
+        if row is not None and width != row.width and len(time):
+            raise LogError(f"{width} columns where {name!r} has {row.width}", where, "export the log again")
+        return Channel(time, value, row.unit if row else "", row.fields if row else (), where)
+    names = tuple(parts) if row is None else row.fields
+    if set(names) != set(parts) or any(part.ndim != 1 for part in parts.values()):
+        raise LogError(f"its fields are {', '.join(parts)}", where, f"expected {', '.join(names)}")
+    table = np.column_stack([parts[field] for field in names]) if len(time) else np.empty((0, len(names)))
+    return Channel(time, table, row.unit if row else "", names, where)
+
+
+def _column(array: NDArray[np.float64], samples: int, where: str) -> NDArray[np.float64]:
+    """Return (n,) for an array n x 1 or 1 x n, else (n, k). Raises LogError for another number of samples."""
+    if samples == 0 and array.size == 0:
+        return np.empty(0)
+    if array.shape == (1, samples):
+        array = array.T
+    if len(array) != samples:
+        raise LogError(f"{len(array)} samples for {samples} time stamps", where, "record or export the log again")
+    return array[:, 0] if array.shape[1] == 1 else array
+
+
+def _parts(name: str, channel: Channel, where: str) -> dict[str, NDArray[Any]]:
+    table = channel.value if channel.value.ndim == 2 else channel.value[:, None]
+    if name not in _SPREAD and not (name not in BY_MAT and channel.fields):
+        return {"value": table}
+    if not all(_MATLAB_NAME.fullmatch(field) and field != "timestamp" for field in channel.fields):
+        raise LogError(f"a field of {name!r} cannot name a MATLAB field", where, "rename it")
+    if len(channel.fields) != table.shape[1]:
+        raise LogError(f"channel {name!r} needs a name for each column", where, "give Channel its fields")
+    return {
+        field: table[:, [k]].astype(bool) if field in _LOGICAL else table[:, [k]]
+        for k, field in enumerate(channel.fields)
+    }

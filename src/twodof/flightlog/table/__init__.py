@@ -1,1 +1,0 @@
-"""Tables for pandas, MATLAB, R and spreadsheets: Parquet and CSV."""

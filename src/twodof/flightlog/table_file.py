@@ -1,0 +1,362 @@
+"""Flight logs as tables, for pandas, MATLAB, R, spreadsheets: Parquet and CSV.
+
+Two forms are written and read. The *long* (tidy) form is the default, because every channel has its own time stamps:
+a row for each number, with the columns `channel`, `field` (empty for a scalar), `time` and `value`. The *wide* form,
+which other programs write too, has a row for each time stamp. Its first column is `time [s]`. The other columns are
+called as the channel and its unit, `theta [rad]`, or `gyr.y [rad/s]` for a channel with fields. An empty cell says that
+the channel has no sample at that time.
+
+Units and provenance travel as one line of JSON: in Parquet's schema metadata, in CSV behind `#` in the first line. Both
+forms read back bit for bit.
+"""
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from twodof.errors import LogError
+from twodof.flightlog import provenance
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
+from twodof.signals import BY_MAT, unit_of
+
+COLUMNS = ("channel", "field", "time", "value")
+"""The columns of the long form."""
+TIME = "time [s]"
+TIME_COLUMN = "time"
+"""Name of the column of time stamps, without its unit, unless the caller gives another name."""
+MAX_COLUMNS = 1000
+MAX_NAMES = 1000
+
+_META = "twodof.flightlog"
+_VERSION = 1
+_HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
+_REFUSALS = (pa.ArrowException, OSError, UnicodeDecodeError)
+
+
+def write_parquet(log: FlightLog, path: str | Path, wide: bool = False) -> None:
+    """Write a log as Parquet, in the long or the wide form, atomically. Raises LogError."""
+    table, meta = _described_table(log, wide)
+    table = table.replace_schema_metadata({_META: meta})
+    with atomic_write(path) as file:
+        pq.write_table(table, file, write_page_checksum=True)
+
+
+def write_csv(log: FlightLog, path: str | Path, wide: bool = False) -> None:
+    """Write a log as CSV, in the long or the wide form, atomically.
+
+    Raises LogError for a name with a quote, a comma or a line break.
+    """
+    table, meta = _described_table(log, wide)
+    odd = [name for name in table.column_names if any(letter in name for letter in ',"\r\n')]
+    if odd:
+        raise LogError(f"{odd[0]!r:.80} cannot head a column of CSV", str(path), "rename the channel")
+    with atomic_write(path) as file:
+        file.write(f"# {_META} {meta}\n".encode("ascii"))
+        try:
+            pa_csv.write_csv(table, file, pa_csv.WriteOptions(quoting_style="none"))
+        except pa.ArrowInvalid as reason:
+            raise LogError(f"a name cannot stand in CSV: {reason}", str(path), "rename the channel") from reason
+
+
+def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
+    """Return the log in a long or wide Parquet table; the column `time` of a wide one holds the time stamps [s].
+
+    Raises LogError for a file that is not a log or is damaged.
+    """
+    try:
+        heads = pq.read_metadata(BytesIO(data))
+        # Names as a dictionary: a long name that is repeated is there once.
+        names = [name for name in COLUMNS[:2] if name in heads.schema.names]
+        _check_names(heads.schema.names, where)
+        file = pq.ParquetFile(BytesIO(data), metadata=heads, page_checksum_verification=True, read_dictionary=names)
+        table = file.read(use_threads=False)
+    except _REFUSALS as reason:
+        raise LogError(f"is no Parquet file or is damaged: {_first_line(reason)}", where, "write it again") from reason
+    meta = (table.schema.metadata or {}).get(_META.encode())
+    return _log(table, meta, provenance.of_file(where, data, "parquet"), where, time)
+
+
+def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
+    """Return the log in a long or wide CSV table; the column `time` of a wide one holds the time stamps [s].
+
+    Raises LogError for a file that is not a log or is damaged.
+    """
+    comments, at, meta = 0, 0, None
+    while data[at : at + 1] == b"#":
+        end = data.find(b"\n", at) + 1 or len(data)
+        if data[at:end].startswith(f"# {_META} ".encode()):
+            meta = data[at + len(_META) + 3 : end]
+        comments, at = comments + 1, end
+    if meta is not None and not data.endswith(b"\n"):
+        raise LogError("truncated: the last line has no end", where, "write it again")
+    end = data.find(b"\n", at) + 1 or len(data)
+    heading = data[at:end].decode("utf-8-sig", "replace").strip()
+    names = [cell.strip().strip('"') for cell in heading.split(",")]
+    _check_names(names, where)
+    texts = {"channel": pa.string(), "field": pa.string()} if _is_long(names) else {}
+    try:
+        table = pa_csv.read_csv(
+            BytesIO(data),
+            pa_csv.ReadOptions(skip_rows=comments + 1, column_names=names, use_threads=False),
+            convert_options=pa_csv.ConvertOptions(
+                column_types={name: texts.get(name, pa.float64()) for name in names},
+                null_values=[""],
+                strings_can_be_null=False,
+            ),
+        )
+    except _REFUSALS as reason:
+        what = f"is not a table of numbers: {_first_line(reason)}"
+        raise LogError(what, where, "give a header line and numbers below it") from reason
+    return _log(table, meta, provenance.of_file(where, data, "csv"), where, time)
+
+
+def _log(table: pa.Table, meta: bytes | None, file: dict[str, Any], where: str, time: str) -> FlightLog:
+    names = table.column_names
+    described, kept = _described(meta, where)
+    if _is_long(names):
+        channels = _channels_of_long(table, described, where)
+    elif any(time in (name, _name_and_unit(name)[0]) for name in names):
+        channels = _channels_of_wide(table, described, where, time)
+    else:
+        what = f"no column {time!r:.80} among: {', '.join(names)[:200]}"
+        raise LogError(what, where, "call the column of time stamps 'time', or name it: --time COLUMN")
+    for name, row in described.items():
+        count = len(channels[name]) if name in channels else 0
+        if count != row["samples"]:
+            what = f"truncated: {count} of {row['samples']} samples of {name!r} are there"
+            raise LogError(what, where, "write it again")
+    return FlightLog(channels, {**kept, "file": file})
+
+
+def _described_table(log: FlightLog, wide: bool) -> tuple[pa.Table, str]:
+    """Return the table and the line of JSON that goes with it."""
+    rows: list[dict[str, Any]] = [
+        {"name": name, "unit": channel.unit, "fields": list(channel.fields), "samples": len(channel)}
+        for name, channel in log.channels.items()
+    ]
+    for row in rows if wide else ():
+        row["columns"] = _headings(row["name"], log[row["name"]])
+    kept = json.loads(provenance.to_json(log))
+    meta = json.dumps({"version": _VERSION, "channels": rows, "provenance": kept}, allow_nan=False)
+    return _wide_table(log) if wide else _long_table(log), meta
+
+
+def _described(meta: bytes | None, where: str) -> tuple[dict[str, dict[str, Any]], dict[str, Any]]:
+    """Return rows of channels by name and the provenance, from the line of JSON; empty without one."""
+    if meta is None:
+        return {}, {}
+    head = provenance.from_json(meta.decode("utf-8", "replace"), where)
+    if head.get("version") != _VERSION:
+        raise LogError(f"is of layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
+    rows = head.get("channels")
+    kept = head.get("provenance")
+    if not isinstance(rows, list) or not isinstance(kept, dict) or not all(_is_row(row) for row in rows):
+        raise LogError("its line of units and provenance is damaged", where, "write it again")
+    return {row["name"]: row for row in rows}, kept
+
+
+def _is_row(row: Any) -> bool:
+    if not isinstance(row, dict) or not isinstance(row.get("samples"), int):
+        return False
+    texts = [row.get("name"), row.get("unit")]
+    for key in ("fields", "columns"):
+        texts += row.get(key, []) if isinstance(row.get(key, []), list) else [None]
+    return "fields" in row and all(isinstance(text, str) for text in texts)
+
+
+def _is_long(names: Sequence[str]) -> bool:
+    return set(COLUMNS) <= set(names)
+
+
+def _check_names(names: Sequence[str], where: str) -> None:
+    if len(names) > MAX_COLUMNS:
+        raise LogError(f"more than {MAX_COLUMNS} columns", where, "this is not a flight log")
+    if len(set(names)) != len(names):
+        raise LogError(f"two columns have one name: {', '.join(names)[:200]}", where, "rename one")
+
+
+def _long_table(log: FlightLog) -> pa.Table:
+    names, fields, times, values = [], [], [], []
+    for name, channel in log.channels.items():
+        columns = [channel.value] if channel.value.ndim == 1 else list(channel.value.T)
+        for label, column in zip(_labels(channel), columns, strict=True):
+            names.append(pa.repeat(pa.scalar(name), len(column)))
+            fields.append(pa.repeat(pa.scalar(label), len(column)))
+            times.append(channel.time)
+            values.append(np.ascontiguousarray(column))
+    return pa.table(
+        {
+            "channel": pa.chunked_array(names, pa.string()),
+            "field": pa.chunked_array(fields, pa.string()),
+            "time": np.concatenate(times),
+            "value": np.concatenate(values),
+        }
+    ).combine_chunks()
+
+
+def _channels_of_long(table: pa.Table, described: Mapping[str, dict[str, Any]], where: str) -> dict[str, Channel]:
+    """Return the channels of a long table, rows in any order; units and fields as described, else from TOPICS."""
+    time, value = _stamps(table, "time", where), _numbers(table, "value", where)
+    channel_code, channel_names = _codes(table, "channel", where)
+    field_code, field_names = _codes(table, "field", where)
+    group = channel_code * len(field_names) + field_code
+    order = np.argsort(group, kind="stable")
+    rows_of: dict[str, dict[str, NDArray[np.intp]]] = {name: {} for name in (*described, *channel_names)}
+    for rows in np.split(order, np.flatnonzero(np.diff(group[order])) + 1):
+        if rows.size:
+            rows_of[channel_names[channel_code[rows[0]]]][field_names[field_code[rows[0]]]] = rows
+    found = {}
+    for name, of_field in rows_of.items():
+        columns = dict(sorted(of_field.items(), key=lambda item: int(item[1][0])))
+        unit, fields = _unit_and_fields(name, set(columns), described)
+        chosen = [columns.pop(label, order[:0]) for label in fields or tuple(columns) or ("",)]
+        shared = time[chosen[0]]
+        if columns or any(not np.array_equal(time[one], shared) for one in chosen):
+            raise LogError(f"the fields of {name!r} differ in their time stamps", where, "write it again")
+        values = np.column_stack([value[one] for one in chosen])
+        found[name] = Channel(shared, values, unit, fields, f"{where}: {name}")
+    return found
+
+
+def _unit_and_fields(
+    name: str, labels: set[str], described: Mapping[str, dict[str, Any]]
+) -> tuple[str, tuple[str, ...]]:
+    if name in described:
+        return described[name]["unit"], tuple(described[name]["fields"])
+    known = BY_MAT[name].fields if name in BY_MAT else ()
+    return unit_of(name), known if set(known) == labels else ()
+
+
+def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], list[str]]:
+    """Return a column of names as codes, and the names, each once. Raises LogError."""
+    cells = table.column(column)
+    if cells.null_count:
+        raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "write it again")
+    try:
+        if pa.types.is_dictionary(cells.type):
+            coded = pa.chunked_array(cells.unify_dictionaries().chunks, cells.type).combine_chunks()
+        else:
+            coded = cells.cast(pa.string()).combine_chunks().dictionary_encode()
+        names = [str(name)[: MAX_NAME + 1] for name in coded.dictionary[: MAX_NAMES + 1].to_pylist()]
+    except _REFUSALS as reason:
+        raise LogError(f"column {column!r} is not of names: {_first_line(reason)}", where) from reason
+    if len(names) > MAX_NAMES or len(set(names)) < len(names):
+        raise LogError(f"more than {MAX_NAMES} names in column {column!r}", where, "this is not a flight log")
+    return np.asarray(coded.indices, dtype=np.intp), names
+
+
+def _headings(name: str, channel: Channel) -> list[str]:
+    """Return the names of a channel's columns in the wide form."""
+    unit = f" [{channel.unit}]" if channel.unit else ""
+    return [f"{name}.{label}{unit}" if label else f"{name}{unit}" for label in _labels(channel)]
+
+
+def _labels(channel: Channel) -> tuple[str, ...]:
+    """Return a label for each column of a channel: its field, else its number, "" for a scalar."""
+    width = 1 if channel.value.ndim == 1 else channel.value.shape[1]
+    return channel.fields or (("",) if width == 1 else tuple(map(str, range(width))))
+
+
+def _wide_table(log: FlightLog) -> pa.Table:
+    """Return the table of a log, in order of time. Raises LogError for two columns of one name."""
+    time = np.unique(np.concatenate([channel.time for channel in log.channels.values()]))
+    columns: dict[str, Any] = {TIME: time}
+    for name, channel in log.channels.items():
+        at = np.searchsorted(time, channel.time)
+        empty = np.ones(len(time), dtype=bool)
+        empty[at] = False
+        values = channel.value if channel.value.ndim == 2 else channel.value[:, None]
+        for heading, value in zip(_headings(name, channel), values.T, strict=True):
+            if heading in columns:
+                raise LogError(f"two columns would be called {heading!r}", log.source, "rename a channel or a field")
+            cells = np.zeros(len(time))
+            cells[at] = value
+            columns[heading] = pa.array(cells, mask=empty)
+    return pa.table(columns)
+
+
+def _channels_of_wide(
+    table: pa.Table, described: Mapping[str, dict[str, Any]], where: str, time_column: str
+) -> dict[str, Channel]:
+    """Return the channels of a wide table by their described columns; each further column is a channel of its own."""
+    stamp = next(name for name in table.column_names if time_column in (name, _name_and_unit(name)[0]))
+    time = _stamps(table, stamp, where)
+    found = {}
+    taken = {stamp}
+    for name, row in described.items():
+        columns = row.get("columns", [])
+        missing = [column for column in columns if column not in table.column_names]
+        if missing or not columns:
+            raise LogError(f"column {missing[:1] or name} is missing", where, "write it again")
+        found[name] = _channel(table, columns, time, (row["unit"], tuple(row["fields"])), f"{where}: {name}")
+        taken.update(columns)
+    for column in table.column_names:
+        name, unit = _name_and_unit(column)
+        if column in taken or not name:
+            continue
+        if name in found:
+            raise LogError(f"two columns are called {name!r}", where, "rename one")
+        found[name] = _channel(table, [column], time, (unit or unit_of(name), ()), f"{where}: {name}")
+    if not found:
+        raise LogError("no column beside 'time'", where, "give a column per channel")
+    return found
+
+
+def _channel(
+    table: pa.Table,
+    columns: list[str],
+    time: NDArray[np.float64],
+    unit_and_fields: tuple[str, tuple[str, ...]],
+    where: str,
+) -> Channel:
+    there = np.asarray(table.column(columns[0]).is_valid())
+    if any(not np.array_equal(there, np.asarray(table.column(column).is_valid())) for column in columns[1:]):
+        raise LogError("its fields are not all there in each row", where, "fill the empty cells of a row, or all")
+    values = [_numbers(table, column, where, nulls=True)[there] for column in columns]
+    unit, fields = unit_and_fields
+    return Channel(time[there], np.column_stack(values), unit, fields, where)
+
+
+def _name_and_unit(heading: str) -> tuple[str, str]:
+    """Return name and unit of a column's heading, such as `theta [rad]`."""
+    match = _HEADING.fullmatch(heading)
+    return (match["name"], match["unit"] or "") if match else (heading, "")
+
+
+def _stamps(table: pa.Table, column: str, where: str) -> NDArray[np.float64]:
+    """Return the time stamps. Raises LogError for one that is not finite, since NaN differs from itself."""
+    time = _numbers(table, column, where)
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        k = int(bad[0])
+        raise LogError(
+            f"the time stamp is {time[k]!s} in row {k + 1} below the header, {bad.size} such in all",
+            f"{where}: {column}",
+            "give these rows a time or remove them; of a channel with fields, all rows of that time",
+        )
+    return time
+
+
+def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> NDArray[np.float64]:
+    """Return a column of numbers, NaN for an empty cell where `nulls` allows one. Raises LogError."""
+    cells = table.column(column)
+    if cells.null_count and not nulls:
+        raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "fill or remove the rows")
+    try:
+        return np.asarray(cells.cast(pa.float64()).to_numpy(), dtype=np.float64)
+    except (pa.ArrowException, TypeError) as reason:
+        raise LogError(f"column {column!r} is not of numbers: {_first_line(reason)}", where) from reason
+
+
+def _first_line(reason: BaseException) -> str:
+    return str(reason).splitlines()[0][:200] if str(reason) else type(reason).__name__

@@ -1,0 +1,367 @@
+"""Writer of ULog, PX4's log format, for the on-board log of the virtual flight controller and for other logs.
+
+It writes what PX4's tools need: flags, formats, information, parameters, records, texts, dropouts and marks to
+synchronise on. A mark follows each part that goes to the disk; the part is acknowledged when it is there. The library
+pyulog writes only logs that it has read before.
+
+Source: PX4 user guide, "ULog file format", version 1. All numbers are little-endian; a message is a length (u16), a
+type (one letter) and that many bytes.
+"""
+
+import re
+from collections import deque
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from struct import Struct, error
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.errors import LogError, shown
+from twodof.flightlog.append_only_file import AppendOnlyFile, Full
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.steps import BOOT
+from twodof.signals import BY_MAT, SEVERITIES, TOPICS, Topic
+
+MAGIC = b"ULog\x01\x12\x35"
+HEADER = Struct("<7sBQ")
+MESSAGE = Struct("<HB")
+SYNC = bytes((0x2F, 0x73, 0x13, 0x20, 0x25, 0x0C, 0xBB, 0x12))
+MARK = MESSAGE.pack(len(SYNC), ord("S")) + SYNC
+LETTERS = frozenset(b"BFIMPQARDLCSO")
+"""The types of messages."""
+OWN = "twodof"
+"""sys_name in the logs of the virtual flight controller, whose topics are those of TOPICS."""
+MAX_RECORD = 65_533
+"""Longest record: a message holds 65,535 bytes, two of them its number."""
+TYPES: Mapping[str, str] = MappingProxyType(
+    {
+        "int8_t": "i1",
+        "uint8_t": "u1",
+        "int16_t": "<i2",
+        "uint16_t": "<u2",
+        "int32_t": "<i4",
+        "uint32_t": "<u4",
+        "int64_t": "<i8",
+        "uint64_t": "<u8",
+        "float": "<f4",
+        "double": "<f8",
+        "bool": "u1",
+    }
+)
+"""The types of a record's fields and their numpy names; a bool is any byte, so that 2 stays 2."""
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
+_FIELD = re.compile(r"([a-z0-9_]+)(?:\[(\d{1,5})\])? ([A-Za-z0-9_]+)")
+_PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")
+_MAX_DROPOUT_MS = 65_535
+_LAST_US = 2.0**63
+_PIECE = 10_000
+"""Records handed over at once: the writer takes no more than fit into its queue."""
+LEVELS: Mapping[str, int] = {"error": 3, "warning": 4, "info": 6, "debug": 7}
+
+
+def topic_format(topic: Topic) -> tuple[str, str]:
+    """Name and description of the records of a signal of TOPICS, in the precision in which it is computed."""
+    names = topic.fields or ("value",)
+    return topic.name.replace(".", "_"), "uint64_t timestamp;" + "".join(f"double {name};" for name in names)
+
+
+class ULogWriter(AppendOnlyFile):
+    """Writes records into a new ULog file, for `with`.
+
+    `formats` describes each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`: basic types,
+    `timestamp` [us] first. By default there is one for each signal of TOPICS that the flight controller knows. `info`:
+    texts and whole numbers; `parameters`: int for PX4's int32, float for its float, which it rounds to. `full`,
+    `capacity_bytes` and `flush_s` are Spool's; the time over which records were dropped is logged as such. Raises
+    LogError for what ULog cannot hold or a file that exists, RecordingError when the disk refuses.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        formats: Mapping[str, str] | None = None,
+        info: Mapping[str, str | int] | None = None,
+        parameters: Mapping[str, float] | None = None,
+        start_us: int = 0,
+        flush_s: float = 0.25,
+        capacity_bytes: int = 1 << 24,
+        full: Full = "drop",
+    ) -> None:
+        described = dict(topic_format(topic) for topic in TOPICS if topic.onboard) if formats is None else dict(formats)
+        self._where = str(path)
+        self._records: dict[str, tuple[int, Struct]] = {}
+        self._layouts: dict[str, np.dtype[np.void]] = {}
+        head = HEADER.pack(MAGIC, 1, _whole(start_us, 64, self._where)) + _message("B", bytes(40))
+        added = b""
+        for number, (name, description) in enumerate(described.items()):
+            head += _message("F", f"{name}:{description}".encode("ascii", "replace"))
+            added += _message("A", Struct("<BH").pack(0, number) + name.encode())
+            self._layouts[name] = record_layout(name, description, self._where)
+            self._records[name] = (number, _packing(self._layouts[name]))
+        for key, value in {"sys_name": OWN, **(info or {})}.items():
+            head += self._info(key, value)
+        head += b"".join(self._parameter(name, value) for name, value in (parameters or {}).items())
+        self._buffer = bytearray()
+        self._dropped_since: int | None = None
+        self.dropped = 0
+        """Records, texts and changes that were not taken because the disk was too slow."""
+        super().__init__(path, flush_s, capacity_bytes, full)
+        self._start(head + added + MARK)
+
+    def write(self, name: str, timestamp_us: int, values: Sequence[float]) -> bool:
+        """Takes a record: one number for each element after `timestamp`; False if it was dropped.
+
+        Raises LogError for a name without a format or values that do not fit it, RecordingError after a failure.
+        """
+        try:
+            self.layout(name)
+            number, packing = self._records[name]
+            payload = packing.pack(number, timestamp_us, *values)
+        except (error, TypeError, OverflowError) as reason:
+            raise LogError(f"{shown(values)} at {shown(timestamp_us)}: {reason}", f"{self._where}: {name}") from reason
+        return self._put(_message("D", payload), timestamp_us)
+
+    def layout(self, name: str) -> np.dtype[np.void]:
+        """How numpy has the records of the topic `name`. Raises LogError for one without a format."""
+        if name not in self._layouts:
+            raise LogError(f"no topic {shown(name)}", self._where, "describe it when the log is opened")
+        return self._layouts[name]
+
+    def write_many(self, name: str, rows: NDArray[np.void]) -> bool:
+        """Takes records (n,) laid out as `layout(name)`, all or none; False if they were dropped. Raises as `write`."""
+        layout = self.layout(name)
+        if rows.dtype != layout or rows.ndim != 1:
+            raise LogError(f"records of {rows.dtype}, shape {rows.shape}", f"{self._where}: {name}", "see layout()")
+        if not len(rows):
+            return True
+        whole: NDArray[Any] = np.empty(
+            len(rows), dtype=[("size", "<u2"), ("letter", "u1"), ("number", "<u2"), ("record", layout)]
+        )
+        whole["size"], whole["letter"] = layout.itemsize + 2, ord("D")
+        whole["number"], whole["record"] = self._records[name][0], rows
+        return self._put(whole.tobytes(), int(rows["timestamp"][-1]), len(rows))
+
+    def dropout(self, lost_ms: int, timestamp_us: int) -> bool:
+        """Takes the mark that nothing could be logged for `lost_ms` before `timestamp_us`."""
+        return self._put(_dropout(lost_ms), _whole(timestamp_us, 64, self._where))
+
+    def text(self, level: str, timestamp_us: int, line: str) -> bool:
+        """Takes a line for the log's reader, of a level of LEVELS. Raises LogError for another level."""
+        if level not in LEVELS:
+            raise LogError(f"no level {shown(level)}", self._where, f"use {', '.join(LEVELS)}")
+        stamp = _whole(timestamp_us, 64, self._where)
+        body = Struct("<BQ").pack(ord("0") + LEVELS[level], stamp) + line.encode()[:1000]
+        return self._put(_message("L", body), stamp)
+
+    def parameter(self, name: str, value: float, timestamp_us: int) -> bool:
+        """Takes a change of a parameter. Raises LogError for one that ULog cannot hold."""
+        return self._put(self._parameter(name, value), _whole(timestamp_us, 64, self._where))
+
+    def _put(self, made: bytes, stamp_us: int, count: int = 1) -> bool:
+        with self._changed:
+            if not self._admit(len(made)):
+                self.dropped += count
+                self._dropped_since = stamp_us if self._dropped_since is None else self._dropped_since
+                return False
+            if self._dropped_since is not None:
+                self._buffer += _dropout((stamp_us - self._dropped_since) // 1000)
+                self._dropped_since = None
+            self._buffer += made
+            self.accepted += count
+        return True
+
+    def _info(self, key: str, value: str | int) -> bytes:
+        _named(key, self._where)
+        if isinstance(value, str):
+            raw = value.encode()[:10_000]
+            return _keyed("I", f"char[{max(len(raw), 1)}] {key}", raw or b"\0")
+        return _keyed("I", f"int64_t {key}", Struct("<q").pack(_whole(value, 64, self._where, signed=True)))
+
+    def _parameter(self, name: str, value: float) -> bytes:
+        _named(name, self._where)
+        if isinstance(value, int):
+            return _keyed("P", f"int32_t {name}", Struct("<i").pack(_whole(value, 32, self._where, signed=True)))
+        try:
+            return _keyed("P", f"float {name}", Struct("<f").pack(value))
+        except (error, OverflowError, TypeError) as reason:
+            raise LogError(f"{shown(value)}: {reason}", f"{self._where}: {name}", "give a float32") from reason
+
+    def _take(self) -> bytes | None:
+        taken, self._buffer = bytes(self._buffer), bytearray()
+        return taken or None
+
+    def _encode(self, taken: object) -> bytes:
+        return (taken if isinstance(taken, bytes) else b"") + MARK
+
+    def _ending(self) -> bytes:
+        return b""
+
+
+def record_layout(name: str, description: str, where: str) -> np.dtype[np.void]:
+    """Return the layout of records described as `uint64_t timestamp;float[3] xyz;`. Raises LogError."""
+    _named(name, where)
+    fields: list[Any] = []
+    for part in filter(None, description.split(";")):
+        match = _FIELD.fullmatch(part.strip())
+        if match is None or match[1] not in TYPES or match[2] == "0":
+            what = f"no field of a format: {shown(part)}"
+            raise LogError(what, f"{where}: {name}", f"give a type and a name; types: {', '.join(TYPES)}")
+        fields.append((match[3], TYPES[match[1]], *([(int(match[2]),)] if match[2] else [])))
+    if not fields or fields[0] != ("timestamp", "<u8"):
+        raise LogError(f"format {description[:80]!r}", f"{where}: {name}", "begin with uint64_t timestamp")
+    try:
+        layout = np.dtype(fields)
+    except ValueError as reason:
+        raise LogError(f"a format names a field twice: {reason}", f"{where}: {name}", "rename one") from reason
+    if layout.itemsize > MAX_RECORD:
+        raise LogError(
+            f"a record has {layout.itemsize} bytes", f"{where}: {name}", f"at most {MAX_RECORD} are possible"
+        )
+    return layout
+
+
+def _packing(layout: np.dtype[np.void]) -> Struct:
+    """Return the packing of a record, its number first."""
+    kinds = [layout[name] for name in layout.names or ()]
+    letters = (int(np.prod(kind.shape)) * kind.base.char for kind in kinds)
+    # numpy's letters are those of struct, except where C's long has 8 bytes.
+    return Struct("<H" + "".join(letters).replace("l", "q").replace("L", "Q"))
+
+
+def _named(name: str, where: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise LogError(f"{shown(name)} cannot name anything in a ULog", where, "use up to 64 letters, digits and _")
+
+
+def _dropout(lost_ms: int) -> bytes:
+    return _message("O", min(max(lost_ms, 1), _MAX_DROPOUT_MS).to_bytes(2, "little"))
+
+
+def _message(letter: str, body: bytes) -> bytes:
+    return MESSAGE.pack(len(body), ord(letter)) + body
+
+
+def _keyed(letter: str, key: str, value: bytes) -> bytes:
+    return _message(letter, bytes((len(key),)) + key.encode() + value)
+
+
+def _whole(value: int, bits: int, where: str, signed: bool = False) -> int:
+    low = -(1 << (bits - 1)) if signed else 0
+    if not isinstance(value, int) or not low <= value < low + (1 << bits):
+        what = f"{shown(value)} is not a whole number of {bits} bits"
+        raise LogError(what, where, "give a smaller one" if signed else "give whole microseconds from 0")
+    return value
+
+
+def write_ulg(log: FlightLog, path: str | Path) -> tuple[str, ...]:
+    """Writes the log into a new ULog file that `read_ulog` reads; returns the channels that ULog cannot name.
+
+    Stamps are rounded to microseconds. Words and the parameters at the start go with it. Raises LogError where the log
+    has none of our signals or a time before 0, and where the file exists; RecordingError where the disk refuses.
+    """
+    topics = {name: BY_MAT[name] for name in log if name in BY_MAT and len(log[name])}
+    if not topics:
+        raise LogError("none of its channels is a signal of ours", log.source, "write .mcap, .mat or .parquet")
+    start, end = log.span
+    if start < 0.0 or end * 1e6 >= _LAST_US:
+        raise LogError(f"it reaches from {start:g} to {end:g} s", log.source, "ULog counts microseconds from 0")
+    formats = dict(topic_format(topic) for topic in topics.values())
+    parameters = _parameters(log.provenance)
+    with ULogWriter(path, formats, {"sys_uuid": "exported"}, parameters, round(1e6 * start), full="wait") as writer:
+        for name, topic in topics.items():
+            channel = log[name]
+            record = topic.name.replace(".", "_")
+            rows = np.zeros(len(channel), dtype=writer.layout(record))
+            rows["timestamp"] = np.rint(1e6 * channel.time).astype(np.uint64)
+            values = channel.value if channel.value.ndim == 2 else channel.value[:, None]
+            for place, field in enumerate(topic.fields or ("value",)):
+                rows[field] = values[:, place]
+            for first in range(0, len(rows), _PIECE):
+                writer.write_many(record, rows[first : first + _PIECE])
+        for time, severity, text in _texts(log.provenance):
+            writer.text(severity, max(0, round(1e6 * (time - BOOT))), text)
+    return tuple(name for name in log if name not in topics)
+
+
+def _parameters(told: Mapping[str, Any]) -> dict[str, float]:
+    rows = told.get("parameters")
+    known = rows.items() if isinstance(rows, dict) else ()
+    return {name: value for name, value in known if _PARAMETER.fullmatch(name) and isinstance(value, int | float)}
+
+
+def _texts(told: Mapping[str, Any]) -> list[tuple[float, str, str]]:
+    rows = told.get("texts")
+    found = []
+    for row in rows if isinstance(rows, list) else ():
+        match row:
+            case [int() | float() as time, str() as severity, str() as text]:
+                urgent = severity in SEVERITIES and SEVERITIES.index(severity) < SEVERITIES.index("error")
+                known = "error" if urgent else severity if severity in LEVELS else "info"
+                found.append((float(time), known, text))
+            case _:
+                continue
+    return found
+
+
+MOST = 249
+"""Bytes of LOGGING_DATA."""
+NO_MESSAGE = 255
+_FIRST_RECORDS = frozenset(b"DLO")
+"""Messages with which the log itself begins: records, texts, dropouts."""
+
+
+class ULogFragment(NamedTuple):
+    """Bytes of a log; `first` is where the first message begins in them, NO_MESSAGE if none does.
+
+    `described`: it belongs to what stands before the first record, without which nothing can be read.
+    """
+
+    data: bytes
+    first: int
+    described: bool
+
+
+class ULogFragments:
+    """Takes the bytes of a file in their order and gives them in pieces; places count from the file's first byte."""
+
+    def __init__(self) -> None:
+        self._bytes = bytearray()
+        self._given = 0
+        self._starts: deque[int] = deque([0])  # of messages, and of the file, that were not given yet
+        self._next = HEADER.size  # start of the next message, whose length is not known yet
+        self._records: int | None = None  # start of the first record
+
+    @property
+    def waiting(self) -> int:
+        """Bytes that were taken and not given."""
+        return len(self._bytes)
+
+    def feed(self, data: bytes) -> None:
+        """Takes what follows."""
+        self._bytes += data
+        end = self._given + len(self._bytes)
+        while self._next + MESSAGE.size <= end:
+            length, letter = MESSAGE.unpack_from(self._bytes, self._next - self._given)
+            if letter in _FIRST_RECORDS and self._records is None:
+                self._records = self._next
+            self._starts.append(self._next)
+            self._next += MESSAGE.size + length
+
+    def next(self) -> ULogFragment | None:
+        """The next piece, None while there is none; the first record begins one."""
+        at = self._given
+        end = min(at + MOST, at + len(self._bytes), self._next)
+        described = self._records is None or at < self._records
+        if self._records is not None and described:
+            end = min(end, self._records)
+        if end == at:
+            return None
+        first = self._starts[0] - at if self._starts and self._starts[0] < end else NO_MESSAGE
+        while self._starts and self._starts[0] < end:
+            self._starts.popleft()
+        data = bytes(self._bytes[: end - at])
+        del self._bytes[: end - at]
+        self._given = end
+        return ULogFragment(data, first, described)
