@@ -5,11 +5,11 @@ import math
 
 import numpy as np
 import pytest
-from twodof.design.synthesis.schedule import gain_ratio, scheduled_motor
 
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import Promise, promise
 from twodof.design.sampled_controller import SampledController
+from twodof.design.schedule import gain_ratio, scheduled_motor
 from twodof.design.state_feedback import placed_attitude
 from twodof.excitation import Steps
 from twodof.experiment.experiments import experiment
