@@ -20,7 +20,7 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.machine import CompiledProgram
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm

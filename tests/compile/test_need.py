@@ -11,7 +11,7 @@ from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, where
 from twodof.blocks.library import Trigonometry, ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 
 pytestmark = pytest.mark.slow

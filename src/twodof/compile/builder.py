@@ -10,7 +10,7 @@ from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.image import OPTIMISE
 from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.machine import CompiledProgram
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.toolchain import compilers

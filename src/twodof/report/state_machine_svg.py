@@ -14,7 +14,7 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.expression_text import machine_text
 from twodof.blocks.state_machine import Mode, StateMachine
-from twodof.blocks.state_machine.mode import ACTIONS
+from twodof.blocks.state_machine.chart import ACTIONS
 from twodof.drawing.text_width import shortened, text_width
 from twodof.report.diagram_svg import escape, find, picture, text_element
 from twodof.report.symbols import SymbolText, arrow

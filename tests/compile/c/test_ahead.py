@@ -14,7 +14,7 @@ from twodof.blocks.noise import normal4, uniform
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.c.emitter import emit
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 
 pytestmark = pytest.mark.slow

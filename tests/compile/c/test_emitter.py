@@ -20,11 +20,11 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.library import Compare, Logic
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
+from twodof.compile import native as target
 from twodof.compile.builder import emit_program
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.expressions import constant
 from twodof.compile.c.text.unused import without_unused
-from twodof.compile.native import target
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.flight.core import core

@@ -9,9 +9,9 @@ import random
 import pytest
 
 from tests.compile import examples
+from twodof.compile import native as target
 from twodof.compile.builder import emit_program
 from twodof.compile.c import freestanding
-from twodof.compile.native import target
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 

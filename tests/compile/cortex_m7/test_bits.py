@@ -22,7 +22,7 @@ from twodof.blocks.expressions import numbers
 from twodof.compile import CompiledProgram
 from twodof.compile.c.emitter import emit
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram, Target
 from twodof.flight.core import core

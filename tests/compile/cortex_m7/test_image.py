@@ -14,10 +14,9 @@ from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import build
-from twodof.compile.cortex_m7.elf import read_elf
 from twodof.compile.cortex_m7.image import find_cross_compiler
 from twodof.compile.cortex_m7.processor import Processor
-from twodof.compile.cortex_m7.usage import image_sizes
+from twodof.compile.cortex_m7.usage import image_sizes, read_elf
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 

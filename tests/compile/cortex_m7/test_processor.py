@@ -20,11 +20,11 @@ from tests.patience import PATIENCE_S, patiently
 from tests.processes import alive
 from tests.toolchains import need
 from twodof.compile import CompiledProgram, build
-from twodof.compile.cortex_m7 import board
-from twodof.compile.cortex_m7.elf import read_elf
+from twodof.compile.cortex_m7 import processor as board
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.cortex_m7.target import CortexM7
+from twodof.compile.cortex_m7.usage import read_elf
 from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 

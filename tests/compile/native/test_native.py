@@ -15,7 +15,7 @@ SOURCE = "int twodof_answer(void) { return 42; }\n"
 def test_a_process_that_flushes_subnormals_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     code = (
         "import ctypes, sys\n"
-        "from twodof.compile.native.target import load\n"
+        "from twodof.compile.native import load\n"
         "from twodof.compile.toolchain.compilers import find_compiler\n"
         "from twodof.errors import CompileError\n"
         "flush = load('#include <xmmintrin.h>\\nvoid flush(void) { _mm_setcsr(_mm_getcsr() | 0x8040); }',\n"

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tests.patience import PATIENCE_S
-from twodof.compile.native import target
+from twodof.compile import native as target
 from twodof.compile.toolchain import cache as cache_module
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
@@ -77,7 +77,7 @@ def test_a_cache_that_cannot_be_written_is_done_without(tmp_path: Path, monkeypa
 
 def test_processes_that_build_the_same_at_once_all_get_it(cache: Path) -> None:
     code = (
-        "from twodof.compile.native.target import load\n"
+        "from twodof.compile.native import load\n"
         "from twodof.compile.toolchain.compilers import find_compiler\n"
         f"print(load({SOURCE!r}, find_compiler()).twodof_answer())\n"
     )

@@ -17,7 +17,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.c.emitter import emit
-from twodof.compile.native.target import Native
+from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 from twodof.compile.target import Target
 from twodof.compile.wasm.target import Wasm

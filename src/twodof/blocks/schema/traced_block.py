@@ -15,9 +15,8 @@ from twodof.blocks.expressions.matrix import shaped
 from twodof.blocks.expressions.numbers import fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
-from twodof.blocks.state_machine.chart import MAX_MODES, MAX_TRANSITIONS
+from twodof.blocks.state_machine.chart import ACTIONS, MAX_MODES, MAX_TRANSITIONS
 from twodof.blocks.state_machine.machine_graph import ELAPSED
-from twodof.blocks.state_machine.mode import ACTIONS
 from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of, matrices
 from twodof.errors import DiagramError, nearest, shown
 

@@ -2,20 +2,208 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import State
-from twodof.blocks.expressions.expr import fault
-from twodof.blocks.state_machine.chart import Chart
-from twodof.blocks.state_machine.hidden_transitions import check_ways
-from twodof.blocks.state_machine.machine_graph import MachineGraph
-from twodof.blocks.state_machine.mode import Mode, Transition
-from twodof.blocks.state_machine.reaction import react
-from twodof.blocks.trace import SECTIONS
+from twodof.blocks.declarations import Port, State, numeric
+from twodof.blocks.expressions.expr import fault, int32, recording, to_real, uint32, where
+from twodof.blocks.expressions.matrix import flat_of, shaped
+from twodof.blocks.namespaces import States
+from twodof.blocks.state_machine.chart import Chart, Leaf, MachineFunction, Mode, ModeClock, Route, Transition
+from twodof.blocks.state_machine.machine_graph import (
+    ELAPSED,
+    MODE,
+    OUTER_ELAPSED,
+    Charted,
+    MachineGraph,
+    check_ways,
+    last,
+    owner_clock,
+)
+from twodof.blocks.trace import SECTIONS, by_path, matrices, returned, with_matrices
 from twodof.errors import DiagramError
+
+LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
+
+Values = dict[str, Any]
+
+
+class Graphed(Charted, Protocol):
+    """A state machine that was recorded."""
+
+    @property
+    def graph(self) -> MachineGraph: ...
+
+
+class Reaction:
+    """The values of a machine's variables and clocks while a tick is computed; `outputs` are those given so far."""
+
+    def __init__(self, machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> None:
+        self.machine = machine
+        self.chart = machine.chart
+        self.seen = u, p, t
+        names = [s.name for s in (*machine.variables, *machine.graph.states)]
+        self.values: Values = {ELAPSED: uint32(0), OUTER_ELAPSED: uint32(0), **{n: flat_of(x[n]) for n in names}}
+        self.outputs: Values = {}
+        self.variables: dict[str, State] = {v.name: v for v in machine.variables}
+        declared: dict[str, State | Port] = {**self.variables, **{port.name: port for port in machine.outputs}}
+        self.declared = list(declared.values())
+        self.shapes = matrices(machine.variables)
+
+    def after(self, values: Values, outputs: Values | None = None) -> Reaction:
+        """The reaction as it goes on from other values."""
+        made = object.__new__(Reaction)
+        vars(made).update(vars(self))
+        made.values, made.outputs = dict(values), dict(outputs or {})
+        return made
+
+    def call(self, function: MachineFunction, owner: Mode) -> Any:
+        """What a guard or an action returns; it sees the variables as they are now, and the time in `owner`."""
+        u, p, t = self.seen
+        elapsed = self.values[owner_clock(owner in self.chart.outers)]
+        clock = ModeClock(t.tick, t.dt, t.base_dt, elapsed, to_real(elapsed) * t.dt)
+        x = with_matrices(States({name: self.values[name] for name in self.variables}), self.shapes)
+        return function(u, x, p, clock)
+
+    def perform(self, function: MachineFunction | None, owner: Mode) -> None:
+        """An action: its values take effect together."""
+        if function is None:
+            return
+        given = self.call(function, owner)
+        if recording():
+            flat: Values = dict(returned(function.place, given, self.declared, partial=True))
+        else:
+            if not isinstance(given, Mapping):
+                given = {self.declared[0].name: given}
+            given = by_path(given, [d.name for d in self.declared])
+            flat = {
+                d.name: numeric(given[d.name], d.kind, d.width, d.name, d.shape)
+                for d in self.declared
+                if d.name in given
+            }
+        for name, value in flat.items():
+            (self.values if name in self.variables else self.outputs)[name] = value
+
+    def act(self, mode: Mode, action: str) -> None:
+        """An action of a mode."""
+        self.perform(self.chart.actions.get((mode.name, action)), mode)
+
+    def grow_older(self) -> None:
+        """One more tick in the mode and in the one around it."""
+        for name in (ELAPSED, OUTER_ELAPSED):
+            elapsed = self.values[name]
+            self.values[name] = where(elapsed < LONGEST, elapsed + 1, LONGEST)
+
+    def holds(self, route: Route) -> Any:
+        """Whether the guard of a transition holds."""
+        return self.call(self.chart.guards[route.number], self.chart.by_name[route.transition.source])
+
+    def leave(self, route: Route) -> None:
+        """What happens before a mode is entered."""
+        for mode in route.left:
+            self.act(mode, "exit")
+        self.perform(self.chart.does[route.number], self.chart.by_name[route.transition.source])
+
+    def begin(self) -> None:
+        """Enter the first mode, with all clocks at 0."""
+        self.values[OUTER_ELAPSED] = uint32(0)
+        first = self.chart.leaves[0]
+        self.enter(first, first.outer)
+
+    def enter(self, leaf: Leaf, outer: Mode | None) -> None:
+        """Be in `leaf`, and enter the mode `outer` around it before, if there is one to enter."""
+        self.values[MODE], self.values[ELAPSED] = int32(leaf.number), uint32(0)
+        if outer is not None:
+            self.values[OUTER_ELAPSED] = uint32(0)
+            self.act(outer, "entry")
+        if leaf.outer is not None and leaf.outer.history:
+            self.values[last(leaf.outer.name)] = int32(leaf.number)
+        self.act(leaf.mode, "entry")
+
+    def stay(self, leaf: Leaf) -> None:
+        """What is done at each tick that ends in a leaf."""
+        for mode in leaf.path:
+            self.act(mode, "during")
+
+
+def react(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Values]:
+    """The states and the outputs after a tick."""
+    reaction = Reaction(machine, u, x, p, t)
+    end = _recorded(reaction) if recording() else _on_numbers(reaction)
+    states = [*machine.variables, *machine.graph.states]
+    outputs = [(port, end.values if port.name in end.values else end.outputs) for port in machine.outputs]
+    return (
+        {s.name: shaped(end.values[s.name], s.shape) for s in states},
+        {port.name: shaped(values[port.name], port.shape) for port, values in outputs},
+    )
+
+
+def _on_numbers(now: Reaction) -> Reaction:
+    chart = now.chart
+    at = now.values[MODE].value
+    if 0 <= at < len(chart.leaves):
+        now.grow_older()
+        for route in chart.routes[at]:
+            if now.holds(route):
+                now.leave(route)
+                leaf = route.leaves[0]
+                if route.resumes is not None:
+                    known = now.values[last(route.resumes.name)].value
+                    leaf = next((one for one in route.leaves if one.number == known), leaf)
+                now.enter(leaf, route.entered)
+                break
+    else:
+        now.begin()
+    now.stay(chart.leaves[now.values[MODE].value])
+    return now
+
+
+def _recorded(now: Reaction) -> Reaction:
+    chart = now.chart
+    mode = now.values[MODE]
+    start = now.after(now.values)
+    start.begin()
+    now.grow_older()
+    values = start.values
+    for leaf in reversed(chart.leaves):
+        values = _chosen(mode == leaf.number, _ways(now, leaf), values)
+    *others, end = [now.after(values) for _ in chart.leaves]
+    for leaf, there in zip(chart.leaves, [*others, end], strict=True):
+        there.stay(leaf)
+    for leaf, there in reversed(list(zip(chart.leaves, others, strict=False))):
+        here = values[MODE] == leaf.number
+        end = now.after(_chosen(here, there.values, end.values), _chosen(here, there.outputs, end.outputs))
+    return end
+
+
+def _ways(now: Reaction, leaf: Leaf) -> Values:
+    """The values after a tick that begins in `leaf`."""
+    found = now.values | {MODE: int32(leaf.number)}  # which is what it is there; so each value is one of a mode
+    for route in reversed(now.chart.routes[leaf.number]):
+        left = now.after(now.values)
+        left.leave(route)
+        ends = []
+        for one in route.leaves:
+            end = left.after(left.values)
+            end.enter(one, route.entered)
+            ends.append(end.values)
+        taken = ends[0]
+        for one, values in zip(route.leaves[1:], ends[1:], strict=True):
+            assert route.resumes is not None
+            taken = _chosen(left.values[last(route.resumes.name)] == one.number, values, taken)
+        found = _chosen(now.holds(route), taken, found)
+    return found
+
+
+def _chosen(condition: Any, a: Values, b: Values) -> Values:
+    """`a` where the condition holds, else `b`, name by name; of what only one gives, that."""
+    found = {}
+    for name in b | a:
+        one, other = a.get(name, b.get(name)), b.get(name, a.get(name))
+        found[name] = one if one is other else where(condition, one, other)
+    return found
 
 
 class StateMachine(Block):

@@ -2,17 +2,198 @@
 
 from __future__ import annotations
 
+import os
+import select
+import shutil
 import struct
+import subprocess
+import tempfile
 import threading
+import time
+import weakref
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.cortex_m7.board import Board, find_emulator
 from twodof.compile.cortex_m7.image import Image
-from twodof.errors import CompileError
+from twodof.errors import CompileError, ControllerFault
+
+EMULATOR = "qemu-system-arm"
+DATA, END, REFUSED, FAULT = 1, 2, 3, 4
+SILENCE = 60.0
+"""Seconds without a byte from the processor after which it is given up: it sends something every 256 steps."""
+MOST_FRAME = 2**24
+_COUNTING = ("-icount", "shift=10,align=off,sleep=off")  # an instruction takes 2^10 ns
+_PIPE = 65_536
+
+# The words that `report_fault` of boot.c sends: what the exception stored (0 where the stack was lost), then the rest.
+_REGISTERS = ["r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return", "cfsr", "hfsr", "mmfar", "bfar"]
+# Armv7-M Architecture Reference Manual (DDI 0403E), B3.2.15: Configurable Fault Status Register.
+_CAUSES = {
+    0: "instruction fetched where none may be",
+    1: "access to where nothing is, or write into code",
+    4: "stack without memory on entry to the exception",
+    8: "instruction fetched from where no memory is",
+    9: "access to where no memory is",
+    10: "access to where no memory is",
+    12: "stack without memory on entry to the exception",
+    16: "undefined instruction",
+    17: "state that instructions cannot have (a jump to an even address)",
+    18: "wrong return from an exception",
+    19: "floating-point unit that is off",
+    24: "unaligned access",
+    25: "division of integers by zero",
+}
+
+
+def find_emulator() -> str:
+    """The path of QEMU. Raises CompileError, with the package that gives it, if it is not there."""
+    path = shutil.which(EMULATOR)
+    if path is None:
+        raise CompileError(
+            f"there is no {EMULATOR}, which emulates the Cortex-M7",
+            "",
+            "install QEMU for Arm systems (Debian: apt-get install qemu-system-arm)",
+        )
+    return path
+
+
+class Board:
+    """The process of the emulator and the two named pipes that the image opens by semihosting."""
+
+    def __init__(self, emulator: str, elf: bytes, counting: bool) -> None:
+        folder = tempfile.mkdtemp(prefix="twodof-m7-")
+        self._said = Path(folder, "said")
+        self._close = weakref.finalize(self, _clean, folder, descriptors := [], processes := [])
+        try:
+            Path(folder, "image.elf").write_bytes(elf)
+            for name in ("to_target", "from_target"):
+                os.mkfifo(Path(folder, name), 0o600)
+            # Both ends at once for the one, so that nobody waits for the other side to open.
+            self._out = os.open(Path(folder, "to_target"), os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
+            descriptors.append(self._out)
+            self._in = os.open(Path(folder, "from_target"), os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+            descriptors.append(self._in)
+            command = [emulator, "-M", "mps2-an500", "-nodefaults", "-display", "none", "-monitor", "none"]
+            command += ["-serial", "none", "-nic", "none", "-accel", "tcg,thread=single,tb-size=64"]
+            command += ["-semihosting-config", "enable=on,target=native", *(_COUNTING if counting else ())]
+            with self._said.open("wb") as said:
+                self._process = subprocess.Popen(
+                    [*command, "-kernel", "image.elf"],
+                    cwd=folder,
+                    stdin=subprocess.DEVNULL,
+                    stdout=said,
+                    stderr=said,
+                )
+            processes.append(self._process)
+        except OSError as error:
+            self.stop()
+            raise CompileError(f"it does not start: {error}", emulator, "install qemu-system-arm again") from error
+
+    def stop(self) -> None:
+        """End the process and remove its files."""
+        self._close()
+
+    def transact(self, name: str, parts: list[bytes | memoryview], expected: int) -> tuple[bytes, tuple[int, int]]:
+        """Send `parts`, receive frames until the last one. See `Processor.run` for the errors."""
+        pending = [memoryview(part).cast("B") for part in parts if len(part)]
+        received = bytearray()
+        data = bytearray()
+        heard = time.monotonic()
+        while True:
+            ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read
+            left = SILENCE - (time.monotonic() - heard)
+            if left <= 0 and not ended:
+                raise ControllerFault(
+                    f"the emulated processor said nothing for {SILENCE:g} s", name, "is the machine overloaded?"
+                )
+            waiting = [self._out] if pending else []
+            readable, writable, _ = select.select([self._in], waiting, [], 0.0 if ended else min(left, 1.0))
+            if writable and not ended:
+                with suppress(BlockingIOError):
+                    sent = os.write(self._out, pending[0][:_PIPE])
+                    pending[0] = pending[0][sent:]
+                    if not pending[0]:
+                        pending.pop(0)
+            if not readable:
+                if ended:
+                    raise self._ended(name)
+                continue
+            try:
+                chunk = os.read(self._in, _PIPE)
+            except BlockingIOError:
+                continue
+            if not chunk:
+                raise self._ended(name)
+            heard = time.monotonic()
+            received += chunk
+            last = self._frames(name, received, data, expected)
+            if last is not None:
+                if len(data) != expected or pending:
+                    raise ControllerFault(
+                        f"the answer has {len(data)} bytes, expected {expected}", name, "report this as a fault"
+                    )
+                return bytes(data), last
+
+    def _frames(self, name: str, received: bytearray, data: bytearray, expected: int) -> tuple[int, int] | None:
+        """Move whole frames from `received` to `data`; the content of the last one, once it is there."""
+        at = 0
+        last = None
+        while last is None and len(received) >= at + 8:
+            kind, size = struct.unpack_from("<2I", received, at)
+            if kind not in (DATA, END, REFUSED, FAULT) or (size > MOST_FRAME and size > expected):
+                raise ControllerFault(f"an answer of kind {kind} and {size} bytes", name, "report this as a fault")
+            if len(received) < at + 8 + size:
+                break
+            content = bytes(received[at + 8 : at + 8 + size])
+            at += 8 + size
+            if kind == DATA:
+                data += content
+            elif kind == END:
+                last = struct.unpack("<2I", content)
+            elif kind == FAULT:
+                raise ControllerFault(fault_text(content), name, "see what stands at pc in the image")
+            else:
+                raise CompileError("its structs are of other sizes in the image", name, "report this as a fault")
+        del received[:at]
+        return last
+
+    def _ended(self, name: str) -> ControllerFault:
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(5.0)
+        said = self._said.read_bytes()[:500].decode("utf-8", "replace").strip()
+        return ControllerFault(
+            f"the emulator ended with status {self._process.returncode}: {said or 'without a word'}",
+            name,
+            f"see that {EMULATOR} works",
+        )
+
+
+def fault_text(data: bytes) -> str:
+    """The cause of a fault, with the address that was accessed if the processor knows it, and all registers."""
+    words = dict(zip(_REGISTERS, struct.unpack("<14I", data), strict=True))
+    status = words["cfsr"]
+    causes = dict.fromkeys(text for bit, text in _CAUSES.items() if status >> bit & 1)
+    valid = [words[name] for bit, name in ((7, "mmfar"), (15, "bfar")) if status >> bit & 1]
+    at = f" at 0x{valid[0]:08x}" if valid else ""
+    registers = " ".join(f"{name}={value:08x}" for name, value in words.items())
+    return f"{' and '.join(causes) or 'fault of unknown cause'}{at}; {registers}"
+
+
+def _clean(folder: str, descriptors: list[int], processes: list[subprocess.Popen[bytes]]) -> None:
+    """Kill the emulator and forget its folder, also when the last reference goes or Python ends."""
+    for process in processes:
+        process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(10.0)
+    for descriptor in descriptors:
+        os.close(descriptor)
+    shutil.rmtree(folder, ignore_errors=True)
+
 
 DEFAULTS, PREPARE, INIT, RUN, COUNT = range(5)
 POOL = 16 * 2**20

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant, plain
 from twodof.blocks.expressions.kinds import FLOATS
-from twodof.compile.linear.coordinates import Coordinates
-from twodof.compile.linear.operating_point import OperatingPoint
-from twodof.compile.linear.parts import Parts
+from twodof.compile.linear.integer_states import Coordinates
+from twodof.compile.linear.operating_point import OperatingPoint, Parts
 from twodof.compile.linear.tangent import States, TangentStep, elements
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
 from twodof.errors import DiagramError

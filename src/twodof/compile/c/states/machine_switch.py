@@ -14,7 +14,7 @@ from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import Leaf, Route
 from twodof.blocks.state_machine.machine_graph import ELAPSED, MODE, OUTER_ELAPSED, last, owner_clock
-from twodof.blocks.state_machine.reaction import LONGEST
+from twodof.blocks.state_machine.state_machine import LONGEST
 from twodof.compile.c.expressions import Renderer
 from twodof.compile.c.writer import CWriter
 

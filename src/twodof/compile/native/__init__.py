@@ -1,1 +1,0 @@
-"""Shared objects for this computer, loaded into this process."""
