@@ -42,16 +42,16 @@ help:
 # Quick and silent when nothing in web/ has changed. Its absolute path is wanted: the build goes into web/.
 # The sandbox is a part of it: there the page's diagrams are compiled, and the drones fly them.
 web: $(VENV)/ready-sandbox
-	@tools/web.sh $(CURDIR)/$(BIN)/python build
+	@tools/web.sh "$(CURDIR)/$(BIN)/python" build
 
 # The demonstration needs no page: where the npm registry is not reached, it goes on without.
 demo: $(VENV)/ready-run
-	@tools/web.sh $(CURDIR)/$(BIN)/python build || \
+	@tools/web.sh "$(CURDIR)/$(BIN)/python" build || \
 		echo "web: the browser page is not built, for the reason above; 'make web' tries again"
 	$(BIN)/twodof demo --force
 
 play: $(VENV)/ready-sandbox
-	@tools/web.sh $(CURDIR)/$(BIN)/python play
+	@tools/web.sh "$(CURDIR)/$(BIN)/python" play
 	@$(BIN)/python tools/play.py
 
 sandbox: $(VENV)/ready-sandbox
@@ -70,7 +70,7 @@ check: $(VENV)/ready-dev
 	$(BIN)/ruff check --quiet .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_layers.py
-	@tools/web.sh $(CURDIR)/$(BIN)/python check
+	@tools/web.sh "$(CURDIR)/$(BIN)/python" check
 
 bench: $(VENV)/ready-bench tools
 	$(BIN)/python -m bench

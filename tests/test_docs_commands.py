@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.console import PAGES, Command, commands, files, paired, run, save_files
+from tools.console import PAGES, Command, commands, files, paired, run_page
 
 pytestmark = pytest.mark.slow
 
@@ -21,17 +21,19 @@ SAME = "fly-an-experiment.md"
 )
 def test_the_commands_of_a_page_do_what_it_says(page: Path, tmp_path: Path) -> None:
     """Each page, the tutorials among them: from an empty folder, in its order, with the files that it has one save."""
-    text = page.read_text(encoding="utf-8")
-    save_files(text, tmp_path)
-    found = commands(text)
-    results = [(command, run(command, tmp_path)) for command in found]
-    assert any(result is not None for _, result in results)
-    for command, result in results:
-        if result is not None:
-            status, output = result
-            assert (status != 0) == command.refused, output
-            not_printed = [line for line, other in paired(command.shown, output) if other is None]
-            assert not_printed == [], f"{command.line}: run `python tools/console.py`, or correct the page"
+    results = list(run_page(page.read_text(encoding="utf-8"), tmp_path))
+    assert results
+    for command, status, output in results:
+        assert (status != 0) == command.refused, output
+        not_printed = [line for line, other in paired(command.shown, output) if other is None]
+        assert not_printed == [], f"{command.line}: run `python tools/console.py`, or correct the page"
+
+
+def test_commands_without_their_logs_are_skipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TWODOF_FLIGHT_DATA", str(tmp_path / "nothing"))
+    lines = ["log convert $LOGS/a.mat b.mcap", "log convert b.mcap c.csv", "--version", "log info c.csv"]
+    text = "```console\n" + "".join(f"$ twodof {line}\n" for line in lines) + "```\n"
+    assert [command.line for command, _, _ in run_page(text, tmp_path)] == ["twodof --version"]
 
 
 def test_a_line_that_is_not_printed_is_found() -> None:

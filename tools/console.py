@@ -2,7 +2,8 @@
 
 In a ```console block a line `$ twodof ...` or `$ python ...` is a command, and what follows are lines of its output,
 not necessarily all. A block ```python title="FILE" (or toml) is a file that the reader saves first.
-`$LOGS` is the folder of the real drone's logs; where there is none, the commands that need it are passed over.
+`$LOGS` is the folder of the real drone's logs. Without it the commands that name it are skipped, and so are those
+that read their files.
 """
 
 import contextlib
@@ -61,11 +62,21 @@ def save_files(text: str, folder: Path) -> None:
         (folder / name).write_text(content, encoding="utf-8")
 
 
-def run(command: Command, folder: Path) -> tuple[int, str] | None:
-    """Exit status and output of a command run in `folder`; None for one whose logs are not at hand."""
+def run_page(text: str, folder: Path) -> Iterator[tuple[Command, int, str]]:
+    """Run a page's commands in `folder`, with the page's files; yield each with its exit status and output."""
+    save_files(text, folder)
     logs = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data")).resolve()
-    if "$LOGS" in command.line and not logs.is_dir():
-        return None
+    missing = set() if logs.is_dir() else {"$LOGS"}
+    for command in commands(text):
+        named = set(re.findall(r"\$LOGS|[\w-]+\.[a-z]\w+", command.line))
+        if named & missing:
+            missing |= named
+        else:
+            yield command, *run(command, folder, logs)
+
+
+def run(command: Command, folder: Path, logs: Path) -> tuple[int, str]:
+    """Return exit status and output of a command run in `folder`."""
     program, *arguments = shlex.split(command.line.replace("$LOGS", str(logs)))
     if program == "twodof":
         return _in_this_process(arguments, folder)
@@ -104,11 +115,9 @@ def words(line: str) -> list[str]:
 def refreshed(text: str) -> str:
     """A page's text with the numbers that its commands print now."""
     with tempfile.TemporaryDirectory() as folder:
-        save_files(text, Path(folder))
-        for command in commands(text):
-            result = run(command, Path(folder))
-            if result is not None and command.shown:
-                now = [(other or line).rstrip() for line, other in paired(command.shown, result[1])]
+        for command, _, output in run_page(text, Path(folder)):
+            if command.shown:
+                now = [(other or line).rstrip() for line, other in paired(command.shown, output)]
                 text = text.replace(
                     "\n".join([f"$ {command.line}", *command.shown]), "\n".join([f"$ {command.line}", *now])
                 )
