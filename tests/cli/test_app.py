@@ -120,9 +120,7 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
         import typer
         from twodof.cli import app, main
         from twodof.flightlog.atomic import atomic_write
-        slow = types.ModuleType("twodof.cli.logs.log")
-        slow.app = typer.Typer()
-        @slow.app.command()
+        slow = types.ModuleType("twodof.cli.log")
         def log() -> None:
             with atomic_write({str(target)!r}, "w") as file:
                 file.write("half")
@@ -130,7 +128,8 @@ def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> Non
                 print("writing", flush=True)
                 while True:  # a signal that comes just before a sleep does not end it
                     time.sleep(0.01)
-        sys.modules["twodof.cli.logs.log"] = slow
+        slow.log = log
+        sys.modules["twodof.cli.log"] = slow
         sys.argv[1:] = ["log"]
         main()
     """

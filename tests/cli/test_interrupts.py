@@ -88,19 +88,18 @@ def test_an_interrupt_where_python_can_raise_nothing_comes_again() -> None:
         import signal, sys, time, types
         import typer
         from twodof.cli import main
-        slow = types.ModuleType("twodof.cli.logs.log")
-        slow.app = typer.Typer()
+        slow = types.ModuleType("twodof.cli.log")
         class Closing:
             def __del__(self) -> None:
                 signal.raise_signal(signal.SIGINT)
-        @slow.app.command()
         def log() -> None:
             closing = Closing()
             del closing
             for _ in range(10_000):
                 time.sleep(0.001)
             print("it goes on")
-        sys.modules["twodof.cli.logs.log"] = slow
+        slow.log = log
+        sys.modules["twodof.cli.log"] = slow
         sys.argv[1:] = ["log"]
         main()
     """

@@ -10,12 +10,12 @@ from twodof.cli.app import run
 
 # Command, and what does its work: which must not begin.
 COMMANDS = (
-    (["calibrate"], "twodof.cli.logs.calibrate.calibrate_rig"),
+    (["calibrate"], "twodof.cli.log.calibrate_rig"),
     (["demo"], "twodof.cli.demo.fly_series"),
-    (["diagram", "render", "stock-attitude"], "twodof.cli.diagrams.diagram.to_svg"),
-    (["diagram", "code", "stock-attitude"], "twodof.cli.diagrams.diagram.emit_program"),
+    (["diagram", "render", "stock-attitude"], "twodof.cli.diagram.to_svg"),
+    (["diagram", "code", "stock-attitude"], "twodof.cli.diagram.emit_program"),
     (["simulate", "doublet"], "twodof.cli.simulate.Laboratory"),
-    (["fly", "doublet", "--rig", "lab"], "twodof.cli.drone.fly.virtual_drone"),
+    (["fly", "doublet", "--rig", "lab"], "twodof.cli.fly.virtual_drone"),
 )
 
 

@@ -12,10 +12,12 @@ import numpy as np
 import pytest
 from rich.table import Table
 
+import twodof
 from tests.flightlog.synthetic import attitude_steps
 from tests.patience import PATIENCE_S
+from twodof.cli import output
 from twodof.cli.app import run, show_warning
-from twodof.cli.output import print_error, progress, say_line, table_console
+from twodof.cli.output import IN_SHELL, print_error, progress, say_line, table_console
 from twodof.errors import LinkError, LogError, TwodofError
 from twodof.flightlog.files import write_log
 from twodof.flightlog.log import Channel, FlightLog
@@ -131,3 +133,33 @@ def test_an_error_of_ours_as_text() -> None:
 def test_a_warning(capsys: pytest.CaptureFixture[str]) -> None:
     show_warning(EVIL)
     clean(capsys.readouterr().err)
+
+
+def test_replaced_remedies_stand_in_the_package() -> None:
+    """A remedy whose call of Python has been renamed would reach the shell as it is."""
+    texts = [path.read_text(encoding="utf-8") for path in Path(twodof.__file__).parent.rglob("*.py")]
+    own = Path(output.__file__).read_text(encoding="utf-8")
+    assert [call for call in IN_SHELL if not any(call in text for text in texts if text != own)] == []
+
+
+@pytest.mark.parametrize("command", [["--help"], ["key", "FILE"], ["diagram", "check", "stock-attitude", "--json"]])
+def test_a_full_disk_behind_stdout_is_one_line(command: list[str], tmp_path: Path) -> None:
+    arguments = [word.replace("FILE", str(tmp_path / "key")) for word in command]
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "twodof.cli", *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            timeout=PATIENCE_S,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr == b"error: standard output cannot be written: No space left on device\n"
+
+
+def test_without_stdout_the_work_is_done(tmp_path: Path) -> None:
+    """As a service is started, or by the shell's `>&-`."""
+    command = 'exec "$0" -m twodof.cli key "$1" >&- 2>&-'
+    done = subprocess.run(["sh", "-c", command, sys.executable, str(tmp_path / "key")], timeout=PATIENCE_S, check=False)
+    assert done.returncode == 0
+    assert (tmp_path / "key").is_file()

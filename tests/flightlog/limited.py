@@ -84,9 +84,8 @@ def _child(arguments: list[str], said: Path) -> int:
 
 
 def _serve(lines: Iterable[str]) -> None:
-    import twodof.cli.logs.identify
-    import twodof.cli.logs.log
-    import twodof.cli.logs.replay
+    import twodof.cli.identify
+    import twodof.cli.log
     import twodof.cli.simulate
     import twodof.report.plots.flight_plot  # noqa: F401
     from twodof.cli import app

@@ -1,6 +1,7 @@
 """The command line: `twodof <noun-or-verb>`; `main` is the entry point."""
 
 import importlib
+import os
 import sys
 
 from twodof.cli import interrupts
@@ -12,6 +13,9 @@ def main() -> None:
     The rest of the package is imported here, so that Ctrl-C while it loads is met as at any later time.
     """
     interrupts.begin()
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:  # closed by the shell (>&-): the command still does its work
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), "w"))
     try:
         status = importlib.import_module("twodof.cli.app").run(sys.argv[1:])
     except KeyboardInterrupt:

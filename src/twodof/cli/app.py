@@ -3,7 +3,7 @@
 import importlib
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from types import MappingProxyType
 from typing import Any
 
@@ -11,38 +11,34 @@ import typer
 from typer.core import TyperGroup
 
 from twodof.cli import interrupts
-from twodof.cli.output import print_error, print_json, reader_has_left, say_line
-from twodof.cli.remedies import remedy_in_shell
+from twodof.cli.output import broken_output, print_error, print_json, reader_has_left, remedy_in_shell, say_line
 from twodof.errors import CompileError, DownloadError, IdentificationError, TwodofError
 
 FINE, WENT_WRONG, CALLERS_MISTAKE = 0, 1, 2
 
-# Command -> (its module, one line of help): what `twodof --help` shows without importing numpy.
+# Command -> (module that defines it under this name, one line of help): `twodof --help` imports none of them.
 COMMANDS = MappingProxyType(
     {
         "demo": ("demo", "Fly, identify and compare with the paper; write the report."),
         "simulate": ("simulate", "Fly an experiment, or a log's set-points, on a virtual rig."),
-        "up": ("drone.up", "Start virtual drones, and say where to connect."),
-        "lab": ("drone.lab", "Serve the page in the browser: fly, tune, identify, design."),
-        "fly": ("drone.fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
-        "watch": ("watch.watch", "Watch drones in the terminal: live values, states, small charts, their words."),
-        "diagram": ("diagrams.diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
-        "flash": ("diagrams.flash", "Check and compile a controller, say what changes, and let it fly."),
-        "identify": ("logs.identify", "Identify a model from a flight log."),
-        "design": ("diagrams.design", "Design a controller on an identified model, promise its flight, and judge it."),
-        "fcu": ("drone.fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
-        "replay": ("logs.replay", "Feed a log's inputs to the compiled flight code and compare its outputs."),
-        "log": ("logs.log", "Look into flight logs and convert them."),
-        "calibrate": ("logs.calibrate", "Calibrate the virtual rig on the real drone's logs."),
-        "companion": (
-            "drone.companion",
-            "Route MAVLink between the flight controller and clients; run an app on board.",
-        ),
-        "drones": ("drone.drones", "List the drones that can be heard, and where to connect to them."),
-        "parameters": ("drone.parameters", "See and set what can be tuned on a drone, in flight too."),
-        "kill": ("drone.kill", "Motors off, now, whoever commands the drone."),
-        "key": ("drone.key", "Make a key that signs what is sent over MAVLink."),
-        "px4": ("diagrams.px4", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
+        "up": ("up", "Start virtual drones, and say where to connect."),
+        "lab": ("up", "Serve the page in the browser: fly, tune, identify, design."),
+        "fly": ("fly", "Fly an experiment over MAVLink, on a virtual drone or a real one."),
+        "watch": ("watch", "Watch drones in the terminal: state, mode, angle, position, battery, their last words."),
+        "diagram": ("diagram", "Start, check, test, draw and linearize a diagram; see the C that it becomes."),
+        "flash": ("flash", "Check and compile a controller, say what changes, and let it fly."),
+        "identify": ("identify", "Identify a model from a flight log."),
+        "design": ("design", "Design a controller on an identified model, promise its flight, and judge it."),
+        "fcu": ("fcu", "Run a virtual drone: rig and flight controller, reached over MAVLink."),
+        "replay": ("simulate", "Feed a log's inputs to the compiled flight code and compare its outputs."),
+        "log": ("log", "Look into flight logs and convert them."),
+        "calibrate": ("log", "Calibrate the virtual rig on the real drone's logs."),
+        "companion": ("companion", "Route MAVLink between the flight controller and clients; run an app on board."),
+        "drones": ("connection", "List the drones that can be heard, and where to connect to them."),
+        "parameters": ("parameters", "See and set what can be tuned on a drone, in flight too."),
+        "kill": ("connection", "Motors off, now, whoever commands the drone."),
+        "key": ("connection", "Make a key that signs what is sent over MAVLink."),
+        "px4": ("flash", "Make a module for PX4 of a diagram, and see whether a PX4 fits it."),
     }
 )
 
@@ -59,8 +55,7 @@ class LazyGroup(TyperGroup):
         if cmd_name not in COMMANDS:
             return None
         module, text = COMMANDS[cmd_name]
-        app = importlib.import_module(f"twodof.cli.{module}").app
-        command = typer.main.get_command(app)
+        command = typer.main.get_command(_app(getattr(importlib.import_module(f"twodof.cli.{module}"), cmd_name)))
         command.name, command.help = cmd_name, command.help or text
         interrupts.works()
         return command
@@ -77,15 +72,21 @@ class LazyGroup(TyperGroup):
         )
 
     def invoke(self, ctx: Any) -> Any:
-        """Run a command; Ctrl-C and a reader that has left end it quietly, each with its exit status."""
+        """Run a command; Ctrl-C ends it with a line and its exit status."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
             interrupts.said()
             raise SystemExit(interrupts.INTERRUPTED) from None
-        except BrokenPipeError:
-            reader_has_left()  # Python would complain again at exit
-            raise SystemExit(WENT_WRONG) from None
+
+
+def _app(made: typer.Typer | Callable[..., None]) -> typer.Typer:
+    """Return a group of commands as it is, a single command as an application of its own."""
+    if isinstance(made, typer.Typer):
+        return made
+    single = typer.Typer(add_completion=False, rich_markup_mode=None)
+    single.command()(made)
+    return single
 
 
 def status_of(error: TwodofError) -> int:
@@ -120,6 +121,24 @@ def run(arguments: Sequence[str]) -> int:
     An error of ours is printed as what, where and remedy, without a traceback; with --json also on stdout as
     `{"error": {"kind", "what", "where", "remedy"}}`.
     """
+    try:
+        status = _run(arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        reader_has_left()  # Python would complain again at exit
+        return WENT_WRONG
+    except OSError:
+        reason = broken_output()
+        if reason is None:
+            raise
+        print_error(TwodofError(f"standard output cannot be written: {reason}"))
+        reader_has_left()
+        return WENT_WRONG
+    return status
+
+
+def _run(arguments: Sequence[str]) -> int:
     try:
         with warnings.catch_warnings():
             warnings.showwarning = show_warning

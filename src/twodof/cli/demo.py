@@ -24,15 +24,12 @@ from twodof.report.content import ParameterRow
 from twodof.report.numbers import plain, with_sigma
 from twodof.report.pages.report_page import to_html
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
-
 _REPORT = Path("out/demo/report.html")
 _RIGS = ("paper", "lab")
 # What the progress bar counts besides flights: some for each rig, the real drone's logs, the report.
 _OTHER_STEPS = 21
 
 
-@app.command()
 def demo(
     out: Annotated[Path, typer.Option(metavar="FILE", help="The report to write, an HTML page.")] = _REPORT,
     repetitions: Annotated[

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import typer
@@ -13,7 +14,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
-from twodof.cli.remedies import remedy_in_shell
 from twodof.errors import TwodofError, printable
 
 Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
@@ -41,6 +41,16 @@ def say_line(text: object) -> None:
 def one_line(text: object) -> str:
     """What somebody else's file says, on one line."""
     return " ".join(printable(text).splitlines())
+
+
+def broken_output() -> str | None:
+    """Return why a line cannot be written to standard output, None if it can."""
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError as error:
+        return error.strerror
+    return None
 
 
 def reader_has_left() -> None:
@@ -123,3 +133,26 @@ def progress(values: Callable[[], str] | None = None) -> Iterator[Callable[[str,
                 bar.update(task, values=printable(values()))
 
         yield report
+
+
+IN_SHELL = MappingProxyType(
+    {
+        "with `at`": "with --at",
+        "(in Python overwrite=True)": "",
+        "or watch with take_lease=False": "or end who has it",
+        "parameters.all() lists": "`twodof parameters` lists",
+        "drone.release()": "`twodof kill --release`",
+        "describe(log) lists the log's events": "`twodof log info` lists the log's events",
+        "call it .mcap; write_log makes others of it": "call it .mcap; `twodof log convert` makes others of it",
+        "write it with to_json": "write it as `twodof diagram new`, `twodof calibrate --out` or Python's to_json do",
+        "(leave it out of `estimate`)": "(leave it out of --estimate)",
+    }
+)
+"""What a remedy says -> what the command line says in its place."""
+
+
+def remedy_in_shell(remedy: str) -> str:
+    """The remedy, with options and commands in place of calls."""
+    for call, words in IN_SHELL.items():
+        remedy = remedy.replace(call, words)
+    return remedy.strip()

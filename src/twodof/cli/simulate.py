@@ -12,7 +12,8 @@ from rich.table import Table
 from twodof.blocks import Diagram
 from twodof.calibrate import estimate_charge
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
-from twodof.cli.output import Force, Json, print_json, say_line, table_console
+from twodof.cli.options import RealType
+from twodof.cli.output import Force, Json, one_line, print_json, say_line, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
@@ -23,13 +24,13 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
+from twodof.report.plots.flight_view import failsafe_bands
 from twodof.rig.parameters import load_rig
+from twodof.sim.flown_parameters import FlownParameters
+from twodof.sim.replay import replay as replay_log
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
-
-@app.command()
 def simulate(
     experiment: Annotated[str | None, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")] = None,
     like: Annotated[Path | None, typer.Option(metavar="LOG", help="Fly the set-points of this log instead.")] = None,
@@ -224,3 +225,49 @@ def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> No
         console.print(f"  {path} = {numbers}{unit} ({bounds}): {declared.text}")
     if len(rows) > len(shown):
         console.print(f"  and {len(rows) - len(shown)} more without a description; --json lists them")
+
+
+# The right gains leave less than 1e-5, in float32 too; a gain that is 1 % off leaves some 1e-2 of its loop's output.
+_OTHER_GAINS = 1e-3
+# Of what the failsafe did.
+_SHOWN = 5
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="LOG", help="A closed-loop flight log.")],
+    gains: Annotated[
+        str | None,
+        typer.Option(
+            help="default, student, or a JSON file of gains; left out: those of the log if it says, else default."
+        ),
+    ] = None,
+    precision: Annotated[RealType, typer.Option(help="Reals of the compiled code.")] = RealType.float64,
+    json: Json = False,
+) -> None:
+    """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
+    log, gains_given = read_log(file), gains is not None
+    flown = FlownParameters.of(log.provenance)
+    result = replay_log(log, None if gains is None else load_gains(gains), precision.value)
+    gains = gains or ("default" if flown.gains is None else "that the log says")
+    if flown.unknown or (flown.controllers and gains_given):
+        names = one_line(", ".join(flown.unknown or flown.controllers))
+        say_line(f"note: a controller of the user's flew ({names}), and the stock cascade is compared")
+    bands = failsafe_bands(log)
+    if bands:
+        what = ", ".join(f"{band.start:.2f} to {band.stop:.2f} s {band.label}" for band in bands[:_SHOWN])
+        say_line(f"note: the failsafe acted, whose set-points are not in the log: {what}")
+    elif any(difference > _OTHER_GAINS for difference in result.nrms.values()):
+        say_line(f"note: not the gains it was flown with? these are: {gains}; --gains takes others")
+    if json:
+        print_json(result.to_json())
+        return
+    console = table_console()
+    table = Table("channel", "nrms", "coverage, %", box=None, pad_edge=False)
+    for column in table.columns[1:]:
+        column.justify = "right"
+    for channel, share in result.coverage.items():
+        difference = result.nrms.get(channel)
+        table.add_row(channel, "-" if difference is None else f"{difference:.2e}", f"{100.0 * share:.1f}")
+    console.print(table)
+    windows = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
+    console.print(f"{precision.value}, gains {gains}; compared: {windows or 'nothing, no loop was active'}")

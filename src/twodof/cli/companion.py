@@ -1,0 +1,155 @@
+"""`twodof companion`: pass MAVLink between the flight controller and several clients; run a user's app on board."""
+
+import asyncio
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.cli.connection import run_until_signal
+from twodof.cli.options import Index
+from twodof.cli.output import Json, print_json, say_line
+from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
+from twodof.companion.client_link import Serve, px4_links
+from twodof.companion.companion import Companion
+from twodof.fleet.local_ports import MOST_DRONES
+from twodof.link.mavlink.enums import COMPANION
+from twodof.link.signing import Signing, Stamps, read_key
+from twodof.link.transport.ports import FLIGHT_CONTROLLER
+
+companion = typer.Typer(add_completion=False, rich_markup_mode=None)
+# Where the app comes to: this machine only, at a port that is free.
+APP_LINK = Serve("tcpin://127.0.0.1:0", "onboard", on_board=True)
+# Streams of signatures are told apart by it: what we answer in the vehicle's name is not its own.
+LINK_ID = COMPANION
+MIB = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What the options say."""
+
+    vehicle: str
+    serve: tuple[Serve, ...]
+    system: int
+    key: Path | None
+    line_rate: float | None
+    json: bool
+
+    def made(self) -> Companion:
+        """The companion that they ask for. Raises LinkError."""
+        signing = None
+        if self.key is not None:
+            signing = Signing(read_key(self.key), Stamps(f"{self.key}.{self.system}.companion.stamps"), LINK_ID)
+        return Companion(self.vehicle, self.serve, self.system, signing, self.line_rate, say_line)
+
+
+@companion.callback(invoke_without_command=True)
+def route(
+    context: typer.Context,
+    fcu: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{FLIGHT_CONTROLLER} + index."
+        ),
+    ] = None,
+    index: Index = 0,
+    onboard: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Serve clients there with onboard rates; may be repeated."),
+    ] = None,
+    ground: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Serve clients there with ground rates; may be repeated."),
+    ] = None,
+    open_: Annotated[bool, typer.Option("--open", help="Let other machines in, not this one alone.")] = False,
+    key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Sign what it says itself with this key, and let nothing else through."),
+    ] = None,
+    line_rate: Annotated[
+        float | None, typer.Option(min=100.0, help="What the line to the flight controller carries [byte/s].")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Pass MAVLink between the flight controller and several clients, each with its own streams.
+
+    Without --onboard and --ground it serves as PX4 in simulation does: UDP 14580 + index to 14540 + index, 18570 +
+    index to 14550, TCP 5760 + index, index 0 to 9. It prints a line `listening on URL` for each (with --json one line
+    of JSON), and ends by Ctrl-C or SIGTERM with exit status 0.
+    """
+    if index >= MOST_DRONES and not (onboard or ground):
+        raise typer.BadParameter(
+            f"drones 0 to {MOST_DRONES - 1} have ports of their own: say where this one serves, --onboard or --ground",
+            param_hint="--index",
+        )
+    chosen = [
+        *(Serve(url, "onboard") for url in onboard or ()),
+        *(Serve(url, "ground") for url in ground or ()),
+    ]
+    serve = tuple(chosen) or px4_links(index, open_)
+    asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
+    context.obj = asked
+    if context.invoked_subcommand is None:
+        raise typer.Exit(asyncio.run(run_until_signal(_route(asked))) or 0)
+
+
+@companion.command()
+def run(
+    context: typer.Context,
+    program: Annotated[
+        Path, typer.Argument(metavar="APP", exists=True, dir_okay=False, help="A file with `async def main(drone)`.")
+    ],
+    restarts: Annotated[int, typer.Option(min=0, max=100, help="How often in a row it is started again.")] = 4,
+    memory: Annotated[int, typer.Option(min=64, help="Memory that it may use [MiB].")] = 4096,
+) -> None:
+    """Route, and run a program of your own on board: started again if it crashes, ended with the companion.
+
+    Exit status: 0 it ended by itself, 1 it crashed too often, 2 it is not an app.
+    """
+    supervised = (program, RestartPolicy(most=restarts), AppLimits(memory=memory * MIB))
+    raise typer.Exit(asyncio.run(run_until_signal(_fly(context.obj, *supervised))) or 0)
+
+
+async def _route(asked: _Asked) -> int:
+    async with asked.made() as made:
+        _tell(asked, made)
+        await made.run()
+    return 0
+
+
+async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: AppLimits) -> int:
+    """Route until the app has ended; its exit status as ours."""
+    asked = replace(asked, serve=(*asked.serve, APP_LINK))
+    async with asked.made() as made:
+        _tell(asked, made)
+        url = made.urls[-1][0].replace("tcpin:", "tcp:")
+        command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
+        command += ["--key", str(asked.key)] if asked.key is not None else []
+        supervised = asyncio.ensure_future(
+            AppSupervisor(command, say_line, limits, restarts, killed=lambda: made.killed).run()
+        )
+        routing = asyncio.ensure_future(made.run())
+        try:
+            await asyncio.wait({supervised, routing}, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            supervised.cancel()
+            await asyncio.wait({supervised})
+            routing.cancel()
+        if supervised.cancelled():
+            routing.result()
+        status = supervised.result()
+    return status if status in (0, MISTAKE) else 1
+
+
+def _tell(asked: _Asked, made: Companion) -> None:
+    """Say where it may be reached, now that it may be."""
+    if asked.json:
+        rows = [{"url": url, "rates": rates} for url, rates in made.urls]
+        print_json({"fcu": asked.vehicle, "system": asked.system, "serve": rows}, indent=None)
+    else:
+        sys.stdout.write(f"flight controller {asked.vehicle}, system {asked.system}\n")
+        sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
+    sys.stdout.flush()

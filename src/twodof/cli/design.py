@@ -1,0 +1,363 @@
+"""`twodof design`: from an identified model to a controller and its promise, and from a flight to the verdict."""
+
+import json as json_text
+import math
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from twodof.cli.flown import write_view
+from twodof.cli.options import PromiseFile, PromisePlot, Seed
+from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.design.cascade import SEPARATION, CascadeDesign
+from twodof.design.designed_controller import CROSSOVER, design_controller
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.promise import MEMBERS, STEPS, Promise
+from twodof.design.robustness import Robustness
+from twodof.design.saturated_step import SaturatedStep
+from twodof.design.specification import Requirement, read_specification
+from twodof.errors import LogError, ParameterError
+from twodof.flight.gains import load_gains
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram, save_diagram
+from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.files import read_log
+from twodof.flightlog.provenance import read_bytes
+from twodof.report.plots.flight_view import check_place
+from twodof.report.plots.promise_view import promise_view
+from twodof.sim.promised.rail_design import RailDesign, rail_design
+from twodof.sim.promised.rail_family import RailFamily
+from twodof.sim.promised.rail_promise import MEMBERS as RAIL_MEMBERS
+from twodof.sim.promised.rail_promise import check_rail, rail_promise
+
+design = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Design a controller on an identified model, promise its flight, and judge it.",
+)
+
+MAX_BYTES = 1 << 24
+
+
+class Method(StrEnum):
+    """What is designed."""
+
+    cascade = "cascade"
+    lqg = "lqg"
+
+
+class AntiWindup(StrEnum):
+    """What the integral of the rate loop does while the motors are at their limits."""
+
+    none = "none"
+    clamping = "clamping"
+    back_calculation = "back-calculation"
+
+
+@design.command()
+def controller(
+    model: Annotated[
+        str, typer.Argument(metavar="MODEL", help="What `twodof identify --json` printed; -: from standard input.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Write the controller there, a diagram as JSON.")],
+    crossover: Annotated[float, typer.Option(metavar="RAD/S", help="Crossover of the rate loop.")] = CROSSOVER,
+    phase_margin: Annotated[
+        float | None,
+        typer.Option(metavar="DEG", help="Phase margin of the rate loop; left out: what the course's rule gives."),
+    ] = None,
+    method: Annotated[
+        Method, typer.Option(help="The cascade of the drone, or LQG: state feedback with a Kalman filter.")
+    ] = Method.cascade,
+    spec: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="A specification (TOML): optimise the gains for it, and check them."),
+    ] = None,
+    separation: Annotated[
+        float, typer.Option(help="The attitude loop crosses over at this part of the rate loop's crossover.")
+    ] = SEPARATION,
+    anti_windup: Annotated[
+        AntiWindup, typer.Option(help="Of the cascade's rate PID, with M limited to what the motors give in hover.")
+    ] = AntiWindup.none,
+    promise_file: PromiseFile = None,
+    plot: PromisePlot = None,
+    goal: Annotated[float, typer.Option(metavar="DEG", help="The step of the pitch that is promised.")] = 10.0,
+    gust: Annotated[
+        float | None, typer.Option(metavar="RAD/S2", help="Standard deviation of the gusts' angular acceleration.")
+    ] = None,
+    gust_time: Annotated[float | None, typer.Option(metavar="S", help="Correlation time of the gusts.")] = None,
+    q_noise: Annotated[
+        float | None, typer.Option(metavar="RAD/S", help="Noise of a sample of q; left out: the model's.")
+    ] = None,
+    members: Annotated[int, typer.Option(help="How many members of the family are flown.")] = MEMBERS,
+    seed: Seed = 1,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Design the cascade's rate PID and attitude P on an identified pitch, and promise what they will do.
+
+    The family of the model is its estimate with its covariance. 2,000 drones are sampled from it, and a local search
+    looks for the worst one on the border of its 99.9 % region. If one of them is unstable, the controller is not
+    written: exit status 1.
+
+    With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also where
+    they miss it.
+    """
+    if spec is not None and method is not Method.cascade:
+        raise typer.BadParameter("--spec optimises the gains of the cascade: leave --method out")
+    if anti_windup is not AntiWindup.none and method is not Method.cascade:
+        raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
+    for path in (out, promise_file):
+        if path is not None:
+            check_free(path, force)
+    if plot is not None:
+        check_place(plot, force)
+    family = read_family(model).disturbed(gust, gust_time, q_noise)
+    asked = None if spec is None else read_specification(spec)
+    with progress() as report:
+        made = design_controller(
+            family,
+            crossover,
+            None if phase_margin is None else math.radians(phase_margin),
+            separation,
+            method.value,
+            asked,
+            math.radians(goal),
+            members,
+            seed,
+            report,
+            anti_windup.value,
+        )
+    sure, found = made.robustness, made.promise
+    if sure.robust:
+        save_diagram(made.diagram, out, overwrite=force)
+        if promise_file is not None:
+            _write(promise_file, found.to_json())
+        if plot is not None:
+            write_view(promise_view(found), plot, force)
+    if json:
+        written = {"diagram": out, "promise": promise_file, "plot": plot}
+        print_json(
+            {
+                **made.to_json(),
+                "written": {name: str(p) for name, p in written.items() if p is not None and sure.robust},
+            }
+        )
+    else:
+        if made.cascade is not None:
+            _say_cascade(made.cascade)
+        _say(sure, made.saturation, found, made.requirements)
+        for path in (out, promise_file, plot):
+            if path is not None and sure.robust:
+                say_line(f"written: {path}")
+    if not sure.robust:
+        say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
+    elif not made.ready:
+        say_line("note: the specification is not met; ask for less, or identify the model better")
+    if made.saturation.winds_up and anti_windup is AntiWindup.none and method is Method.cascade:
+        say_line("note: --anti-windup back-calculation keeps the integral from winding up")
+    if not made.ready:
+        raise typer.Exit(1)
+
+
+@design.command()
+def verdict(
+    promised: Annotated[
+        Path, typer.Argument(metavar="PROMISE", help="The file that `design controller` or `design rail` wrote.")
+    ],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of a flight with steps of the pitch.")],
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Draw the steps over the promise (.png, .svg, .pdf, .html).")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Lay the steps that were flown beside what was promised, channel by channel and figure by figure.
+
+    Exit status 1: part of the promise was broken in more steps than chance explains.
+    """
+    if plot is not None:
+        check_place(plot, force)
+    document = _document(promised)
+    made = Promise.from_json(document, str(promised))
+    flight = read_log(log)
+    found = made.verdict_of(flight)
+    if plot is not None:
+        write_view(promise_view(made, flight), plot, force)
+    if json:
+        print_json({**found.to_json(), "plot": None if plot is None else str(plot)})
+    else:
+        table_console().print(found.table())
+        if plot is not None:
+            say_line(f"written: {plot}")
+    if not found.stands:
+        raise typer.Exit(1)
+
+
+def read_family(source: str) -> PitchFamily:
+    """The family of a model's file, or of standard input. Raises ParameterError."""
+    if source == "-":
+        return PitchFamily.from_identified(_parsed(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input"), "-")
+    return PitchFamily.from_identified(_document(Path(source)), source)
+
+
+def _document(path: Path) -> Any:
+    try:
+        return _parsed(read_bytes(path, MAX_BYTES), str(path))
+    except LogError as reason:
+        raise ParameterError(reason.what, str(path), "name a JSON file") from reason
+
+
+def _parsed(text: bytes, where: str) -> Any:
+    if len(text) > MAX_BYTES:
+        raise ParameterError("it is larger than 16 MiB", where, "give what `twodof identify --json` printed")
+    try:
+        return json_text.loads(text)
+    except (ValueError, RecursionError) as reason:
+        raise ParameterError(
+            f"it is not JSON: {reason!s:.80}", where, "give what `twodof identify --json` printed"
+        ) from reason
+
+
+def _write(path: Path, document: Any) -> None:
+    with atomic_write(path, "w") as file:
+        json_text.dump(document, file, allow_nan=False)
+
+
+def _say_cascade(made: CascadeDesign) -> None:
+    console = table_console()
+    kp, ki, kd = made.gains.rate
+    console.print(f"rate PID: Kp {kp:.5g}, Ki {ki:.5g}, Kd {kd:.4g}; attitude P: Kp {made.gains.attitude:.4g}")
+    for name in ("rate", "attitude"):
+        crossover, margin = made.crossovers[name], math.degrees(made.phase_margins[name])
+        console.print(f"{name} loop: crossover {crossover:.3g} rad/s, phase margin {margin:.3g} deg")
+
+
+def _say(sure: Robustness, limited: SaturatedStep, found: Promise, checked: tuple[Requirement, ...]) -> None:
+    console = table_console()
+    console.print(sure.text)
+    console.print(limited.text)
+    console.print(found.table())
+    for one in checked:
+        console.print(one.text)
+
+
+_SEARCH, _FLOWN = 0.8, 0.9  # shares of the work that end there
+
+
+class Loop(StrEnum):
+    """Which set-point steps."""
+
+    velocity = "velocity"
+    position = "position"
+
+
+@design.command()
+def rail(
+    pitch: Annotated[Path, typer.Argument(metavar="PITCH", help="The pitch's model, of `twodof identify --out`.")],
+    cart: Annotated[
+        Path, typer.Argument(metavar="CART", help="The cart's model, `twodof identify --out` of a velocity-doublet.")
+    ],
+    controller: Annotated[
+        list[str] | None, typer.Option(metavar="DIAGRAM", help=f"In place of a stock loop; repeatable. {DIAGRAM_HELP}")
+    ] = None,
+    gains: Annotated[
+        str, typer.Option(help="Of the stock loops: default, student, or a JSON file of gains.")
+    ] = "default",
+    loop: Annotated[Loop | None, typer.Option(help="Whose set-point steps; left out: the specification's.")] = None,
+    goal: Annotated[
+        float | None, typer.Option(metavar="M/S|M", help="The step; left out: the specification's, or .15.")
+    ] = None,
+    spec: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A specification (TOML) with a table [rail]: check it.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Search the stock loops' gains for --spec, from --gains on; write them there."
+        ),
+    ] = None,
+    promise_file: PromiseFile = None,
+    plot: PromisePlot = None,
+    rig: Annotated[str, typer.Option(metavar="RIG", help="What no model tells, such as sensors, is this rig's.")] = (
+        "paper"
+    ),
+    members: Annotated[int, typer.Option(help="How many members of the family are flown.")] = RAIL_MEMBERS,
+    seed: Seed = 1,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Promise a step of the velocity or position, by flights of the identified family on the virtual rig.
+
+    All limits, sensors and the estimator are in these flights. `twodof design verdict` holds a log against the promise.
+
+    With --spec and --out the gains are those that meet the specification best. They are written as `--gains` reads
+    them, here and in `twodof simulate`.
+
+    Exit status 1: a member meets an end stop, or the specification is missed.
+    """
+    if out is not None and (spec is None or controller):
+        raise typer.BadParameter("--out searches gains of the stock loops for --spec: give --spec, and no --controller")
+    for path in (out, promise_file):
+        if path is not None:
+            check_free(path, force)
+    if plot is not None:
+        check_place(plot, force)
+    family = RailFamily.from_identified(_document(pitch), _document(cart), rig)
+    diagrams, flown = [load_diagram(one) for one in controller or []], load_gains(gains)
+    asked = None if spec is None else read_specification(spec, "rail")
+    which = loop.value if loop is not None else (asked.loop if asked is not None else "velocity")
+    step = goal if goal is not None else (asked.step if asked is not None else STEPS[which].goal)
+    found: RailDesign | None = None
+    with progress() as report:
+        if out is not None and asked is not None:
+            found = rail_design(
+                asked, family, flown, members, seed, lambda share: report("searching the gains", _SEARCH * share)
+            )
+            flown = found.gains
+        begun = _SEARCH if found is not None else 0.0
+        made = rail_promise(
+            family,
+            which,
+            gains=flown,
+            controllers=diagrams,
+            goal=step,
+            members=members,
+            seed=seed,
+            said=lambda share: report("flying the members", begun + (_FLOWN - begun) * share),
+        )
+        report("the margins", _FLOWN)
+        checked = () if asked is None else check_rail(asked, family, flown, diagrams, made)
+    written: dict[str, str] = {}
+    if made.robust:
+        if out is not None:
+            _write(out, flown.to_json())
+            written["gains"] = str(out)
+        if promise_file is not None:
+            _write(promise_file, made.to_json())
+            written["promise"] = str(promise_file)
+        if plot is not None:
+            write_view(promise_view(made), plot, force)
+            written["plot"] = str(plot)
+    if json:
+        print_json(
+            {
+                "promise": made.to_json(),
+                "specification": [one.to_json() for one in checked],
+                "gains": flown.to_json(),
+                "written": written,
+            }
+        )
+    else:
+        if found is not None:
+            kp, ki = flown.velocity
+            table_console().print(f"velocity PI: Kp {kp:.4g}, Ki {ki:.4g}; position P: Kp {flown.position:.4g}")
+        table_console().print(made.table())
+        for one in checked:
+            table_console().print(one.text)
+        for name in written.values():
+            say_line(f"written: {name}")
+    if not made.robust or not all(one.met for one in checked):
+        raise typer.Exit(1)

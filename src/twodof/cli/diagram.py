@@ -1,0 +1,380 @@
+"""`twodof diagram`: start one, check, test and draw it, see and export the C it becomes, linearize it, say margins."""
+
+import json as json_text
+from collections.abc import Mapping
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.table import Table
+
+from twodof.blocks.declarations import unknown_name
+from twodof.cli.diagram_tests import run_tests
+from twodof.cli.margins import margins
+from twodof.cli.options import RealType
+from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.compile.builder import emit_program
+from twodof.compile.c_files.c_files import c_files
+from twodof.compile.c_files.source_map import SourceLine, SourceMap, source_map
+from twodof.compile.linear.linear_model import Array, LinearModel
+from twodof.compile.linear.linearize import linearize as linearize_diagram
+from twodof.compile.program.check import Findings
+from twodof.compile.program.check import check as check_diagram
+from twodof.errors import DiagramError, LogError
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
+from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
+from twodof.report.diagram_svg import find, to_svg
+from twodof.report.pages.code_page import code_page
+from twodof.report.state_machine_svg import machine_at, machine_svg
+
+diagram = typer.Typer(
+    add_completion=False,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    help="Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.",
+)
+diagram.command("test")(run_tests)
+diagram.command()(margins)
+
+MAX_AT_BYTES = 2**20
+
+Which = Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)]
+Tick = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")]
+
+
+class TimeDomain(StrEnum):
+    """Which linear model is wanted."""
+
+    AUTO = "auto"
+    CONTINUOUS = "continuous"
+    DISCRETE = "discrete"
+
+
+@diagram.command()
+def new(
+    starter: Annotated[str, typer.Argument(metavar="STARTER", help=DIAGRAM_HELP.partition(", or ")[2])],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it, as JSON.")],
+    force: Annotated[bool, typer.Option("--force", "--overwrite", help="Replace a file that is there.")] = False,
+) -> None:
+    """Write a starter diagram to a file, to be changed."""
+    made = new_diagram(starter, file, force)
+    table_console().print(f"{file}: {made.name}, {made.text}")
+
+
+@diagram.command()
+def check(
+    diagram: Which,
+    dt: Tick = 0.004,
+    template: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Ask that it fits this template of the drone's controllers.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Name all problems of a diagram, or its sizes, what is odd about it, and the template that it fits.
+
+    Exit status 1 if it does not compile, or does not fit the template asked for.
+    """
+    checked = load_diagram(diagram)
+    found = check_diagram(checked, dt)
+    meant = template or nearest_template(checked)
+    fit = None if meant is None else template_fit(checked, meant)
+    if json:
+        print_json(
+            {
+                "fine": found.fine,
+                "problems": [{"what": p.what, "where": p.where, "remedy": p.remedy} for p in found.problems],
+                "remarks": [asdict(r) for r in found.remarks],
+                "sizes": asdict(found.sizes) if found.sizes else None,
+                "feedthrough": found.feedthrough,
+                "port_feedthrough": found.port_feedthrough,
+                "unread": found.unread,
+                "left_out": found.left_out,
+                "template": None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
+            }
+        )
+    else:
+        _print_findings(found, dt)
+        _print_fit(fit, found)
+    if not found.fine or (template and fit is not None and not fit.fits):
+        raise typer.Exit(1)
+
+
+def _misfits(fit: TemplateFit, found: Findings) -> list[str]:
+    """What to change for a template, beside the problems that are listed already."""
+    return [*fit.faults, *([str(fit.refusal)] if fit.refusal is not None and found.fine else [])]
+
+
+def _print_fit(fit: TemplateFit | None, found: Findings) -> None:
+    console = table_console()
+    if fit is None:
+        console.print(f"\nit fits no template of the drone's controllers ({', '.join(TEMPLATES)})")
+    elif fit.fits:
+        console.print(f"\nit fits the template {fit.template.name}")
+    else:
+        lines = _misfits(fit, found)
+        console.print(f"\nit does not fit the template {fit.template.name}{':' if lines else ''}")
+        for line in lines:
+            console.print(f"  {line}")
+
+
+def _print_findings(found: Findings, dt: float) -> None:
+    console = table_console()
+
+    def rows(title: str, items: Any) -> None:
+        if items:
+            console.print(f"\n{title}:")
+            for item in items:
+                console.print(f"  {item.where}: {item.what} ({item.remedy})")
+
+    if not found.fine:
+        count = len(found.problems)
+        console.print(f"it does not compile: {count} problem{'s' if count > 1 else ''}")
+        rows("problems", found.problems)
+        return
+    console.print("it compiles")
+    if found.sizes:
+        table = Table(box=None, pad_edge=False, show_header=False)
+        for name, value in asdict(found.sizes).items():
+            if name != "rates":
+                table.add_row(name.replace("_", " "), str(value))
+        rates = (f"{1 / (dt * d):g} Hz" + (f" from tick {o}" if o else "") for d, o in found.sizes.rates)
+        table.add_row("rates", ", ".join(rates))
+        console.print(table)
+    if found.feedthrough:
+        console.print("\nin the same tick:")
+        for output, inputs in found.feedthrough.items():
+            console.print(f"  {output} <- {', '.join(inputs) or 'no input'}")
+    if found.unread:
+        console.print(f"\noutputs that nobody reads: {', '.join(found.unread)}")
+    rows("remarks", found.remarks)
+
+
+@diagram.command()
+def code(
+    diagram: Which,
+    dt: Tick = 0.004,
+    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
+    block: Annotated[str | None, typer.Option(metavar="PATH", help="Only what this block became.")] = None,
+    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page that shows both sides.")] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the C itself.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Show the generated C beside the paths of the blocks that it came from."""
+    for path in filter(None, (out, html)):
+        check_folder(path, force)
+    shown = load_diagram(diagram)
+    emitted = emit_program(shown, dt, precision.value)
+    found = source_map(emitted.flat, emitted.source, emitted.layout)
+    if block is not None and block not in found.blocks:
+        raise unknown_name("block", block, sorted(found.blocks), shown.name)
+    if out is not None:
+        with atomic_write(out, "w") as file:
+            file.write(emitted.source)
+    if html is not None:
+        with atomic_write(html, "w") as file:
+            file.write(code_page(shown.name, shown.text, found))
+    if json:
+        chosen = sorted(found.blocks) if block is None else [block]
+        print_json(
+            {
+                "blocks": {path: {"type": found.blocks[path], "lines": found.of(path)} for path in chosen},
+                "left_out": found.left_out,
+                "lines": len(found.lines),
+            }
+        )
+    elif out is None and html is None:
+        _print_code(found, block)
+    else:
+        written = ", ".join(str(file) for file in (out, html) if file is not None)
+        table_console().print(f"written: {written}")
+
+
+def _print_code(found: SourceMap, block: str | None) -> None:
+    """Three columns: path or role, line number, C. Helpers and structs are in the file, not here."""
+    console = table_console()
+    shared = f"{found.kinds[block]}." if block in found.kinds else "?"
+    chosen = (line for line in found.lines if not block or line.block == block or line.part.startswith(shared))
+    lines = [line for line in chosen if block or _worth(line)]
+    width = min(max((len(line.block or line.role) for line in lines), default=0), 44)
+    before = ("", "")
+    for line in lines:
+        name = line.block or line.role
+        shown = name if (line.part, name) != before else ""
+        before = line.part, name
+        console.print(f"{shown[-width:]:{width}} {line.number:5d}  {line.text}".rstrip())
+    if block in found.left_out:
+        console.print("nothing of it runs: nobody needs it")
+    elif block is None and found.left_out:
+        console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}")
+
+
+def _worth(line: SourceLine) -> bool:
+    return bool(line.part) and not line.part.rpartition(".")[2][0].isupper()
+
+
+@diagram.command()
+def render(
+    diagram: Which,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The SVG file; default: standard output.")] = None,
+    depth: Annotated[int, typer.Option(min=0, max=64, help="Open sub-diagrams down to this level.")] = 0,
+    path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram, or state machine.")] = "",
+    force: Force = False,
+) -> None:
+    """Draw a diagram, or one of its state machines, as SVG."""
+    if out is not None:
+        if out.suffix.lower() != ".svg":
+            raise LogError(f"the drawing is an SVG; {out.name} does not say so", "--out", f"name it {out.stem}.svg")
+        check_folder(out, force)
+    shown = load_diagram(diagram)
+    machine = machine_at(shown, path)
+    picture = to_svg(find(shown, path), depth) if machine is None else machine_svg(machine, path)
+    if out is None:
+        typer.echo(picture, nl=False)
+        return
+    with atomic_write(out, "w") as file:
+        file.write(picture)
+    table_console().print(f"written: {out}")
+
+
+@diagram.command()
+def linearize(
+    diagram: Which,
+    dt: Tick = 0.004,
+    at: Annotated[
+        str | None, typer.Option(metavar="JSON", help="The point: a JSON object, or a file with one; else the start.")
+    ] = None,
+    trim: Annotated[bool, typer.Option("--trim", help="Search an equilibrium near the point.")] = False,
+    free: Annotated[
+        list[str] | None, typer.Option(metavar="INPUT", help="With --trim: an input that may move.")
+    ] = None,
+    inputs: Annotated[
+        list[str] | None, typer.Option("--input", metavar="NAME", help="An input, or a signal's path: it is cut there.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None, typer.Option("--output", metavar="NAME", help="An output, or a signal's path.")
+    ] = None,
+    time: Annotated[TimeDomain, typer.Option(help="dx/dt, the step map, or what fits.")] = TimeDomain.AUTO,
+    keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep states without influence.")] = False,
+    json: Json = False,
+) -> None:
+    """Give the exact A, B, C, D of a diagram at a point."""
+    found = linearize_diagram(
+        load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time.value, keep_all
+    )
+    if json:
+        print_json(found.to_json())
+    else:
+        _print_model(found)
+
+
+def _at(text: str | None) -> dict[str, Any]:
+    """The object in `text`, or in the file that it names."""
+    if text is None:
+        return {}
+    try:
+        if text.lstrip().startswith("{"):
+            found = json_text.loads(text)
+        else:
+            with Path(text).open("rb") as file:
+                content = file.read(MAX_AT_BYTES + 1)
+            if len(content) > MAX_AT_BYTES:
+                raise DiagramError(f"more than {MAX_AT_BYTES} bytes", text, "give names and numbers only")
+            found = json_text.loads(content)
+    except OSError as error:
+        raise DiagramError(f"it cannot be read: {error.strerror}", text, "name a file, or give {...}") from error
+    except (ValueError, RecursionError) as error:
+        raise DiagramError(f"this is no JSON: {error!s:.200}", "--at", 'write {"theta": 0.1}') from error
+    if not isinstance(found, dict):
+        raise DiagramError("this is no JSON object", "--at", 'write {"theta": 0.1}')
+    return found
+
+
+def _print_model(found: LinearModel) -> None:
+    console = table_console()
+    kind = "dx/dt" if found.dt is None else f"x[k+1], one step is {found.dt:g} s"
+    n, m, p = len(found.states), len(found.inputs), len(found.outputs)
+    console.print(f"{found.name}: {kind}; {n} states, {m} inputs, {p} outputs")
+    for letter, matrix, rows, columns in (
+        ("A", found.a, found.states, found.states),
+        ("B", found.b, found.states, found.inputs),
+        ("C", found.c, found.outputs, found.states),
+        ("D", found.d, found.outputs, found.inputs),
+    ):
+        if matrix.size:
+            console.print(f"\n{letter}")
+            console.print(_matrix(matrix, rows, columns))
+    if n:
+        console.print("\npoles")
+        for pole in sorted(found.poles(), key=lambda q: (abs(q), q.imag)):
+            console.print(f"  {_pole(complex(pole), found.dt)}")
+    for names, why in _alike(found.left_out):
+        console.print(f"left out: {names} ({why})")
+    for name, what in found.remarks.items():
+        console.print(f"remark: {name}: {what}")
+
+
+def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
+    """The names that are left out for the same reason; of an array one name and how many there are."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for name, why in left_out.items():
+        groups.setdefault((name.partition("[")[0], why), []).append(name)
+    return [
+        (names[0] if len(names) == 1 else f"{path}, {len(names)} elements", why)
+        for (path, why), names in groups.items()
+    ]
+
+
+def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> Table:
+    table = Table("", box=None, pad_edge=False)
+    for name in columns:
+        table.add_column(name, justify="right")
+    for name, row in zip(rows, matrix, strict=True):
+        table.add_row(name, *(f"{v:.6g}" for v in row))
+    return table
+
+
+def _pole(pole: complex, dt: float | None) -> str:
+    """A pole and, unless it is 0 in the z plane, its frequency and damping."""
+    text = f"{pole.real:.6g}" + (f" {'+' if pole.imag > 0 else '-'} {abs(pole.imag):.6g}j" if pole.imag else "")
+    s = pole if dt is None else complex(np.log(pole)) / dt if pole else 0j
+    if dt is not None and not pole:
+        return f"{text}  (a delay)"
+    damping = -s.real / abs(s) if s else 1.0
+    return f"{text}  ({abs(s):.6g} rad/s, damping {damping:.4g})"
+
+
+@diagram.command()
+def export(
+    diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
+    folder: Annotated[
+        Path, typer.Argument(metavar="FOLDER", help="Where to write NAME.h and NAME.c.", show_default="this folder")
+    ] = Path(),
+    dt: Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")] = 0.004,
+    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
+    log: Annotated[
+        list[str] | None, typer.Option("--log", metavar="PATH", help="Return this signal too. May be repeated.")
+    ] = None,
+    name: Annotated[str, typer.Option(metavar="NAME", help="How all names begin. By default the diagram's name.")] = "",
+    tables: Annotated[
+        bool, typer.Option("--tables", help="With tables of parameters and signals, for live tuning and logging.")
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a diagram as a C file and a header, for your own firmware or program.
+
+    The header has an example of the loop that calls it.
+    """
+    made = c_files(load_diagram(diagram), dt, precision.value, log or (), name=name, tables=tables)
+    paths = made.write(folder, force)
+    if json:
+        sizes = dict(zip(("real", "P", "S", "U", "Y"), made.emitted.sizes, strict=True))
+        print_json({"name": made.name, "files": [str(path) for path in paths], "sizes": sizes})
+        return
+    table_console().print(f"written: {', '.join(map(str, paths))}")

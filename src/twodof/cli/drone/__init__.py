@@ -1,1 +1,0 @@
-"""Commands that start a drone, find one or talk to one."""

@@ -1,0 +1,103 @@
+"""`twodof fcu`: a virtual drone that speaks MAVLink, until it is interrupted."""
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.cli import options
+from twodof.cli.connection import run_until_signal
+from twodof.cli.output import Json, print_json
+from twodof.fleet.local_drone import controller_in_words
+from twodof.flight.controller_store import data_folder
+from twodof.flight.starters import DIAGRAM_HELP
+from twodof.link.signing import Signing, Stamps, read_key
+from twodof.link.transport.ports import FLIGHT_CONTROLLER
+from twodof.sim.virtual_drone import VirtualDrone
+
+
+def fcu(
+    listen: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="URL",
+            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{FLIGHT_CONTROLLER} + index. "
+            "Port 0: one that is free.",
+        ),
+    ] = None,
+    index: options.Index = 0,
+    rig: options.Rig = "lab",
+    rings: options.Rings = False,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="DIAGRAM",
+            help=f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP}",
+        ),
+    ] = None,
+    trust: options.Trust = False,
+    lockstep: options.Lockstep = False,
+    seed: options.Seed = 1,
+    noise: options.Noise = 1.0,
+    charge: options.Charge = 1.0,
+    precision: options.Precision = "float64",
+    safety_switch: options.SafetySwitch = True,
+    rate: Annotated[
+        str, typer.Option(help="Streams that every client gets: onboard, or ground as a ground station wants them.")
+    ] = "onboard",
+    state: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="For parameters, logs and uploaded controllers; left out: drone-INDEX in the user's data folder.",
+        ),
+    ] = None,
+    fresh: options.Fresh = False,
+    key: options.KeyFile = None,
+    json: Json = False,
+) -> None:
+    """Fly a virtual drone: its rig, and the flight controller's program, which clients reach over MAVLink.
+
+    It prints a line `listening on URL` for each link once clients may come (with --json one line of JSON). Ctrl-C or
+    SIGTERM ends it: motors off, log closed, exit status 0.
+    """
+    folder = data_folder() / f"drone-{index}" if state is None else state
+    signing = None
+    if key is not None:
+        folder.mkdir(parents=True, exist_ok=True)
+        signing = Signing(read_key(key), Stamps(folder / "stamps.json"))
+    drone = VirtualDrone(
+        rig,
+        {"seed": seed, "noise": noise, "charge_start": charge, "rings": rings},
+        controller or [],
+        trust,
+        precision,
+        lockstep,
+        index,
+        safety_switch,
+        folder,
+        signing,
+        rate=rate,
+        fresh=fresh,
+    )
+    urls = listen or [f"tcpin://127.0.0.1:{FLIGHT_CONTROLLER + index}"]
+    asyncio.run(run_until_signal(serve(drone, urls, json)))
+
+
+async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
+    """Runs the drone, reached at `urls`, until it is cancelled; says where it listens."""
+    async with drone:
+        opened = [await drone.listen(url) for url in urls]
+        what = drone.flown
+        if json:
+            lockstep = drone.controller.lockstep
+            flies = {"controller": what.controller, "changed": what.changed}
+            said = {"system": drone.server.system, "lockstep": lockstep, "listening": opened} | flies
+            print_json(said, indent=None)
+        else:
+            sys.stdout.writelines(f"listening on {url}\n" for url in opened)
+            sys.stdout.write(f"{controller_in_words(what.controller, what.changed)}\n")
+            sys.stdout.flush()
+        await drone.wait()

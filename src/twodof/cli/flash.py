@@ -1,0 +1,235 @@
+"""`twodof flash`: check a controller, compile it, say what it costs and what changes, and let it fly from now on."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from twodof.blocks.difference import Difference
+from twodof.blocks.schema.json_form import to_json
+from twodof.cli.connection import lease_refusals
+from twodof.cli.margins import print_margins
+from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.compile.px4 import export as export_module
+from twodof.compile.px4.checkout import check as check_module
+from twodof.compile.px4.export import airframe_id
+from twodof.fleet.flash import FCU, FORCE, PX4, SIM, ControllerCosts
+from twodof.fleet.flash import flash as flash_controller
+from twodof.fleet.trial_flight import TrialFlight
+from twodof.flight.controller_store import STOCK
+from twodof.flight.starters import DIAGRAM_HELP, load_diagram, starter
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.signals import PERIOD
+
+_LINES = 60  # of changes; a diagram that has little in common with the one before makes hundreds
+
+
+def flash(
+    diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
+    to: Annotated[
+        str,
+        typer.Option(
+            metavar=f"{SIM}|{PX4}|{FCU}|URL",
+            help=f"sim: the simulator; px4-dir: a module for PX4; a drone's URL, or fcu for {DEFAULT_URL}.",
+        ),
+    ],
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the module's folder.")] = None,
+    px4: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the PX4 that it is to fit.")] = None,
+    precision: Annotated[str, typer.Option(help="float32 as flight controllers compute, or float64.")] = "float32",
+    key: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="With a drone: the key that signs everything.")
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say everything and change nothing.")] = False,
+    force_unstable: Annotated[
+        bool, typer.Option(FORCE, help="Flash it although it is unstable on the virtual rig.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Check and compile a controller, say its sizes and what changes against what flies now, and let it fly.
+
+    The diagram has the ports of a template: attitude_control, position_control or motor_control. In the simulator it
+    flies with `twodof simulate --controller flashed` and not otherwise; what was flashed of another template stays
+    beside it. `twodof flash stock-attitude --to sim` brings the stock one back. What flies in the simulator is kept in
+    the user's data folder (TWODOF_DATA, else XDG_DATA_HOME/twodof or ~/.local/share/twodof), in flashed/sim.
+
+    First it flies a small step on the virtual rig, and the margins of its loops are said (`twodof diagram margins`).
+    What is unstable there is not flashed, unless --force-unstable says so.
+
+    A drone must be disarmed. It builds the controller for its own sandbox. Until that is done, the earlier controller
+    flies on; from then on the new one flies, and the drone keeps it over restarts.
+    """
+    if out is None and to == PX4:
+        raise typer.BadParameter("--to px4-dir needs --out DIR, the module's folder")
+    if out is not None and to != PX4:
+        raise typer.BadParameter("--out goes with --to px4-dir")
+    if px4 is not None and to != PX4:
+        raise typer.BadParameter("--px4 goes with --to px4-dir")
+    if key is not None and to in (SIM, PX4):
+        raise typer.BadParameter("--key goes with a drone")
+    new = load_diagram(diagram)
+    url = DEFAULT_URL if to == FCU else to
+    with lease_refusals(url), progress() as say:
+        found = flash_controller(new, to, out, px4, precision, key, dry_run, force_unstable, say)
+    if json:
+        print_json(
+            {
+                "diagram": new.name,
+                "template": found.template,
+                "to": to,
+                "precision": precision,
+                "costs": found.costs.to_json(),
+                "against": found.origin,
+                "changes": found.changes.to_json(),
+                "trial": found.trial.to_json(),
+                "remarks": found.remarks,
+                "warnings": found.warnings,
+                "place": found.place,
+                "flashed": not dry_run,
+            }
+        )
+        return
+    console = table_console()
+    console.print(f"{new.name} fits {found.template}; {precision}, {1.0 / PERIOD:g} Hz")
+    _print_costs(console, found.costs)
+    _print_trial(console, found.trial)
+    _print_changes(console, found.changes, found.origin)
+    for remark in found.remarks:
+        console.print(f"remark: {remark}")
+    for warning in found.warnings:
+        console.print(f"warning: {warning}")
+    if dry_run:
+        console.print("nothing was flashed (--dry-run)")
+    elif to == SIM:
+        console.print(f"flashed: {found.place}")
+        console.print("fly it: twodof simulate EXPERIMENT --controller flashed")
+    elif to != PX4:
+        console.print(f"flashed: {found.place}")
+        if to_json(new) != to_json(starter(STOCK[found.template])):
+            console.print(f"tune it: twodof parameters --url {url} {found.template}.NAME=VALUE")
+    else:
+        console.print(f"written: {found.place}, whose README.md says how to build it into PX4")
+
+
+def _print_costs(console: Console, cost: ControllerCosts) -> None:
+    console.print(
+        f"parameters {cost.parameters} bytes, states {cost.states} bytes, inputs {cost.inputs}, outputs {cost.outputs}"
+    )
+    if cost.m7 is None:
+        console.print(f"code: not measured for the Cortex-M7: {cost.m7_missing}")
+        return
+    m7 = cost.m7
+    stack = m7["stack_bytes_bound"]
+    console.print(
+        f"on a Cortex-M7: {m7['flash_bytes']} bytes of code and constants, {m7['ram_bytes']} bytes of RAM, "
+        f"{m7['stack_bytes_seen'] if stack is None else stack} bytes of stack"
+    )
+    console.print(
+        f"  {m7['instructions_max']} instructions a step at most in {m7['steps']} steps, by {m7['compiler']}",
+        markup=False,
+    )
+
+
+def _print_trial(console: Console, trial: TrialFlight) -> None:
+    if trial.unknown:
+        console.print(f"margins: not known: {trial.unknown}")
+    else:
+        print_margins(console, trial.margins)
+    seen = f"UNSTABLE: {trial.fault}" if trial.fault else "3 s with a small step, and no swing grows"
+    console.print(f"on the virtual rig: {seen}")
+
+
+def _print_changes(console: Console, changes: Difference, origin: str) -> None:
+    if not changes:
+        console.print(f"nothing changes against {origin}")
+        return
+    rows = changes.changes
+    counts = ", ".join(f"{sum(row.kind == kind for row in rows)} {kind}" for kind in ("changed", "added", "removed"))
+    console.print(f"changes against {origin} ({counts}):")
+    for row in rows[:_LINES]:
+        console.print(f"  {row}")
+    if len(rows) > _LINES:
+        console.print(f"  and {len(rows) - _LINES} more, which --json lists")
+
+
+px4 = typer.Typer(
+    help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@px4.command()
+def export(
+    diagram: Annotated[str, typer.Argument(help=DIAGRAM_HELP)],
+    out_dir: Annotated[Path, typer.Argument(help="The folder to write: a new one, an empty one or an earlier export.")],
+    log: Annotated[
+        list[str] | None, typer.Option("--log", help="Log also this signal: its path, part.port. May be repeated.")
+    ] = None,
+    prefix: Annotated[
+        str,
+        typer.Option(help="How the parameters' names begin: 1 to 5 capitals or digits. By default the name decides."),
+    ] = "",
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an earlier export even if its files were changed or added to.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Write a diagram as an external module for PX4 v1.14 to v1.17: C, work item, parameters, message, airframe.
+
+    The same diagram gives the same bytes. README.md in the folder says how it is built and started.
+    """
+    module = export_module(load_diagram(diagram), out_dir, log or (), prefix, force)
+    if json:
+        print_json(
+            {
+                "folder": str(out_dir),
+                "module": module.names.module,
+                "airframe": airframe_id(module.names),
+                "parameters": {row.name: row.path or None for row in module.parameters},
+                "not_exported": {kept.path: kept.reason for kept in module.kept},
+                "reads": list(module.role.reads),
+                "writes": list(module.role.writes),
+                "stops": list(module.role.stops),
+                "files": sorted(module.files),
+            }
+        )
+        return
+    console = table_console()
+    console.print(f"{out_dir}: module {module.names.module}, {len(module.files)} files")
+    table = Table("parameter in PX4", "in the diagram", box=None, pad_edge=False)
+    for row in module.parameters:
+        element = "" if row.index is None else f"[{row.index}]"
+        table.add_row(row.name, f"{row.path}{element}" if row.path else "(the module's own)")
+    console.print(table)
+    for kept in module.kept:
+        console.print(f"not in PX4: {kept.path}: {kept.reason}")
+    console.print(f"reads {', '.join(module.role.reads)}")
+    console.print(f"writes {', '.join(module.role.writes)}; stops {', '.join(module.role.stops)}")
+    console.print(f"next: twodof px4 check PX4_DIR {out_dir}; then README.md there")
+
+
+@px4.command()
+def check(
+    px4_dir: Annotated[Path, typer.Argument(help="A checkout of PX4.")],
+    out_dir: Annotated[Path, typer.Argument(help="A folder that `twodof px4 export` wrote.")],
+    json: Json = False,
+) -> None:
+    """Compare an exported module with a checkout of PX4: its version, and what its build does not show.
+
+    Nothing is written. Exit status 0: it fits, perhaps with warnings; 1: it does not.
+    """
+    found = check_module(px4_dir, out_dir)
+    if json:
+        rows = [{"level": r.level, "what": r.what, "where": r.where, "remedy": r.remedy} for r in found.rows]
+        print_json({"fits": found.fits, "module": found.module, "version": found.version, "findings": rows})
+    else:
+        console = table_console()
+        for row in found.rows:
+            console.print(f"{row.level}: {row.where}: {row.what} ({row.remedy})")
+        verdict = "fits" if found.fits else "does not fit"
+        console.print(f"{found.module} {verdict} {px4_dir}, version {found.version}")
+    if not found.fits:
+        raise typer.Exit(1)

@@ -1,0 +1,148 @@
+"""`twodof fly`: fly a ready-made experiment over MAVLink, on a virtual drone or a real one."""
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from math import degrees
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated
+
+import typer
+
+from twodof.cli.connection import connect
+from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
+from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.errors import LinkLost
+from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import experiment as named_experiment
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.fly import fly as fly_experiment
+from twodof.fleet.local_drone import controller_in_words
+from twodof.fleet.virtual_drone import virtual_drone
+from twodof.flightlog.files import write_log
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.drone import Drone
+
+
+def fly(
+    experiment: Annotated[str, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")],
+    url: Annotated[str | None, typer.Option(help=f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
+    rig: Annotated[
+        str | None, typer.Option(help="lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIAGRAM", help="With --rig: fly this controller, in a sandbox; may be repeated."),
+    ] = None,
+    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
+    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of a virtual drone's noise.")] = 1,
+    start: Annotated[
+        float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
+    ] = None,
+    withhold_tuning: Annotated[
+        bool, typer.Option("--withhold-tuning", help="Let no other program change parameters meanwhile.")
+    ] = False,
+    out: Out = None,
+    plot: Plot = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Arm, hold, excite on board, disarm, and check that the data are good enough.
+
+    A virtual drone is put to its start first. If something goes wrong, the flight is broken off: the drone is levelled
+    and disarmed, and the log holds what was flown. Ctrl-C breaks it off too, but disarms at once, with exit status 130.
+    Exit status 1: it was broken off, or its data are not good.
+    """
+    asked = named_experiment(experiment)
+    if url is not None and rig is not None:
+        raise typer.BadParameter("--url and --rig name two drones: give one of them")
+    if controller and rig is None:
+        raise typer.BadParameter("--controller goes with --rig: another drone flies what it was given")
+    check_places(out, plot, force)
+    with ExitStack() as stack:
+        shown = FlightValues()
+        report = stack.enter_context(progress(shown))
+        report("connecting" if rig is None else "starting the drone", 0.0)
+        at = (
+            url or DEFAULT_URL if rig is None else stack.enter_context(virtual_drone(rig, controllers=controller or ()))
+        )
+        there = shown.drone = stack.enter_context(connected(at, key, drone))
+        report("goes to its start", 0.0)
+        if withhold_tuning:
+            there.withhold_tuning()
+        stands = there.state.rig
+        if stands.controller and not json:
+            sys.stderr.write(
+                f"drone {there.there.session.system} {controller_in_words(stands.controller, stands.changed)}\n"
+            )
+        laboratory = Laboratory(rig, controllers=controller) if rig is not None and controller else None
+
+        def interrupted(flight: Flight) -> None:
+            if out is not None:
+                write_log(flight.log, out, overwrite=force)
+                say_line(f"written: {out}, up to the interruption")
+
+        flight = fly_experiment(
+            asked,
+            there,
+            seed=seed,
+            x_start=start,
+            laboratory=laboratory,
+            progress=lambda text, share: report(IN_WORDS.get(text, text), share),
+            interrupted=interrupted,
+        )
+        machine = there.state.rig
+        document = keep(flight, machine.name, out, plot, force)
+    if json:
+        flown = {"controller": stands.controller, "changed": stands.changed}
+        print_json(document | flown | {"virtual": machine.virtual, "reason": flight.reason or None})
+    else:
+        where = f"seed {flight.seed}, start x = {flight.x_start:+.3f} m"
+        table_console().print(f"{experiment} flown on {machine.name}, {where}")
+        print_checks(flight, out, plot)
+    if not flight.good:
+        raise typer.Exit(1)
+
+
+@contextmanager
+def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
+    """The drone at `url`. At the end a lost link is not reported again: the flight has said so."""
+    drone = connect(url, key=key, drone=system)
+    try:
+        yield drone
+    finally:
+        with suppress(LinkLost):
+            drone.close()
+
+
+IN_WORDS: Mapping[str, str] = MappingProxyType(
+    {"arm": "arms", "hold": "holds still", "excite": "is excited", "disarm": "disarms"}
+)
+"""What a flight reports as done, in words for people."""
+
+_SHOWN = (
+    ("theta", "estimate.theta", degrees(1.0), "+5.1f", " deg"),
+    ("x", "estimate.x", 1.0, "+.3f", " m"),
+    ("M", "command.M", 1.0, "+.3f", ""),
+)
+
+
+class FlightValues:
+    """The latest values of `drone`, in a line; "" before there is one."""
+
+    def __init__(self) -> None:
+        self.drone: Drone | None = None
+
+    def __call__(self) -> str:
+        if self.drone is None:
+            return ""
+        if words := self.drone.state.safety.in_words():
+            return f"FAILSAFE {words}"
+        said = []
+        for name, signal, scale, how, unit in _SHOWN:
+            latest = self.drone.telemetry(signal).latest
+            if latest is not None and isinstance(latest.value, float):
+                said.append(f"{name} {scale * latest.value:{how}}{unit}")
+        return "  ".join(said)

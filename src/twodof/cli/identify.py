@@ -1,0 +1,423 @@
+"""`twodof identify LOG --experiment ...`: a model from a flight log, by hand or by output error."""
+
+import importlib
+import json as json_text
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from twodof.cli.output import Force, Json, print_json, say_line, table_console
+from twodof.cli.own_structure import own_record, read_structure, with_reference
+from twodof.errors import LogError, ParameterError
+from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.files import read_log
+from twodof.flightlog.log import FlightLog
+from twodof.identify.estimate import Estimate
+from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.from_flight.closed_loop import machine_of
+from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, NOT_BY_HAND, by_hand, by_output_error, structure_for
+from twodof.identify.greybox import fit
+from twodof.identify.hold import HOLDS
+from twodof.identify.record import Record
+from twodof.identify.repeated import Repeated, repeat
+from twodof.identify.simple_pitch import SimplePitch
+from twodof.identify.simple_velocity import SimpleVelocity
+from twodof.models.structure import Structure
+from twodof.report.plots.flight_view import SUFFIXES, check_place
+
+_KNOWN = (*KINDS, *FLOWN_AS)
+
+
+class FitMethod(StrEnum):
+    """How to identify."""
+
+    greybox = "grey-box"
+    simple = "simple"
+
+
+class NoiseModel(StrEnum):
+    """What disturbs the flight, for the grey-box method (`fit(disturbance=...)`)."""
+
+    auto = "auto"
+    white = "white"
+    ar = "ar"
+    input = "input"
+
+
+class Model(StrEnum):
+    """Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
+
+    auto = AUTO
+    pitch_rate = "pitch-rate"
+    pitch_rate_lag = "pitch-rate-lag"
+    pitch_on_cart = "pitch-on-cart"
+    free_response = "free-response"
+    velocity = "velocity"
+    rail = "rail"
+
+
+def identify(
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="LOG", help="The flight log to identify from; several of one experiment: each, and their spread."
+        ),
+    ],
+    experiment: Annotated[
+        str | None,
+        typer.Option(
+            metavar="|".join(KINDS),
+            help="What the log holds (attitude: the pitch in closed loop), or the name that it was flown under; "
+            "left out: what the log says or looks like.",
+        ),
+    ] = None,
+    method: Annotated[FitMethod, typer.Option(help="Output error, or by hand as the paper does.")] = FitMethod.greybox,
+    model: Annotated[Model, typer.Option(help="Structure for the grey-box method; auto: the paper's.")] = Model.auto,
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(metavar="T0 T1", help="Stretch of the log, in seconds; default: found."),
+    ] = None,
+    estimate: Annotated[list[str] | None, typer.Option(help="Unknown to estimate; repeat for several.")] = None,
+    value: Annotated[
+        list[str] | None, typer.Option(metavar="NAME=NUMBER", help="First guess, or fixed value; repeatable.")
+    ] = None,
+    validate: Annotated[list[Path] | None, typer.Option(metavar="LOG", help="Log to validate on; repeatable.")] = None,
+    impulse: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="LOG", help="Of a doublet: the impulse's log, from which the poles come; by hand it is needed."
+        ),
+    ] = None,
+    structure: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FILE.py:NAME|FILE.json", help="Your own structure: a Structure or Diagram in Python, or a diagram."
+        ),
+    ] = None,
+    input: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COLUMN", help="Which column is that input of the structure; repeatable."),
+    ] = None,
+    output: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=COLUMN", help="Which column is that output of the structure; repeatable."),
+    ] = None,
+    time: Annotated[
+        str | None, typer.Option(metavar="COLUMN", help="Which column of a table (CSV, Parquet, .mat) is the time.")
+    ] = None,
+    hold: Annotated[
+        list[str] | None,
+        typer.Option(metavar=f"NAME={'|'.join(HOLDS)}", help="How that input behaves between samples; repeatable."),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help=f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)})."
+        ),
+    ] = None,
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMN",
+            help="Of a plot in closed loop: the set-point that excited it (theta0), for the Bode.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the model there as JSON, for `twodof design`.")
+    ] = None,
+    disturbance: Annotated[
+        NoiseModel,
+        typer.Option(help="White: output error; ar: coloured noise; input: gusts; auto: what the data ask."),
+    ] = NoiseModel.auto,
+    json: Json = False,
+    force: Force = False,
+) -> None:
+    """Identify the paper's models from a log, or your own from any table, with standard deviations and residual tests.
+
+    What a doublet's log does not show is held with --impulse LOG: the poles, found from the free response. One flight
+    knows nothing of what differs from flight to flight: give several logs and believe their spread.
+
+    Your own: --structure model.py:motor --input u=voltage --output y=speed --time t.
+
+    Exit status 1: the data do not allow the estimate, or the search did not converge.
+    """
+    if out is not None:
+        check_free(out, force)
+    if plot is not None:
+        _check_plot(plot, method, files, force)
+    elif reference is not None:
+        raise ParameterError("it is of use to a plot only", "--reference", "add --plot FILE, or leave it out")
+    numbers = _numbers(value or [])
+    if structure is not None or input or output or time is not None or hold:
+        _check_own(structure, experiment, method, model, impulse)
+        shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
+        _check_unknowns(shape, estimate or (), numbers)
+        records, others = (
+            [own_record(path, shape, input or (), output or (), time, window, hold or ()) for path in paths]
+            for paths in (files, validate or ())
+        )
+        _check_several(method, [""] * len(files), files, validate)
+        records = _told_apart(records, files)
+        own: Estimate | Repeated
+        if len(records) > 1:
+            own = repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance.value)
+        else:
+            own = fit(
+                shape,
+                records[0],
+                estimate=estimate,
+                values=numbers,
+                validation=others,
+                disturbance=disturbance.value,
+            )
+        _say(own, {"method": method.value}, out, json, own.converged)
+        if plot is not None and isinstance(own, Estimate):
+            if reference is not None:
+                records = [with_reference(records[0], files[0], time, reference)]
+            _draw(own, shape, [*records, *others], plot, force, reference)
+        _end(own.converged)
+        return
+    logs = [read_log(path) for path in files]
+    kinds = [_experiment(experiment, log) for log in logs]
+    asked = kinds[0]
+    if experiment is None and "experiment" not in logs[0].provenance:
+        say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
+    _check_options(method, asked, model, estimate, value, impulse, disturbance)
+    _check_several(method, kinds, files, validate)
+    kind = KINDS[asked]
+    if window is not None:
+        for log in logs:
+            _check_window(log, window)
+    records = _told_apart([cut(log, kind, window) for log in logs], files)
+    checks = [read_log(path) for path in validate or []]
+    others = [cut(log, kind) for log in checks]
+    free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
+    found: SimplePitch | SimpleVelocity | Estimate | Repeated
+    if method is FitMethod.simple:
+        _check_by_hand(asked, free)
+        found = by_hand(asked, records[0], others, free)
+        converged = True
+    else:
+        shape = structure_for(asked if model is Model.auto else "", model)
+        _check_request(shape, asked, model, estimate or (), numbers)
+        flown = zip([*logs, *checks], [*records, *others], strict=True)
+        machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in flown]
+        found, records = by_output_error(
+            asked, shape, records, others, estimate, numbers, free, disturbance.value, machines
+        )
+        converged = found.converged
+        if plot is not None and isinstance(found, Estimate):
+            if reference is not None:
+                records = [with_reference(records[0], files[0], None, reference), *records[1:]]
+            _draw(found, shape, records, plot, force, reference)
+    _say(found, {"experiment": asked, "method": method.value}, out, json, converged)
+    _end(converged)
+
+
+def _say(
+    found: SimplePitch | SimpleVelocity | Estimate | Repeated,
+    about: dict[str, str],
+    out: Path | None,
+    json: bool,
+    converged: bool,
+) -> None:
+    text, document = found.table(), json_text.loads(found.to_json())
+    document = {**about, **document}
+    if out is not None:
+        with atomic_write(out, "w") as file:
+            json_text.dump(document, file, allow_nan=False)
+    if json:
+        print_json(document)
+    else:
+        table_console().print(text)
+    if not converged:
+        say_line("note: the search did not converge; try other first guesses with --value")
+
+
+def _end(converged: bool) -> None:
+    if not converged:
+        raise typer.Exit(1)
+
+
+def _told_apart(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
+    """Records with names of their own: run-1/doublet.mat and run-2/doublet.mat are called alike."""
+    if len({record.name for record in records}) == len(records):
+        return list(records)
+    return [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
+
+
+def _check_plot(plot: Path, method: FitMethod, files: Sequence[Path], force: bool) -> None:
+    """Raises ParameterError for what is not drawn, LogError for a place that cannot be written."""
+    if method is FitMethod.simple:
+        raise ParameterError("by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out")
+    if len(files) > 1:
+        raise ParameterError("a plot shows the fit of one log", "--plot", "give one log, or leave it out")
+    check_place(plot, force)
+
+
+def _draw(
+    found: Estimate,
+    structure: Structure,
+    records: Sequence[Record],
+    path: Path,
+    force: bool,
+    reference: str | None,
+) -> None:
+    # matplotlib takes a second to load.
+    drawing = importlib.import_module("twodof.report.plots.identification_plot")
+    drawing.write_identification_plot(found, structure, records, path, force, reference=reference or "")
+
+
+def _check_own(
+    structure: str | None, experiment: str | None, method: FitMethod, model: Model, impulse: Path | None
+) -> None:
+    """Raises ParameterError for options that go with the paper's experiments only, and for a missing structure."""
+    given = {
+        "--experiment": experiment is not None,
+        "--method simple": method is FitMethod.simple,
+        "--impulse": impulse is not None,
+        "--model": structure is not None and model is not Model.auto,
+    }
+    if idle := [name for name, there in given.items() if there]:
+        raise ParameterError(
+            "columns that you name are fitted to a structure, not read as an experiment", " ".join(idle), "leave it out"
+        )
+    if structure is None and model is Model.auto:
+        raise ParameterError(
+            "which structure is to be fitted to these columns?",
+            "--input, --output, --time, --hold",
+            "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate",
+        )
+
+
+def _experiment(name: str | None, log: FlightLog) -> str:
+    """The experiment that is asked for, else the one that the log names, else the one that is found in it.
+
+    Raises ParameterError for an experiment that is not ours, LogError for a log in which none is found.
+    """
+    said = log.provenance.get("experiment") if name is None else name
+    if not isinstance(said, str):
+        said = kind_of(log).name
+    if said not in _KNOWN:
+        raise ParameterError(
+            f"nothing is identified from {said!r:.80}",
+            log.source if name is None else "--experiment",
+            f"{'say what it is' if name is None else 'there are'}: --experiment {'|'.join(_KNOWN)}",
+        )
+    return FLOWN_AS.get(said, said)
+
+
+def _check_options(
+    method: FitMethod,
+    experiment: str,
+    model: Model,
+    estimate: Sequence[str] | None,
+    value: Sequence[str] | None,
+    impulse: Path | None,
+    disturbance: NoiseModel,
+) -> None:
+    """Raises ParameterError for an option that the method or the experiment has no use for: it would do nothing."""
+    if method is FitMethod.simple:
+        given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
+        given["--disturbance"] = disturbance is not NoiseModel.auto
+        if idle := [name for name, there in given.items() if there]:
+            raise ParameterError(
+                "by hand everything is read off: it takes no structure, no guess and no value to hold",
+                " ".join(idle),
+                "leave it out, or take --method grey-box",
+            )
+    if impulse is not None and experiment != "doublet":
+        raise ParameterError(
+            "the impulse's log is of use to a doublet only",
+            f"--impulse, --experiment {experiment}",
+            "leave it out, or give it with --experiment doublet",
+        )
+
+
+def _check_several(
+    method: FitMethod, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
+) -> None:
+    """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
+    if len(kinds) == 1:
+        return
+    where = " ".join(map(str, files))[:200]
+    if len(set(kinds)) > 1:
+        raise ParameterError(
+            f"these are logs of different experiments: {', '.join(sorted(set(kinds)))}",
+            where,
+            "give one kind at a time",
+        )
+    if len({path.resolve() for path in files}) < len(files):
+        raise ParameterError("a log is named twice: its spread with itself is 0", where, "name each once")
+    if method is FitMethod.simple:
+        raise ParameterError("by hand one log is read", where, "give one, and further doublets with --validate")
+    if validate:
+        raise ParameterError(
+            "several logs are compared with each other", "--validate", "leave it out, or identify from one log"
+        )
+
+
+def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
+    """Raises LogError for a window that is none, or that holds nothing of the log."""
+    if not all(map(math.isfinite, window)):
+        raise LogError(f"window {window[0]:g} to {window[1]:g} s", log.source, "give finite times, in seconds")
+    log.slice(*window)
+
+
+def _check_by_hand(experiment: str, free: Record | None) -> None:
+    """Raises ParameterError for an experiment that the simple method reads nothing from, BadParameter without poles."""
+    if experiment == "impulse":
+        raise ParameterError(
+            "by hand, the impulse gives only the poles",
+            "--method simple",
+            "call it with the doublet's log, --experiment doublet and --impulse LOG",
+        )
+    if experiment == "attitude":
+        raise ParameterError(NOT_BY_HAND, "--method simple", "take --method grey-box")
+    if experiment == "doublet" and free is None:
+        raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")
+
+
+def _check_request(
+    structure: Structure, experiment: str, model: Model, estimate: Sequence[str], values: dict[str, float]
+) -> None:
+    """Raises ParameterError for a model of another experiment, a wrong unknown, or a value out of its bounds."""
+    kind = KINDS[experiment]
+    if not set(structure.inputs) <= set(kind.inputs):
+        raise ParameterError(
+            f"this model is driven by {', '.join(structure.inputs)}, the experiment by {', '.join(kind.inputs)}",
+            f"--model {model.value} --experiment {experiment}",
+            "leave --model out",
+        )
+    _check_unknowns(structure, estimate, values)
+
+
+def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:
+    """Raises ParameterError for a wrong unknown, or a value out of its bounds."""
+    unknowns = structure.unknowns
+    for option, names in (("--estimate", estimate), ("--value", values)):
+        for name in names:
+            if name not in unknowns:
+                raise ParameterError(f"no unknown {name!r}", option, f"there are: {', '.join(unknowns)}")
+    for name, number in values.items():
+        low, high = unknowns[name].lower, unknowns[name].upper
+        if not (math.isfinite(number) and low <= number <= high):
+            raise ParameterError(f"{number:g} is out of bounds", f"--value {name}", f"{low:g} to {high:g} is possible")
+
+
+def _numbers(pairs: Sequence[str]) -> dict[str, float]:
+    found = {}
+    for pair in pairs:
+        name, sign, number = pair.partition("=")
+        try:
+            found[name] = float(number)
+        except ValueError:
+            sign = ""
+        if not sign:
+            raise typer.BadParameter(f"{pair!r} is not NAME=NUMBER")
+    return found

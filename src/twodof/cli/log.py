@@ -1,0 +1,352 @@
+"""`twodof log info`, `plot`, `convert`, `recover` and `fetch`."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
+from twodof.calibrate import calibrate as calibrate_rig
+from twodof.cli.flown import draw, write_view
+from twodof.cli.output import Force, Json, one_line, print_json, progress, table_console
+from twodof.errors import LogError
+from twodof.flightlog.atomic import check_free
+from twodof.flightlog.contents import describe
+from twodof.flightlog.files import check_folder, read_log
+from twodof.flightlog.files import convert as convert_log
+from twodof.flightlog.log import FlightLog
+from twodof.flightlog.public_data import PUBLIC_LOGS, find
+from twodof.flightlog.recovery import Recovered
+from twodof.flightlog.recovery import recover as recover_log
+from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps, step_rows
+from twodof.report.plots.flight_view import SUFFIXES, check_place, failsafe_bands
+from twodof.report.step_responses import SETTLED
+from twodof.rig.parameters import save_rig
+from twodof.signals import BY_MAT
+
+log = typer.Typer(
+    help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
+)
+# More rows than this say nothing more to a reader; --json has all.
+_ROWS = 20
+
+
+@log.command()
+def info(
+    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    json: Json = False,
+) -> None:
+    """What a log holds: channels and rates, gaps, events, the likely experiment, and what failsafe and drone said."""
+    log = read_log(file)
+    found = describe(log)
+    found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
+    if json:
+        print_json(found)
+        return
+    console = table_console()
+    console.print(f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}")
+    table = Table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", box=None, pad_edge=False)
+    for column in table.columns[2:]:
+        column.justify = "right"
+    for row in found["channels"]:
+        rate = "on events" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
+        gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
+        table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
+    console.print(table)
+    if found["modes_unclear"]:
+        console.print(f"modes unknown: {found['modes_unclear']}")
+    for start, end in found["armed_s"]:
+        console.print(f"thrust on: {start:.3f} to {end:.3f} s")
+    for line in _flown(log):
+        console.print(line, soft_wrap=True)
+    for band in found["failsafe"][:_ROWS]:
+        console.print(f"failsafe: {band['start']:.3f} to {band['stop']:.3f} s  {band['label']}")
+    for event in found["events"][:_ROWS]:
+        console.print(
+            f"{event['time']:10.3f} s  {event['kind']} {event['channel']}: {event['before']:g} to {event['after']:g}"
+        )
+    if len(found["events"]) > _ROWS:
+        console.print(f"... and {len(found['events']) - _ROWS} more events")
+    said = [*_said(log)]
+    for line in said[:_ROWS]:
+        console.print(line, soft_wrap=True)
+    if len(said) > _ROWS:
+        console.print(f"... and {len(said) - _ROWS} more lines that the drone said")
+
+
+def _flown(log: FlightLog) -> Iterator[str]:
+    """What flew, and why it was broken off, as far as the log's maker has noted it."""
+    flown, drone = (log.provenance.get(name) for name in ("flown", "drone"))
+    flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
+    controller = flown.get("controller") or drone.get("controller")
+    if controller:
+        yield f"controller: {one_line(controller)}"
+    if flown.get("reason"):
+        yield f"broken off: {one_line(flown['reason'])}"
+
+
+def _said(log: FlightLog) -> Iterator[str]:
+    """What the drone said, as our own logs have it; of another's what is laid out so."""
+    texts = log.provenance.get("texts")
+    for row in texts if isinstance(texts, list) else ():
+        match row:
+            case [int() | float() as time, str() | int() as severity, str() as text]:
+                yield f"{time:10.3f} s  {one_line(severity)}: {one_line(text)}"
+
+
+def _experiment(found: dict[str, Any]) -> str:
+    experiment = found["experiment"]
+    if experiment is None:
+        return "no excitation found"
+    start, end = experiment["window"]
+    return f"{experiment['name']} between {start:.2f} and {end:.2f} s"
+
+
+@log.command()
+def plot(
+    files: Annotated[
+        list[Path], typer.Argument(metavar="FILE...", help="A .mat, .mcap, .parquet, .csv or .ulg log, or several.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help=f"What to draw ({', '.join(SUFFIXES)}); left out: FILE with .png, or -compared.png for several."
+        ),
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME,...", help="Draw these signals only, such as theta,q,imu.gyro; may be repeated."),
+    ] = None,
+    window: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="T0 T1", help="Draw this stretch only, in seconds of the log; of several, from where they align."
+        ),
+    ] = None,
+    align: Annotated[
+        Align, typer.Option(help="Where several flights are laid over each other: at their first steps or starts.")
+    ] = Align.step,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Draw a flight: pitch, rate, position, velocity and motors, set-points, modes, failsafe and excitation.
+
+    Several flights are drawn one over the other, aligned where their set-points first step. A table says rise,
+    overshoot, settling and peak of each step.
+    """
+    first = files[0]
+    target = out or (first.with_suffix(".png") if len(files) == 1 else first.with_name(f"{first.stem}-compared.png"))
+    check_place(target, force)
+    names = [name for text in topics or () for name in text.split(",") if name]
+    if len(files) > 1:
+        _compare(files, target, names, align, window, force, json)
+        return
+    notes = draw(read_log(first), target, names, window, first.name, force)
+    if json:
+        print_json({"file": str(target), "notes": list(notes)})
+        return
+    console = table_console()
+    for note in notes:
+        console.print(f"note: {note}")
+    console.print(f"written: {target}")
+
+
+def _compare(
+    files: Sequence[Path],
+    target: Path,
+    topics: Sequence[str],
+    align: Align,
+    window: tuple[float, float] | None,
+    force: bool,
+    json: bool,
+) -> None:
+    if topics:
+        raise LogError("topics are for one flight", ", ".join(map(str, files)), "leave --topics out, or give one log")
+    names = _names(files)
+    if len(set(names)) < len(names):
+        raise LogError("a log is given twice", ", ".join(names), "name each once")
+    logs = {name: read_log(file) for name, file in zip(names, files, strict=True)}
+    view = comparison_view(logs, align, window)
+    steps = flight_steps(logs) if align is Align.step else {}
+    write_view(view, target, force)
+    if json:
+        rows = {name: [step.to_json() for step in found] for name, found in steps.items()}
+        print_json({"file": str(target), "steps": rows})
+        return
+    console = table_console()
+    if steps:
+        table = Table(
+            "flight", "at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|"
+        )
+        table.box, table.pad_edge = None, False
+        for column in (table.columns[1], *table.columns[3:]):
+            column.justify = "right"
+        for row in step_rows(steps):
+            table.add_row(*row)
+        console.print(table)
+    console.print(f"written: {target}")
+
+
+def _names(files: Sequence[Path]) -> list[str]:
+    """What tells the files apart: their stems, or their paths where two stems are the same."""
+    stems = [file.stem for file in files]
+    return stems if len(set(stems)) == len(files) else [str(file) for file in files]
+
+
+@log.command()
+def convert(
+    source: Annotated[Path, typer.Argument(help="The log to read.")],
+    target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
+    wide: Annotated[
+        bool,
+        typer.Option("--wide", help="A table (.csv, .parquet) with a row a time stamp and a column a signal."),
+    ] = False,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write a log in another format (.mat, .mcap, .parquet, .csv, .ulg); the target is there whole or not at all.
+
+    A .ulg, for PX4's tools, holds the drone's own signals. What else the log has is left out, and named.
+    """
+    log = convert_log(source, target, wide, force)
+    left_out = [name for name in log.channels if name not in BY_MAT] if target.suffix.lower() == ".ulg" else []
+    kept = [name for name in log.channels if name not in left_out]
+    if json:
+        print_json({"file": str(target), "channels": kept, "left_out": left_out})
+    else:
+        table_console().print(f"{target}: {len(kept)} channels")
+        if left_out:
+            table_console().print(f"left out, which ULog has no topic for: {', '.join(left_out)}", soft_wrap=True)
+
+
+@log.command()
+def recover(
+    file: Annotated[Path, typer.Argument(help="An .mcap recording or .ulg log that was cut off or damaged.")],
+    out: Annotated[
+        Path | None, typer.Argument(help="The .mcap file to write; FILE with .recovered.mcap if it is left out.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Write what is sound of a recording as a complete .mcap file; FILE stays as it is.
+
+    Exit status 1: it is written, and no checksum vouches for something in it, which is named here and in the file.
+    """
+    target = out if out is not None else file.with_name(f"{file.stem}.recovered.mcap")
+    if target.suffix.lower() != ".mcap":
+        raise LogError(f"{target.suffix!r} is not what is written", str(target), "name an .mcap file")
+    check_free(target, force)
+    found = recover_log(file)
+    found.write(target, force)
+    # What was written is what is reported: it has to read back whole.
+    samples = sum(len(channel) for channel in read_log(target).channels.values())
+    start, end = found.log.span
+    if json:
+        kept = {"file": str(target), "samples": samples, "span_s": [start, end]}
+        told = {"lost_bytes": found.lost_bytes, "what": list(found.what), "unverified": list(found.unverified)}
+        print_json(kept | told)
+    else:
+        _print_recovered(found, target, samples, (start, end))
+    if found.unverified:
+        raise typer.Exit(1)
+
+
+def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[float, float]) -> None:
+    start, end = span
+    console = table_console()
+    console.print(f"{target}: {samples} samples from {start:.3f} to {end:.3f} s", soft_wrap=True)
+    for line in found.what[:_ROWS] or ("nothing was wrong with it",):
+        console.print(line, soft_wrap=True)
+    if len(found.what) > _ROWS:
+        console.print(f"... and {len(found.what) - _ROWS} more")
+    console.print(f"{found.lost_bytes} bytes could not be used")
+
+
+@log.command()
+def fetch(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Names of public logs; all of them if none is named.")
+    ] = None,
+    deadline: Annotated[float, typer.Option(min=1.0, help="Seconds to wait for each download.")] = 60.0,
+    json: Json = False,
+) -> None:
+    """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
+    found = {}
+    for name in names or PUBLIC_LOGS:
+        found[name] = find(name, deadline)
+        if not json:
+            table_console().print(f"{name}: {found[name]}", soft_wrap=True)
+    if json:
+        print_json({name: str(path) for name, path in found.items()})
+
+
+def calibrate(
+    data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the logs; default: found.")] = None,
+    leave_one_out: Annotated[
+        bool,
+        typer.Option(
+            "--leave-one-out", help="Also predict each flight from all others, and say what gusts leave of it."
+        ),
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Write the rig as JSON, for `--rig FILE`.")] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Calibrate the virtual rig on the logs of the real drone; exit status 1 if the search did not converge."""
+    if out is not None:
+        check_folder(out, force)  # before minutes of search
+    folder = _folder() if data is None else data
+    with progress() as report:
+        found = calibrate_rig(folder, leave_one_out, report)
+    if out is not None:
+        save_rig(found.rig, out, force)
+    if json:
+        print_json(
+            {
+                "converged": found.converged,
+                "rig": dict(found.rig.snapshot()),
+                "estimate": {
+                    name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()
+                },
+                "fit_percent": {name: dict(fits) for name, fits in found.fit.items()},
+                "left_out_fit_percent": {name: dict(fits) for name, fits in found.left_out.items()},
+                "ceiling_fit_percent": {name: dict(fits) for name, fits in found.ceiling.items()},
+                "file": None if out is None else str(out),
+            }
+        )
+    else:
+        _print(found, out)
+    if not found.converged:
+        raise typer.Exit(1)
+
+
+def _folder() -> Path:
+    folders = {find(flight.name).parent for flight in FLIGHTS}
+    if len(folders) > 1:
+        raise LogError(
+            "the public logs lie in several folders", ", ".join(map(str, sorted(folders))), "name one with --data"
+        )
+    return folders.pop()
+
+
+def _print(found: Calibration, out: Path | None) -> None:
+    console = table_console()
+    table = Table("unknown", "value", "1 sigma", "meaning", box=None, pad_edge=False)
+    for unknown in UNKNOWNS:
+        value, sigma = found.estimate[unknown.name], found.deviation[unknown.name]
+        table.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
+    console.print(table)
+    fits = Table("flight", "theta", "q", "x", "v", "", box=None, pad_edge=False)
+    for flight in FLIGHTS:
+        for word, group in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
+            if flight.name in group:
+                row = group[flight.name]
+                fits.add_row(flight.name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
+    console.print("\nFIT, %:")
+    console.print(fits)
+    console.print("converged" if found.converged else "NOT converged: the best set seen is given")
+    if out is not None:
+        console.print(f"written: {out}")

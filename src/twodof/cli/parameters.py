@@ -1,0 +1,149 @@
+"""`twodof parameters`: see and set what can be tuned on a drone, the parameters of your own controller too."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.errors import ParameterError, shown
+from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.files import check_folder
+from twodof.gcs.async_drone import DEFAULT_URL
+from twodof.gcs.drone import Drone
+from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
+from twodof.gcs.parameters import ParameterDescription, ParameterEntry
+from twodof.parameters import Parameter
+
+
+def parameters(
+    wanted: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[NAME[=VALUE]]...",
+            help="Which to show, or to set: a name, or a path such as attitude_control.k_q.",
+        ),
+    ] = None,
+    url: Annotated[str, typer.Option(help="Where the drone is, as `twodof up` or `twodof drones` says.")] = DEFAULT_URL,
+    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
+    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    changed: Annotated[
+        bool, typer.Option("--changed", help="Of all, show those that are not at their defaults.")
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(help="Write all to this file, which QGroundControl loads (.params).")
+    ] = None,
+    load: Annotated[
+        Path | None, typer.Option(help="Set what differs in this file of QGroundControl's (.params), and show it.")
+    ] = None,
+    force: Force = False,
+    json: Json = False,
+) -> None:
+    """Show a drone's parameters, or set some: those that you give act together at one tick, or none does.
+
+    If your own controller flies there, the paths in its diagram name its parameters too. It takes no lease:
+    gains of a drone that another program flies are tuned in flight, unless that program withholds it. If the drone
+    refuses a value or does not know a name: exit status 2, and nothing was changed.
+    """
+    names, changes = _asked(wanted or ())
+    if save is not None:
+        check_folder(save, force)
+    file = None if load is None else _read(load)
+    with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
+        described = there.parameters.describe() if there.there.ours else {}
+        if file is not None:
+            differs, missing = file.against(there.parameters.all())
+            names, changes = [*names, *(name for name in differs if name not in changes)], {**differs, **changes}
+            _say_loaded(len(differs), missing)
+        rows = _rows(there, names, changes, described) if names or file is None else []
+        if save is not None:
+            entries = there.parameters.all().values()
+            with atomic_write(save, "w") as out:
+                out.write(ParameterFile.of(entries, there.there.session.system).text())
+    if file is not None and not rows and not json:
+        return
+    if changed:
+        rows = [row for row in rows if row["default"] is not None and row["value"] != row["default"]]
+    if json:
+        print_json({"url": url, "set": changes, "parameters": rows})
+        return
+    if changed and not rows:
+        table_console().print("all are at their defaults")
+        return
+    table = Table("name", "value", "default", "from", "to", "unit", "is", box=None, pad_edge=False)
+    for column in table.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
+        column.no_wrap = True
+    for column in table.columns[1:5]:
+        column.justify = "right"
+    for row in rows:
+        numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
+        table.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
+    table_console().print(table)
+
+
+def _read(path: Path) -> ParameterFile:
+    """Raises ParameterError."""
+    try:
+        with path.open("rb") as file:
+            return ParameterFile.read(file.read(MAX_BYTES + 1), str(path))
+    except OSError as reason:
+        raise ParameterError(f"cannot be read: {reason.strerror}", str(path), "check the name and the rights") from None
+
+
+def _say_loaded(differs: int, missing: Sequence[str]) -> None:
+    """On stderr, so that stdout stays what was asked for."""
+    lacks = f"; the drone does not have {len(missing)}: {', '.join(missing[:5])}" if missing else ""
+    typer.echo(f"{differs} differ on the drone and are set{lacks}", err=True)
+
+
+def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
+    """The names to show and what to set. Raises ParameterError for a value that is not a number."""
+    names: list[str] = []
+    changes: dict[str, float] = {}
+    for one in wanted:
+        name, set_it, text = one.partition("=")
+        if set_it:
+            try:
+                changes[name] = float(text)
+            except ValueError:
+                raise ParameterError(f"{shown(text)} is not a number", name, "nothing was changed") from None
+        names.append(name)
+    return [*dict.fromkeys(names)], changes
+
+
+def _rows(
+    drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, ParameterDescription]
+) -> list[dict[str, Any]]:
+    """Sets the `changes`, and says how those of `names`, or all, stand then."""
+    if changes:
+        drone.parameters.change(changes)
+    if not names:
+        return [_listed(entry, described) for entry in drone.parameters.all().values()]
+    paths = {row.path: row.name for row in described.values() if row.path}
+    values = {paths.get(name, name): drone.parameters[name] for name in names}
+    return [_row(name, value, described.get(name)) for name, value in values.items()]
+
+
+def _listed(entry: ParameterEntry, described: Mapping[str, ParameterDescription]) -> dict[str, Any]:
+    return _row(entry.name, entry.value, described.get(entry.name) or entry.row)
+
+
+def _row(name: str, value: float, row: Parameter | None) -> dict[str, Any]:
+    """What --json shows of one; null for what is not known of it."""
+    return {
+        "name": name,
+        "value": value,
+        "default": None if row is None else row.default,
+        "low": None if row is None else row.low,
+        "high": None if row is None else row.high,
+        "unit": "" if row is None else row.unit,
+        "text": "" if row is None else row.text,
+        "path": row.path if isinstance(row, ParameterDescription) else "",
+    }
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or abs(value) > 3e38 else f"{value:.9g}"

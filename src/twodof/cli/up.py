@@ -1,0 +1,270 @@
+"""`twodof up`: virtual drones with flight controller and companion each, and a page for all, until Ctrl-C."""
+
+import asyncio
+import os
+import sys
+import webbrowser
+from collections.abc import AsyncIterator, Mapping
+from contextlib import asynccontextmanager
+from datetime import datetime
+from pathlib import Path
+from types import MappingProxyType
+from typing import Annotated
+
+import typer
+
+from twodof.blocks.noise import SEEDS
+from twodof.cli import options
+from twodof.cli.connection import run_until_signal
+from twodof.cli.interrupts import INTERRUPTED
+from twodof.cli.output import Json, print_json, say_line
+from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in_words
+from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
+from twodof.fleet.local_page import LocalPage
+from twodof.fleet.local_page import page_port as page_port_of
+from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
+from twodof.flight.controller_store import data_folder
+from twodof.lab.links import drawn_tokens, links, who_gets_in
+from twodof.lab.serve import serve
+from twodof.lab.settings import COMMAND_TOKEN, LOOPBACK, PORT, WATCH_TOKEN, LabSettings
+from twodof.link.signing import read_key
+
+NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})
+
+
+def up(
+    drones: Annotated[int, typer.Option(min=1, max=MOST_DRONES, help="How many.")] = 1,
+    first: Annotated[
+        int, typer.Option(min=1, max=MOST_DRONES, help="Number of the first: its MAVLink system, and its ports.")
+    ] = 1,
+    rig: options.Rig = "lab",
+    rings: options.Rings = False,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="DIAGRAM", help="Fly this controller, in a sandbox; may be repeated. See `twodof fcu`."),
+    ] = None,
+    trust: options.Trust = False,
+    lockstep: options.Lockstep = False,
+    seed: Annotated[
+        int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the first one's noise; each further one has the next.")
+    ] = 1,
+    noise: options.Noise = 1.0,
+    charge: options.Charge = 1.0,
+    precision: options.Precision = "float64",
+    safety_switch: options.SafetySwitch = True,
+    state: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="For a folder drone-INDEX each; left out: the user's data folder."),
+    ] = None,
+    fresh: options.Fresh = False,
+    key: options.KeyFile = None,
+    page: Annotated[
+        bool, typer.Option("--page/--no-page", help="Serve the page in the browser; never with --lockstep.")
+    ] = True,
+    page_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="TCP port of the page; a free one where somebody has it.")
+    ] = PORT,
+    host: options.PageHost = LOOPBACK,
+    token: options.PageToken = False,
+    open_page: options.OpenPage = False,
+    json: Json = False,
+) -> None:
+    """Start virtual drones, each with its flight controller and companion; say where to connect; run until Ctrl-C.
+
+    With them it serves the page in which they are flown. Only this computer reaches it, unless --host says otherwise:
+    then only who has the link. The drones' own ports are those of this computer only. A program that ends is started
+    again up to three times a minute, and its drone then stands disarmed at its start. After that all end but the page.
+    With --json one line of JSON says where they are, once all answer. Exit status: 0 ended by Ctrl-C or SIGTERM, 130 by
+    that before all answered, 1 a program could not be kept running, 2 one did not start.
+    """
+    index = first - 1
+    if index + drones > MOST_DRONES:
+        raise typer.BadParameter(f"drones have the numbers 1 to {MOST_DRONES}", param_hint="--first, --drones")
+    paged = page and not lockstep
+    if (host != LOOPBACK or token) and not paged:
+        raise typer.BadParameter(
+            "there is no page with --no-page or --lockstep", param_hint="--token" if host == LOOPBACK else "--host"
+        )
+    known = None if key is None else read_key(key)
+    check_ports_free(index, drones)
+    given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
+    given += [
+        option
+        for option, wanted in (
+            *(("--rings", rings), ("--trust", trust), ("--lockstep", lockstep), ("--fresh", fresh)),
+            ("--no-safety-switch", not safety_switch),
+        )
+        if wanted
+    ]
+    given += [option for name in controller or [] for option in ("--controller", name)]
+    folder = data_folder() if state is None else state
+    places = [
+        LocalDrone(index + number, (seed + number) % SEEDS, folder / f"drone-{index + number}", key)
+        for number in range(drones)
+    ]
+    fleet = LocalFleet(places, given, known, _tell)
+    served = _served(places, key, host, page_port_of(page_port, host), token) if paged else None
+    raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json, served, open_page)))
+
+
+def _served(
+    places: list[LocalDrone], key: Path | None, host: str, port: int, token: bool
+) -> tuple[LocalPage, LabSettings]:
+    """The server of the page of these drones, and what it is told. The tokens go there by its environment."""
+    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
+    settings = LabSettings(data_folder(), host, port, (), key, tokens.command, tokens.watch, token_always=token)
+    urls = [str(place.described(False)["drone"]) for place in places]
+    options = ["--host", host, *(["--token"] if token else [])]
+    options += [] if key is None else ["--key", str(key.absolute())]
+    environment = {COMMAND_TOKEN: tokens.command, WATCH_TOKEN: tokens.watch}
+    return LocalPage(urls, port, options, environment, _tell), settings
+
+
+@asynccontextmanager
+async def _serving(served: tuple[LocalPage, LabSettings] | None) -> AsyncIterator[None]:
+    """Meanwhile the page is served, if it is to be."""
+    if served is None:
+        yield
+        return
+    async with served[0]:
+        yield
+
+
+async def _links(served: tuple[LocalPage, LabSettings] | None) -> dict[str, str] | None:
+    """Where the page is, once it is served; None where it is not."""
+    if served is None or not await served[0].listens():
+        return None
+    return links(served[1], served[1].port)
+
+
+async def _run(
+    fleet: LocalFleet,
+    places: list[LocalDrone],
+    lockstep: bool,
+    json: bool,
+    served: tuple[LocalPage, LabSettings] | None = None,
+    open_page: bool = False,
+) -> int:
+    """The exit status, once all have ended."""
+    all_up = False
+
+    async def keep() -> int:
+        nonlocal all_up
+        async with fleet, _serving(served):
+            try:
+                await fleet.start()
+                all_up = True
+                found = await _links(served)
+                print_places(
+                    places, lockstep, json, fleet.reports, found, "" if served is None else who_gets_in(served[1])
+                )
+                if open_page and found is not None:
+                    await asyncio.to_thread(webbrowser.open, found["command"])
+                await fleet.run()
+            except asyncio.CancelledError:
+                if not json:
+                    sys.stdout.write("ending all\n")
+                    sys.stdout.flush()
+                raise
+        return 1
+
+    if status := await run_until_signal(keep()):
+        return status
+    if not json:
+        sys.stdout.write("all have ended\n")
+    return 0 if all_up else INTERRUPTED
+
+
+def _tell(line: str) -> None:
+    say_line(f"{datetime.now():%H:%M:%S} {line}")
+
+
+def print_places(
+    places: list[LocalDrone],
+    lockstep: bool,
+    json: bool,
+    flown: Mapping[int, ControllerReport] = NOTHING_KNOWN,
+    page: Mapping[str, str] | None = None,
+    who: str = "",
+) -> None:
+    """Say where the drones are, where their `page` is and `who` gets in there: to people, or as one line of JSON."""
+    rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
+    if json:
+        print_json({"drones": rows, "lockstep": lockstep, "page": page}, indent=None)
+        return
+    if page is not None:
+        sys.stdout.write(f"the page         {page['command']}\n  only to watch  {page['watch']}\n{who}")
+    for row in rows:
+        key = f', key="{row["key"]}"' if row["key"] else ""
+        what = controller_in_words(row["controller"], row["changed"])
+        sys.stdout.write(
+            f'drone {row["system"]} is up and {what}\n  Python          Drone.connect("{row["drone"]}"{key})\n'
+        )
+        if not lockstep:
+            mavsdk = "" if key else f"  MAVSDK          {row['mavsdk']}\n"
+            sys.stdout.write(f"{mavsdk}  MAVProxy        mavproxy.py --master={row['mavproxy']}\n")
+    if key:
+        sys.stdout.write("All is signed: MAVProxy and QGroundControl are to be given the key, MAVSDK takes none.\n")
+    sys.stdout.write(
+        "Time stands still but when a client of ours lets it pass (`drone.run`). MAVSDK, MAVProxy and QGroundControl\n"
+        "grant none and see it stand still: leave --lockstep out for them.\n"
+        if lockstep
+        else "QGroundControl finds them by itself (UDP 14550).\n"
+    )
+    sys.stdout.write(
+        f"A program that ends is started again, up to {MOST_RESTARTS} times in {WITHIN_S:g} s. Ctrl-C ends all.\n"
+    )
+    sys.stdout.flush()
+
+
+def lab(
+    connect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="A drone; may be repeated. Left out: those of this computer, as they come."),
+    ] = None,
+    host: options.PageHost = LOOPBACK,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: a free one.")] = PORT,
+    token: options.PageToken = False,
+    key: options.KeyFile = None,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FOLDER", exists=True, file_okay=False, help="Show its logs too; may be repeated."),
+    ] = None,
+    open_page: options.OpenPage = False,
+    json: Json = False,
+) -> None:
+    """Serve the page in which drones are flown, tuned and identified; print its link; run until Ctrl-C.
+
+    Only this computer reaches it, unless --host says otherwise: then only who has the link. There are two, one to
+    command and one to watch; each start draws new ones. With --json one line of JSON says them. Exit status: 0 ended by
+    Ctrl-C or SIGTERM, 2 the port is taken or an option is wrong.
+    """
+    if key is not None:
+        read_key(key)
+    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
+    urls, folders = tuple(connect or ()), tuple(logs or ())
+    settings = LabSettings(
+        data_folder(), host, port, urls, key, tokens.command, tokens.watch, logs=folders, token_always=token
+    )
+    listens = False
+
+    def ready(found: int) -> None:
+        nonlocal listens
+        listens = True
+        print_links(settings, found, json)
+        if open_page:
+            webbrowser.open(links(settings, found)["command"])
+
+    asyncio.run(run_until_signal(serve(settings, ready)))
+    raise typer.Exit(0 if listens else INTERRUPTED)
+
+
+def print_links(settings: LabSettings, port: int, json: bool) -> None:
+    """Say the links: to people, or as one line of JSON."""
+    found = links(settings, port)
+    if json:
+        print_json({"port": port, "page": found}, indent=None)
+        return
+    sys.stdout.write(f"listening on http://{settings.host}:{port}\nthe page         {found['command']}\n")
+    sys.stdout.write(f"only to watch    {found['watch']}\n{who_gets_in(settings)}")
+    sys.stdout.flush()

@@ -1,1 +1,0 @@
-"""`twodof watch`: drones in a terminal, as they fly."""

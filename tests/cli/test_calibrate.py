@@ -1,0 +1,52 @@
+"""`twodof calibrate`: what it prints and writes; that it calibrates is tested where it stands."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
+from twodof.cli.app import run
+from twodof.rig.parameters import lab, load_rig
+
+
+def made_up(converged: bool) -> Calibration:
+    numbers = {unknown.name: unknown.mean for unknown in UNKNOWNS}
+    fits = {flight.name: dict.fromkeys(("theta", "q", "x", "v"), 90.0) for flight in FLIGHTS}
+    return Calibration(lab(), numbers, numbers, fits, fits, fits, 1.0, converged)
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(True))
+    return tmp_path
+
+
+def test_the_rig_is_written_so_that_it_can_be_flown(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    out = folder / "mine.json"
+    assert run(["calibrate", "--data", str(folder), "--out", str(out), "--json"]) == 0
+    found = json.loads(capfd.readouterr().out)
+    assert found["file"] == str(out)
+    assert load_rig(out).snapshot() == lab().snapshot() == found["rig"]
+
+
+def test_people_read_unknowns_and_fits(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["calibrate", "--data", str(folder)]) == 0
+    out = capfd.readouterr().out
+    assert all(unknown.name in out for unknown in UNKNOWNS)
+    assert all(flight.name in out for flight in FLIGHTS)
+    assert "converged" in out
+    assert out.count("left out") == out.count("ceiling") == len(FLIGHTS)
+
+
+def test_a_search_that_did_not_converge_is_not_fine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(False))
+    assert run(["calibrate", "--data", str(tmp_path)]) == 1
+    assert "NOT converged" in capfd.readouterr().out
+
+
+def test_a_folder_without_the_logs_is_the_callers_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["calibrate", "--data", str(tmp_path), "--json"]) == 2
+    assert json.loads(capfd.readouterr().out)["error"]["kind"] == "LogError"

@@ -1,0 +1,163 @@
+"""`twodof watch`: what a drone tells is what is shown, nobody is disturbed, and it ends well."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import pytest
+
+from tests.gcs.virtual import on_board
+from tests.patience import PATIENCE_S, patiently
+from tests.processes import started
+from twodof.cli import watch
+from twodof.cli.app import run
+from twodof.gcs.drone import Drone
+
+pytestmark = pytest.mark.slow
+
+COMMAND = [sys.executable, "-m", "twodof.cli", "watch"]
+
+
+@contextmanager
+def watching(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], list[dict[str, Any]]]]:
+    """`twodof watch --json` and the documents that it has written so far."""
+    lines: list[dict[str, Any]] = []
+    command = [*COMMAND, "--json", "--every", "0.05", *arguments]
+    with started(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        reader = threading.Thread(target=lambda: lines.extend(map(json.loads, process.stdout)))
+        reader.start()
+        yield process, lines
+        process.send_signal(signal.SIGINT)
+        reader.join(PATIENCE_S)
+
+
+def come(lines: list[dict[str, Any]], key: str, value: object) -> dict[str, Any]:
+    """The first drone as it is said once `key` is `value`."""
+    for _ in patiently():
+        if lines and lines[-1]["drones"][0].get(key) == value:
+            return lines[-1]["drones"][0]
+    raise AssertionError(lines[-1:])
+
+
+@pytest.mark.long
+def test_a_flight_is_followed_beside_its_pilot_and_its_end_too() -> None:
+    """In lockstep, so that what is seen is what was granted; then the drone ends, and later the watcher."""
+    with ExitStack() as stack:
+        there = stack.enter_context(on_board(lockstep=True, conditions={"rings": True}, index=6))
+        process, lines = stack.enter_context(watching(there.url))
+        with Drone.connect(there.url) as drone:
+            assert come(lines, "link", "heard")["armed"] is False
+            holder = list(drone.there.lease.holder or ())
+            drone.run(0.5)
+            drone.arm()
+            drone.set_pitch(0.1)
+            drone.run(1.5)
+            seen = come(lines, "time", pytest.approx((drone.tick - 1) * 0.004, abs=0.1))
+            assert (seen["armed"], seen["mode"], seen["lease_holder"]) == (True, "offboard", holder)
+            assert seen["theta"] == pytest.approx(drone.theta, abs=0.02)
+            assert seen["setpoint"] == {
+                "theta": pytest.approx(0.1, abs=1e-6),
+                "q": pytest.approx(0.0, abs=9),
+                "x": None,
+            }
+            drone.stop_setpoints()
+            drone.run(0.7)
+            seen = come(lines, "failsafe_reason", "setpoint_lost")
+            assert seen["failsafe_in_words"].endswith("no set-point came for a while, in a mode that flies one")
+            drone.kill()
+            assert come(lines, "armed", False)["killed"] is True
+            drone.close()
+            process.send_signal(signal.SIGINT)
+            assert process.wait(PATIENCE_S) == 0
+            assert process.stderr is not None
+            assert process.stderr.read() == ""
+
+
+@pytest.mark.long
+def test_a_link_that_is_lost_is_said_and_found_again() -> None:
+    with ExitStack() as first:
+        url = first.enter_context(on_board(index=6)).url
+        with watching(url) as (process, lines):
+            come(lines, "link", "heard")
+            first.close()
+            assert come(lines, "link", "lost")["lost_because"]
+            with on_board(url.replace("tcp://", "tcpin://"), index=6):
+                come(lines, "link", "heard")
+            assert process.poll() is None
+
+
+def test_once_says_how_it_stands_and_takes_no_lease(capsys: pytest.CaptureFixture[str]) -> None:
+    with on_board(lockstep=True, index=6) as there, Drone.connect(there.url) as pilot:
+        pilot.run(0.2)
+        assert run(["watch", "--once", "--json", there.url]) == 0
+        (seen,) = json.loads(capsys.readouterr().out)["drones"]
+        assert (seen["system"], seen["link"], seen["ours"], seen["virtual"]) == (7, "heard", True, True)
+        assert seen["lease_holder"] == list(pilot.there.lease.holder or ())
+        assert run(["watch", "--once", there.url]) == 0
+        assert capsys.readouterr().out.startswith("drone 7  ")
+        pilot.arm()  # it still commands
+
+
+def test_no_drone_is_an_error_with_its_remedy(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(watch, "urls", lambda _: [])
+    monkeypatch.setattr(watch, "_LISTEN_S", 0.05)
+    assert run(["watch", "--once", "--json"]) == 2
+    said = json.loads(capsys.readouterr().out)["error"]
+    assert (said["kind"], "twodof up" in said["remedy"]) == ("LinkLost", True)
+
+
+def plain(raw: str) -> str:
+    return re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "", raw).replace("\r", "")
+
+
+def read(terminal: int) -> str:
+    """What has come, "" after a moment without."""
+    try:
+        return os.read(terminal, 65536).decode(errors="replace") if select.select([terminal], [], [], 0.05)[0] else ""
+    except OSError:  # its other end is closed
+        return ""
+
+
+@pytest.mark.long
+def test_the_table_follows_a_drone() -> None:
+    """On a terminal of 140 x 12 without colour; Ctrl-C gives the screen back and ends with 0."""
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 12, 140, 0, 0))
+    environment = {k: v for k, v in os.environ.items() if k != "FORCE_COLOR"}
+    environment |= {"TERM": "xterm-256color", "NO_COLOR": "1"}
+    with on_board(lockstep=True, index=6) as there, Drone.connect(there.url) as pilot:
+        pilot.run(0.2)
+        with started([*COMMAND, there.url], stdin=theirs, stdout=theirs, stderr=theirs, env=environment) as process:
+            os.close(theirs)
+            raw = ""
+            for _ in patiently():
+                raw += read(ours)
+                pilot.run(0.1)
+                if any(re.search(r"disarmed +manual +[+-]\d", frame) for frame in plain(raw).split("drone")):
+                    break
+            process.send_signal(signal.SIGINT)
+            for _ in patiently():
+                raw += read(ours)
+                if process.poll() is not None and "\x1b[?1049l" in raw:  # the screen of before
+                    break
+            assert process.returncode == 0
+    os.close(ours)
+    for word in ("theta, deg", "battery", "last words", f"7 {there.url}"):
+        assert word in plain(raw)
+    assert not re.search(r"\x1b\[[0-9;]*[34][0-9]", raw)
