@@ -114,12 +114,12 @@ def test_bounds_of_whole_numbers_are_whole(wrong: dict[str, Any]) -> None:
 
 def test_the_same_in_python() -> None:
     for kind, value in (("uint32", 0.5), ("uint32", True), ("int32", math.nan), ("bool", 2), ("real", "1")):
-        with pytest.raises(DiagramError, match=f"a {kind} is expected"):
+        with pytest.raises(DiagramError, match=f"it takes {kind}"):
             Diagram("d").param("k", value, kind=kind)
-        with pytest.raises(DiagramError, match=f"a {kind} is expected"):
+        with pytest.raises(DiagramError, match=f"it takes {kind}"):
             Param("k", value, kind=kind)
         if not isinstance(value, str):  # the name of a parameter
-            with pytest.raises(DiagramError, match=f"a {kind} is expected"):
+            with pytest.raises(DiagramError, match=f"it takes {kind}"):
                 State("k", value, kind=kind)
     with pytest.raises(DiagramError, match="not a real number"):
         Param("k", 10**400)

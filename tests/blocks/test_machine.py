@@ -62,7 +62,7 @@ def test_every_machine_refuses_the_same_with_the_same_words(make: Callable[[], M
         ("count.signed", np.int64(-(2**40)), "is outside"),
         ("count.gain", 2.5, r"count.gain: 2.5 is outside 0 to 2"),
         ("count.gain", float("nan"), "nan is outside"),
-        ("count.gain", "much", "a real is expected"),
+        ("count.gain", "much", "it takes real, not the text .much. .give a number"),
         ("count.fixed", 2.0, "it is fixed while the diagram runs"),
         ("count.gian", 2.0, "there is no parameter 'count.gian'.*there are: count.gain"),
     ):

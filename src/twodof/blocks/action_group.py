@@ -1,4 +1,4 @@
-"""Action groups: several sub-diagrams of which one acts at a time, with their outputs merged."""
+"""Action groups: sub-diagrams that act one at a time, with merged outputs; and an integrator with a reset."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def action_group(
     enabling: str = "keep",
     initial: Mapping[str, Any] | None = None,
 ) -> Diagram:
-    """A diagram in which the first of `actions` acts whose condition is true, else `otherwise` if it is given.
+    """Return a diagram in which the first of `actions` acts whose condition is true, else `otherwise`.
 
     Its conditions are bool inputs "if_" + the action's name, in the order of `actions`. With `values` there is one
     int32 input `case` instead, and an action acts where it has one of its values. The other inputs are those of the
@@ -73,7 +73,7 @@ def action_group(
 
 
 def _lettered(actions: Mapping[str, Diagram]) -> list[tuple[str, str]]:
-    """The ports of a choice, and the actions that they are for."""
+    """Return the ports of a choice, and the actions that they are for."""
     return list(zip(FirstTrue(len(actions)).names, actions, strict=True))
 
 
@@ -93,7 +93,7 @@ def _input(d: Diagram, port: Port) -> None:
 
 
 def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
-    """What the actions' output carries."""
+    """Return the port that the output of all actions is."""
     found: dict[str, Port] = {}
     for action, item in parts.items():
         fields = carried_fields(item, output)
@@ -116,7 +116,7 @@ def resettable_integrator(
     width: int | None = None,
     unit: str = "",
 ) -> Diagram:
-    """A diagram with y' = u, y from `initial`, or with initial="input" from the input `x0`; for the base rate.
+    """Return a diagram with y' = u, y from `initial`, or with initial="input" from the input `x0`; for the base rate.
 
     With `reset` there is a bool input `clear`. It acts at each tick at which it is true ("level"), or at its edges
     ("rising", "falling" or "either"; the first tick is not one). Then y becomes the initial value before the outputs

@@ -46,11 +46,11 @@ class Block:
             type.__setattr__(cls, "__init__", _recording_config(cls, cls.__init__))
 
     def prepare(self, p: Any, t: Clock) -> Any:
-        """The derived parameters, computed in float64; runs when a parameter changes. `t.tick` may not be used here."""
+        """Return the derived parameters, computed in float64 when a parameter changes. `t.tick` is not available."""
         return {}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The outputs at this tick."""
+        """Return the outputs at this tick."""
         return {}
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -58,11 +58,11 @@ class Block:
         return {}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The discrete states of the next tick; a state that is not named keeps its value."""
+        """Return the discrete states of the next tick; a state that is not named keeps its value."""
         return {}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The time derivative of each continuous state."""
+        """Return the time derivative of each continuous state."""
         return {}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -76,7 +76,7 @@ class Block:
 
     @functools.cached_property
     def trace(self) -> Trace:
-        """What the methods record; made once. Raises DiagramError if they break the language's rules."""
+        """The expressions of the methods; recorded once. Raises DiagramError if they break the language's rules."""
         self.__dict__["_traced"] = True  # from here on, for a method may set an attribute while it is traced
         try:
             return trace_of(self)
@@ -85,7 +85,7 @@ class Block:
             raise
 
     def written(self, method: str) -> Callable[..., Any]:
-        """The Python function that says what `method` gives, for messages."""
+        """Return the Python function that computes `method`, for messages."""
         function: Callable[..., Any] = getattr(type(self), method)
         return function
 
@@ -154,7 +154,7 @@ def _arguments_of(block: str) -> Iterator[None]:
 
 
 def steady_trace(block: Block, path: str) -> Trace:
-    """The trace of the block at `path`. A user's block is checked anew; DiagramError if it is not steady."""
+    """Return the trace of the block at `path`. Raises DiagramError for a user's block that is not steady."""
     try:
         trace = block.trace
         if is_users(block):
@@ -184,7 +184,7 @@ def check_steady(block: Block) -> None:
 
 
 def _own(block: Block) -> tuple[dict[int, Expr], dict[int, Expr]]:
-    """The leaves that `prepare` is given, and those that the other methods are, by id."""
+    """Return the leaves that `prepare` is given and those that the other methods are, by id."""
     clock = clock_leaves()
     prepared = [*leaves_of("param", block.params).values(), clock["dt"], clock["base_dt"]]
     stepped = [*prepared, clock["tick"], *leaves_of("param", block.derived).values()]

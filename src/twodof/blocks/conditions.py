@@ -1,4 +1,4 @@
-"""What decides when a sub-diagram acts: blocks that the language itself adds where a part asks for them."""
+"""Conditions of sub-diagrams: blocks that the language adds to decide when a sub-diagram acts."""
 
 from functools import reduce
 from operator import and_
@@ -13,7 +13,7 @@ EDGES = ("rising", "falling", "either")
 
 
 def edge_of(edge: str, before: Any, now: Any) -> Any:
-    """Whether a bool that was `before` and is `now` has an edge of this kind, one of EDGES."""
+    """Return True if a bool that was `before` and is `now` has an edge of this kind, one of EDGES."""
     if edge == "either":
         return now ^ before
     return now & ~before if edge == "rising" else ~now & before

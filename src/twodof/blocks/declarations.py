@@ -1,4 +1,4 @@
-"""What a block declares: ports, states and parameters with their types, widths, units and bounds."""
+"""Declarations of a block: ports, states and parameters with their types, widths, units and bounds."""
 
 import math
 import re
@@ -44,7 +44,7 @@ def check_path(name: object, where: str) -> str:
 
 
 def check_steps(steps: object, where: str) -> int:
-    """`steps` if it is a number of steps that one call may run, 0 to MAX_STEPS; else DiagramError."""
+    """Return `steps` if one call may run that many, 0 to MAX_STEPS; else raise DiagramError."""
     number = plain_data(steps, where)
     if type(number) is not int or not 0 <= number <= MAX_STEPS:
         raise DiagramError(f"{steps!r:.40} steps", where, f"run 0 to {MAX_STEPS} steps in one call")
@@ -60,7 +60,7 @@ def check_tick(dt: object, where: str) -> float:
 
 
 def _is_bus(declared: "Port | State | Param") -> bool:
-    """Whether it is declared of a bus. Then it stands for its fields, which have what else is declared."""
+    """Return True for a declaration of a bus, which stands for its fields with the rest of what is declared."""
     kind = declared.kind
     if isinstance(kind, Mapping) and "fields" in kind:
         with located(f"{declared.name!s:.80}"):
@@ -78,7 +78,7 @@ def _is_bus(declared: "Port | State | Param") -> bool:
 
 
 def as_bus(form: Any) -> Any:
-    """The bus of which `form` is the plain form; what is not such a form as it is."""
+    """Return the bus described by `form`; return any other value unchanged."""
     if not isinstance(form, Mapping) or "fields" not in form:
         return form
     fields = form["fields"]
@@ -112,7 +112,7 @@ def _keep_enumeration(declared: "Port | State | Param") -> None:
 
 
 def _keep_plain(declared: Any, *names: str) -> None:
-    """Turn what numpy made of these fields of a declaration into plain data, which compares and travels as such."""
+    """Turn numpy values in these fields of a declaration into plain data, which compares and goes into files."""
     for name in names:
         object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
 
@@ -243,7 +243,7 @@ class Param:
 
 
 class Typed(Protocol):
-    """What has a type and a size: what is declared, recorded, or a signal."""
+    """Type and size of a declaration, an expression or a signal."""
 
     @property
     def kind(self) -> str: ...
@@ -265,7 +265,7 @@ class Declared(Protocol):
     derived: Sequence[Port]
 
     def written(self, method: str) -> Callable[..., Any]:
-        """The Python function that says what `method` gives, for messages."""
+        """Return the Python function that computes `method`, for messages."""
 
 
 _WRITTEN_AS = {"inputs": "Port", "outputs": "Port", "derived": "Port", "states": "State", "params": "Param"}
@@ -287,7 +287,7 @@ def check_lists(block: Declared, where: str) -> None:
 
 
 def shape(declared: Typed) -> str:
-    """The type of what is declared or recorded, with its size if it is an array: "real", "int32[3]", "real[3x2]".
+    """Return the type of a declaration or expression, with the size of an array: "real", "int32[3]", "real[3x2]".
 
     Of an enumeration it is that one's name.
     """
@@ -299,12 +299,12 @@ def shape(declared: Typed) -> str:
 
 
 def alike(one: Typed, other: Typed) -> bool:
-    """Whether both are declared of one type and size."""
+    """Return True if both have one type and size."""
     return shape(one) == shape(other) and getattr(one, "enum", None) == getattr(other, "enum", None)
 
 
 def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | None:
-    """What is wrong if the signal `given`, that of `source`, feeds `port`, and the remedy; None if it fits.
+    """Return the mismatch between the signal `given`, of `source`, and `port` with its remedy, or None if it fits.
 
     A signal of an enumeration may feed an int32.
     """
@@ -322,7 +322,7 @@ def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | Non
 
 
 def element_names(name: str, declared: Typed) -> list[str]:
-    """The names of a value's elements in the order of memory: "x", or "x[0]" and so on.
+    """Return the names of a value's elements in the order of memory: "x", or "x[0]" and so on.
 
     A matrix has "P[0,0]", "P[1,0]" and so on.
     """
@@ -335,7 +335,7 @@ def element_names(name: str, declared: Typed) -> list[str]:
 
 
 def _declared(value: Any, declared: State | Param) -> list[Any]:
-    """The numbers of a declared value, as given. Raises DiagramError for one that is not of its kind."""
+    """Return the numbers of a declared value, as given. Raises DiagramError for one that is not of its kind."""
     kind, name = declared.kind, declared.name
     try:
         numeric(value, kind, declared.width, name, declared.shape)
@@ -351,7 +351,7 @@ def _declared(value: Any, declared: State | Param) -> list[Any]:
 
 
 def _plain(value: Any) -> list[Any]:
-    """The numbers of a value, or its only one, as they were given."""
+    """Return the numbers of a value, as they were given."""
     scalars = value if isinstance(value, (list, tuple)) else [value]
     if scalars and isinstance(scalars[0], (list, tuple)):
         scalars = [one for row in scalars for one in row]
@@ -399,7 +399,7 @@ def narrowed(outer: Param, inner: Param, path: str) -> Param:
 
 
 def column_major(value: Any, shape: tuple[int, int], where: str) -> Any:
-    """A matrix's elements, column after column; a number and what is flat already as they are.
+    """Return a matrix's elements, column after column; return a number or flat values unchanged.
 
     Raises DiagramError for rows that are not of the `shape`.
     """
@@ -421,7 +421,7 @@ def column_major(value: Any, shape: tuple[int, int], where: str) -> Any:
 
 
 def rows_of(flat: Any, shape: tuple[int, int] | None) -> Any:
-    """The inverse of `column_major`: a matrix's elements as a list of rows; everything else as it is."""
+    """Return a matrix's elements as a list of rows, the inverse of `column_major`; any other value unchanged."""
     return flat if shape is None else [list(flat[i :: shape[0]]) for i in range(shape[0])]
 
 
@@ -451,7 +451,7 @@ def numeric(value: Any, kind: str, width: int | None, where: str, shape: tuple[i
 
 
 def limits(declared: Param) -> tuple[float, float]:
-    """What a parameter's numbers must be within: its bounds and, of an integer, the range of its kind."""
+    """Return the limits of a parameter's numbers: its bounds and, for an integer, the range of its kind."""
     if declared.kind not in INTEGERS:
         return declared.low, declared.high
     kind = BY_NAME[declared.kind]
@@ -479,12 +479,12 @@ def check_value(declared: Param, value: Any, path: str) -> Any:
 
 
 def unknown_parameter(path: object, known: Iterable[str]) -> ParameterError:
-    """The error for a parameter `path` that is not there; it lists up to 40 of the `known` ones, the nearest first."""
+    """Return the error for an unknown parameter `path`; it lists up to 40 `known` ones, the nearest first."""
     return ParameterError(
         f"there is no parameter {path!r:.120}", "", f"there are: {nearest(path, sorted(known), most=40)}"
     )
 
 
 def unknown_name(what: str, name: object, known: Iterable[str], where: str) -> DiagramError:
-    """The error for a signal, state, input, part or port (`what`) that is not there; the nearest ones come first."""
+    """Return the error for an unknown signal, state, input, part or port (`what`); the nearest come first."""
     return DiagramError(f"there is no {what} {name!r:.120}", where, f"there are: {nearest(name, known)}")

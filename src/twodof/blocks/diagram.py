@@ -25,15 +25,15 @@ class Rate(NamedTuple):
     offset: int = 0
 
     def within(self, outer: Rate) -> Rate:
-        """This rate, given relative to `outer`, relative to the base tick."""
+        """Return this rate, given relative to `outer`, as a rate relative to the base tick."""
         return Rate(self.divider * outer.divider, outer.offset + outer.divider * self.offset)
 
     def due(self, tick: int) -> bool:
-        """Whether a part of this rate, relative to the base tick, runs at base tick `tick`."""
+        """Return True if a part of this rate, relative to the base tick, runs at base tick `tick`."""
         return tick % self.divider == self.offset
 
     def check(self, path: str, most: int = MAX_DIVIDER) -> Rate:
-        """This rate if it is possible and its divider at most `most`; else DiagramError."""
+        """Return this rate if it is possible and its divider at most `most`; else raise DiagramError."""
         whole = type(self.divider) is int and type(self.offset) is int
         if not (whole and 1 <= self.divider <= most and 0 <= self.offset < self.divider):
             raise DiagramError(
@@ -220,7 +220,7 @@ class Diagram:
             self.connections[part, port] = source
 
     def _fed(self, part: str, port: str) -> bool:
-        """Whether an input, the bus that it is in, or a field of it has a source."""
+        """Return True if an input, its bus, or a field of it has a source."""
         if any((part, path) in self.connections for path in (port, *bus_paths(port))):
             return True
         fields = (name for name in port_names(self.parts[part].item, "input") if name.startswith(f"{port}."))
@@ -241,7 +241,7 @@ class Diagram:
         return self._end(text, "output")
 
     def wire(self, part: str, port: str) -> tuple[str | None, str]:
-        """The source of an input and "", or that of the bus around it and the input's path within that, ".rates.p".
+        """Return the source of an input and "", or that of the bus around it and the input's path in it, ".rates.p".
 
         The source is None if nothing is connected.
         """
@@ -252,18 +252,18 @@ class Diagram:
         return None, ""
 
     def feed(self, part: str, port: str) -> str | None:
-        """The source of an input: its own, or that field of what feeds the bus around it; None without one."""
+        """Return the source of an input: its own, or the field of the bus around it; None without one."""
         source, field = self.wire(part, port)
         return None if source is None else self.field(source, field)
 
     def outlet(self, output: str) -> str | None:
-        """The source of an output, or of the field "att.rates.p" of one; None without one."""
+        """Return the source of an output, or of the field "att.rates.p" of one; None without one."""
         name, dot, field = output.partition(".")
         source = self.outputs[name]
         return None if source is None else self.field(source, dot + field)
 
     def gives(self, path: str) -> bool:
-        """Whether `path` is an output, or a field of one."""
+        """Return True if `path` is an output, or a field of one."""
         if path in self.outputs or path.partition(".")[0] not in self.outputs:
             return path in self.outputs
         try:
@@ -272,7 +272,7 @@ class Diagram:
             return False
 
     def field(self, source: str, field: str) -> str:
-        """The source that is a field, ".rates.p", of a source; that itself for the field ""."""
+        """Return the source of the field ".rates.p" of a source; the source itself for the field ""."""
         if not field:
             return source
         part, port = self.source(source)
@@ -329,12 +329,12 @@ def _no_bus(signal: str, field: str, where: str) -> DiagramError:
 
 
 def told_values(part: Part) -> dict[str, dict[str, Any]]:
-    """What `part` says of values that its outputs hold: {"initial": {output: value}, "disabled": ...}."""
+    """Return the values that a part's outputs hold: {"initial": {output: value}, "disabled": ...}."""
     return {"initial": part.initial, "disabled": part.disabled if isinstance(part.disabled, dict) else {}}
 
 
 def two_values(what: str, signal: str, first: Any, second: Any) -> str:
-    """An error's words for two `told_values` of one signal."""
+    """Return an error's words for two `told_values` of one signal."""
     verb, to = ("starts", "at") if what == "initial" else ("is reset", "to")
     return f"{signal} {verb} {to} {shown(first)} and {to} {shown(second)}"
 
@@ -350,7 +350,7 @@ def _of_outputs(item: Block | Diagram, values: Mapping[str, Any], path: str, wha
 
 
 def _pair(value: object, path: str, argument: str) -> tuple[Any, Any]:
-    """The two numbers of an argument of `add`; DiagramError for anything else."""
+    """Return the two numbers of an argument of `add`; raise DiagramError for anything else."""
     pair = plain_data(value, path)
     if not isinstance(pair, list) or len(pair) != 2 or not all(type(n) in (int, float) for n in pair):
         raise DiagramError(f"{argument}={shown(value)}", path, f"give {argument}=(number, number)")
@@ -397,24 +397,24 @@ def _as_input(item: Block | Diagram, name: str, source: str) -> str:
 
 
 def port_names(item: Block | Diagram, direction: str) -> list[str]:
-    """The names of the inputs or outputs (`direction` "input" or "output") of a block or diagram."""
+    """Return the names of the inputs or outputs (`direction` "input" or "output") of a block or diagram."""
     if isinstance(item, Block):
         return [p.name for p in (item.inputs if direction == "input" else item.outputs)]
     return list(item.inputs if direction == "input" else item.outputs)
 
 
 def bus_paths(path: str) -> list[str]:
-    """The buses around a field, the innermost first: of "att.rates.p" they are "att.rates" and "att"."""
+    """Return the buses around a field, the innermost first: "att.rates" and "att" for "att.rates.p"."""
     return [path[:i] for i in range(len(path) - 1, 0, -1) if path[i] == "."]
 
 
 def carried(item: Block | Diagram, output: str) -> Port | None:
-    """What comes out of an output, or of a field of one; None if it is a bus, or leads nowhere in a sub-diagram."""
+    """Return the port behind an output, or behind a field of one; None for a bus, or without a source."""
     return carried_fields(item, output).get("")
 
 
 def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
-    """What comes out of an output by field: "rates.p", or "" if it is not a bus. Empty if it leads nowhere."""
+    """Return the ports behind an output by field: "rates.p", or "" if it is not a bus. Empty without a source."""
     for _ in range(64):
         if isinstance(item, Block):
             return _fields(item.outputs, output)

@@ -25,7 +25,7 @@ class Change:
 
     @property
     def kind(self) -> str:
-        """Whether it was "added", "removed" or "changed"."""
+        """The kind of change: "added", "removed" or "changed"."""
         return "added" if not self.before else "changed" if self.after else "removed"
 
     def __str__(self) -> str:
@@ -43,18 +43,18 @@ class Difference:
     changes: tuple[Change, ...]
 
     def __bool__(self) -> bool:
-        """Whether anything changed."""
+        """Return True if there are changes."""
         return bool(self.changes)
 
     def to_json(self) -> list[dict[str, str]]:
-        """The changes as JSON objects."""
+        """Return the changes as JSON objects."""
         return [
             {"what": c.what, "kind": c.kind, "path": c.path, "before": c.before, "after": c.after} for c in self.changes
         ]
 
 
 def difference(before: Diagram, after: Diagram) -> Difference:
-    """What changed from `before` to `after` in what a step computes. Names of diagrams, texts and layout do not count.
+    """Compare what `before` and `after` compute in a step. Names of diagrams, texts and layout do not count.
 
     A sub-diagram is compared part by part, at paths such as "pid.gain". Of a part that came or went its parameters and
     connections are named too, and nothing that is inside it. One that was renamed is removed and added. Custom blocks
@@ -75,7 +75,7 @@ def difference(before: Diagram, after: Diagram) -> Difference:
 
 
 def _above(path: str) -> Iterator[str]:
-    """The paths of the parts that the one at `path` is in."""
+    """Return the paths of the parts that the one at `path` is in."""
     while "." in path:
         path = path.rpartition(".")[0]
         yield path
@@ -109,7 +109,7 @@ def _listing(diagram: Diagram) -> dict[str, dict[str, str]]:
 
 
 def _full(diagram: Diagram, source: str | None, prefix: str) -> str:
-    """A source as a path, with its port written out."""
+    """Return a source as a path, with its port written out."""
     if source is None:
         return "nothing"
     part, port = diagram.source(source)
@@ -133,7 +133,7 @@ def _settings(part: Part, prefix: str) -> str:
 
 
 def _block(block: Block) -> str:
-    """The type of a block and the arguments of its constructor, without the values of parameters."""
+    """Return the type of a block and the arguments of its constructor, without the values of parameters."""
     if not type(block).type_name:
         label = getattr(block, "label", "") or type(block).__name__
         # The expressions themselves are no reading; that they changed is.
@@ -164,7 +164,7 @@ def _parameter(param: Param) -> str:
 
 
 def _number(value: Any) -> str:
-    """A value with all its digits: the difference of two doubles must be seen."""
+    """Return a value with all its digits, so that a difference of two doubles shows."""
     if isinstance(value, (list, tuple)):
         whole = "" if len(value) <= _SHOWN else f" and {len(value) - _SHOWN} more"
         digest = "" if not whole else f", {hashlib.sha256(repr(list(value)).encode()).hexdigest()[:12]}"

@@ -1,4 +1,4 @@
-"""What the library's blocks share: elementwise evaluation, dot products, clamping, checks of constructor arguments."""
+"""Common parts of library blocks: elementwise evaluation, dot products, clamping, checks of arguments."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -34,7 +34,7 @@ def elementwise(f: Callable[..., Any], *values: Any) -> Any:
 
 
 def width_of(value: Any) -> int | None:
-    """The number of elements of an array; None of a number."""
+    """Return the number of elements of an array, or None for a number."""
     return value.width if isinstance(value, Expr) else len(value) if isinstance(value, Vector) else None
 
 
@@ -63,7 +63,7 @@ def clamp(low: Any, high: Any, value: Any) -> Any:
 
 
 def search(breakpoints: Any, length: int, value: Any) -> Any:
-    """The largest int32 i in 0 .. length - 2 with breakpoints[i] <= value, or 0 if there is none.
+    """Return the largest int32 i in 0 .. length - 2 with breakpoints[i] <= value, or 0 if there is none.
 
     Bisection in a loop with a constant bound; the breakpoints increase.
     """
@@ -99,7 +99,7 @@ def count(value: Any, low: int, high: int, block: str, argument: str) -> int:
 
 
 def port_series(number: int, block: str) -> list[str]:
-    """The names of `number` ports of one sort: a to z, then u27, u28, ... by their number.
+    """Return the names of `number` ports of one sort: a to z, then u27, u28, ... by their number.
 
     Raises DiagramError for more than a block may have. (Two letters would give `as`, `if`, `in`, `is` and `or`. Python
     does not take these as keywords of a call.)
@@ -116,7 +116,7 @@ def counts(values: Any, low: int, high: int, block: str, argument: str) -> list[
 
 
 def sized(name: str, shape: Any, block: str, kind: Kind = "real", unit: str = "") -> Port:
-    """The port of an array: `shape` is (n,) of a vector, (rows, columns) of a matrix; else DiagramError."""
+    """Return the port of an array with `shape` (n,) or (rows, columns); raise DiagramError for another shape."""
     if not isinstance(shape, (list, tuple)) or len(shape) not in (1, 2):
         raise DiagramError(f"the shape {shape!r:.80} of {name}", block, "write [n], or [rows, columns]")
     sizes = [count(n, 1, MAX_WIDTH, block, f"the shape of {name}") for n in shape]
@@ -153,7 +153,7 @@ def matrix(rows: Any, height: int | None, width: int | None, block: str, argumen
 
 
 def limit_params(limits: Sequence[float] | None, block: str, unit: str) -> list[Param]:
-    """The parameters low and high of the pair `limits`, low <= high, or none of None; else DiagramError."""
+    """Return the parameters low and high of the pair `limits`, low <= high; none for None, else DiagramError."""
     if limits is None:
         return []
     pair = reals(limits, block, "limits", 2, finite=False)

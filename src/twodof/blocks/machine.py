@@ -72,12 +72,12 @@ class Machine(ABC):
         self._store_parameters({path: self._checked(path, value) for path, value in values.items()})
 
     def get(self, path: str) -> Any:
-        """A parameter's present value."""
+        """Return a parameter's present value."""
         declared = self._declared(path)
         return as_rows(self._parameter(path), declared.shape)
 
     def state(self, path: str) -> Any:
-        """A state's present value. Raises DiagramError for an unknown path."""
+        """Return a state's present value. Raises DiagramError for an unknown path."""
         declared = self._state_at(path)
         return as_rows(self._state(path, declared), declared.shape)
 
@@ -93,7 +93,7 @@ class Machine(ABC):
         return self._shaped(self._step())
 
     def run(self, steps: int, inputs: Mapping[str, Any] | None = None) -> dict[str, Any]:
-        """`steps` steps; an input is one value, or an array of `steps` values. Returns arrays by signal name.
+        """Run `steps` steps; an input is one value, or an array of `steps` values. Returns arrays by signal name.
 
         Their first axis is the step; those of a vector or matrix follow. Raises DiagramError for an input that does not
         fit, and for more than MAX_STEPS steps.
@@ -113,13 +113,13 @@ class Machine(ABC):
         return self._shaped(self._run(steps, columns))
 
     def _by_field(self, inputs: Mapping[str, Any]) -> Mapping[str, Any]:
-        """`inputs` with the fields of buses that are given as mappings, or as lists of them."""
+        """Return `inputs` with the fields of buses that are given as mappings, or as lists of them."""
         if all(name in self.inputs for name in inputs):
             return inputs
         return fields_given(inputs, list(self.inputs), self.name)
 
     def _shaped(self, values: dict[str, Any]) -> dict[str, Any]:
-        """`values` with matrices as such; targets keep them flat."""
+        """Return `values` with matrices as rows; targets keep them flat."""
         for path, shape in self._matrices:
             values[path] = as_rows(values[path], shape)
         return values
@@ -130,7 +130,7 @@ class Machine(ABC):
 
     @abstractmethod
     def _run(self, steps: int, columns: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-        """`steps` steps with a row of each column at each; the last row stays written."""
+        """Run `steps` steps with a row of each column at each; the last row stays written."""
 
     @abstractmethod
     def _store_parameters(self, values: Mapping[str, Any]) -> None:
@@ -154,7 +154,7 @@ class Machine(ABC):
         return self.parameters[path]
 
     def _checked(self, path: str, value: Any) -> Any:
-        """A parameter's new value as plain numbers, as given: it is rounded where it is stored."""
+        """Return a parameter's new value as plain numbers, not yet rounded."""
         declared = self._declared(path)
         if not declared.tunable and self.tick > 0:
             raise ParameterError(
@@ -185,19 +185,19 @@ class Machine(ABC):
             return numbers.plain(numeric(plain, declared.kind, declared.width, where, declared.shape))
 
     def _column(self, port: Port, data: NDArray[Any], steps: int) -> NDArray[Any]:
-        """An input's array, checked; integers wrap around."""
+        """Return an input's array, checked; integers wrap around."""
         if data.shape[:1] != (steps,):
             raise DiagramError(f"{len(data)} values for {steps} steps", port.name, "give one value, or one a step")
         return fitting(port, data, data.shape == (steps, *axes(port)), "", "convert it")
 
 
 def axes(declared: Port | State | Param) -> tuple[int, ...]:
-    """The shape of a value outside the program: (), (width,) or (rows, columns)."""
+    """Return the shape of a value outside the program: (), (width,) or (rows, columns)."""
     return declared.shape or (() if declared.width is None else (declared.width,))
 
 
 def as_rows(value: Any, shape: tuple[int, int] | None) -> Any:
-    """A matrix whose elements stand column after column, in a list or along an array's last axis, as it is shown."""
+    """Return a matrix, kept column after column in a list or along an array's last axis, as rows."""
     if shape is None:
         return value
     if isinstance(value, np.ndarray):
@@ -206,7 +206,7 @@ def as_rows(value: Any, shape: tuple[int, int] | None) -> Any:
 
 
 def fitting(port: Port, data: NDArray[Any], fits: bool, room: str, remedy: str) -> NDArray[Any]:
-    """`data` in the port's type, if its own type allows that and its shape `fits`; else DiagramError.
+    """Return `data` in the port's type, if its own type allows that and its shape `fits`; else raise DiagramError.
 
     The last axis of a matrix's is that of its elements, column after column.
     """

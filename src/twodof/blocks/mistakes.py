@@ -24,12 +24,12 @@ HIDDEN = "let it depend on u, x, p and t alone: keep what changes in a state, an
 
 
 def is_users(block: Declared) -> bool:
-    """Whether a block is the user's own. This package's blocks are guarded by its tests, which costs no start-up."""
+    """Return True for a user's own block. This package's blocks are guarded by its tests, which costs no start-up."""
     return type(block).__module__.partition(".")[0] != OWN
 
 
 def is_missing(block: Declared, method: str) -> bool:
-    """Whether the block's class does not write the method: that of Block, which gives nothing, is called."""
+    """Return True if the block's class lacks the method, so that Block's, which gives nothing, is called."""
     return getattr(block.written(method), "__module__", "") == "twodof.blocks.block"
 
 
@@ -47,7 +47,7 @@ def place(block: Declared, method: str) -> str:
 
 
 def mistake(error: Exception, block: Declared, method: str) -> DiagramError:
-    """The error to raise for what a method raised. Call it in the function that called the method."""
+    """Return the error to raise for an exception in a method. Call it in the caller of the method."""
     below = [(f.f_globals.get("__name__", ""), f"{f.f_code.co_filename}:{n}") for f, n in walk_tb(error.__traceback__)]
     below = below[1:]  # without the caller's own
     if not below and isinstance(error, TypeError):
@@ -64,7 +64,7 @@ def _top(module: str) -> str:
 
 
 def _told(error: Exception) -> tuple[str, str]:
-    """What is wrong, and what to do about it."""
+    """Return the fact and the remedy."""
     if isinstance(error, DiagramError):
         return error.what, error.remedy
     text = f"{type(error).__name__}: {error!s:.300}".removesuffix(": ")

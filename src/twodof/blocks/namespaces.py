@@ -1,4 +1,4 @@
-"""What a block's methods see: inputs, states and parameters by attribute, and the clock; all of it read-only."""
+"""Namespaces of a block's methods: inputs, states, parameters and the clock by attribute, all read-only."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from twodof.blocks.expressions.expr import fault, to_real
 
 
 class Namespace:
-    """What a block's methods read: attributes by name, a live view of `values`. An unknown name is an error.
+    """Values for a block's methods: attributes by name, a live view of `values`. An unknown name is an error.
 
     So is an assignment: recorded once and computed again at every step, it would mean two things.
     """
@@ -98,7 +98,7 @@ class Clock(Namespace):
 
 
 def twin(view: Namespace) -> Namespace:
-    """A view of a copy of the values that `view` shows now."""
+    """Return a view of a copy of the values that `view` shows now."""
     made = object.__new__(type(view))
     object.__setattr__(made, "__dict__", dict(vars(view)))
     return made

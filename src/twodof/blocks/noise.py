@@ -72,7 +72,7 @@ def normals(length: Any, direction: Any) -> tuple[Any, Any]:
 
 
 def normal(seed: Any, stream: Any, tick: Any) -> Any:
-    """Standard normal (mean 0, variance 1), |z| <= 6.77."""
+    """Return a standard normal number (mean 0, variance 1), |z| <= 6.77."""
     a, b, _, _ = words(seed, stream, tick)
     return normals(a, b)[0]
 

@@ -33,17 +33,17 @@ class Shapes(dict[str, tuple[int, int]]):
         self.buses = any("." in d.name for d in every)
 
     def __bool__(self) -> bool:
-        """Whether a view shows anything in another form than it is kept."""
+        """Return True if a view shows anything in another form than it is kept."""
         return self.buses or len(self) > 0
 
 
 def matrices(*declared: Iterable[Port | State | Param]) -> Shapes:
-    """The names of the declared matrices, with their shapes."""
+    """Return the names of the declared matrices, with their shapes."""
     return Shapes(chain.from_iterable(declared))
 
 
 def with_matrices(view: View, shapes: Shapes) -> View:
-    """A view (Inputs, States, Parameters) with its matrices and buses as such; `view` itself without any."""
+    """Return a view (Inputs, States, Parameters) that shows matrices and buses; `view` itself without any."""
     if not shapes:
         return view
     values: dict[str, Any] = vars(view)
@@ -91,7 +91,7 @@ SECTIONS = ("prepare", "output", "edges", "update", "derivative", "project")
 
 
 def clock_leaves() -> dict[str, Expr]:
-    """The leaves that a clock shows while a block is traced."""
+    """Return the leaves of a clock while a block is traced."""
     return {
         "tick": leaf("tick", "tick", "uint32"),
         "dt": leaf("dt", "dt", "real"),
@@ -100,12 +100,12 @@ def clock_leaves() -> dict[str, Expr]:
 
 
 def leaves_of(op: str, declared: Sequence[Any]) -> dict[str, Expr]:
-    """The leaves of kind `op` for what is declared, by name."""
+    """Return the leaves of kind `op` for declarations, by name."""
     return {d.name: leaf(op, d.name, d.kind, d.width) for d in declared}
 
 
 def trace_of(block: Declared) -> Trace:
-    """What the methods of `block` record. Raises DiagramError if they break the language's rules."""
+    """Record the methods of `block`. Raises DiagramError if they break the language's rules."""
     check_declarations(block, type(block).__name__)
     u, x = leaves_of("input", block.inputs), leaves_of("state", block.states)
     given, clock = leaves_of("param", block.params), clock_leaves()
@@ -156,7 +156,7 @@ def trace_of(block: Declared) -> Trace:
 
 
 def called(block: Declared, method: str, *arguments: Any) -> Any:
-    """What a method returns. Raises DiagramError, which names the user's line, for each error in it."""
+    """Call a method and return its result. Raises DiagramError, with the user's line, for each error in it."""
     try:
         return getattr(block, method)(*arguments)
     except Exception as error:
@@ -178,7 +178,7 @@ def _edges(block: Declared, result: Any, outputs: Mapping[str, Expr]) -> dict[st
 
 
 def _pairs(result: Any) -> Mapping[str, Any]:
-    """What `edges` returned, if it is a mapping to pairs; else DiagramError."""
+    """Return the result of `edges` if it is a mapping to pairs; else raise DiagramError."""
     if not isinstance(result, Mapping):
         raise DiagramError(
             f"edges returns {_described(result)}", "", "return a dict: output -> (fraction, value after)"
@@ -194,7 +194,7 @@ MethodGraphs = dict[str, dict[str, tuple[Expr, ...]]]
 
 
 def by_method(trace: Trace) -> MethodGraphs:
-    """What each method gives."""
+    """Return the expressions of each method."""
     single = {
         "prepare": trace.prepare,
         "output": trace.outputs,
@@ -207,7 +207,7 @@ def by_method(trace: Trace) -> MethodGraphs:
 
 
 def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any, sight: Sight | None = None) -> list[Any]:
-    """Recorded expressions on the values of a step: the judge of a block's methods, and what a TracedBlock consists of.
+    """Evaluate recorded expressions on the values of a step: the judge of a block's methods, and a TracedBlock's body.
 
     `sight` is shown what is computed, as `evaluate` does.
     """
@@ -255,7 +255,7 @@ def check_declarations(block: Declared, name: str) -> None:
 
 
 def names_given(method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Any]:
-    """What a block's method returned as a mapping, with its names checked against those declared."""
+    """Return a method's result as a mapping, with its names checked against the declared ones."""
     if result is None:
         raise DiagramError(f"{method} returns nothing", "", "end it with return, and what it gives")
     result = by_path(result, [d.name for d in declared])
@@ -281,7 +281,7 @@ Enumerations = dict[tuple[str, str], Enumeration | None]
 
 
 def enumerations(inputs: Sequence[Any], states: Sequence[Any], *params: Sequence[Any]) -> Enumerations:
-    """The enumerations of which inputs, states and parameters are declared, by leaf and name."""
+    """Return the enumerations of inputs, states and parameters, by leaf and name."""
     leaves = (("input", inputs), ("state", states), *(("param", declared) for declared in params))
     return {(op, d.name): d.enum for op, declared in leaves for d in declared}
 
@@ -298,7 +298,7 @@ def _check_members(declared: Sequence[Any], given: Mapping[str, Expr], leaves: E
 
 
 def by_path(result: Any, names: Sequence[str]) -> Any:
-    """What a method returned, with the fields of buses by path: "att.rates.p" is one of the declared `names`."""
+    """Return a method's result with the fields of buses by path, such as "att.rates.p" in `names`."""
     if not any("." in name for name in names):
         return result
     tops = {name.partition(".")[0] for name in names}
@@ -313,7 +313,7 @@ def _described(value: Any) -> str:
 
 
 def returned(method: str, result: Any, declared: Sequence[Any], partial: bool = False) -> dict[str, Expr]:
-    """What a traced method returned, as Exprs of the declared types, in the order of declaration."""
+    """Return a traced method's result as Exprs of the declared types, in the order of declaration."""
     by_name = names_given(method, result, declared, partial)
     return {d.name: _fit(by_name[d.name], d) for d in declared if d.name in by_name}
 

@@ -24,7 +24,7 @@ FLAGS = (*compilers.FLAGS, "-fPIC", "-shared")
 def load(
     source: str, compiler: Compiler, optimise: str = "-O3", native: bool = True, flags: Sequence[str] = ()
 ) -> ctypes.CDLL:
-    """The library compiled from `source`, taken from the cache if it is there.
+    """Load the library compiled from `source`, from the cache if it is there.
 
     `native` tunes for this processor. Raises CompileError if the compiler refuses or hangs, or if this process rounds
     subnormal numbers to zero.
@@ -49,7 +49,7 @@ def load(
 
 
 def _check_subnormals() -> None:
-    """A library built with -ffast-math sets the whole process to flush subnormals to zero, which changes results."""
+    """Raise CompileError if this process flushes subnormals to zero, as a library built with -ffast-math makes it."""
     if np.float64(2.0**-1074) * np.float64(1.0) == 0.0:
         raise CompileError(
             "this process rounds subnormal numbers to zero",
@@ -69,7 +69,7 @@ class Native:
     name = "native"
 
     def compile(self, programs: Sequence[EmittedProgram]) -> list[NativeBackend]:
-        """The programs of one source in one library; raises CompileError, see `load`."""
+        """Compile the programs of one source into one library; raises CompileError, see `load`."""
         found = compilers.find_compiler(self.compiler)
         library = load(programs[0].source, found, self.optimise, self.cpu, self.flags)
         return [NativeBackend(program, library) for program in programs]
@@ -102,7 +102,7 @@ class NativeBackend:
         return function
 
     def instance(self) -> NativeInstance:
-        """A fresh instance; its structs are numpy's memory."""
+        """Return a fresh instance; its structs are numpy's memory."""
         return NativeInstance(self)
 
 
@@ -119,5 +119,5 @@ class NativeInstance:
         self._run = partial(backend.run, p, s)
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """`steps` ticks on the caller's own arrays; see `target.Instance`."""
+        """Run `steps` ticks on the caller's own arrays; see `target.Instance`."""
         self._run(u.ctypes.data, int(len(u) > 1), y.ctypes.data, int(len(y) > 1), steps)

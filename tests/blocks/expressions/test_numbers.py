@@ -67,7 +67,7 @@ def test_a_computed_index_is_clamped_and_a_literal_one_checked() -> None:
 
 
 def test_a_float64_that_leaks_into_a_float32_run_is_an_error() -> None:
-    with numbers.precision("float32"), pytest.raises(DiagramError, match="real is expected"):
+    with numbers.precision("float32"), pytest.raises(DiagramError, match="it takes real"):
         numbers.cast(np.float64(0.5), "real")
 
 

@@ -99,7 +99,7 @@ def test_what_is_no_number_is_refused_with_the_block_and_the_argument(type_name:
         ),
         (
             lambda: Gain(np.ones(2)),
-            "Gain.k: a real is expected and [1.0, 1.0] of type list is given (convert it explicitly)",
+            "Gain.k: it takes real, not [1.0, 1.0] of type list (convert it, as in to_real(x))",
         ),
     ],
 )

@@ -68,7 +68,7 @@ class Bus:
         return f"Bus({self.name!r}, {list(self.fields)!r})"
 
     def __call__(self, **values: Any) -> dict[str, Any]:
-        """A value of the bus: all its fields by name. Raises DiagramError for one that is missing or unknown."""
+        """Return a value of the bus: all fields by name. Raises DiagramError for a missing or unknown field."""
         known = list(dict.fromkeys(leaf.name.partition(".")[0] for leaf in self.leaves))
         for name in values:
             if name not in known:
@@ -79,7 +79,7 @@ class Bus:
         return {name: values[name] for name in known}
 
     def form(self) -> dict[str, Any]:
-        """It as plain data, which is taken in its place."""
+        """Return the bus as plain data, which is accepted in its place."""
         return {"name": self.name, "fields": [_form(leaf) for leaf in self.leaves]}
 
 
@@ -92,7 +92,7 @@ def _form(leaf: Any) -> dict[str, Any]:
 
 
 def leaves_of(declared: Any) -> list[Any]:
-    """The declarations of the fields of a port, state or parameter that is a bus, "att.rates.p"; itself if it is not.
+    """Return the declarations of a bus's fields, named "att.rates.p"; of any other declaration itself.
 
     The value of a state or parameter is one for all fields, or a mapping by field in which 0 may be left out. A state
     that starts from a parameter starts from its fields. Of an array of buses each field is an array of the `width`, or
@@ -129,7 +129,7 @@ def leaves_of(declared: Any) -> list[Any]:
 
 
 def transposed(values: Any) -> Any:
-    """A list of buses as the fields of an array of buses, each a list; all else as it is.
+    """Return a list of buses as the fields of an array of buses, each a list; any other value unchanged.
 
     Raises DiagramError for buses that do not have the same fields.
     """
@@ -144,14 +144,14 @@ def transposed(values: Any) -> Any:
 
 
 def expanded(declared: Any) -> Any:
-    """What a block declares, with the fields of buses in their place; as it is if there are none."""
+    """Return declarations with the fields of buses in their place."""
     if not isinstance(declared, Sequence) or not any(isinstance(getattr(d, "kind", None), Bus) for d in declared):
         return declared
     return [leaf for d in declared for leaf in (leaves_of(d) if hasattr(d, "kind") else [d])]
 
 
 def grouped(ports: Iterable[Any]) -> list[Any]:
-    """The inverse of `expanded`: the ports of a block or diagram with each bus as one of them, in its first place."""
+    """Return ports with the fields of each bus put together, in the place of its first field: undo `expanded`."""
     found: dict[str, Any] = {}
     inside: dict[str, list[Any]] = {}
     for port in ports:
@@ -178,7 +178,7 @@ def check_paths(names: Iterable[str], where: str) -> None:
 
 
 def fields_given(values: Mapping[Any, Any], known: Sequence[str], where: str) -> dict[str, Any]:
-    """The values of a mapping, perhaps of mappings, by their paths. What belongs to no known path stays as it is.
+    """Return the values of a mapping, perhaps of mappings, by path. A value of no known path stays as it is.
 
     Raises DiagramError for a bus that is given something else than its fields.
     """

@@ -20,7 +20,7 @@ _MIN, _MAX = -(2**31), 2**31 - 1
 
 
 class _Member(Int32):
-    """The int32 that a member is, and of which enumeration it is."""
+    """Member of an enumeration: its int32 with the enumeration."""
 
     __slots__ = ("of",)
 
@@ -99,7 +99,7 @@ class Enumeration:
         return f"{self.name} ({', '.join(f'{value} {member}' for member, value in self.members.items())})"
 
     def name_of(self, value: Any) -> str:
-        """The name of the member that has this value; a value that is none of them as a number."""
+        """Return the name of the member with this value; without one, the value as text."""
         return next((member for member, number in self.members.items() if number == value), str(value))
 
     def plain(self, value: Any, where: str) -> Any:
@@ -117,7 +117,7 @@ class Enumeration:
         return int(number)
 
     def form(self) -> dict[str, Any]:
-        """It as plain data, of which `enumeration_of` makes it again."""
+        """Return plain data, from which `enumeration_of` makes the enumeration again."""
         return {"name": self.name, "members": dict(self.members)}
 
     def _unknown(self, member: object, where: str = "") -> DiagramError:
@@ -130,7 +130,7 @@ Kind = str | type[IntEnum] | Enumeration | Bus
 
 
 def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:
-    """The enumeration that `kind` is: one of Python's or ours, or its plain form. None for what is another kind."""
+    """Return the enumeration that `kind` stands for (Python's, ours or its plain form), or None for another kind."""
     if isinstance(kind, Enumeration):
         return kind
     if isinstance(kind, type) and issubclass(kind, IntEnum):
@@ -143,7 +143,7 @@ def enumeration_of(kind: Any, where: str = "") -> Enumeration | None:
 
 
 def to_enumeration(kind: Kind, value: Any) -> Any:
-    """The int32 `value` as a member of the enumeration `kind`; what is none of its members becomes 0.
+    """Return the int32 `value` as a member of the enumeration `kind`, or 0 if it is not a member.
 
     Arrays element by element. Raises DiagramError if `kind` is not an enumeration.
     """
@@ -160,7 +160,7 @@ def to_enumeration(kind: Kind, value: Any) -> Any:
 
 
 def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str, str], Enumeration | None]) -> bool:
-    """Whether each value that `item` can have is a member, as far as its graph shows.
+    """Return True if every possible value of `item` is a member, as far as its graph shows.
 
     It shows that of members, of what is declared of the enumeration (`leaves` by op and name), of choices between such
     values, and of arrays of them.
@@ -203,7 +203,7 @@ def comparing(leaves: Mapping[tuple[str, str], Enumeration | None]) -> AbstractC
 
 
 def _of(value: Any, leaves: Mapping[tuple[str, str], Enumeration | None]) -> Enumeration | None:
-    """The enumeration of which a value is, as far as it shows; numbers without one tell nothing."""
+    """Return the enumeration of a value, as far as its graph shows; None for a plain number."""
     if not isinstance(value, Expr):
         return value.of if isinstance(value, _Member) else enumeration_of(type(value))
     found: set[Enumeration | None] = set()

@@ -48,15 +48,15 @@ class Format:
         return 2.0 ** ((self.fraction + 2) // 2) + 1.0
 
     def upper(self, x: Any) -> Any:
-        """The word of `x` that holds its sign and exponent."""
+        """Return the word of `x` that holds its sign and exponent."""
         return bits_of(x, self.top)
 
     def negative(self, x: Any) -> Any:
-        """Whether the sign bit is set; true of -0.0, which `x < 0` is not."""
+        """Return True if the sign bit is set, also for -0.0, for which `x < 0` is false."""
         return to_int32(self.upper(x)) < 0
 
     def replace_upper(self, x: Any, word: Any) -> Any:
-        """x with another sign and exponent word."""
+        """Return x with another sign and exponent word."""
         return from_bits(bits_of(x, 0), word) if self.top else from_bits(word)
 
     def power_of_two(self, n: Any) -> Any:
@@ -80,13 +80,13 @@ def polynomial(z: Any, coefficients: Sequence[float]) -> Any:
 
 
 def _quick_sum(a: Any, b: Any) -> tuple[Any, Any]:
-    """a + b and its rounding error, for |a| >= |b| or a = 0."""
+    """Return a + b and its rounding error, for |a| >= |b| or a = 0."""
     high = a + b
     return high, b - (high - a)
 
 
 def _sum(a: Any, b: Any) -> tuple[Any, Any]:
-    """a + b and its rounding error."""
+    """Return a + b and its rounding error."""
     high = a + b
     part = high - a
     return high, (a - (high - part)) + (b - part)
@@ -99,7 +99,7 @@ def _halves(f: Format, a: Any) -> tuple[Any, Any]:
 
 
 def _product(f: Format, a: Any, b: Any) -> tuple[Any, Any]:
-    """a * b and its rounding error, for products that do not overflow and do not lose bits below."""
+    """Return a * b and its rounding error, for products that do not overflow and do not lose bits below."""
     high = a * b
     a1, a2 = _halves(f, a)
     b1, b2 = _halves(f, b)
@@ -107,7 +107,7 @@ def _product(f: Format, a: Any, b: Any) -> tuple[Any, Any]:
 
 
 def _quarter_turns(f: Format, x: Any) -> tuple[Any, Any, Any]:
-    """The integer n nearest to x / (pi/2), modulo 2^22, and r = x - n pi/2 with what rounding took from it.
+    """Return the integer n nearest to x / (pi/2), modulo 2^22, and r = x - n pi/2 with its rounding error.
 
     The products, and the first difference, are exact while n is short enough (`Coefficients.pi_half`).
     """
@@ -189,13 +189,13 @@ def _angle(f: Format, n: Any, d: Any) -> Any:
 
 
 def _from(f: Format, halves: int, angle: Any) -> Any:
-    """halves * pi/2 - angle."""
+    """Return halves * pi/2 - angle."""
     high, low = (part * halves / 2 for part in f.coefficients.pi)
     return high - (angle - low)
 
 
 def atan(f: Format, x: Any) -> Any:
-    """The angle of x : 1, or beyond 1 what is left of it from a quarter turn."""
+    """Return the angle of x : 1, or beyond 1 what is left of it from a quarter turn."""
     a = abs(x)
     steep = a > 1.0
     angle = _angle(f, where(steep, 1.0, a), where(steep, a, 1.0))
@@ -204,7 +204,7 @@ def atan(f: Format, x: Any) -> Any:
 
 
 def atan2(f: Format, y: Any, x: Any) -> Any:
-    """The angle of the shorter to the longer side, and the axis and quadrant that it counts from."""
+    """Return the angle of the shorter to the longer side, and the axis and quadrant that it counts from."""
     a, b = abs(y), abs(x)
     steep = b < a
     long, short = where(steep, a, b), where(steep, b, a)
@@ -224,7 +224,7 @@ def atan2(f: Format, y: Any, x: Any) -> Any:
 
 
 def _arc(f: Format, x: Any) -> tuple[Any, Any, Any]:
-    """Whether |x| <= 1/2, and asin(x) as a sum if so, else acos(|x|) / 2, which is the asin of sqrt((1 - |x|) / 2)."""
+    """Return |x| <= 1/2, and asin(x) as a sum if so, else acos(|x|) / 2, the asin of sqrt((1 - |x|) / 2)."""
     a = abs(x)
     small = a <= 0.5
     z = where(small, x * x, 0.5 - 0.5 * a)
@@ -241,7 +241,7 @@ def asin(f: Format, x: Any) -> Any:
 
 
 def acos(f: Format, x: Any) -> Any:
-    """A quarter turn less the arc sine up to 1/2, beyond it twice the half angle."""
+    """Return a quarter turn less the arc sine up to 1/2, beyond it twice the half angle."""
     small, t, rest = _arc(f, x)
     arc = t + rest
     large = where(x < 0.0, _from(f, 2, arc + arc), arc + arc)
@@ -249,7 +249,7 @@ def acos(f: Format, x: Any) -> Any:
 
 
 def _halvings(f: Format, x: Any) -> tuple[Any, Any, Any]:
-    """The integer n nearest to x / ln 2 and x - n ln 2, less its last part; for x within the limits of exp."""
+    """Return the integer n nearest to x / ln 2 and x - n ln 2, less its last part; for x within the limits of exp."""
     c = f.coefficients
     shifted = x * c.inverse[1] + f.shifter
     n = shifted - f.shifter
@@ -257,7 +257,7 @@ def _halvings(f: Format, x: Any) -> tuple[Any, Any, Any]:
 
 
 def _scaled(f: Format, y: Any, n: Any) -> Any:
-    """y 2^n in two steps, of which only the last can round: from infinity down to subnormals and 0."""
+    """Return y 2^n in two steps; only the last can round, from infinity down to subnormals and 0."""
     half = n >> 1
     return y * f.power_of_two(half) * f.power_of_two(n - half)
 
@@ -271,7 +271,7 @@ def exp(f: Format, x: Any) -> Any:
 
 
 def _mantissa(f: Format, x: Any) -> tuple[Any, Any]:
-    """m in [sqrt(1/2), sqrt(2)) and the real k with x = m 2^k, for finite x > 0."""
+    """Return m in [sqrt(1/2), sqrt(2)) and the real k with x = m 2^k, for finite x > 0."""
     small = x < 2.0 ** (1 - f.bias)
     x = where(small, x * (4.0 * f.unit), x)
     word = f.upper(x)
@@ -281,7 +281,7 @@ def _mantissa(f: Format, x: Any) -> tuple[Any, Any]:
 
 
 def log(f: Format, x: Any) -> Any:
-    """k ln 2 + log m with m within sqrt(2) of 1, by the series of atanh."""
+    """Return k ln 2 + log m with m within sqrt(2) of 1, by the series of atanh."""
     c = f.coefficients
     m, k = _mantissa(f, x)
     g = m - 1.0
@@ -344,14 +344,14 @@ def pow(f: Format, x: Any, y: Any) -> Any:
 
 
 def _nearest(f: Format, x: Any) -> tuple[Any, Any]:
-    """Whether x has a fraction to lose, and an integer within 1/2 of x with the sign of x if so."""
+    """Return True if x has a fraction to lose, and then an integer within 1/2 of x with the sign of x."""
     a = abs(x)
     n = (a + f.unit) - f.unit
     return (a > 0.0) & (a < f.unit), where(x < 0.0, -n, n)
 
 
 def floor(f: Format, x: Any) -> Any:
-    """The nearest integer, less one where that is above."""
+    """Return the nearest integer, less one where that is above."""
     fractional, n = _nearest(f, x)
     return where(fractional, where(x < n, n - 1.0, n), x)
 
@@ -362,20 +362,20 @@ def ceil(f: Format, x: Any) -> Any:
 
 
 def trunc(f: Format, x: Any) -> Any:
-    """The floor of |x| with the sign of x."""
+    """Return the floor of |x| with the sign of x."""
     a = abs(x)
     n = floor(f, a)
     return where(f.negative(x), -n, n)
 
 
 def round_half_even(f: Format, x: Any) -> Any:
-    """What the addition of 2^fraction rounds to."""
+    """Return the number to which the addition of 2^fraction rounds."""
     fractional, n = _nearest(f, x)
     return where(fractional, n, x)
 
 
 def round_half_away(f: Format, x: Any) -> Any:
-    """The floor of |x|, one more from a half on, with the sign of x."""
+    """Return the floor of |x|, one more from a half on, with the sign of x."""
     a = abs(x)
     n = floor(f, a)
     n = where(a - n < 0.5, n, n + 1.0)

@@ -86,7 +86,7 @@ def acos(x: Any) -> Any:
 
 
 def exp(x: Any) -> Any:
-    """e to the power x, from 0 over the subnormals to infinity."""
+    """Return e to the power x, from 0 over the subnormals to infinity."""
     return _apply("exp", x)
 
 
@@ -96,32 +96,32 @@ def log(x: Any) -> Any:
 
 
 def pow(x: Any, y: Any) -> Any:
-    """x to the power y; NaN for a negative x and a y that is not an integer. An exact result is returned exactly."""
+    """Return x to the power y; NaN for a negative x and a y that is not an integer. An exact result stays exact."""
     return _apply("pow", x, y)
 
 
 def floor(x: Any) -> Any:
-    """The largest integer not above x, as a real."""
+    """Return the largest integer not above x, as a real."""
     return _apply("floor", x)
 
 
 def ceil(x: Any) -> Any:
-    """The smallest integer not below x, as a real."""
+    """Return the smallest integer not below x, as a real."""
     return _apply("ceil", x)
 
 
 def trunc(x: Any) -> Any:
-    """The integer next to x towards 0, as a real."""
+    """Return the integer next to x towards 0, as a real."""
     return _apply("trunc", x)
 
 
 def round_half_even(x: Any) -> Any:
-    """The integer nearest to x, of two the even one, as a real."""
+    """Return the integer nearest to x, of two the even one, as a real."""
     return _apply("round_half_even", x)
 
 
 def round_half_away(x: Any) -> Any:
-    """The integer nearest to x, of two the one away from 0, as a real."""
+    """Return the integer nearest to x, of two the one away from 0, as a real."""
     return _apply("round_half_away", x)
 
 

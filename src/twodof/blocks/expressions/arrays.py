@@ -27,7 +27,7 @@ LOOPS: ContextVar[tuple[int, ...]] = ContextVar("loops", default=())
 
 
 def vector(elements: Sequence[Any]) -> Any:
-    """An array of the given scalars, all of one type."""
+    """Return an array of the given scalars, all of one type."""
     if isinstance(elements, np.ndarray):
         elements = elements.tolist()
     if not elements:
@@ -57,7 +57,7 @@ def store(array: Any, index: Any, value: Any) -> Any:
 
 
 def array_of(length: int, element: Callable[[Any], Any]) -> Any:
-    """The array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled.
+    """Return the array of `element(i)` for the int32 i = 0 .. length - 1; stays a loop when compiled.
 
     Where the elements are arrays themselves, it is all of them, one after the other.
     """

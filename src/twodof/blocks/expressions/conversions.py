@@ -68,7 +68,7 @@ def _to_float(x: Any, kind: str) -> Any:
 
 
 def may_overflow(source: str, target: str) -> bool:
-    """Whether a value may not fit a kind of 8 or 16 bits; the other kinds have a rule of their own."""
+    """Return True if a value may not fit a kind of 8 or 16 bits; the other kinds have a rule of their own."""
     if target not in STORED:
         return False
     origin, room = BY_NAME[source], BY_NAME[target]

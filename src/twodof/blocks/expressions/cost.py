@@ -46,7 +46,7 @@ class CostMeter:
         self._visited = 0
 
     def measure(self, roots: Iterable[Expr]) -> ExpressionCost:
-        """The effort of evaluating `roots` once. Raises DiagramError if it is beyond what any diagram may cost."""
+        """Measure the effort of evaluating `roots` once. Raises DiagramError if it is beyond any diagram's limit."""
         roots = list(roots)
         nodes = self._scope(roots, {})
         new = any(n.op in LOOPS and id(n) not in self._loops for n in nodes)
@@ -80,7 +80,7 @@ class CostMeter:
         return list(nodes.values())
 
     def _unchanging(self, loop: Expr) -> list[Expr]:
-        """What is computed once before a loop; the time of finding it is bounded too."""
+        """Return the nodes computed once before a loop; the time of finding them is bounded too."""
         if id(loop) not in self._before:
 
             def counted(item: Expr) -> Expr:
@@ -97,7 +97,7 @@ class CostMeter:
         self._check(self._visited // 10)
 
     def _sum(self, nodes: Iterable[Expr]) -> tuple[ExpressionCost, int]:
-        """The effort of `nodes`, a loop as one of them, and how deep loops are nested."""
+        """Return the effort of `nodes`, a loop as one of them, and how deep loops are nested."""
         size = operations = depth = 0
         for item in nodes:
             if item.op in LOOPS:
@@ -119,5 +119,5 @@ class CostMeter:
 
 
 def too_large() -> DiagramError:
-    """The error for what is more than MAX_SIZE."""
+    """Return the error for an expression of more than MAX_SIZE."""
     return DiagramError(f"expressions of more than {MAX_SIZE} operations", "", "compute less, or in loops")

@@ -49,12 +49,12 @@ class Tie:
 
 
 def constant(value: Any) -> Value:
-    """A number or Vector that does not change."""
+    """Return a number or Vector that does not change."""
     return tuple(Dual(v) for v in value) if isinstance(value, tuple) else Dual(value)
 
 
 def plain(value: Value) -> Any:
-    """The number, or Vector of numbers, without its slope."""
+    """Return the number, or Vector of numbers, without its slope."""
     return Vector(d.value for d in value) if isinstance(value, tuple) else value.value
 
 
@@ -109,7 +109,7 @@ class Tangent:
         memo: dict[Any, Value] | None = None,
         bound: Mapping[Any, Value] | None = None,
     ) -> list[Value]:
-        """The values of `roots`, given those of their leaves; `memo` keeps what was computed, by the node's id.
+        """Return the values of `roots`, given those of their leaves; `memo` keeps values by the node's id.
 
         Raises DiagramError for bit patterns, which have no derivative.
         """
@@ -205,7 +205,7 @@ class Tangent:
         return 0.0 if stays else float(np.sign(along))
 
     def _stepwise(self, item: Expr, d: list[Dual]) -> Any:
-        """What has no slope of its own and may jump: comparisons, rounding, conversion to an integer."""
+        """Evaluate an operation that has no slope and may jump: comparison, rounding, conversion to an integer."""
         values = [a.value for a in d]
         found = self._number(item, values)
         if item.op in ("lt", "le", "eq", "ne") and item.args[0] is not item.args[1]:
@@ -260,11 +260,11 @@ class _Run:
     bound: Mapping[Any, Value]
 
     def known(self, reads: int) -> dict[Any, Value]:
-        """The values known of expressions that read the variables of these loops."""
+        """Return the values known of expressions that read the variables of these loops."""
         return self.memos.setdefault(reads.bit_length(), {})
 
     def turn(self, depth: int, variables: Sequence[Value]) -> "_Run":
-        """A turn of the loop at `depth`."""
+        """Evaluate a turn of the loop at `depth`."""
         outer = {level: self.memos.setdefault(level, {}) for level in range(depth + 1)}
         return _Run(self.leaf, outer, {**self.bound, **{(depth, j): v for j, v in enumerate(variables)}})
 
@@ -290,7 +290,7 @@ def _scaled(slope: Slope | None, factor: float) -> Slope | None:
 
 
 def _sum(a: Slope | None, by_a: float, b: Slope | None, by_b: float) -> Slope | None:
-    """a * by_a + b * by_b, where None is zero."""
+    """Return a * by_a + b * by_b, where None is zero."""
     if a is None or b is None:
         return _scaled(a, by_a) if b is None else _scaled(b, by_b)
     return a * by_a + b * by_b

@@ -31,7 +31,7 @@ _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
 
 
 def _operator(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The methods that record `self op other` and `other op self`."""
+    """Return the methods that record `self op other` and `other op self`."""
     return lambda self, other: _binary(op, self, other), lambda self, other: _binary(op, other, self)
 
 
@@ -60,7 +60,7 @@ class Expr(Refusals):
 
     @property
     def bodies(self) -> tuple[Expr, ...]:
-        """What a loop evaluates at each turn; none of other nodes."""
+        """The expressions that a loop evaluates at each turn; empty for other nodes."""
         return self.args[len(self.outside) :]
 
     def __setattr__(self, name: str, value: Any) -> Never:
@@ -172,7 +172,7 @@ _REMEDY = {
 
 
 def node(op: str, kind: str, args: tuple[Expr, ...] = (), data: Any = None, width: int | None = None) -> Expr:
-    """The one node with these fields (hash-consed). Internal: the functions below check what goes in."""
+    """Return the one node with these fields (hash-consed). Internal: the functions below check their arguments."""
     tag = data.hex() if isinstance(data, float) else data
     key = (op, kind, width, tuple(map(id, args)), tag)
     found = _table.get(key)
@@ -208,7 +208,7 @@ def _loops(item: Expr) -> int:
 
 
 def const(value: Any, kind: str) -> Expr:
-    """A constant. A float is kept as the double the user wrote and rounded once, to the final precision."""
+    """Return a constant. A float is kept as the user's double and rounded once, to the final precision."""
     if kind in FLOATS:
         return node("const", kind, (), float(value))
     if kind == "bool":
@@ -224,7 +224,7 @@ def _range(kind: str) -> str:
 
 
 def leaf(op: str, name: str, kind: str, width: int | None = None) -> Expr:
-    """An input, state or parameter by name (`op` is one of LEAVES)."""
+    """Return an input, state or parameter by name (`op` is one of LEAVES)."""
     return node(op, kind, (), name, width)
 
 
@@ -256,7 +256,7 @@ def by_name(one: str, other: str) -> str:
 
 
 def computed_in(value: Any) -> Any:
-    """A scalar in the kind that operations on it have: an integer of 8 or 16 bits as int32, all else as it is."""
+    """Return a scalar in the kind of its operations: an integer of 8 or 16 bits as int32, any other unchanged."""
     if isinstance(value, Expr):
         return node("convert", BY_NAME[value.kind].computes, (value,)) if value.kind in STORED else value
     return numbers.computed_in(value)
@@ -271,7 +271,7 @@ def of_one_kind(values: Sequence[Any]) -> Sequence[Any]:
 
 
 def position(index: Any, width: int) -> Expr:
-    """The int32 index of an element of an array of `width` elements, as numbers, literals and Exprs may name it."""
+    """Return the int32 index of an element in an array of `width` elements, from a number, literal or Expr."""
     if not isinstance(index, Expr):
         try:
             return const(numbers.clamp_index(index, width), "int32")
@@ -326,7 +326,7 @@ def _unary(op: str, a: Expr) -> Any:
 
 
 def arrays_among(*values: Any) -> bool:
-    """Whether one of `values` is an array, so that an operation goes element by element."""
+    """Return True if one of `values` is an array, so that an operation goes element by element."""
     for v in values:
         if type(v) is Expr:
             if v.width is not None:
@@ -337,7 +337,7 @@ def arrays_among(*values: Any) -> bool:
 
 
 def traced(*values: Any) -> bool:
-    """Whether an operation on `values` must be recorded: one of them is an Expr, or a block is being traced."""
+    """Return True if an operation on `values` must be recorded: one is an Expr, or a block is being traced."""
     # While a block is traced even literals are recorded: folded here, they would round in this run's precision.
     if TRACING.get():
         return True
@@ -345,7 +345,7 @@ def traced(*values: Any) -> bool:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """`a` where the condition holds, else `b`; both are evaluated, arrays element by element.
+    """Return `a` where the condition holds, else `b`; both are evaluated, arrays element by element.
 
     Two literals give a real.
     """
@@ -378,7 +378,7 @@ def _less(a: Any, b: Any) -> Any:
 
 
 def sqrt(x: Any) -> Any:
-    """The IEEE square root of a float, in its precision; NaN below zero."""
+    """Return the IEEE square root of a float, in its precision; NaN below zero."""
     if arrays_among(x):
         return rules.spread(sqrt, x)
     if traced(x):
@@ -387,7 +387,7 @@ def sqrt(x: Any) -> Any:
 
 
 def float_kind(values: Iterable[Any]) -> str:
-    """The kind of the first of `values` that is a float and no literal; "real" if there is none."""
+    """Return the kind of the first of `values` that is a float and no literal; "real" if there is none."""
     for v in values:
         kind = v.kind if isinstance(v, Expr) else numbers.kind_of(v) if isinstance(v, np.floating) else ""
         if kind in FLOATS:
@@ -401,17 +401,17 @@ def as_float(value: Any) -> Expr:
 
 
 def real(value: float) -> Any:
-    """A real literal as a number of the current precision (needed only where no other operand is real)."""
+    """Return a real literal as a number of the current precision (needed only without another real operand)."""
     return const(value, "real") if recording() else numbers.cast(float(value), "real")
 
 
 def int32(value: int) -> Int32:
-    """An int32 literal."""
+    """Return an int32 literal."""
     return Int32(value)
 
 
 def uint32(value: int) -> UInt32:
-    """A uint32 literal."""
+    """Return a uint32 literal."""
     return UInt32(value)
 
 
@@ -457,7 +457,7 @@ def convert(x: Any, kind: str) -> Any:
 
 
 def multiply_high(a: Any, b: Any) -> Any:
-    """The upper 32 bits of the 64-bit product of two uint32."""
+    """Return the upper 32 bits of the 64-bit product of two uint32."""
     if traced(a, b):
         left, right = as_expr(a, "uint32"), as_expr(b, "uint32")
         scalars("multiply_high", left, right)
@@ -466,7 +466,7 @@ def multiply_high(a: Any, b: Any) -> Any:
 
 
 def bits_of(x: Any, word: int = 0) -> Any:
-    """A 32-bit word of a real's IEEE pattern as uint32: word 0 the lower, word 1 the upper (float64 only).
+    """Return a 32-bit word of a real's IEEE pattern as uint32: word 0 the lower, word 1 the upper (float64 only).
 
     NaN reads as the canonical quiet NaN. The meaning depends on the precision: for definitions of elementary
     functions only, which exist once a precision.
@@ -480,7 +480,7 @@ def bits_of(x: Any, word: int = 0) -> Any:
 
 
 def from_bits(low: Any, high: Any = None) -> Any:
-    """The real with these IEEE words: one uint32 for float32, (low, high) for float64. The inverse of `bits_of`."""
+    """Return the real with these IEEE words: one uint32 for float32, (low, high) for float64; undo `bits_of`."""
     if traced(low, high):
         words = (as_expr(low, "uint32"),) if high is None else (as_expr(low, "uint32"), as_expr(high, "uint32"))
         return node("from_bits", "real", words)
@@ -491,7 +491,7 @@ def from_bits(low: Any, high: Any = None) -> Any:
 
 
 def call(name: str, *args: Expr) -> Expr:
-    """A call of the elementary function `name` on floats; it is defined in `twodof.blocks.elementary.functions`."""
+    """Return a call of the elementary function `name`, defined in `twodof.blocks.elementary.functions`, on floats."""
     kind = float_kind(args)
     values = tuple(as_expr(a, kind) for a in args)
     scalars(name, *values)

@@ -25,7 +25,7 @@ def text_of(item: Expr) -> str:
 
 
 def machine_text(item: Expr) -> str:
-    """A guard or an action's value of a state machine, in the words in which its function says it."""
+    """Return a guard or an action's value of a state machine in the words of its function."""
     text = text_of(item).replace(f"({_SECONDS})", "t.elapsed_time").replace(_SECONDS, "t.elapsed_time")
     return re.sub(r"\bx\.elapsed\b", "t.elapsed", text)
 
@@ -72,5 +72,5 @@ def _text(item: Expr, depth: int) -> str:
 
 
 def _inner(item: Expr, text: str) -> str:
-    """The text of an operand, in parentheses where it is an operation of two itself."""
+    """Return the text of an operand, in parentheses where it is an operation of two itself."""
     return f"({text})" if item.op in _INFIX or item.op in _COMPARES else text

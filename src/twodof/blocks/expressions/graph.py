@@ -81,7 +81,7 @@ def unchanging(
     resolve: Callable[[Expr], Expr] = lambda item: item,
     bodies: Callable[[Expr], Sequence[Expr]] = lambda item: item.bodies,
 ) -> list[Expr]:
-    """The arrays, loops and calls in a loop's bodies that are the same at each turn, those within them left out.
+    """Return the arrays, loops and calls in a loop's bodies that are the same at each turn, without those within them.
 
     They are computed once before the loop: in its bodies, chained products of matrices would cost the product of their
     lengths. `resolve` gives the node that is computed in place of another one, `bodies` those of a loop.
@@ -105,17 +105,17 @@ def unchanging(
 
 
 def scope(roots: Iterable[Expr], known: Container[int]) -> list[Expr]:
-    """What is computed where `roots` are, `ordered`: loops are not entered, what they do not change comes before."""
+    """Return the nodes computed beside `roots`, `ordered`: unchanging nodes of loops before them, no loop entered."""
     return ordered(roots, lambda item: (*item.outside, *unchanging(item)) if item.op in LOOPS else item.outside, known)
 
 
 def leaves(roots: Iterable[Expr], op: str) -> set[str]:
-    """The names of the leaves of kind `op` that `roots` depend on."""
+    """Return the names of the leaves of kind `op` that `roots` depend on."""
     return {n.data for n in walk(roots) if n.op == op}
 
 
 def of_kinds(roots: Iterable[Expr], kinds: Mapping[str, str]) -> list[Expr]:
-    """The graphs of `roots` with other kinds of values: each kind named becomes that which `kinds` gives."""
+    """Return the graphs of `roots` with each kind of value replaced by the one that `kinds` gives."""
     made: dict[int, Expr] = {}
     order = walk(roots := list(roots))
     for item in order:
@@ -134,7 +134,7 @@ def evaluate(
     functions: Mapping[str, Callable[..., Any]],
     sight: Sight | None = None,
 ) -> list[Any]:
-    """Recompute a graph on other values: numbers compute, Exprs record anew (so this is also substitution).
+    """Recompute a graph on other values: numbers compute, Exprs record again (so this is also substitution).
 
     `leaf_value` gives the value of an input, state, param, tick or dt leaf; `functions` the elementary functions by
     name. Under `tracing`, loops are recorded as loops; otherwise they are run. `sight` is shown each turn of each loop,

@@ -60,7 +60,7 @@ CONVERSIONS: tuple[tuple[str, str], ...] = (
 
 
 def dtype_of(kind: str, precision: str) -> np.dtype[np.generic]:
-    """A value's numpy type in a build of `precision`, which is real's."""
+    """Return a value's numpy type in a build of `precision`, which is real's."""
     return np.dtype(BY_NAME[kind].dtype or precision)
 
 

@@ -47,7 +47,7 @@ class Matrix(Refusals, ArrayOperators):
         self.moved = moved
 
     def at(self, i: Any, j: Any) -> Any:
-        """The element in row i and column j, both inside."""
+        """Return the element in row i and column j, both inside."""
         if self.element is not None:
             return self.element(i, j)
         literal = isinstance(i, int) and isinstance(j, int)
@@ -87,28 +87,28 @@ def place(i: Any, j: Any, rows: int) -> Any:
 
 
 def shape_text(shape: Shape) -> str:
-    """A shape as errors show it: "a scalar", "3", "3x2"."""
+    """Return a shape as errors show it: "a scalar", "3", "3x2"."""
     return "x".join(map(str, shape)) or "a scalar"
 
 
 def shape_of(value: Any) -> Shape:
-    """The shape of a number, a node, an array, or a list or numpy array of such."""
+    """Return the shape of a number, a node, an array, or a list or numpy array of such."""
     found: Shape = getattr(_operand(value), "shape", ())
     return found
 
 
 def shaped(flat: Any, shape: Shape | None) -> Any:
-    """An array of the language as a block's method sees it: a Matrix if `shape` is one of a matrix."""
+    """Return an array as a block's method sees it: a Matrix if `shape` is that of a matrix."""
     return flat if shape is None else Matrix(flat, shape)
 
 
 def flat_of(value: Any) -> Any:
-    """What a Matrix holds, column after column; everything else as it is."""
+    """Return a Matrix's elements, column after column; any other value unchanged."""
     return value.flat if isinstance(value, Matrix) else value
 
 
 def matrix(rows: Any) -> Any:
-    """The matrix with these rows: lists or vectors of one length, or a numpy array of two dimensions."""
+    """Return the matrix with these rows: lists or vectors of one length, or a numpy array of two dimensions."""
     made = _of_lists(rows.tolist() if isinstance(rows, np.ndarray) else list(rows))
     if not isinstance(made, Matrix):
         raise fault("a matrix is made of rows, and these are scalars", "write matrix([[...], [...]])")
@@ -116,7 +116,7 @@ def matrix(rows: Any) -> Any:
 
 
 def _of_lists(value: Any) -> Any:
-    """A list of scalars as it is, of lists (or vectors) as a Matrix over a list."""
+    """Return a list of scalars unchanged, and a list of lists (or vectors) as a Matrix."""
     rows = [row.tolist() if isinstance(row, np.ndarray) else row for row in value]
     widths = {len(row) if _is_array(row) else None for row in rows}
     if not rows or widths == {0}:
@@ -132,7 +132,7 @@ def _of_lists(value: Any) -> Any:
 
 
 class _Literals(list[Any]):
-    """A list of scalars, some of which may be Python's own numbers."""
+    """List of scalars, Python's own numbers among them."""
 
     @property
     def shape(self) -> Shape:
@@ -146,7 +146,7 @@ def _is_array(value: Any) -> bool:
 
 
 def _operand(value: Any) -> Any:
-    """A list or numpy array as an array of the language; everything else as it is."""
+    """Return a list or numpy array as an array of the language; any other value unchanged."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
     if isinstance(value, (list, tuple)) and not isinstance(value, (Vector, _Literals)):
@@ -155,7 +155,7 @@ def _operand(value: Any) -> Any:
 
 
 def _pick(flat: Any, at: int) -> Any:
-    """The element at a literal place, without making an array only to read it."""
+    """Return the element at a literal place, without making an array only to read it."""
     return flat.args[at] if isinstance(flat, Expr) and flat.op == "vector" else flat[at]
 
 
@@ -193,7 +193,7 @@ def spread(f: Callable[..., Any], *values: Any) -> Any:
 
 
 def product(a: Any, b: Any) -> Any:
-    """`a @ b` of matrices and vectors. Each element is a(i, 0) * b(0, j) + a(i, 1) * b(1, j) + ..., from the left."""
+    """Return `a @ b`. Each element is a(i, 0) * b(0, j) + a(i, 1) * b(1, j) + ..., summed from the left."""
     left, right = _operand(a), _operand(b)
     first, second = shape_of(left), shape_of(right)
     if not first or not second or first[-1] != second[0]:
@@ -228,7 +228,7 @@ def product(a: Any, b: Any) -> Any:
 
 
 def _factor(value: Any, flat: Any, shape: Shape) -> Matrix:
-    """A factor of a product. Its elements are read often, so they stand in an array, unless they do anyway."""
+    """Return a factor of a product as an array, since its elements are read often."""
     if isinstance(value, Matrix) and value.moved:
         return value
     return Matrix(flat, shape)
@@ -264,7 +264,7 @@ def part(array: Any, index: Any) -> Any:
 
 
 def _places(index: slice, length: int) -> list[int]:
-    """The places that a slice names, all of them inside."""
+    """Return the places that a slice names, all of them inside."""
     if any(isinstance(b, (Expr, Integer)) for b in (index.start, index.stop, index.step)):
         raise fault("a slice has a bound that is computed", "use literals, or array_of(n, lambda i: a[start + i])")
     try:
@@ -279,7 +279,7 @@ def _places(index: slice, length: int) -> list[int]:
 
 
 def _place(index: Any, length: int) -> Any:
-    """An index of a matrix: a literal one is checked, a computed one is clamped to its own dimension."""
+    """Return an index of a matrix: a literal one is checked, a computed one is clamped to its own dimension."""
     if isinstance(index, Integer):
         return numbers.clamp_index(index, length)
     at = position(index, length)
@@ -293,19 +293,19 @@ rules.spread, rules.product, rules.part = spread, product, part
 
 
 def zeros(*shape: int) -> Any:
-    """A real vector `zeros(n)` or matrix `zeros(rows, columns)` of zeros."""
+    """Return a real vector `zeros(n)` or matrix `zeros(rows, columns)` of zeros."""
     if len(shape) == 2:
         return matrix([[0.0] * shape[1]] * shape[0])
     return vector([0.0] * shape[0])
 
 
 def eye(size: int) -> Any:
-    """The identity matrix."""
+    """Return the identity matrix."""
     return diag([1.0] * size)
 
 
 def diag(values: Any) -> Any:
-    """The square matrix with these values on its diagonal, or, of a matrix, its diagonal as a vector."""
+    """Return the square matrix with these values on its diagonal, or, of a matrix, its diagonal as a vector."""
     shape = shape_of(values)
     if len(shape) == 2:
         return vector([values[i, i] for i in range(min(shape))])
@@ -327,7 +327,7 @@ def concatenate(arrays: Sequence[Any], axis: int = 0) -> Any:
 
 
 def outer(a: Any, b: Any) -> Any:
-    """The matrix of a[i] * b[j]."""
+    """Return the matrix of a[i] * b[j]."""
     rows, columns = len(a), len(b)
     if isinstance(a, Expr) and isinstance(b, Expr) and rows * columns > WRITTEN:
         flat = array_of(columns, lambda j: array_of(rows, lambda i: a[i] * b[j]))
@@ -336,7 +336,7 @@ def outer(a: Any, b: Any) -> Any:
 
 
 def cross(a: Any, b: Any) -> Any:
-    """The vector product of two vectors of three."""
+    """Return the vector product of two vectors of three."""
     if shape_of(a) != (3,) or shape_of(b) != (3,):
         raise fault(f"cross of {shape_text(shape_of(a))} and {shape_text(shape_of(b))}", "give two vectors of 3")
     return vector([a[i - 2] * b[i - 1] - a[i - 1] * b[i - 2] for i in range(3)])
@@ -353,6 +353,6 @@ def sum(a: Any) -> Any:
 
 
 def norm(a: Any) -> Any:
-    """The square root of the sum of the squares of all elements."""
+    """Return the square root of the sum of the squares of all elements."""
     flat = flat_of(a)
     return sqrt(sum(flat * flat))

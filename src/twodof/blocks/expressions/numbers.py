@@ -21,7 +21,7 @@ from twodof.errors import DiagramError, shown
 
 
 class ArrayRules:
-    """What the operators do. `matrix` fills it in, because numbers and nodes, which are below it, have operators too.
+    """Meaning of the operators. `matrix` fills it in, because numbers and nodes below it have operators too.
 
     `spread(f, *values)` is `f` element by element; `product(a, b)` is `a @ b`; `part(a, index)` is a slice or an
     element of a matrix.
@@ -36,7 +36,7 @@ rules = ArrayRules()
 
 
 def _both_ways(compute: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The methods for `self op other` and `other op self`."""
+    """Return the methods for `self op other` and `other op self`."""
     return (
         lambda self, other: rules.spread(compute, self, other),
         lambda self, other: rules.spread(compute, other, self),
@@ -106,17 +106,17 @@ def precision(name: str) -> Iterator[None]:
 
 
 def real_type() -> type[np.floating[Any]]:
-    """The numpy scalar type of a real under the enclosing `precision`."""
+    """Return the numpy scalar type of a real under the enclosing `precision`."""
     return _REAL.get()
 
 
 def scalar_types() -> Mapping[str | None, type]:
-    """What a number of each kind is an instance of under the enclosing `precision`."""
+    """Return the type of a number of each kind under the enclosing `precision`."""
     return _SCALARS[_REAL.get()]
 
 
 def scalars() -> frozenset[type]:
-    """The types of numbers under the enclosing `precision`."""
+    """Return the types of numbers under the enclosing `precision`."""
     return _TYPES[_REAL.get()]
 
 
@@ -133,7 +133,7 @@ def _remainder(a: int, b: int) -> int:
 
 
 def _operator(compute: Callable[[int, int], int]) -> tuple[_Method, _Method]:
-    """The methods for `self op other` and `other op self`; the result wraps around."""
+    """Return the methods for `self op other` and `other op self`; the result wraps around."""
 
     def left(self: Integer, other: object) -> Any:
         value = self._other(other)
@@ -169,7 +169,7 @@ class Integer:
         self.value = (int(value) - self.low) % self.size + self.low
 
     def _other(self, other: object) -> int | None:
-        """The other operand; None for an array or one of the expression graph, which have methods of their own."""
+        """Return the other operand, or None for an array or an Expr, which have methods of their own."""
         if isinstance(other, Integer) and other.computes is self.computes:
             return other.value
         if type(other) is int or (isinstance(other, IntEnum) and self.computes is Int32):
@@ -297,7 +297,7 @@ class Vector(ArrayOperators, tuple[Any, ...]):
 
 
 def clamp_index(index: Any, length: int) -> int:
-    """The position that `index` addresses in an array of `length` elements.
+    """Return the position that `index` addresses in an array of `length` elements.
 
     Raises DiagramError for a literal outside [-length, length) and for an index that is not an integer.
     """
@@ -332,15 +332,15 @@ def cast(value: Any, kind: str) -> Any:
             return value
         if type(value) is int or (isinstance(value, IntEnum) and kind == "int32"):
             return integer(value)
-    raise DiagramError(
-        f"a {kind} is expected and {shown(value)} of type {type(value).__name__} is given",
-        "",
-        "convert it explicitly",
-    )
+    if isinstance(value, str):
+        raise DiagramError(f"it takes {kind}, not the text {shown(value)}", "", "give a number")
+    given = getattr(value, "kind", None) or type(value).__name__
+    remedy = "give true or false, or a comparison" if kind == "bool" else f"convert it, as in to_{kind}(x)"
+    raise DiagramError(f"it takes {kind}, not {shown(value)} of type {given}", "", remedy)
 
 
 def identical(a: Any, b: Any) -> bool:
-    """Whether two numbers, or tuples of them, are of one type and the same to the bit; NaN is one value."""
+    """Return True if two numbers, or tuples of them, are of one type and equal to the bit; NaN is one value."""
     if type(a) is not type(b):
         return False
     if isinstance(a, tuple):
@@ -351,14 +351,14 @@ def identical(a: Any, b: Any) -> bool:
 
 
 def plain(value: Any) -> Any:
-    """A number of the language as a Python number, a Vector as a list."""
+    """Return a number of the language as a Python number, a Vector as a list."""
     if isinstance(value, Vector):
         return [plain(v) for v in value]
     return value.value if isinstance(value, Integer) else value.item()
 
 
 def kind_of(value: Any) -> str:
-    """The language's type of a number; a Python float or int literal is taken for a real, an IntEnum for an int32.
+    """Return the kind of a number; a Python float or int literal counts as real, an IntEnum as int32.
 
     So is a number of numpy that has the precision of a real. Raises DiagramError for anything that is not a number of
     the language.
@@ -376,7 +376,7 @@ def kind_of(value: Any) -> str:
 
 
 def common_kind(values: Iterable[Any]) -> str:
-    """The kind of the first of `values` that is more than a literal of Python, which may be a real or an integer.
+    """Return the kind of the first of `values` that is not a Python literal, which may be a real or an integer.
 
     It is "real" if all are such literals.
     """
@@ -385,10 +385,10 @@ def common_kind(values: Iterable[Any]) -> str:
 
 
 def computed_in(value: Any) -> Any:
-    """A number in the kind that operations on it have: an integer of 8 or 16 bits as an Int32."""
+    """Return a number in the kind of its operations: an integer of 8 or 16 bits as an Int32."""
     return value.computes(value.value) if isinstance(value, Integer) else value
 
 
 def fits(value: int, kind: str) -> bool:
-    """Whether a whole number is one of an integer kind as it is, without wrapping around."""
+    """Return True if a whole number is in the range of an integer kind, without wrapping around."""
     return BY_NAME[kind].low <= value <= BY_NAME[kind].high

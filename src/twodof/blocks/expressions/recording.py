@@ -1,4 +1,4 @@
-"""What is being recorded, how much more of it may be, and where the user's code stands that does it."""
+"""Recording of expressions: the traced block, the room left for nodes, and the user's line; and its refusals."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ def tracing(path: str) -> AbstractContextManager[None]:
 
 
 def users_line() -> str:
-    """The innermost line that is outside the language and its library, as FILE:LINE."""
+    """Return the innermost line that is outside the language and its library, as FILE:LINE."""
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith("twodof.blocks."):
         frame = frame.f_back
@@ -59,7 +59,7 @@ def users_line() -> str:
 
 
 def fault(what: str, remedy: str) -> DiagramError:
-    """A mistake in a block's code, with the block and the user's line that made it."""
+    """Return the error for a mistake in a block's code, with the block and the user's line."""
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(LANGUAGE):
         frame = frame.f_back
@@ -69,7 +69,7 @@ def fault(what: str, remedy: str) -> DiagramError:
 
 
 def recording() -> bool:
-    """Whether a block is being traced: loops are then recorded, else run."""
+    """Return True while a block is being traced: loops are then recorded, else run."""
     return bool(TRACING.get())
 
 

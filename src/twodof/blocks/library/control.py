@@ -85,7 +85,7 @@ class Pid(Block):
         }
 
     def _starts(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
-        """The states i and f, or their initial values in a reset."""
+        """Return the states i and f, or their initial values in a reset."""
         i = x.i if self.resets == "none" else where(u.clear, p.initial_integral, x.i)
         return i, where(u.clear, p.initial_filter, x.f) if self.resets == "all" else x.f
 

@@ -48,7 +48,7 @@ def function_block(
     inputs: Sequence[Port] = (),
     params: Sequence[Param] = (),
 ) -> FunctionBlock:
-    """A block that computes `function`, which is written with the functions of twodof.blocks (`where`, `sin`, ...).
+    """Return a block that computes `function`, written with the functions of twodof.blocks (`where`, `sin`, ...).
 
     Its positional arguments are the inputs: scalar reals, unless `inputs` declares a port of that name. Its
     keyword-only arguments are parameters with the given defaults (or as `params` declares them). It returns a bare
@@ -91,7 +91,7 @@ def function_block(
 
 
 def _param(name: str, default: Any) -> Param:
-    """A parameter of the type and width of its default; integers are given as int32(...) or uint32(...)."""
+    """Return a parameter of the type and width of its default; integers are given as int32(...) or uint32(...)."""
     default = plain_data(default, name)
     if isinstance(default, list) and default and isinstance(default[0], list) and default[0]:
         rows = [[_plain(v) for v in row] for row in default]

@@ -84,7 +84,7 @@ class _RingBuffer(Block):
 
 
 def _read(ring: Any, before: Any, place: Any, arrived: Any) -> Any:
-    """What stands in a ring at `place` if it has `arrived` there, else what was before."""
+    """Return the value in a ring at `place` if it has `arrived` there, else the value before."""
     if isinstance(before, BusView):
         return {name: _read(ring[name], before[name], place, arrived) for name in vars(before)}
     if isinstance(before, Matrix):
@@ -96,7 +96,7 @@ def _read(ring: Any, before: Any, place: Any, arrived: Any) -> Any:
 
 
 def _written(ring: Any, value: Any, place: Any) -> Any:
-    """A ring with `value` at `place`."""
+    """Return a ring with `value` at `place`."""
     if isinstance(value, BusView):
         return {name: _written(ring[name], value[name], place) for name in vars(value)}
     flat = flat_of(value)
@@ -288,7 +288,7 @@ class DataStore(Block):
 
 @library_block("store_write")
 class StoreWrite(Block):
-    """Writes u into the DataStore named `store`, of which it is the only writer; y = u."""
+    """Writes u into the DataStore named `store` as its only writer; y = u."""
 
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreWrite")

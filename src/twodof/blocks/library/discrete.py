@@ -42,7 +42,7 @@ class ResetRule:
         self.states += [State("begun", False, "bool")] if at_edges or external else []
 
     def starts(self, u: Any, x: Any) -> Any:
-        """Whether it starts afresh in this sample; None if it never does."""
+        """Return True if the block starts afresh in this sample; None if it never does."""
         found = None
         if self.reset == "level":
             found = u.clear
@@ -53,7 +53,7 @@ class ResetRule:
         return found
 
     def update(self, u: Any) -> dict[str, Any]:
-        """The next values of its states."""
+        """Return the next values of the states."""
         given = {"before": u.clear} if self.reset in EDGES else {}
         return {**given, "begun": True} if self.states else {}
 
@@ -143,7 +143,7 @@ class DiscreteDerivative(Block):
 def quotient(
     block: str, numerator: Any, denominator: Any, least: int = 1, proper: bool = True
 ) -> tuple[list[float], list[float]]:
-    """The coefficients of a transfer function as lists. Raises DiagramError if none can be computed from them."""
+    """Return the coefficients of a transfer function as lists. Raises DiagramError if they do not define one."""
     top, bottom = reals(numerator, block, "numerator"), reals(denominator, block, "denominator", least)
     if proper and len(top) > len(bottom):
         raise DiagramError(
@@ -277,7 +277,7 @@ class LinearStateSpace(Block):
         return array_of(self.output_count, lambda i: self._row(i, p.C, gain, u, x))
 
     def change(self, u: Any, x: Any, p: Any) -> Any:
-        """A x + B u."""
+        """Return A x + B u."""
         return array_of(self.size, lambda i: self._row(i, p.A, p.B, u, x))
 
 

@@ -20,7 +20,7 @@ LOW_PASS_METHODS = ("forward", "backward", "trapezoidal", "zoh")
 
 
 def _warped(frequency: Any, dt: Any) -> Any:
-    """k = tan(pi f T)."""
+    """Return k = tan(pi f T)."""
     return tan(math.pi * minimum(0.499, frequency * dt))
 
 

@@ -186,7 +186,7 @@ class Lookup2D(Block):
         return along_columns(along_rows(v[i, j], v[i + 1, j]), along_rows(v[i, j + 1], v[i + 1, j + 1]))
 
     def _segment(self, b: Any, length: int, value: Any) -> tuple[Any, Callable[[Any, Any], Any]]:
-        """The segment of the grid `b` in which `value` lies, and what interpolates between two values at its ends."""
+        """Return the segment of the grid `b` around `value`, and the interpolation between two values at its ends."""
         clips = self.outside == "clip"
         at = clamp(b[0], b[length - 1], value) if clips else value
         i = search(b, length, at)

@@ -210,7 +210,7 @@ class BusAssign(Block):
 
 
 def _bus(given: Any, block: str) -> Bus:
-    """The bus that an argument is: a Bus, its plain form, or a list of the names of real fields."""
+    """Return the bus that an argument describes: a Bus, its plain form, or a list of the names of real fields."""
     if isinstance(given, (list, tuple)) and all(isinstance(name, str) for name in given):
         given = Bus("bus", [Port(name) for name in given])
     kind = Port("bus", given).kind if isinstance(given, (Bus, Mapping)) else None

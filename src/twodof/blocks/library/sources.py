@@ -32,12 +32,12 @@ __all__ = [
 
 
 def ticks(seconds: Any, t: Clock) -> Any:
-    """The nearest whole number of base ticks, as uint32 (0 for a negative time)."""
+    """Return the nearest whole number of base ticks, as uint32 (0 for a negative time)."""
     return to_uint32(seconds / t.base_dt + 0.5)
 
 
 def start_param(start: float) -> Param:
-    """The parameter `start`."""
+    """Return the parameter `start`."""
     return Param("start", start, unit="s", low=0.0, text="when it begins")
 
 

@@ -1,4 +1,4 @@
-"""What the blocks that play test signals share with `twodof.excitation`, which stores them.
+"""Laws of test signals, which the blocks that play them share with `twodof.excitation`, which stores them.
 
 `shifted` takes numbers of the block language as well as Python's. Sources: Jategaonkar, Flight Vehicle
 System Identification, chapter 2; Golomb, Shift Register Sequences.
@@ -38,7 +38,7 @@ TAPS: Mapping[int, tuple[int, ...]] = {
 
 
 def shifted(register: Any, order: int) -> Any:
-    """A linear feedback shift register of `order` bits after one step; its lowest bit is the output."""
+    """Return a linear feedback shift register of `order` bits after one step; its lowest bit is the output."""
     feedback = register & 0
     for tap in TAPS[order]:
         feedback = feedback ^ (register >> (order - tap))

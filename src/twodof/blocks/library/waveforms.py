@@ -23,19 +23,19 @@ def _fraction(value: Any) -> Any:
 
 
 def _phase_step(frequency: Any, t: Clock) -> tuple[Any, Any]:
-    """The turns that a frequency makes in a tick, less whole ones, as a 64-bit binary fraction (upper, lower word)."""
+    """Return the turns of a frequency in a tick, less whole ones, as a 64-bit fraction (upper, lower word)."""
     scaled = _fraction(frequency * t.base_dt) * 2.0**32
     upper = to_uint32(scaled)
     return upper, to_uint32((scaled - to_real(upper)) * 2.0**32)
 
 
 def _times(number: Any, upper: Any, lower: Any) -> tuple[Any, Any]:
-    """A whole number of times a 64-bit fraction of a turn; whole turns vanish by wrapping around: it is exact."""
+    """Multiply a 64-bit fraction of a turn by a whole number; whole turns wrap around, so it is exact."""
     return number * upper + multiply_high(number, lower), number * lower
 
 
 def _angle(upper: Any, lower: Any) -> Any:
-    """A 64-bit fraction of a turn in rad, 0 .. 2 pi."""
+    """Return a 64-bit fraction of a turn in rad, 0 .. 2 pi."""
     return (2.0 * math.pi) * (to_real(upper) * 2.0**-32 + to_real(lower) * 2.0**-64)
 
 

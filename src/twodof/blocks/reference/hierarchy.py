@@ -86,7 +86,7 @@ class DiagramLevel:
 
     @property
     def signals(self) -> list[PortOf | str]:
-        """What decides over it."""
+        """The signals that decide over the diagram."""
         return [s for s in (self.enable, self.reset, self.trigger, self.restart) if s is not None]
 
     @property
@@ -100,7 +100,7 @@ class DiagramLevel:
         return [] if self.parent is None else [*self.parent.around, self.parent]
 
     def resolve(self, source: str) -> PortOf | str:
-        """The block's port, or the name of the root's input, that `source` stands for here. It is not a bus."""
+        """Return the block's port, or the name of the root's input, behind `source`. It is not a bus."""
         end = self._end(source)
         fields = _fields_of(end, self._root)
         if fields:
@@ -110,14 +110,14 @@ class DiagramLevel:
         return end
 
     def field(self, source: str, field: str) -> PortOf | str:
-        """What `field` of the bus `source` stands for here; a wide bus is asked a thousand times."""
+        """Return the port behind `field` of the bus `source`; a wide bus is asked a thousand times."""
         if source not in self._buses:
             self._buses[source] = self.spread("", source)
         found = self._buses[source].get(field)
         return self.resolve(self.diagram.field(source, field)) if found is None else found
 
     def spread(self, name: str, source: str) -> dict[str, PortOf | str]:
-        """What `source` stands for here under `name`; of a bus each field under "name.field"."""
+        """Return the port behind `source` under `name`; for a bus each field's under "name.field"."""
         end = self._end(source)
         fields = _fields_of(end, self._root)
         return {f"{name}{str(field).removeprefix(str(end))}": field for field in fields} or {name: end}
@@ -127,7 +127,7 @@ class DiagramLevel:
         return self if self.parent is None else self.parent._root
 
     def _end(self, source: str) -> PortOf | str:
-        """What `source` leads to, which may be a bus."""
+        """Return the port that `source` leads to, which may be a bus."""
         level, text = self, source
         for _ in range(10_000):
             part, port = level.diagram.source(text)
@@ -150,7 +150,7 @@ class DiagramLevel:
 
 
 def _fields_of(end: PortOf | str, root: DiagramLevel) -> list[PortOf | str]:
-    """The ports that are the fields of a bus; none of what is not one."""
+    """Return the ports that are the fields of a bus; an empty list for another port."""
     if isinstance(end, str):
         return [] if end in root.diagram.inputs else [n for n in root.diagram.inputs if n.startswith(f"{end}.")]
     names = [port.name for port in end.cell.block.outputs]
@@ -292,12 +292,12 @@ class Hierarchy:
         return driver
 
     def _restart(self, level: DiagramLevel) -> PortOf | None:
-        """A cell's port that is true where `level` is enabled again; None if nothing ever disables it."""
+        """Return a cell's port that is true where `level` is enabled again; None if nothing disables it."""
         enables = [at.enable for at in (*level.around, level) if at.enable is not None]
         return self._added(level, "restart", EnabledAgain(len(enables)), enables) if enables else None
 
     def _added(self, level: DiagramLevel, name: str, block: Block, drivers: list[PortOf | str]) -> PortOf:
-        """The output of a cell that the language adds beside a sub-diagram, to decide over it."""
+        """Return the output of a cell that the language adds beside a sub-diagram, to decide over it."""
         # It freezes with the diagrams around, but for one that has to see them disabled.
         around = () if name == "restart" else tuple(at for at in level.around if at.signals)
         cell = Cell(f"{level.path}._{name}", block, level.rate, around)
@@ -326,7 +326,7 @@ class Hierarchy:
         return driver
 
     def _stored(self, level: DiagramLevel, part: str, where: str, port: str) -> PortOf:
-        """The data store that feeds a StoreRead, or the StoreWrite that feeds a data store."""
+        """Return the data store that feeds a StoreRead, or the StoreWrite that feeds a data store."""
         field = port.removeprefix("u")  # ".roll" of a bus
         item = level.diagram.parts[part].item
         if isinstance(item, StoreRead):
@@ -459,7 +459,7 @@ class Hierarchy:
 
     @cached_property
     def signals(self) -> dict[str, PortOf | str]:
-        """What drives the output of each block and of each sub-diagram, by its path "part.sub.port"."""
+        """The driver of each output of a block or sub-diagram, by its path "part.sub.port"."""
         found: dict[str, PortOf | str] = {}
         for cell in self.cells:
             found |= {f"{cell.path}.{port.name}": PortOf(cell, port.name) for port in cell.block.outputs}
@@ -475,7 +475,7 @@ class Hierarchy:
         return found
 
     def signal(self, path: str) -> dict[str, PortOf | str]:
-        """What drives the signal with the path "part.sub.port", or the fields of a bus. DiagramError without one."""
+        """Return the port of the signal at "part.sub.port", or the fields of a bus. Raises DiagramError without one."""
         if path in self.signals:
             return {path: self.signals[path]}
         *parts, port = path.split(".")
@@ -498,7 +498,7 @@ def _matching(cell: Cell, port: str, where: str) -> PortOf:
 
 
 def _store(level: DiagramLevel, name: str, where: str) -> tuple[DiagramLevel, Cell]:
-    """The data store of this name in a diagram or, nearest first, in those around it."""
+    """Return the data store of this name in a diagram or, nearest first, in those around it."""
     for at in (level, *reversed(level.around)):
         found = at.children.get(name)
         if isinstance(found, Cell) and isinstance(found.block, DataStore):

@@ -60,7 +60,7 @@ class Reference:
                     raise DiagramError(what, diagram.name, "rename the part or the output")
 
     def machine(self, watch: Watch | None = None) -> ReferenceMachine:
-        """A fresh instance in its initial state, which shows `watch` everything that its blocks compute."""
+        """Return a fresh instance in its initial state, which shows `watch` each computed value."""
         return ReferenceMachine(self, watch)
 
 
@@ -120,7 +120,7 @@ class _Run:
         vars(self.t)["tick"] = UInt32(tick)
 
     def told(self, method: str, values: dict[str, Any], *seen: Any) -> dict[str, Any]:
-        """What a method gave, after it was shown to who watches; `seen` is what `prepare` saw of p and t."""
+        """Show a method's values to the watch and return them; `seen` is the p and t of `prepare`."""
         if self.watch is not None:
             u, x, p, t = self.seen
             self.watch(self.cell, method, values, (u, x, *(seen or (p, t))))
@@ -275,7 +275,7 @@ class ReferenceMachine(Machine):
             run.x.update(self._initial(run))
 
     def _integrate(self, runs: list[_Run]) -> list[tuple[_Run, dict[str, Any]]]:
-        """The continuous states of the next tick."""
+        """Return the continuous states of the next tick."""
         if not runs:
             return []
         held = [(run, dict(run.u), dict(run.x)) for run in runs]
@@ -365,12 +365,12 @@ def _number(value: Any, declared: Port | State | Param, where: str) -> Any:
 
 
 def _flat(value: Any, declared: Port | State | Param) -> Any:
-    """Checked numbers as they are kept: a matrix's column after column."""
+    """Return checked numbers as they are kept: a matrix's column after column."""
     return numeric(value, declared.kind, declared.width, declared.name)
 
 
 def _as_real(value: Any, declared: Port | Param) -> Any:
-    """A value whose reals are in the present precision."""
+    """Return a value whose reals are in the present precision."""
     if declared.kind != "real":
         return value
     return _elementwise(numbers.real_type(), value)

@@ -36,7 +36,7 @@ class BlockMethod:
         return self.given(self._result(seen))
 
     def given(self, result: Any) -> dict[str, Any]:
-        """What was returned, by name, as numbers of the declared types."""
+        """Return a method's values by name, as numbers of the declared types."""
         if self._matrices.buses:
             result = by_path(result, [name for name, *_ in self._declared])
         if type(result) is not dict and not isinstance(result, Mapping):
@@ -69,7 +69,7 @@ class BlockMethod:
             raise DiagramError(error.what, self.where(), error.remedy) from error
 
     def where(self) -> str:
-        """The block's path, and the method's line."""
+        """Return the block's path, and the method's line."""
         return f"{self.path}, {place(self.block, self.name)}"
 
 
@@ -111,7 +111,7 @@ class JudgedMethod:
 
 
 def running(path: str, block: Block, name: str, declared: Sequence[Port | State]) -> BlockMethod | JudgedMethod:
-    """The method `name` of the block at `path`, which gives what is `declared`."""
+    """Return the method `name` of the block at `path`, which gives the `declared` values."""
     method = EdgesMethod(path, block, name, ()) if name == "edges" else BlockMethod(path, block, name, declared)
     return JudgedMethod(method) if is_users(block) else method
 

@@ -40,7 +40,7 @@ def to_json(diagram: Diagram) -> str:
 
 
 def from_json(text: str | bytes) -> Diagram:
-    """The diagram in `text`. Raises DiagramError, naming the place, for text that is not a diagram of this version.
+    """Return the diagram in `text`. Raises DiagramError, with the place, for another text or version.
 
     Nothing of the file is executed. What it makes is bounded in memory, in code and in the work of a step: see
     docs/reference/diagram-files.md. Connections are checked when the diagram is compiled or
@@ -73,7 +73,7 @@ def from_json(text: str | bytes) -> Diagram:
 
 
 def read_diagram(path: str | Path) -> Diagram:
-    """The diagram in the file at `path`, of which no more is read than a diagram may have. Errors as `from_json`'s."""
+    """Return the diagram in the file at `path`; no more is read than a diagram may have. Errors as `from_json`'s."""
     file = Path(path)
     try:
         if not file.is_file():
@@ -179,7 +179,7 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
 
 
 def declared_form(item: Port | State | Param) -> dict[str, Any]:
-    """The value, and what else differs from its default."""
+    """Return the value, and each field that differs from its default."""
     values = {f.name: (getattr(item, f.name), f.default) for f in fields(item)}
     return {
         key: encoded(value, item.name)
@@ -189,7 +189,7 @@ def declared_form(item: Port | State | Param) -> dict[str, Any]:
 
 
 def encoded(value: Any, where: str) -> Any:
-    """A value as JSON holds it: infinities and NaN as {"float": "inf"}. DiagramError for what has no JSON form."""
+    """Return a value as JSON holds it: infinities and NaN as {"float": "inf"}. DiagramError for any other type."""
     if isinstance(value, float) and not math.isfinite(value):
         return {"float": str(value)}
     if isinstance(value, (list, tuple)):
@@ -275,7 +275,7 @@ class CatalogueEntry:
 
 
 def block_shape(block: Block) -> BlockShape:
-    """The ports and parameters of `block`, and what of it a program is made of.
+    """Return the ports and parameters of `block`, and its parts that a program is made of.
 
     Raises DiagramError for a block that cannot be traced.
     """
@@ -295,7 +295,7 @@ def block_shape(block: Block) -> BlockShape:
 
 @functools.cache
 def catalogue() -> tuple[CatalogueEntry, ...]:
-    """The blocks of the library, what is used most first, room by room as each declares them."""
+    """Return the blocks of the library, the most used rooms first, in the order of their declaration."""
     prefix = f"{library.__name__}."
     classes = [cls for cls in REGISTRY.values() if cls.__module__.startswith(prefix)]
     rooms = [*_FIRST, *dict.fromkeys(cls.__module__.removeprefix(prefix) for cls in classes)]
@@ -313,12 +313,12 @@ def _entry(cls: type[Block], group: str) -> CatalogueEntry:
 
 
 def _is_word(value: Any) -> bool:
-    """Whether an argument of this default may take words: a word, yes or no, or nothing."""
+    """Return True if an argument of this default may take words: a word, yes or no, or nothing."""
     return value is None or isinstance(value, bool) or (isinstance(value, str) and bool(value))
 
 
 def _choices(cls: type[Block], argument: str) -> tuple[str, ...]:
-    """What an argument may be, by what the block says of a word that is none; empty if it takes any."""
+    """Return the words that an argument may be, by the block's error for another word; empty if any is taken."""
     make: Any = cls
     try:
         make(**{argument: _NO_CHOICE})

@@ -90,7 +90,7 @@ class Loader:
         self.meter = CostMeter()
 
     def diagram(self, data: dict[str, Any], path: str = "", depth: int = 0) -> Diagram:
-        """The diagram that `data` describes, at `path` and `depth` within another one. Raises DiagramError."""
+        """Return the diagram that `data` describes, at `path` and `depth` within another one. Raises DiagramError."""
         if depth > MAX_DEPTH:
             raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
         only(data, _DIAGRAM, path or "diagram")
@@ -168,7 +168,7 @@ class Loader:
         return {n: self._plain(v, where) for n, v in told.items()} if isinstance(told, dict) else told
 
     def block(self, form: dict[str, Any], where: str) -> Block:
-        """The block that `form` describes, of the part at the path `where`. Raises DiagramError."""
+        """Return the block that `form` describes, of the part at the path `where`. Raises DiagramError."""
         kind = member(form, "type", str, where)
         if kind == "custom":
             block: Block = self._custom(form, where)
@@ -285,7 +285,7 @@ class Loader:
             raise DiagramError(f"more than {MAX_ELEMENTS} values", where, "make arrays and delays shorter")
 
     def _plain(self, value: Any, where: str, depth: int = 0, lists: int = 0) -> Any:
-        """A value of a block's arguments with infinities and NaN decoded; counts numbers."""
+        """Return a value of a block's arguments with infinities and NaN decoded; count its numbers."""
         if isinstance(value, dict) and set(value) == {"float"} and value["float"] in ("inf", "-inf", "nan"):
             return float(value["float"])
         if isinstance(value, (dict, list)):
@@ -309,7 +309,7 @@ def _position(given: Any, where: str) -> tuple[float, float]:
 
 
 def _positions(data: Mapping[str, Any], key: str, known: Container[str], where: str) -> dict[str, tuple[float, float]]:
-    """The places of inputs or outputs, by name. Raises DiagramError for a name that is not there."""
+    """Return the places of inputs or outputs, by name. Raises DiagramError for a name that is not there."""
     given = member(data, key, dict, where, {})
     for name in given:
         if name not in known:

@@ -67,7 +67,7 @@ class TracedBlock(Block):
 
 
 def graph_to_json(trace: Trace) -> dict[str, Any]:
-    """A trace as a list of nodes [op, arguments, ...], and the node of each name by section."""
+    """Return a trace as a list of nodes [op, arguments, ...], and the node of each name by section."""
     sections: dict[str, dict[str, Any]] = {
         "prepare": trace.prepare,
         "output": trace.outputs,
@@ -88,7 +88,7 @@ def graph_to_json(trace: Trace) -> dict[str, Any]:
 
 
 def nodes_to_json(roots: Sequence[Expr]) -> tuple[list[list[Any]], dict[int, int]]:
-    """The rows of the nodes of expressions, arguments before their users; and each node's row by its id."""
+    """Return the rows of expressions' nodes, arguments before their users, and each node's row by its id."""
     order = walk(roots)
     number = {id(item): i for i, item in enumerate(order)}
     return [_node_to(item, number) for item in order], number
@@ -141,7 +141,7 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
 
 
 def nodes_from_json(form: Mapping[str, Any], block: Block, states: Sequence[State], where: str) -> list[Expr]:
-    """The expressions that the rows in `form` describe, over what `block` declares and over `states`.
+    """Return the expressions that the rows in `form` describe, over what `block` declares and over `states`.
 
     Raises DiagramError for a row that is not well formed.
     """
@@ -167,14 +167,14 @@ def nodes_from_json(form: Mapping[str, Any], block: Block, states: Sequence[Stat
 
 
 def picked(made: Sequence[Expr], index: Any, name: str, where: str) -> Expr:
-    """The expression that `name` says it is. Raises DiagramError for one that is not there."""
+    """Return the expression at the row that `name` gives. Raises DiagramError without such a row."""
     if type(index) is not int or not 0 <= index < len(made):
         raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
     return made[index]
 
 
 def sizes_of(roots: Sequence[Expr]) -> list[int]:
-    """The size of each expression by itself. Raises DiagramError for a variable that stands outside its loop."""
+    """Return the size of each expression by itself. Raises DiagramError for a variable that stands outside its loop."""
     free = free_bounds(roots)
     if any(free[id(root)] for root in roots):
         raise DiagramError("a loop variable stands outside its loop", "", "save the diagram again")
@@ -281,7 +281,7 @@ class RecordedFunction:
 
 
 def machine_to_json(machine: StateMachine) -> dict[str, Any]:
-    """The modes and transitions of a machine, whose guards and actions name rows of `nodes`."""
+    """Return the modes and transitions of a machine, whose guards and actions name rows of `nodes`."""
     chart, graph, prepare = machine.chart, machine.graph, machine.trace.prepare
     actions = [e for exprs in [*graph.actions.values(), *graph.does] for e in exprs.values()]
     rows, number = nodes_to_json([*graph.guards, *actions, *prepare.values()])

@@ -20,7 +20,7 @@ Guard = Callable[..., Any] | bool
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """What a state machine can be in; a `State` is what a block remembers.
+    """Mode of a state machine, one at a time; a `State` is a block's memory.
 
     An action is a function of any of u, x, p and t that returns new values by name, or a mapping of constants. `entry`
     acts when the mode is entered, `exit` when it is left: both give variables. `during` acts at each tick that ends in
@@ -119,7 +119,7 @@ class Leaf:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """What a transition does from one leaf: the modes left, inner ones first, and those entered, outer ones first.
+    """Way of a transition from one leaf: the modes left, inner ones first, and those entered, outer ones first.
 
     `leaves` are where it may end. There are several where `resumes`, an outer mode, knows in which it was left.
     """
@@ -197,11 +197,11 @@ class Chart:
             self._add(one, mode)
 
     def inside(self, outer: Mode) -> list[Leaf]:
-        """The leaves inside a mode, the one where it starts first."""
+        """Return the leaves inside a mode, its start first."""
         return [leaf for leaf in self.leaves if leaf.outer is outer]
 
     def leaf(self, mode: Mode) -> Leaf:
-        """The leaf that a mode is, or that it starts in."""
+        """Return the leaf that a mode is, or starts in."""
         return next(leaf for leaf in self.leaves if mode in leaf.path)
 
     def _routes(self, leaf: Leaf) -> Iterator[Route]:

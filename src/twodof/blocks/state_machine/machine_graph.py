@@ -65,11 +65,11 @@ class MachineGraph:
         return [*self.guards, *(e for given in (*self.does, *self.actions.values()) for e in given.values())]
 
     def action(self, mode: str, action: str) -> Recorded:
-        """What an action of a mode gives, by name."""
+        """Return the values of a mode's action, by name."""
         return self.actions.get((mode, action), {})
 
     def fault(self, function: MachineFunction, what: str, remedy: str) -> DiagramError:
-        """A mistake in a guard or an action."""
+        """Return the error for a mistake in a guard or an action."""
         return DiagramError(what, f"block {self._label}, {function.place}{function.line}", remedy)
 
     def _check_variables(self) -> None:
@@ -142,7 +142,7 @@ class MachineGraph:
                 )
 
     def _check_enumeration(self, enumeration: Enumeration, chart: Chart) -> None:
-        """The members that the output `mode` may be are named as the modes are."""
+        """Check that the members of the output `mode` are named as the modes are."""
         for one in chart.leaves:
             if enumeration.members.get(one.mode.name) != one.number:
                 raise DiagramError(
@@ -152,7 +152,7 @@ class MachineGraph:
                 )
 
     def _own_states(self, chart: Chart) -> Sequence[State]:
-        """The mode; the times that anybody reads; the histories."""
+        """Return the states for the mode, the times that are read, and the histories."""
         read: set[bool] = {False} if any(port.name == ELAPSED for port in self._machine.outputs) else set()
         for owner, roots in self._by_owner(chart):
             if ELAPSED in leaves(roots, "state"):
@@ -165,7 +165,7 @@ class MachineGraph:
         ]
 
     def _by_owner(self, chart: Chart) -> list[tuple[str, list[Expr]]]:
-        """The expressions, each with the mode whose time it reads."""
+        """Return the expressions, each with the mode whose time it reads."""
         found = [(mode, [*exprs.values()]) for (mode, _), exprs in self.actions.items()]
         for t, guard, does in zip(chart.transitions, self.guards, self.does, strict=True):
             found.append((t.source, [guard, *does.values()]))
@@ -176,7 +176,7 @@ _BOOL = "return a bool: a comparison, or several with & | ~"
 
 
 def last(outer: str) -> str:
-    """The state that knows in which of its inner modes a mode with history was left."""
+    """Return the state that knows in which of its inner modes a mode with history was left."""
     return f"last_{outer}"
 
 
@@ -191,7 +191,7 @@ def _described(value: Any) -> str:
 
 
 def owner_clock(outer: bool) -> str:
-    """The state that a function of an outer mode, or of a leaf, reads as its time."""
+    """Return the state that a function of an outer mode, or of a leaf, reads as its time."""
     return OUTER_ELAPSED if outer else ELAPSED
 
 
@@ -236,7 +236,7 @@ def _hides(earlier: Route, later: Route, graph: MachineGraph) -> bool:
 
 
 def _implies(a: Expr, b: Expr) -> bool:
-    """Whether b certainly holds wherever a does. Equal expressions are one node."""
+    """Return True if b certainly holds wherever a does. Equal expressions are one node."""
     if b.op == "const":
         return bool(b.data)
     return _among(_operands(b, "and"), _operands(a, "and")) or _among(_operands(a, "or"), _operands(b, "or"))

@@ -53,14 +53,14 @@ class Reaction:
         self.shapes = matrices(machine.variables)
 
     def after(self, values: Values, outputs: Values | None = None) -> Reaction:
-        """The reaction as it goes on from other values."""
+        """Return a reaction that goes on from other values."""
         made = object.__new__(Reaction)
         vars(made).update(vars(self))
         made.values, made.outputs = dict(values), dict(outputs or {})
         return made
 
     def call(self, function: MachineFunction, owner: Mode) -> Any:
-        """What a guard or an action returns; it sees the variables as they are now, and the time in `owner`."""
+        """Call a guard or an action with the present variables and the time in `owner`."""
         u, p, t = self.seen
         elapsed = self.values[owner_clock(owner in self.chart.outers)]
         clock = ModeClock(t.tick, t.dt, t.base_dt, elapsed, to_real(elapsed) * t.dt)
@@ -68,7 +68,7 @@ class Reaction:
         return function(u, x, p, clock)
 
     def perform(self, function: MachineFunction | None, owner: Mode) -> None:
-        """An action: its values take effect together."""
+        """Perform an action: its values take effect together."""
         if function is None:
             return
         given = self.call(function, owner)
@@ -87,7 +87,7 @@ class Reaction:
             (self.values if name in self.variables else self.outputs)[name] = value
 
     def act(self, mode: Mode, action: str) -> None:
-        """An action of a mode."""
+        """Perform an action of a mode."""
         self.perform(self.chart.actions.get((mode.name, action)), mode)
 
     def grow_older(self) -> None:
@@ -97,11 +97,11 @@ class Reaction:
             self.values[name] = where(elapsed < LONGEST, elapsed + 1, LONGEST)
 
     def holds(self, route: Route) -> Any:
-        """Whether the guard of a transition holds."""
+        """Return True if the guard of a transition holds."""
         return self.call(self.chart.guards[route.number], self.chart.by_name[route.transition.source])
 
     def leave(self, route: Route) -> None:
-        """What happens before a mode is entered."""
+        """Perform the actions before a mode is entered."""
         for mode in route.left:
             self.act(mode, "exit")
         self.perform(self.chart.does[route.number], self.chart.by_name[route.transition.source])
@@ -123,13 +123,13 @@ class Reaction:
         self.act(leaf.mode, "entry")
 
     def stay(self, leaf: Leaf) -> None:
-        """What is done at each tick that ends in a leaf."""
+        """Perform the actions of each tick that ends in a leaf."""
         for mode in leaf.path:
             self.act(mode, "during")
 
 
 def react(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Values]:
-    """The states and the outputs after a tick."""
+    """Return the states and the outputs after a tick."""
     reaction = Reaction(machine, u, x, p, t)
     end = _recorded(reaction) if recording() else _on_numbers(reaction)
     states = [*machine.variables, *machine.graph.states]
@@ -179,7 +179,7 @@ def _recorded(now: Reaction) -> Reaction:
 
 
 def _ways(now: Reaction, leaf: Leaf) -> Values:
-    """The values after a tick that begins in `leaf`."""
+    """Return the values after a tick that begins in `leaf`."""
     found = now.values | {MODE: int32(leaf.number)}  # which is what it is there; so each value is one of a mode
     for route in reversed(now.chart.routes[leaf.number]):
         left = now.after(now.values)
@@ -198,7 +198,7 @@ def _ways(now: Reaction, leaf: Leaf) -> Values:
 
 
 def _chosen(condition: Any, a: Values, b: Values) -> Values:
-    """`a` where the condition holds, else `b`, name by name; of what only one gives, that."""
+    """Return, name by name, `a` where the condition holds, else `b`; of two equal ones, that one."""
     found = {}
     for name in b | a:
         one, other = a.get(name, b.get(name)), b.get(name, a.get(name))
@@ -245,7 +245,7 @@ class StateMachine(Block):
 
     @cached_property
     def graph(self) -> MachineGraph:
-        """What guards and actions record, checked. Raises DiagramError with the mode and the user's line."""
+        """The recorded guards and actions, checked. Raises DiagramError with the mode and the user's line."""
         made = MachineGraph(self)
         try:
             check_ways(self.chart, made)

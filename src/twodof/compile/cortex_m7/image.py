@@ -36,7 +36,7 @@ _compiled: dict[tuple[str, ...], dict[str, bytes]] = {}
 
 
 def find_cross_compiler(name: str | None = None) -> Compiler:
-    """The cross compiler `name` ("gcc" or "zig"), or else the first there is.
+    """Return the cross compiler `name` ("gcc" or "zig"), or else the first that is installed.
 
     Raises CompileError, with the package that gives it, if it is not there.
     """
@@ -55,9 +55,11 @@ def find_cross_compiler(name: str | None = None) -> Compiler:
 
 @dataclass(frozen=True)
 class Image:
-    """What was built. `elf` is the whole image; `objects` are the object files of `CALLED`, the programs' own C first;
-    `stack_usage` is what gcc says of the frames of their functions (clang says it in the objects); `names` and `sizes`
-    are those of the programs in the image's order.
+    """An image with its parts.
+
+    `elf` is the whole image; `objects` are the object files of `CALLED`, the programs' own C first. `stack_usage` has
+    gcc's report on the frames of their functions (clang's is in the objects). `names` and `sizes` are those of the
+    programs in the image's order.
     """
 
     elf: bytes
@@ -77,7 +79,7 @@ def build_image(
     flags: Sequence[str] = (),
     libraries: Sequence[str] = (),
 ) -> Image:
-    """The image of the C `source`. Each of `programs` has the prefix of its names and the bytes of real, P, S, U and Y.
+    """Build the image of the C `source`. Each program has the prefix of its names and the bytes of real, P, S, U and Y.
 
     `flags` are added for the source, `libraries` to the link. Raises CompileError if the compiler refuses or hangs, or
     if the code and constants do not fit into 4 MB.

@@ -51,7 +51,7 @@ _CAUSES = {
 
 
 def find_emulator() -> str:
-    """The path of QEMU. Raises CompileError, with the package that gives it, if it is not there."""
+    """Return the path of QEMU. Raises CompileError, with the name of its package, if it is missing."""
     path = shutil.which(EMULATOR)
     if path is None:
         raise CompileError(
@@ -174,7 +174,7 @@ class Board:
 
 
 def fault_text(data: bytes) -> str:
-    """The cause of a fault, with the address that was accessed if the processor knows it, and all registers."""
+    """Return the cause of a fault, the accessed address if the processor knows it, and all registers."""
     words = dict(zip(_REGISTERS, struct.unpack("<14I", data), strict=True))
     status = words["cfsr"]
     causes = dict.fromkeys(text for bit, text in _CAUSES.items() if status >> bit & 1)
@@ -249,7 +249,7 @@ class Processor:
         steps: int,
         watch: bool = False,
     ) -> int:
-        """`steps` steps of the program with this index; `u` and `y` have `steps` rows or one.
+        """Run `steps` steps of the program with this index; `u` and `y` have `steps` rows or one.
 
         The result is how much of the stack its calls used [bytes], found by painting it, if `watch` asks for it, else
         0. Raises ControllerFault if the program faults, with the registers; if the emulator ends; if nothing is heard
@@ -262,9 +262,9 @@ class Processor:
     def count(
         self, program: int, p: NDArray[np.void], s: NDArray[np.void], u: NDArray[np.void], steps: int
     ) -> tuple[NDArray[np.int64], int]:
-        """Runs `steps` steps. Returns the instructions of each (steps,), without call and return, and the stack that
-        they used [bytes].
+        """Run `steps` steps. Returns the instructions of each, (steps,), and the stack that they used [bytes].
 
+        Call and return are not counted.
         It must be a processor that is `counting`. Errors as `run`'s.
         """
         if not self.counting:

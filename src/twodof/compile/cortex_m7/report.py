@@ -50,7 +50,7 @@ class CortexM7Report:
         return sum(self.structs.values()) + self.code.ram
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as a JSON object."""
+        """Return the figures as a JSON object."""
         return {
             "name": self.name,
             "precision": self.precision,
@@ -75,8 +75,10 @@ def measure(
     inputs: Mapping[str, Any] | None = None,
     parameters: Mapping[str, Any] | None = None,
 ) -> CortexM7Report:
-    """What `program`, built for the Cortex-M7, costs; its steps are run with these inputs (as `Machine.run` takes
-    them) and parameters, which decide which instructions are reached.
+    """Measure the cost of `program`, built for the Cortex-M7.
+
+    Its steps are run with these inputs (as `Machine.run` takes them) and parameters, which decide the instructions
+    that are reached.
 
     Raises CompileError if it was built for another target or no step is asked for, ParameterError for the parameters,
     DiagramError for the inputs, ControllerFault if a step faults.

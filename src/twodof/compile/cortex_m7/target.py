@@ -31,7 +31,7 @@ class CortexM7:
     name = "cortex-m7"
 
     def compile(self, programs: Sequence[EmittedProgram]) -> list[CortexM7Backend]:
-        """The programs of one source in one image.
+        """Compile the programs of one source into one image.
 
         Raises CompileError without a cross compiler or QEMU, with the package that gives it; if the compiler refuses;
         if the code does not fit.
@@ -53,7 +53,7 @@ class CortexM7Backend:
     index: int
 
     def instance(self) -> CortexM7Instance:
-        """A fresh instance, its structs zero."""
+        """Return a fresh instance, its structs zero."""
         return CortexM7Instance(self)
 
 
@@ -72,15 +72,15 @@ class CortexM7Instance:
         self.stack = 0
 
     def defaults(self) -> None:
-        """Writes the given parameters' defaults into P. The errors of this and the next methods are those of `run`."""
+        """Write the given parameters' defaults into P. The errors of this and the next methods are those of `run`."""
         self._call(DEFAULTS)
 
     def prepare(self) -> None:
-        """Writes the derived parameters into P."""
+        """Write the derived parameters into P."""
         self._call(PREPARE)
 
     def init(self) -> None:
-        """Writes the initial states into S."""
+        """Write the initial states into S."""
         self._call(INIT)
 
     def step(self) -> None:
@@ -88,7 +88,7 @@ class CortexM7Instance:
         self.run(1, self.structs["U"], self.structs["Y"])
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """`steps` ticks with the rows of `u` (or its one row at each) into those of `y`; see `Processor.run`.
+        """Run `steps` ticks on the rows of `u` (or on its one row) into those of `y`.
 
         A processor that counts gives the instructions of each and the stack that they used instead of outputs.
         """

@@ -1,4 +1,4 @@
-"""What functions of a program need: bytes of flash and RAM, and the worst-case depth of the stack."""
+"""Usage of functions: bytes of flash and RAM, and the worst-case depth of the stack."""
 
 import re
 import struct
@@ -37,7 +37,7 @@ class ElfSection:
 
     @property
     def loaded(self) -> bool:
-        """Whether it takes memory of the target."""
+        """True if the section takes memory of the target."""
         return bool(self.flags & ALLOC) and self.size > 0
 
     @property
@@ -69,12 +69,12 @@ class Elf:
     symbols: list[ElfSymbol]
 
     def globals(self) -> dict[str, int]:
-        """The sections of the symbols that other files can name."""
+        """Return the sections of the symbols that other files can name."""
         return {s.name: s.section for s in self.symbols if not s.local and 0 < s.section < _FIRST_RESERVED}
 
 
 def read_elf(data: bytes, where: str = "object file") -> Elf:
-    """The file with the bytes `data`. Raises CompileError if they are no ELF file for Arm, or broken."""
+    """Read the object file with the bytes `data`. Raises CompileError if it is not an ELF file for Arm."""
     try:
         return _read(data)
     except (struct.error, IndexError, ValueError) as error:
@@ -126,17 +126,17 @@ class SectionSizes:
 
     @property
     def flash(self) -> int:
-        """What stands in flash: code, constants, and the first values of variables."""
+        """Bytes of flash: code, constants, and the first values of variables."""
         return self.text + self.rodata + self.data
 
     @property
     def ram(self) -> int:
-        """What stands in RAM for ever."""
+        """Bytes of RAM outside the stack."""
         return self.data + self.bss
 
 
 def image_sizes(image: Image) -> SectionSizes:
-    """The whole image: programs, server, start-up; without the stacks."""
+    """Return the sizes of the whole image (programs, server, start-up) without the stacks."""
     return _summed(s for s in read_elf(image.elf).sections if s.loaded and s.name != ".stacks")
 
 
@@ -152,7 +152,7 @@ class Usage:
                 self._defined.setdefault(name, (i, section))
 
     def sizes(self, functions: Sequence[str]) -> SectionSizes:
-        """The functions with all they call and the constants they read."""
+        """Return the sizes of the functions with all that they call and the constants that they read."""
         found: set[Place] = set()
         stack = [self._place(name) for name in functions]
         while stack:
@@ -163,9 +163,10 @@ class Usage:
         return _summed(self.files[i].sections[j] for i, j in found)
 
     def stack(self, function: str) -> int | None:
-        """The deepest that a call of `function` can make the stack grow [bytes]: the largest sum of frames along a path
-        of the call graph. None where it has no bound: recursion, frames of variable size, library functions that say
-        nothing. A static function that calls itself leaves no relocation and is not noticed; emitted C has none.
+        """Return the bound of the stack [bytes] of a call of `function`: the largest sum of frames in its call graph.
+
+        None stands for no bound: recursion, frames of variable size, library functions without a figure. A static
+        function that calls itself leaves no relocation and is missed; emitted C never does that.
         Interrupts come on top.
         """
         return self._depth(self._place(function), {}, frozenset())

@@ -394,7 +394,7 @@ class ScenarioResult:
 
     @property
     def passed(self) -> bool:
-        """Whether all assertions hold."""
+        """True if all assertions hold."""
         return not self.failed
 
     @property

@@ -1,4 +1,4 @@
-"""What integer and bool states do while the real ones rest at a point: they settle, or they go round a ring buffer."""
+"""Integer and bool states while the real ones rest at a point: they settle, or go round as a ring's write index."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -112,7 +112,7 @@ class IntegerStates:
         )
 
     def _indexes(self, node: Node, names: Iterable[str]) -> str:
-        """That of the states `names` which says where a buffer of reals is written, "" if none does."""
+        """Return the one of the states `names` that is the write index of a buffer of reals, or ""."""
         for e in node.trace.update.values():
             item = e
             while item.op == "store" and item.kind in FLOATS:
@@ -143,7 +143,7 @@ class IntegerStates:
         return notes
 
     def _ring(self, node: Node, names: tuple[str, ...], cycle: list[Whole_]) -> str:
-        """The one state that counts 0 .. N - 1 round and round, N the cycle's length; "" if there is none."""
+        """Return the state that counts 0 .. N - 1 round and round, N the cycle's length, or ""."""
         moving = [i for i in range(len(names)) if any(_key(v[i]) != _key(cycle[0][i]) for v in cycle)]
         if len(moving) != 1:
             return ""
@@ -155,7 +155,7 @@ class IntegerStates:
         return ""
 
     def rings(self) -> set[Key]:
-        """The states that are write indices of rings."""
+        """Return the states that are write indices of rings."""
         return {(node, cycle.ring) for node, cycle in self.cycles.items() if cycle.ring}
 
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
@@ -171,7 +171,7 @@ class IntegerStates:
         return len(cycle.values), int(at.value)
 
     def order(self, key: Key, ahead: int = 0) -> list[int]:
-        """The places of a state's elements in the model's order: a ring's newest sample first."""
+        """Return the places of a state's elements in the model's order: a ring's newest sample first."""
         width = self.point.width(key)
         length, at = self._index(key, ahead)
         if not length:
@@ -180,7 +180,7 @@ class IntegerStates:
         return [((at - 1 - age) % length) * each + i for age in range(length) for i in range(each)]
 
     def names(self, key: Key) -> list[str]:
-        """The names of a state's elements in the model's order."""
+        """Return the names of a state's elements in the model's order."""
         node, name = key
         path = f"{node.path}.{name}"
         state = next(s for s in node.block.states if s.name == name)
@@ -239,7 +239,7 @@ class IntegerStates:
             self.point.states |= before
 
     def guilty(self) -> str:
-        """The states that go round without being the write index of a ring buffer, else every state that goes round."""
+        """Return the states that go round and are not write indices of rings, else all that go round."""
         others = [n for n, c in self.cycles.items() if not c.ring] or list(self.cycles)
         return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].names)
 
@@ -277,7 +277,7 @@ class Coordinates:
         self.size = sum(point.width(k) for k in self.keys) + sum(s.width or 1 for s in self.held)
 
     def order(self, ahead: int = 0) -> list[int]:
-        """The places in the model's order, `ahead` periods on."""
+        """Return the places in the model's order, `ahead` periods on."""
         places: list[int] = []
         for key in self.keys:
             at = len(places)
@@ -290,7 +290,7 @@ class Coordinates:
         return states + [name for s in self.held for name in element_names(f"{s.path} (held)", s)]
 
     def given(self) -> list[bool]:
-        """Whether the point has them from `at`, in the program's order."""
+        """Return for each coordinate whether `at` gives it, in program order."""
         states = [key in self.point.given for key in self.keys for _ in range(self.point.width(key))]
         return states + [False] * (self.size - len(states))
 
@@ -300,7 +300,7 @@ class Coordinates:
         return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
 
     def whole_arrays(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """The coordinates of states, in the program's order, of which one element at least is among `chosen`."""
+        """Return which coordinates belong to a state with an element in `chosen`, in program order."""
         found = np.array(chosen)
         at = 0
         for key in self.keys:

@@ -40,11 +40,11 @@ class LinearModel:
     remarks: Mapping[str, str] = field(default_factory=dict)
 
     def poles(self) -> Complex:
-        """The eigenvalues of A, shape (n,): in the z plane, or in rad/s where `dt` is None."""
+        """Return the eigenvalues of A, shape (n,): in the z plane, or in rad/s where `dt` is None."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
     def response(self, omega: ArrayLike) -> Complex:
-        """The frequency response C (s - A)^-1 B + D at `omega` [rad/s], s = j omega or exp(j omega dt): (k, p, m)."""
+        """Return C (s - A)^-1 B + D at `omega` [rad/s], s = j omega or exp(j omega dt), of shape (k, p, m)."""
         w = np.atleast_1d(np.asarray(omega, dtype=np.float64))
         s = 1j * w if self.dt is None else np.exp(1j * w * self.dt)
         resolvent = s[:, None, None] * np.eye(len(self.a)) - self.a
@@ -52,7 +52,7 @@ class LinearModel:
         return np.asarray(self.c @ inner + self.d, dtype=np.complex128)
 
     def to_control(self) -> Any:
-        """The model as python-control's StateSpace, with the same names.
+        """Return the model as python-control's StateSpace, with the same names.
 
         Raises CompileError if python-control is not installed.
         """

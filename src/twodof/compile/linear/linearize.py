@@ -42,7 +42,7 @@ def linearize(
     time: str = "auto",
     keep_all: bool = False,
 ) -> LinearModel:
-    """The linear model of `diagram`, with the base tick `dt` [s], at a point.
+    """Return the linear model of `diagram`, with the base tick `dt` [s], at a point.
 
     `at` gives the values of inputs, states, parameters and "tick" (default 0) at the point, by name or path. What
     is not named has its initial value, its default or 0. With `trim` the states are moved to an equilibrium near it,
@@ -148,7 +148,7 @@ class _Linearization:
         self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
 
     def is_continuous(self, time: str) -> bool:
-        """Whether the model is dx/dt; DiagramError where that is asked for and cannot be."""
+        """Return True if the model is dx/dt. Raises DiagramError if that is asked for and impossible."""
         if time == "discrete":
             return False
         problem = self._sampled()
@@ -157,7 +157,7 @@ class _Linearization:
         return not problem
 
     def _sampled(self) -> str:
-        """What keeps the diagram from being a continuous one; "" if nothing does."""
+        """Return the reason why the diagram is not continuous, or ""."""
         if self.parts.several_rates:
             return f"it has several rates: {self.parts.several_rates}"
         if not self.parts.integrated:
@@ -178,7 +178,7 @@ class _Linearization:
         return ""
 
     def manifold(self) -> tuple[list[int], Array] | None:
-        """The states that projections keep, and all states by these; None if projections do more than that.
+        """Return the states that projections keep, and all states by these; None if projections do more than that.
 
         A projection may set states from others (the sine of an angle that is integrated beside it). Those are not
         states in their own right.
@@ -195,7 +195,7 @@ class _Linearization:
         return found.ordered(self.coordinates.order(ahead), self.coordinates.order())
 
     def model(self, time: str, keep_all: bool) -> LinearModel:
-        """The model, checked at other phases of what goes round."""
+        """Return the model, checked at other phases of integer states that go round."""
         continuous = self.is_continuous(time)
         found = self._ordered(self.slopes.matrices("slope" if continuous else "next"), 0 if continuous else 1)
         n = self.coordinates.size
@@ -244,7 +244,7 @@ class _Linearization:
         )
 
     def _elsewhere(self) -> dict[str, str]:
-        """The states that may move in nodes that no output depends on."""
+        """Return the states that may move in nodes that no output depends on."""
         here = set(self.parts.nodes)
         return {
             f"{node.path}.{s.name}": "no output depends on it"
@@ -302,7 +302,7 @@ def _refuse_triggers(program: FlatProgram) -> None:
 def _idle(
     a: Array, b: Array, c: Array, d: Array, inputs: Sequence[str], outputs: Sequence[str], rounded: Sequence[str]
 ) -> dict[str, str]:
-    """The inputs that move no output, and the outputs that nothing moves, with a word on why."""
+    """Return the inputs that move no output and the outputs that nothing moves, each with the reason."""
     reached = b != 0.0  # which inputs move which states, sooner or later
     while True:
         further = reached | ((a != 0.0) @ reached)
@@ -326,7 +326,7 @@ def _idle(
 def _needed(
     a: Array, b: Array, c: Array, names: Sequence[str], continuous: bool, left_out: dict[str, str]
 ) -> list[int]:
-    """The states that stay: not those that never move, always come back at once, or that nothing reads."""
+    """Return the states to keep: not those that never move, come back at once, or that nothing reads."""
     staying = list(range(len(a)))
     while True:
         drop: dict[int, str] = {}

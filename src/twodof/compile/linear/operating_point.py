@@ -74,7 +74,7 @@ class OperatingPoint:
         self.states |= {key: plain(value) for key, value in states.items()}
 
     def input_values(self, signals: Iterable[FlatSignal]) -> list[float]:
-        """The present values of some inputs, one after the other."""
+        """Return the present values of some inputs, one after the other."""
         return [float(v) for s in signals for v in elements(self.inputs[s])]
 
     def put_inputs(self, signals: Sequence[FlatSignal], values: Array) -> None:
@@ -102,16 +102,16 @@ class Parts:
         self.nodes = [n for n in program.nodes if everything or n in needed]
 
     def outputs_of(self, node: Node) -> list[str]:
-        """The outputs that depend on a node; the diagram's name if none does."""
+        """Return the outputs that depend on a node, or else the diagram's name."""
         return [name for name, nodes in self._below.items() if node in nodes] or [self.program.name]
 
     def free_outputs(self, node: Node) -> list[str]:
-        """The outputs that do not depend on a node."""
+        """Return the outputs that do not depend on a node."""
         return [name for name, nodes in self._below.items() if node not in nodes]
 
     @cached_property
     def integrated(self) -> list[Node]:
-        """Those with continuous states."""
+        """The nodes with continuous states."""
         return [n for n in self.nodes if n.continuous]
 
     @cached_property
@@ -149,7 +149,7 @@ class Parts:
         return f"{a} runs at {tuple(one)} and {b} at {tuple(two)}"
 
     def start(self, tick: int) -> int:
-        """The first tick from `tick` on at which the most of the nodes are due."""
+        """Return the first tick from `tick` on at which most of the nodes are due."""
         if len(self._rates) == 1:
             (rate,) = self._rates
             return tick + (rate.offset - tick) % rate.divider
@@ -158,11 +158,11 @@ class Parts:
         return max(window, key=lambda k: sum(size for r, size in sizes.items() if k % r.divider == r.offset))
 
     def due(self, tick: int) -> frozenset[Rate]:
-        """The rates that are due at a tick."""
+        """Return the rates that are due at a tick."""
         return frozenset(r for r in self._rates if tick % r.divider == r.offset)
 
     def held(self, outputs: Iterable[FlatSignal]) -> list[FlatSignal]:
-        """The real signals of slower rates that are read, or given out, between their own ticks."""
+        """Return the real signals of slower rates that are read, or given out, between their own ticks."""
         if not self.several_rates:
             return []
         read = {s for n in self.nodes for s in n.drivers.values()} | set(outputs)
@@ -170,7 +170,7 @@ class Parts:
         return [s for s in slow if s.kind in FLOATS]
 
     def read_tick(self) -> list[str]:
-        """The paths of the nodes that read the tick."""
+        """Return the paths of the nodes that read the tick."""
         return [n.path for n in self.nodes if _reads_tick(n)]
 
 
@@ -182,7 +182,7 @@ def _reads_tick(node: Node) -> bool:
 
 
 def _depended_on(signal: FlatSignal, cut: Container[FlatSignal]) -> set[Node]:
-    """The nodes that a signal depends on, the one that makes it included."""
+    """Return the nodes that a signal depends on, its own included."""
     found: set[Node] = set()
     stack = [signal]
     while stack:

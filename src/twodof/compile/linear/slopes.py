@@ -48,16 +48,16 @@ class Matrices:
         return Matrices(change, self.output, other.value, self.made)
 
     def agree(self, other: "Matrices") -> bool:
-        """Whether they are the same up to roundings."""
+        """Return True if both are equal up to roundings."""
         return close(self.change, other.change) and close(self.output, other.output) and self.meet(other)
 
     def agree_along(self, other: "Matrices", direction: Slope) -> bool:
-        """Whether a motion in this direction changes the same."""
+        """Return True if a motion in this direction changes both equally."""
         states = close(self.change @ direction, other.change @ direction)
         return states and close(self.output @ direction, other.output @ direction) and self.meet(other)
 
     def meet(self, other: "Matrices") -> bool:
-        """Whether the values themselves are the same."""
+        """Return True if the values themselves are equal."""
         return close(self.value, other.value) and close(self.made, other.made)
 
 
@@ -97,7 +97,7 @@ class Slopes:
         self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
 
     def plain_step(self, rested: bool = False) -> TangentStep:
-        """A step without slopes; `rested` with all rates due."""
+        """Return a step without slopes; `rested` with all rates due."""
         return TangentStep(
             self.program,
             self.point.parameters,
@@ -110,7 +110,7 @@ class Slopes:
         )
 
     def step(self, direction: Slope | None = None) -> TangentStep:
-        """A step with unit slopes of the coordinates and inputs."""
+        """Return a step with unit slopes of the coordinates and inputs."""
         unit = np.eye(self.seeds)
         states: States = {k: constant(v) for k, v in self.point.states.items()}
         held: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.held.items()}
@@ -140,7 +140,7 @@ class Slopes:
         )
 
     def matrices(self, what: str = "next", strict: bool = True) -> Matrices:
-        """The slopes of `what` becomes of the coordinates (one of WHAT) and of the outputs.
+        """Return the slopes of `what` (one of WHAT) and of the outputs by the coordinates.
 
         With `strict` DiagramError at a kink: where directions of motion do not agree on them.
         """
@@ -153,7 +153,7 @@ class Slopes:
         return total
 
     def _visits(self, what: str) -> list[_Visit]:
-        """The ticks of a period at which something is due; of what is not "next", the first."""
+        """Return the ticks of a period at which something is due; for `what` other than "next", the first one."""
         start = self.point.tick
         # At a tie the branch of the point itself may be one that no motion leads into: somewhere beside it, then.
         direction = np.random.Generator(np.random.PCG64(1)).standard_normal(self.seeds)
@@ -194,7 +194,7 @@ class Slopes:
         self.point.held = {s: plain(v) for s, v in step.made.items() if s.node is not None}
 
     def _situation(self, seen: NDArray[np.bool_]) -> tuple[Any, Array]:
-        """What decides the branches of a tick: the rates that are due, whole-number states, and the real values.
+        """Return what decides the branches of a tick: due rates, whole-number states and real values.
 
         The place where a ring is written does not. A state without a coordinate in `seen` does not either.
         """
@@ -236,7 +236,7 @@ class Slopes:
                 )
 
     def _once(self, what: str, direction: Slope | None) -> tuple[Matrices, TangentStep, States]:
-        """The slopes over one tick, ties resolved by `direction`; the step and the new states."""
+        """Return the slopes over one tick, ties resolved by `direction`, with the step and the new states."""
         step = self.step(direction)
         if what == "slope":
             new = step.derivative(step.continuous())
@@ -272,7 +272,7 @@ class Slopes:
 
 
 def observed(a: Array, c: Array) -> NDArray[np.bool_]:
-    """The states that move an output sooner or later."""
+    """Return the states that move an output sooner or later."""
     seen = (c != 0.0).any(axis=0)
     while True:
         further = seen | ((a != 0.0).T @ seen)
@@ -296,7 +296,7 @@ def _different(ties: Sequence[Tie]) -> list[Tie]:
 
 
 def close(a: Array, b: Array) -> bool:
-    """Whether two arrays are the same up to roundings."""
+    """Return True if two arrays are equal up to roundings."""
     return np.allclose(a, b, rtol=SAME, atol=SAME * (1e-3 + float(np.abs(a).max(initial=0.0))))
 
 

@@ -82,11 +82,11 @@ class TangentStep:
         return self.tangent.evaluate(list(roots), leaf, None if kept is None else kept.setdefault(node, {}))
 
     def active(self, guard: Guard) -> bool:
-        """Whether the nodes of a guard act at this tick."""
+        """Return True if the nodes of a guard act at this tick."""
         return self.due(guard) and all(bool(plain(self.read[e])) for e in guard.enables)
 
     def due(self, guard: Guard) -> bool:
-        """Whether their rate makes the nodes of a guard run at this tick."""
+        """Return True if the nodes of a guard are due at this tick."""
         return self.rested or self.tick % guard.rate.divider == guard.rate.offset
 
     def _outputs(self) -> None:
@@ -111,7 +111,7 @@ class TangentStep:
                         self.read[s] = Dual(plain(self.made[s]), self.cut[s])
 
     def updates(self) -> States:
-        """The discrete states of the next tick."""
+        """Return the discrete states of the next tick."""
         new: States = {}
         for node in self.nodes:
             roots = node.trace.update if self.active(node.guard) else {}
@@ -120,7 +120,7 @@ class TangentStep:
         return {(n, s.name): self.states[n, s.name] for n in self.program.nodes for s in n.discrete} | new
 
     def continuous(self) -> States:
-        """The continuous states at the tick."""
+        """Return the continuous states at the tick."""
         return {(n, s.name): self.states[n, s.name] for n in self.integrated_nodes for s in n.continuous}
 
     def following(self) -> States:
@@ -128,7 +128,7 @@ class TangentStep:
         return self.states | self.updates() | (self.projected(self.integrated()) if self.integrated_nodes else {})
 
     def derivative(self, x: Mapping[Key, Value], signals: Mapping[FlatSignal, Value] | None = None) -> States:
-        """The derivatives of the continuous states at `x`; `signals` replaces those that have an edge."""
+        """Return the derivatives of the continuous states at `x`; `signals` replaces those that have an edge."""
         now: dict[FlatSignal, Value] = dict(self.read) | dict(signals or {})
         memos: dict[Node, dict[int, Value]] = {}
         for group in self.program.stage:
@@ -149,7 +149,7 @@ class TangentStep:
         return slopes
 
     def integrated(self) -> States:
-        """The continuous states of the next tick, before they are projected: RK4 or Euler, split at edges."""
+        """Return the continuous states of the next tick before projections: RK4 or Euler, split at edges."""
         x = self.continuous()
         edges: dict[FlatSignal, tuple[float, Value, Value]] = {}
         for s in self.program.edged:
@@ -188,22 +188,22 @@ class TangentStep:
 
 
 def zero(signal: FlatSignal) -> Value:
-    """What a signal holds before its first tick."""
+    """Return the value of a signal before its first tick."""
     return valued(signal, signal.before)
 
 
 def valued(signal: FlatSignal, value: Any) -> Value:
-    """A constant of a signal's kind."""
+    """Return a constant of a signal's kind."""
     return constant(numeric(value, signal.kind, signal.width, signal.path))
 
 
 def elements(value: Any) -> tuple[Any, ...]:
-    """The elements of an array, or a scalar as the only one."""
+    """Return the elements of an array, or a scalar as the only one."""
     return value if isinstance(value, tuple) else (value,)
 
 
 def _sum(a: Value, b: Value, factor: float) -> Value:
-    """a + factor * b."""
+    """Return a + factor * b."""
     made = tuple(_added(x, y, factor) for x, y in zip(elements(a), elements(b), strict=True))
     return made if isinstance(a, tuple) else made[0]
 

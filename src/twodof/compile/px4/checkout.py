@@ -39,7 +39,7 @@ class CheckoutFindings:
 
     @property
     def fits(self) -> bool:
-        """Whether there is no error."""
+        """True if all findings are warnings."""
         return not any(row.level == ERROR for row in self.rows)
 
 

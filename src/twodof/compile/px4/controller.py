@@ -63,7 +63,7 @@ def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> Cont
 
 
 def header(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedParameter], made: ControllerCode) -> str:
-    """The interface between the work item and the step, for C and C++."""
+    """Return the interface between the work item and the step, for C and C++."""
     sizes = {k: v.itemsize for k, v in made.layout.dtypes("float32").items()}
     return fill(
         "controller.h",
@@ -95,7 +95,7 @@ def _members(members: Sequence[MessageField]) -> str:
 
 
 def source(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedParameter], made: ControllerCode) -> str:
-    """The C file: the emitted program, then the interface."""
+    """Return the C file: the emitted program, then the interface."""
     layout = made.layout
     return fill(
         "controller.c",

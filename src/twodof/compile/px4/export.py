@@ -32,21 +32,21 @@ class Px4Module:
     files: Mapping[str, str]
 
     def write(self, folder: str | Path, force: bool = False) -> None:
-        """Writes the tree as `folder`, wholly or not at all; see `twodof.compile.px4.tree.write_tree`."""
+        """Write the tree as `folder`, wholly or not at all; see `twodof.compile.px4.tree.write_tree`."""
         write_tree(Path(folder), self.files, force)
 
 
 def export(
     diagram: Diagram, folder: str | Path, log: Iterable[str] = (), prefix: str = "", force: bool = False
 ) -> Px4Module:
-    """Writes the module of `diagram` as `folder`; `make_module` and `Px4Module.write` say how, and what is raised."""
+    """Write the module of `diagram` as `folder`; for arguments and errors see `make_module` and `Px4Module.write`."""
     module = make_module(diagram, log, prefix)
     module.write(folder, force)
     return module
 
 
 def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> Px4Module:
-    """The module of `diagram`, which logs also the signals at the paths `log`. The same arguments give the same text.
+    """Make the module of `diagram`, which also logs the signals at the paths `log`. Equal arguments give equal text.
 
     `prefix` begins the parameters' names, 1 to 5 capitals or digits; without it the diagram's name decides. Raises
     DiagramError for a diagram that is faulty, whose ports are nothing in PX4, or that is too large for it.
@@ -100,12 +100,12 @@ def airframe_id(names: ModuleNames) -> int:
 
 
 def airframe_file(names: ModuleNames) -> str:
-    """The file's name, by which PX4_SIM_MODEL finds it too."""
+    """Return the airframe's file name, which PX4_SIM_MODEL may name too."""
     return f"{airframe_id(names)}_{names.module}"
 
 
 def airframe(names: ModuleNames, role: ModuleRole, text: str) -> str:
-    """The airframe's script: a multicopter with the rig's settings."""
+    """Return the airframe's script: a multicopter with the rig's settings."""
     about = f" {harmless(text, 100)}".rstrip()
     return fill("airframe.sh", names, about=about, settings=_settings(names, role))
 
@@ -116,7 +116,7 @@ def board_settings(names: ModuleNames, role: ModuleRole) -> str:
 
 
 def _settings(names: ModuleNames, role: ModuleRole) -> str:
-    """What the rig needs of PX4, and the drone's gains for PX4's own loops beside the diagram.
+    """Return the rig's settings of PX4, and the drone's gains for PX4's own loops beside the diagram.
 
     With the allocator below, which moves the motors of a symmetric X by .7071 of the torque, the gains are the larger
     by sqrt(2).
@@ -126,7 +126,7 @@ def _settings(names: ModuleNames, role: ModuleRole) -> str:
 
 
 def takeover(names: ModuleNames, role: ModuleRole) -> str:
-    """The .post script, which PX4 runs after its own modules have started."""
+    """Return the .post script, which PX4 runs after its own modules have started."""
     stops = "\n".join(f"    {module} stop" for module in role.stops)
     return fill("takeover.sh", names, replaced=" and ".join(role.stops), stops=stops)
 
@@ -151,7 +151,7 @@ def readme(
     kept: Sequence[KeptParameter],
     text: str,
 ) -> str:
-    """What to do with the tree, what the module reads and writes, its parameters, and what it does when in doubt."""
+    """Return the README: use of the tree, signals, parameters, and the behaviour in doubt."""
     inputs = [
         (f"`{f.path}`", f.unit or "-", _cell(", ".join(INPUTS[f.path].topics)), _cell(INPUTS[f.path].text))
         for f in found.inputs

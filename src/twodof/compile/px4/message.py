@@ -78,7 +78,7 @@ class MessageFields:
 
 
 def fields(program: FlatProgram, outputs: int) -> MessageFields:
-    """The fields of a program whose first `outputs` outputs are the diagram's, the others logged signals.
+    """Return the fields of a program whose first `outputs` outputs are the diagram's, the others logged signals.
 
     Raises DiagramError for more than a uORB message and a log's description of it can hold.
     """
@@ -107,7 +107,7 @@ def _named(prefix: str, signals: list[tuple[str, FlatSignal]]) -> tuple[MessageF
 
 
 def message(names: ModuleNames, found: MessageFields) -> str:
-    """The text of the .msg file."""
+    """Return the text of the .msg file."""
     lines = [f"# What the module {names.module} reads, computes and commands at each step.", ""]
     lines += [_line(kind, name, text) for kind, name, text in HEAD]
     lines += ["", _line("uint8", f"ORB_QUEUE_LENGTH = {QUEUE}", "so that a logger that is late misses none")]

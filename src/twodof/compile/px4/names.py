@@ -33,7 +33,7 @@ def digest(text: str, length: int = 4) -> str:
 
 @dataclass(frozen=True)
 class ModuleNames:
-    """What the module of one diagram is called: `twodof_pitch` in the shell and as topic, `TwodofPitch` in C++."""
+    """Names of one diagram's module: `twodof_pitch` in the shell and as topic, `TwodofPitch` in C++."""
 
     stem: str
     prefix: str
@@ -50,7 +50,7 @@ class ModuleNames:
 
 
 def module_names(diagram: str, prefix: str = "") -> ModuleNames:
-    """The names of the module of a diagram called `diagram`; `prefix` begins its parameters' names.
+    """Return the names of the module of a diagram called `diagram`; `prefix` begins its parameters' names.
 
     The stem is the diagram's name in small letters, at most LONGEST_STEM long; a longer one ends with a digest. A word
     of one letter joins the one before it, since PX4 makes a topic's name from the capitals of the message's. Without
@@ -91,7 +91,7 @@ def parameter_names(
     elsewhere: Iterable[str] = (),
     part: str = "",
 ) -> list[str]:
-    """The names, of at most 16 characters, of the parameters at `paths` (with the index of an array's element).
+    """Return names of at most 16 characters for the parameters at `paths` (with the index of an array's element).
 
     A name is PREFIX_PART_NAME(_INDEX). One that is too long loses letters from the end of its longest word, again and
     again. Where two would be alike, or like one of `taken`, they are cut and end with a digest of their paths. Where
@@ -130,7 +130,7 @@ def _shortened(prefix: str, path: str, index: int | None) -> str:
 
 
 def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
-    """The message's fields of the signals at `paths`: `prefix`_path in small letters, cut, numbered where alike."""
+    """Return the message's fields for the signals at `paths`: `prefix`_path in small letters, cut and numbered."""
     made: list[str] = []
     for path in paths:
         stem = re.sub(r"[^a-z0-9]+", "_", path.lower()).strip("_") or "signal"
@@ -146,7 +146,7 @@ def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
 
 
 def harmless(text: str, longest: int) -> str:
-    """A user's text for a comment, a YAML string or a description, in none of which it can mean anything.
+    """Return a user's text without characters that mean something in a comment, YAML or a description.
 
     Letters, digits, spaces and a few signs of ASCII stay, each run of others becomes a question mark.
     """
@@ -156,7 +156,7 @@ def harmless(text: str, longest: int) -> str:
 
 
 def fill(template: str, names: ModuleNames, **fields: object) -> str:
-    """The text of a file in `templates/`: `${module}` and the other names, and `fields`, stand where it names them.
+    """Fill in a file of `templates/`: `${module}`, the other names, and `fields`.
 
     Raises KeyError for a field of the template that is not given.
     """

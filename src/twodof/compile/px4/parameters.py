@@ -85,7 +85,7 @@ class KeptParameter:
 def exported(
     program: FlatProgram, names: ModuleNames, torque: bool
 ) -> tuple[list[ExportedParameter], list[KeptParameter]]:
-    """The rows of the diagram's parameters, those of the module itself behind them, and what is not shown.
+    """Return the rows of the diagram's parameters, then those of the module itself, and the parameters not shown.
 
     A parameter that is not tunable is read when the module starts; `diagram_rows` says what stays as it is. `torque`
     adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
@@ -104,7 +104,7 @@ def exported(
 def diagram_rows(
     program: FlatProgram, prefix: str, elsewhere: Iterable[str] = (), part: str = ""
 ) -> tuple[list[ExportedParameter], list[KeptParameter]]:
-    """The rows of the diagram's parameters alone, at most MOST of them, and what is not shown.
+    """Return the rows of the diagram's parameters alone, at most MOST, and the parameters not shown.
 
     An array of more than WIDEST elements, and a default that PX4 cannot hold (not finite, an integer above 2^31 - 1),
     stay as they are. The names are those in PX4's module, but where `elsewhere` has one of them already
@@ -170,7 +170,7 @@ def _whole(bound: float, rounded: Callable[[float], int]) -> float:
 
 
 def module_yaml(names: ModuleNames, rows: Sequence[ExportedParameter]) -> str:
-    """The text of module.yaml: one group with `rows`."""
+    """Return the text of module.yaml: one group with `rows`."""
     lines = [
         f"module_name: {names.module}",
         "",
@@ -220,7 +220,7 @@ def decimals(default: float) -> int:
 
 
 def number(value: float, kind: str) -> str:
-    """A number as YAML and PX4's generators read it back: the shortest that is this float32, with a point."""
+    """Return a number as YAML and PX4's generators read it: the shortest of this float32, with a point."""
     if kind == "bool":
         return "true" if value else "false"
     if kind != "real":

@@ -1,4 +1,4 @@
-"""What a diagram's ports are inside PX4: port names on one side, uORB topics and their fields on the other.
+"""Ports of a diagram inside PX4: port names on one side, uORB topics and their fields on the other.
 
 `topics.toml` holds the tables, and explains the columns of those whose C++ `work_item.py` puts together.
 """
@@ -18,7 +18,7 @@ _TABLES: Mapping[str, Any] = tomllib.loads(resources.files(__package__).joinpath
 
 @dataclass(frozen=True)
 class Reading:
-    """What is fed to an input: its topics, in words what it is, its value in C++, its type and unit."""
+    """Source of an input: its topics, a description, its value in C++, its type and unit."""
 
     topics: tuple[str, ...]
     text: str
@@ -29,7 +29,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Commanding:
-    """What modules that command the same share: see `topics.toml`."""
+    """Common part of the modules that command the same: see `topics.toml`."""
 
     writes: tuple[str, ...]
     finite: tuple[str, ...]
@@ -80,7 +80,7 @@ class ModuleRole:
 
     @property
     def thrust_setpoint(self) -> bool:
-        """Whether the thrust set-point of the topics is read."""
+        """True if the thrust set-point of the topics is read."""
         return self.commands != "attitude"
 
     @property
@@ -97,7 +97,7 @@ class ModuleRole:
 
     @property
     def signs(self) -> dict[str, str]:
-        """Topic -> who advertises it; the module does not start beside one of them.
+        """Topic -> its module; the exported module does not start beside one of them.
 
         `vehicle_attitude_setpoint` is not among them: mavlink and mc_att_control publish it too, and never end.
         """
@@ -107,12 +107,12 @@ class ModuleRole:
 
     @property
     def asides(self) -> tuple[str, ...]:
-        """What else is used: to see who else commands, and to ask PX4 to disarm."""
+        """Further topics: to see other commanding modules, and to ask PX4 to disarm."""
         return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
     def commanding(self) -> Commanding:
-        """What it shares with all that command the same."""
+        """The part in common with all modules that command the same."""
         return _COMMANDING[self.commands]
 
     @property
@@ -122,7 +122,7 @@ class ModuleRole:
 
 
 def role(program: FlatProgram) -> ModuleRole:
-    """The role of a program by the names of its ports.
+    """Return the role of a program by the names of its ports.
 
     Raises DiagramError, with the known names, for an input that PX4 has nothing for. It does so for a port of another
     type, width or unit, and for outputs that command nothing or too much.

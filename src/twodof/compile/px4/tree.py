@@ -18,13 +18,13 @@ _LARGEST_MANIFEST = 1_000_000
 
 
 def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
-    """The text of the manifest: `facts`, and the SHA-256 of each file."""
+    """Return the text of the manifest: `facts`, and the SHA-256 of each file."""
     sums = {path: hashlib.sha256(text.encode()).hexdigest() for path, text in sorted(files.items())}
     return json.dumps({"format": FORMAT, **facts, "files": sums}, indent=2) + "\n"
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """The manifest of a folder, or None if it does not have a valid one."""
+    """Return the manifest of a folder, or None if it does not have a valid one."""
     place = folder / MANIFEST
     try:
         if not place.is_file():
@@ -39,12 +39,12 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
 
 
 def absent(folder: Path) -> list[str]:
-    """What an export has put into `folder` and is there no more, by relative path."""
+    """Return the files of the export that are missing in `folder`, by relative path."""
     return [path for path in sorted(_sums(folder)) if not (folder / path).is_file()]
 
 
 def strangers(folder: Path) -> list[str]:
-    """What in `folder` no export has put there, or what has been changed since, by relative path."""
+    """Return the files in `folder` that are not of the export or were changed, by relative path."""
     sums = _sums(folder)
     found = []
     for root, folders, names in os.walk(folder):
@@ -61,13 +61,13 @@ def strangers(folder: Path) -> list[str]:
 
 
 def _sums(folder: Path) -> dict[str, str]:
-    """The SHA-256 of each file of the export in `folder`, by relative path; none where there is not an export."""
+    """Return the SHA-256 of each file of the export in `folder`, by relative path."""
     known = read_manifest(folder)
     return known["files"] if known else {}
 
 
 def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> None:
-    """Writes `files`, whose manifest is among them, as `folder`: wholly or not at all.
+    """Write `files`, whose manifest is among them, as `folder`: wholly or not at all.
 
     An empty folder and an unchanged export are replaced. An export with other or changed files is replaced only with
     `force`. Raises LogError for any other folder, CompileError where the file system refuses. The new tree is made

@@ -13,7 +13,7 @@ _AGAIN = "\n    orb_advertise(ORB_ID(vehicle_attitude_setpoint), nullptr);"
 
 
 def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
-    """The class's declaration."""
+    """Return the class's declaration."""
     topics = sorted({*role.reads, *role.writes, *role.asides, names.module})
     read = _kept(role)
     members = ["    float _thrust_setpoint{0.f};"] if role.thrust_setpoint else []
@@ -30,7 +30,7 @@ def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
 
 
 def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str:
-    """The class's definition and the command's entry."""
+    """Return the class's definition and the command's entry."""
     n = names.module
     rivals = (f'        {{ORB_ID({topic}), "{who} publishes {topic}"}},' for topic, who in sorted(role.signs.items()))
     return fill(
@@ -50,7 +50,7 @@ def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str
 
 
 def _kept(role: ModuleRole) -> list[str]:
-    """The topics whose latest value the class keeps."""
+    """Return the topics whose latest value the class keeps."""
     return [topic for topic in role.reads if topic in MEMBERS]
 
 
@@ -66,7 +66,7 @@ def _message(found: MessageFields) -> str:
 
 
 def _input_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) -> dict[str, str]:
-    """The fields that read the topics, judge the measurements and fill the inputs."""
+    """Return the fields that read the topics, judge the measurements and fill the inputs."""
     read = _kept(role)
     # What is measured, all reals but the set-points, must be finite.
     members = {f.path: f.name for f in found.inputs if f.kind == "real" and not f.path.endswith("_0")}
@@ -84,7 +84,7 @@ def _input_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) ->
 
 
 def _value(role: ModuleRole, name: str) -> str:
-    """An input's value in terms of the topics' members."""
+    """Return an input's value in terms of the topics' members."""
     no_thrust = "!(_thrust_setpoint > 0.f)" if role.thrust_setpoint else "!along_rail"
     if role.thrust_setpoint and _own_thrust(role):  # along the rail the set-point's topic is silent
         no_thrust = f"(!along_rail && {no_thrust})"
@@ -92,12 +92,12 @@ def _value(role: ModuleRole, name: str) -> str:
 
 
 def _own_thrust(role: ModuleRole) -> bool:
-    """Whether the diagram gives the thrust along the rail."""
+    """Return True if the diagram gives the thrust along the rail."""
     return "thrust" in role.outputs and "thrust_0" not in role.inputs
 
 
 def _command_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) -> dict[str, str]:
-    """The fields that judge the commands and publish them."""
+    """Return the fields that judge the commands and publish them."""
     members = {f.path: f"_out.{f.name}" for f in found.outputs if f.name.startswith("out_")}
     finite = [members[name] for name in role.outputs if name in role.commanding.finite]
     if role.commands == "motors":

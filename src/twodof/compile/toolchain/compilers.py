@@ -43,14 +43,14 @@ class Compiler:
     flags: tuple[str, ...] = ()
 
     def identity(self) -> str:
-        """What changes when the compiler does: the resolved program, its size and its time."""
+        """Return a text that changes with the compiler: the resolved program, its size and its time."""
         path = Path(self.command[0]).resolve()
         stat = path.stat()
         return f"{self.name} {path} {stat.st_size} {stat.st_mtime_ns}"
 
 
 def find_compiler(name: str | None = None) -> Compiler:
-    """The compiler called `name` ("cc", "gcc", "clang", "zig" or a path); the first there is for None.
+    """Return the compiler `name` ("cc", "gcc", "clang", "zig" or a path), or the first that is installed for None.
 
     Raises CompileError if it is not there.
     """
@@ -68,7 +68,7 @@ def find_compiler(name: str | None = None) -> Compiler:
 
 
 def find_zig() -> str | None:
-    """The path of zig: in the wheel ziglang, or else where PATH says."""
+    """Return the path of zig: in the wheel ziglang, or else on PATH."""
     wheel = importlib.util.find_spec("ziglang")
     folders = (wheel.submodule_search_locations or ()) if wheel is not None else ()
     # Not by way of `python -m ziglang`, which takes another tenth of a second.
@@ -77,7 +77,7 @@ def find_zig() -> str | None:
 
 @functools.cache
 def processor() -> str:
-    """What `-march=native` depends on."""
+    """Return a text of everything that `-march=native` depends on."""
     try:
         first = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").partition("\n\n")[0]
     except OSError:
@@ -97,7 +97,7 @@ def compiled(
     files: Mapping[str, str] | None = None,
     afresh: bool = False,
 ) -> Iterator[Path]:
-    """The file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
+    """Yield the file that `compiler` makes of the C `source` with `options`, from the cache if it is there.
 
     `suffix` ends its name (".so", ".wasm", ".elf"). `depends` is what else decides its bytes (the processor, with
     `-march=native`). `files` (name -> text) are written beside the source, where the compiler runs, so that an option

@@ -79,7 +79,7 @@ class WasmModule:
     places: Mapping[str, WasmAddresses]
 
     def interface(self, name: str | None = None) -> dict[str, Any]:
-        """What a host must know to run the program `name` (the only one, if None): see docs/reference/compilation.md.
+        """Return the interface of the program `name` (the only one, if None): see docs/reference/compilation.md.
 
         It can be written as JSON: a bound that is infinite is None. Addresses are in the module's memory, in bytes.
         """
@@ -120,7 +120,7 @@ class WasmModule:
 def _entry(
     program: EmittedProgram, places: WasmAddresses, struct: str, member: Member, path: str, continuous: bool = False
 ) -> dict[str, Any]:
-    """A member's path, unit, type, number of elements and address."""
+    """Return a member's path, unit, type, number of elements and address."""
     offset, _ = program.places[struct][f"x.{member.name}" if continuous else member.name]
     return {
         "path": path,
@@ -137,7 +137,7 @@ def _finite(bound: float) -> float | None:
 
 
 def find_wasm_compiler(name: str | None = None) -> Compiler:
-    """The compiler called `name` ("zig", "clang" or a path to a clang), or else the first there is.
+    """Return the compiler `name` ("zig", "clang" or a path to a clang), or else the first that is installed.
 
     Raises CompileError, with the package that gives it, if it is not there.
     """
@@ -189,7 +189,7 @@ def compile_module(
 
 
 def _tick(name: str, places: WasmAddresses) -> str:
-    """A step on the structs at their places: a call without arguments takes a quarter of the time."""
+    """Return the C of a step on the structs at their places: without arguments a call takes a quarter of the time."""
     arguments = ", ".join(
         f"({const}{name}_{k} *){places.structs[k]}u"
         for k, const in (("P", "const "), ("S", ""), ("U", "const "), ("Y", ""))
@@ -209,7 +209,7 @@ AT_LEAST = 10_000
 
 
 def step_fuel(program: EmittedProgram) -> int:
-    """The fuel [instructions of WebAssembly, about] that one call of a function but `run` may use.
+    """Return the fuel [instructions of WebAssembly, about] of one call of a function other than `run`.
 
     An upper bound with a wide margin: PER_OPERATION for each operation of the language that any path computes, PER_BYTE
     for what is filled and copied, and AT_LEAST. A program that needs more has a fault, or its compiler.
@@ -251,7 +251,7 @@ OPTIMISATION_BUDGET = 100_000_000
 
 
 def optimisation_cost(source: str) -> int:
-    """The sum over the lines of C of the square of the number of local values that a later line still reads.
+    """Return the sum over the lines of C of the squared number of local values that a later line still reads.
 
     `source` is as the emitter writes it: a local value a line, a function's end at the line's beginning.
     """

@@ -26,7 +26,7 @@ INSTALL = (
 
 
 def check_ready(compiler: str | None = None) -> None:
-    """Raises CompileError that names everything missing for the sandbox, wasmtime and a compiler (`compiler`, or any).
+    """Raise CompileError that names everything missing for the sandbox: wasmtime, a compiler (`compiler`, or any).
 
     Asked again after an installation it looks anew, so a program that runs need not be started again.
     """
@@ -61,7 +61,7 @@ class Wasm:
     name = "wasm"
 
     def compile(self, programs: Sequence[EmittedProgram]) -> list[WasmBackend]:
-        """The programs of one source in one module; raises CompileError, also if wasmtime is not there."""
+        """Compile the programs of one source into one module. Raises CompileError, also without wasmtime."""
         check_ready(self.compiler)
         module = compile_module(programs, self.compiler, self.optimise)
         return backends(module, self.fuel)
@@ -72,7 +72,7 @@ MOST_FUEL = 2**62
 
 
 def wasmtime() -> Any:
-    """The package, which is loaded only where it is used. Raises CompileError if it is not there."""
+    """Return the package, loaded at first use. Raises CompileError if it is not installed."""
     try:
         return importlib.import_module("wasmtime")
     except ImportError as error:
@@ -94,7 +94,7 @@ def _engine() -> Any:
 
 
 def backends(module: WasmModule, fuel: int | None = None) -> list[WasmBackend]:
-    """The programs of `module`, in its order; `fuel` as in `Wasm`.
+    """Return the programs of `module`, in its order; `fuel` as in `Wasm`.
 
     Raises CompileError if wasmtime is not there or refuses the module.
     """
@@ -123,11 +123,11 @@ class WasmBackend:
         self.fuel = fuel
 
     def interface(self) -> dict[str, Any]:
-        """What another host of the module must know; see `WasmModule.interface`."""
+        """Return the interface for another host of the module; see `WasmModule.interface`."""
         return self.module.interface(self.program.name)
 
     def instance(self) -> WasmInstance:
-        """A fresh instance with a memory of its own."""
+        """Return a fresh instance with a memory of its own."""
         return WasmInstance(self)
 
 
@@ -195,7 +195,7 @@ class WasmInstance:
         return ControllerFault(f"it was stopped: {reason}", where, "report this as a fault of twodof, with the diagram")
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """`steps` ticks, in pieces that fit into the memory; see `target.Instance`. Each step has its fuel."""
+        """Run `steps` ticks, in pieces that fit into the memory; see `target.Instance`. Each step has its fuel."""
         places, one_u, one_y = self._places, len(u) == 1, len(y) == 1
         if one_u:
             self._u[0] = u[0]
