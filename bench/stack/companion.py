@@ -15,11 +15,9 @@ from typing import cast
 
 from bench.measure import Figure, one_core, timed
 from bench.stack.programs import END_S, START_S, running
-from twodof.companion.client import CompanionClient
+from twodof.companion.client import CompanionClient, profile
 from twodof.companion.router import Router
-from twodof.companion.streams.rate_profiles import profile
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink.enums import COMPANION
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport import open_transport
@@ -120,11 +118,12 @@ class Ends:
 
     async def read_vehicle(self) -> None:
         """Note the age of each frame that reaches the vehicle, and grant requests for streams."""
-        parser, to = Parser(), {"target_system": 1, "target_component": COMPANION}
+        parser = Parser()
         while True:
             packet = await self.vehicle.receive(1.0)
             for frame in parser.feed(packet.data) if packet is not None else ():
                 if frame.message_id == COMMAND_LONG:
+                    to = {"target_system": frame.system, "target_component": frame.component}
                     self.vehicle.send(encode(message("COMMAND_ACK", command=511, **to), 1, 1, 0))
                 elif frame.message_id == MANUAL_CONTROL:
                     sent = self.sent.get(-int.from_bytes(frame.payload[:2], "little"))

@@ -4,9 +4,9 @@ import random
 from collections.abc import Hashable
 from typing import Any, cast
 
-from twodof.companion.client import CompanionClient
+from twodof.companion.client import CompanionClient, profile
 from twodof.companion.router import Router
-from twodof.companion.streams.rate_profiles import profile
+from twodof.companion.streams import whole
 from twodof.companion.uplink_queue import UplinkQueue
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode
@@ -92,16 +92,15 @@ class Ends:
         return client
 
     def answer(self, result: int = 0) -> list[tuple[int, float]]:
-        """The vehicle answers what it is asked to stream until nothing more is asked: (message, interval)."""
+        """The vehicle answers what it is asked to stream: (message, interval)."""
         asked = []
-        while True:
-            got = [decode(one) for one in self.up.take()]
-            commands = [one for one in got if one.get_type() == "COMMAND_LONG" and one.command == 511]
-            if not commands:
-                return asked
-            for one in commands:
-                asked.append((int(one.param1), one.param2))
-                self.vehicle("COMMAND_ACK", command=511, result=result, target_system=1, target_component=191)
+        for sent in self.up.take():
+            one = decode(sent)
+            if one.get_type() == "COMMAND_LONG" and one.command == 511:
+                asked.append((whole(one.param1), one.param2))
+                to = {"target_system": sent.system, "target_component": sent.component}
+                self.vehicle("COMMAND_ACK", command=511, result=result, **to)
+        return asked
 
     def vehicle(self, name: str, component: int = 1, **fields: Any) -> None:
         """The vehicle sends a message."""

@@ -14,14 +14,12 @@ import pytest
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.faults.virtual_time import run_virtual
 from tests.patience import PATIENCE_S
-from twodof.companion import client_link
+from twodof.companion import links
 from twodof.companion import uplink_queue as line_module
 from twodof.companion.client import SILENT_S
-from twodof.companion.client_link import Serve, px4_links
 from twodof.companion.companion import Companion
-from twodof.companion.companion_link import LONGEST_BACK_OFF_S, OPEN_S
 from twodof.companion.component import ACTIVE, CRITICAL
-from twodof.companion.vehicle_link import REMIND_S, VEHICLE_SILENT_S
+from twodof.companion.links import LONGEST_BACK_OFF_S, OPEN_S, REMIND_S, VEHICLE_SILENT_S, Serve, px4_links
 from twodof.errors import LinkError
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
@@ -232,7 +230,7 @@ def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays(
 
 
 def test_strangers_take_all_places_of_one_link_and_keep_nobody_from_a_kill(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(client_link, "MOST_CLIENTS", 3)
+    monkeypatch.setattr(links, "MOST_CLIENTS", 3)
 
     async def work() -> None:
         serve = [Serve("memin://one", "ground"), Serve("memin://two", "ground")]
@@ -284,7 +282,7 @@ def test_with_a_key_what_is_not_signed_freshly_ends_here_and_who_is_behind_is_to
             await asyncio.sleep(1.0)
             assert [len(vehicle.heard("HEARTBEAT", system=number)) for number in (24, 25)] == [1, 0]
             assert (ours.counts.forged, ours.counts.repeated, ours.counts.accepted) == (1, 5, 1)
-            assert [one.identities.keys() for one in companion.clients] == [{(24, 190)}]
+            assert [one.identities for one in companion.clients] == [{(24, 190)}]
             assert companion.router.counts.from_vehicle == 0  # its words are not signed
             told = []
             while (packet := client.receive_now()) is not None:
@@ -429,7 +427,7 @@ def test_a_fault_of_ours_ends_it_instead_of_being_lost(monkeypatch: pytest.Monke
         assert isinstance(transport, TcpTransport)
         async with Vehicle(transport):
             companion = await Companion(f"tcp://127.0.0.1:{transport.port}", CLIENTS).__aenter__()
-            monkeypatch.delattr(companion.router, "answers")
+            monkeypatch.setattr(companion.router.streams, "receivers", None)
             with pytest.raises(LinkError, match="a frame was not passed on"):
                 await asyncio.wait_for(companion.run(), PATIENCE_S)
             with pytest.raises(LinkError, match="a frame was not passed on"):

@@ -6,10 +6,8 @@ import pytest
 
 from tests.companion.ends import SYSTEM, Ends, drawn
 from twodof.companion.client import MOST_IDENTITIES, MOST_WISHES
-from twodof.companion.component import CompanionComponent
-from twodof.companion.computer import ComputerStatus
-from twodof.companion.router import MOST_IDENTITIES as MOST_OF_THE_VEHICLE
-from twodof.companion.router import Router
+from twodof.companion.component import CompanionComponent, ComputerStatus
+from twodof.companion.router import MOST_BEHIND, Router
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -48,7 +46,6 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
         else:
             ends.router.from_vehicle(hostile(chance))
         if number % 100 == 0:
-            ends.router.subscriptions.asking.poll(ends.now)
             ends.up.sent.clear()
             for sink in ends.sinks.values():
                 sink.sent.clear()
@@ -56,7 +53,7 @@ def test_no_frame_stops_the_router_or_makes_it_grow(seed: int, keyed: bool) -> N
         assert len(client.identities) <= MOST_IDENTITIES
         assert len(client.wishes) <= MOST_WISHES
         assert len(client.due_once) <= len(dialect.classes())
-    assert len(ends.router.vehicle) <= MOST_OF_THE_VEHICLE
+    assert len(ends.router._behind) <= MOST_BEHIND
 
 
 def signed(signing: Signing, sequence: int, **fields: float) -> Frame:
@@ -87,19 +84,16 @@ def test_without_a_key_each_client_is_still_thinned_to_what_it_asked_for() -> No
     assert [len(ends.heard(client)) for client in ends.clients] == [10, 100]
 
 
-def test_with_the_key_signed_commands_are_answered_signed() -> None:
+def test_with_the_key_a_changed_command_is_signed_anew() -> None:
     key = Key.fresh()
     ends = Ends()
     ends.router = Router(SYSTEM, ends.line, lambda: ends.now, Signing(key, Stamps(None), link_id=191))
-    client = ends.join("none")
+    fast, slow = ends.join("none"), ends.join("none")
     ends.settle()
-    theirs = Signing(key, Stamps(None), link_id=2)
-    asked = signed(theirs, 0, param1=30, param2=4000)
-    ends.router.from_client(client, asked)
-    (sent,) = ends.up.take()
-    assert (sent.system, sent.component, sent.signed) == (SYSTEM, 191, True)
-    ends.vehicle("COMMAND_ACK", command=511, target_system=SYSTEM, target_component=191)
-    (answer,) = ends.heard(client)
-    assert (answer.signed, decode(answer).command, decode(answer).result) == (True, 511, 0)
-    assert theirs.check(answer).value == "accepted"
-    assert client.wishes[30].interval == 4000
+    theirs, vehicle = Signing(key, Stamps(None), link_id=2), Signing(key, Stamps(None), link_id=3)
+    for client, interval in ((fast, 4000), (slow, 40_000)):
+        ends.router.from_client(client, signed(theirs, 0, param1=30, param2=interval))
+    sent = ends.up.take()
+    assert [decode(one).param2 for one in sent] == [4000.0, 4000.0]
+    assert [(one.system, one.component) for one in sent] == [(250, 190)] * 2
+    assert [vehicle.check(one).value for one in sent] == ["accepted"] * 2

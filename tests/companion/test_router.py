@@ -1,7 +1,5 @@
 """Routing: each frame to whom it concerns, to nobody else, as it is; what is not the sender's to say goes nowhere."""
 
-from typing import Any
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,7 +7,7 @@ from hypothesis import strategies as st
 from tests.companion.ends import SYSTEM, Ends, frame, names
 from twodof.companion.client import MOST_IDENTITIES
 from twodof.link.mavlink.enums import COMPANION
-from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 
 IDENTITIES = [(250, 190), (250, 191), (255, 190), (245, 190), (9, 1)]
@@ -154,25 +152,6 @@ def test_a_program_on_board_speaks_to_everybody() -> None:
     assert len(ends.up.sent) == 1
 
 
-def test_parameters_and_logs_go_to_who_asked_and_changes_to_all() -> None:
-    ends = Ends("none", "none")
-    first, second = ends.clients
-    to = {"target_system": SYSTEM, "target_component": 1}
-    ends.says(first, "PARAM_REQUEST_LIST", 250, **to)
-    ends.says(second, "LOG_REQUEST_LIST", 255, **to)
-    ends.settle()
-    ends.vehicle("PARAM_VALUE", param_id="RATE_KP")
-    ends.vehicle("LOG_ENTRY", id=1)
-    assert names(ends.heard(first)) == ["PARAM_VALUE"]
-    assert names(ends.heard(second)) == ["LOG_ENTRY"]
-    ends.says(second, "PARAM_SET", 255, param_id="RATE_KP", **to)
-    ends.vehicle("PARAM_VALUE", param_id="RATE_KP")
-    assert names(ends.heard(first)) == names(ends.heard(second)) == ["PARAM_VALUE"]
-    ends.now += 60.0  # nobody waits any more: what comes unasked is everybody's
-    ends.vehicle("PARAM_VALUE", param_id="RATE_KP")
-    assert names(ends.heard(first)) == names(ends.heard(second)) == ["PARAM_VALUE"]
-
-
 @settings(max_examples=40)
 @given(st.lists(st.sampled_from(["ATTITUDE", "STATUSTEXT", "lost", "LOCAL_POSITION_NED"]), max_size=60))
 def test_what_was_thinned_out_does_not_count_as_lost_and_what_was_lost_does(events: list[str]) -> None:
@@ -213,18 +192,6 @@ def test_a_client_that_left_gets_nothing_and_wants_nothing() -> None:
     ends.vehicle("COMMAND_ACK", command=400, target_system=250, target_component=190)
     assert ends.heard(first) == []
     assert ends.router.clients == [second]
-
-
-@pytest.mark.parametrize("number", [0, 148, 390])
-def test_the_companion_answers_for_itself(number: int) -> None:
-    ends = Ends("none", "none")
-    taken: list[Any] = []
-    ends.router.own = lambda got, client: taken.append((decode(got).get_type(), client))
-    ends.settle()
-    to = {"target_system": SYSTEM, "target_component": COMPANION}
-    ends.says(ends.clients[0], "COMMAND_LONG", 250, command=512, param1=number, **to)
-    assert taken == [("COMMAND_LONG", ends.clients[0])]
-    assert ends.up.sent == []
 
 
 def test_twodofs_own_messages_go_to_those_who_know_them() -> None:

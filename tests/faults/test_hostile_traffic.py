@@ -22,8 +22,8 @@ import pytest
 
 from tests.faults.hostile import COMMANDS, Hostile
 from tests.faults.whole import GROUND, NONE, Seen, Whole, run
-from twodof.companion.client_link import Serve
 from twodof.companion.companion import Companion
+from twodof.companion.links import Serve
 from twodof.excitation import Doublet
 from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS
 from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS

@@ -16,7 +16,7 @@ import pytest
 
 from tests.faults.whole import GROUND, Seen, Whole, run, tell
 from tests.link.mavlink.test_framing import random_message
-from twodof.companion.computer import ComputerStatus
+from twodof.companion.component import ComputerStatus
 from twodof.errors import LinkLost
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection

@@ -18,8 +18,8 @@ from unittest.mock import patch
 
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
-from twodof.companion.client_link import Serve
 from twodof.companion.companion import Companion
+from twodof.companion.links import Serve
 from twodof.errors import TwodofError
 from twodof.fcu import server
 from twodof.fcu.control.flight_code import ControlStep
@@ -112,7 +112,7 @@ class Whole:
         stack = self._stack
         stack.enter_context(paced_by_the_loop())
         stack.enter_context(patch.object(server, "open_transport", self._open))
-        stack.enter_context(patch("twodof.companion.companion_link.open_transport", self._open))
+        stack.enter_context(patch("twodof.companion.links.open_transport", self._open))
         await self.drone.__aenter__()
         await self.drone.listen(self.fcu.replace("mem:", "memin:"))
         await self.companion.__aenter__()

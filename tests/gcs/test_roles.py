@@ -12,8 +12,8 @@ from tests.gcs.peer import Peer
 from tests.gcs.test_async_drone import fly
 from tests.gcs.virtual import on_board
 from twodof.cli.app import app
-from twodof.companion.client_link import px4_links
 from twodof.companion.companion import Companion
+from twodof.companion.links import px4_links
 from twodof.errors import Rejected
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone

@@ -1,33 +1,71 @@
-"""A client of the companion: who is there, what it wants, what it was sent."""
+"""A client of the companion: its address, its identities, and the messages that it wants."""
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
+from types import MappingProxyType
 
-from twodof.companion.frame_fields import renumbered
-from twodof.companion.streams.rate_profiles import OFF
-from twodof.errors import LinkLost
+from twodof.companion.frame_fields import renumbered, time_us
+from twodof.errors import LinkError, LinkLost, listed, shown
+from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
 from twodof.link.mavlink.framing import Frame
+from twodof.link.mavlink.rates import PROFILES as VEHICLE_PROFILES
+from twodof.link.mavlink.rates import RATES
 from twodof.link.transport.base import Transport
 
-Identity = tuple[int, int]  # a system and a component
-# A ground station speaks for itself and perhaps a camera or two.
+Identity = tuple[int, int]
+"""A MAVLink system and component."""
 MOST_IDENTITIES = 16
 MOST_WISHES = 256
-# Senders whose frames to a client are numbered; one beyond takes the place of the one of longest ago.
 MOST_SENDERS = 64
-# As long as a client is silent before it counts as gone: a ground station sends a heartbeat each second.
+"""Senders whose frames to a client are numbered; one more takes the place of the oldest."""
 SILENT_S = 30.0
+"""A client that is silent for so long counts as gone; a ground station sends a heartbeat each second."""
+EVERY, OFF = 0, -1
+"""Intervals: each message as it comes, and no message."""
+
+PROFILES = (*VEHICLE_PROFILES, "none")
+# Sent at each change too, which thinning would hold back.
+_ON_CHANGE = frozenset(row.number for row in RATES if row.on_change)
+_OWN = ("TWODOF_RIG", "TWODOF_LEASE", "TWODOF_SAFETY", "TWODOF_TIMING")
+GROUPS: Mapping[int, tuple[str, ...]] = MappingProxyType(
+    {
+        1: ("HIGHRES_IMU",),
+        2: ("SYS_STATUS", "EXTENDED_SYS_STATE", "BATTERY_STATUS"),
+        3: ("SERVO_OUTPUT_RAW",),
+        6: ("LOCAL_POSITION_NED", "ODOMETRY"),
+        10: ("ATTITUDE", "ATTITUDE_QUATERNION", "ATTITUDE_TARGET"),
+        11: ("VFR_HUD", "POSITION_TARGET_LOCAL_NED"),
+        12: ("DISTANCE_SENSOR",),
+    }
+)
+"""Groups of REQUEST_DATA_STREAM (MAV_DATA_STREAM); group 0 is all of them."""
+
+
+@cache
+def profile(name: str) -> Mapping[int, int]:
+    """Return the intervals [us] by message id of the rates called `name`. Raises LinkError for an unknown name."""
+    if name not in PROFILES:
+        raise LinkError(f"no rates {shown(name)}", "companion", f"there are {listed(PROFILES)}")
+    rates = {number: rate for number, rate in VEHICLE_PROFILES.get(name, {}).items() if number not in _ON_CHANGE}
+    timed = {number: round(1e6 / rate) if rate > 0.0 else EVERY for number, rate in rates.items()}
+    return dict.fromkeys(map(dialect.message_id, _OWN), EVERY) | timed
+
+
+def group(number: int) -> tuple[int, ...] | None:
+    """Return the message ids of a group of REQUEST_DATA_STREAM, None for all."""
+    return None if number == 0 else tuple(map(dialect.message_id, GROUPS.get(number, ())))
 
 
 def is_ours(message_id: int) -> bool:
-    """Whether a message is one of twodof's own."""
+    """Return True for twodof's own messages."""
     return FIRST_OWN_ID <= message_id <= LAST_OWN_ID
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What a client asked of one message: its interval [us] (EVERY, OFF), and of a batch the mask of its channels."""
+    """The interval [us] at which a message is wanted, and for a batch the mask of its channels."""
 
     interval: int
     mask: int = 0
@@ -35,11 +73,9 @@ class Wish:
 
 @dataclass(eq=False)
 class CompanionClient:
-    """One peer of one transport. `defaults` is what it gets unasked (`rates.profile`), `heard` when it last spoke [s],
-    `came` when it did first.
+    """One peer of one transport. `defaults` are the intervals that it gets unasked, `heard` when it last spoke [s].
 
-    `on_board`: it is a program of the drone's own. `stays`: it is sent to even if it never speaks, as PX4's links send
-    to their default address.
+    `on_board`: a program of the drone itself. `stays`: a default address, which is sent to even if it never speaks.
     """
 
     name: str
@@ -48,53 +84,77 @@ class CompanionClient:
     defaults: Mapping[int, int]
     heard: float
     stays: bool = False
-    came: float = 0.0
     on_board: bool = False
-    identities: dict[Identity, float] = field(default_factory=dict)
+    identities: set[Identity] = field(default_factory=set)
     wishes: dict[int, Wish] = field(default_factory=dict)
-    due_once: dict[int, int] = field(default_factory=dict)  # message -> how many it has asked for by 512
-    knows_ours: bool = False  # twodof's own messages; to others they would be losses
+    due_once: set[int] = field(default_factory=set)
+    """Messages that were requested once by command 512."""
+    knows_ours: bool = False
+    """Whether it has shown that it knows twodof's own messages; to other clients they would count as losses."""
+    _slots: dict[int, int] = field(default_factory=dict)
     _sequences: dict[Identity, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<client {self.name}>"
 
-    def known_as(self, identity: Identity, now: float) -> None:
-        """It spoke as `identity`, which is remembered unless it has too many."""
-        self.heard = now
-        if identity in self.identities or len(self.identities) < MOST_IDENTITIES:
-            self.identities[identity] = now
+    def add_identity(self, identity: Identity) -> None:
+        """Remember an identity, unless it has too many."""
+        if len(self.identities) < MOST_IDENTITIES:
+            self.identities.add(identity)
 
     def forget(self) -> None:
-        """It has been silent for so long that the next one to speak there is somebody else."""
+        """Forget a client that fell silent; the next one at this address may be another."""
         self.identities.clear()
         self.wishes.clear()
         self.due_once.clear()
         self.knows_ours = False
 
-    def follow(self, before: "CompanionClient") -> None:
-        """It is `before`, which speaks from another address now: it goes on getting what it had asked for."""
-        self.wishes = before.wishes | self.wishes
-        self.due_once = before.due_once | self.due_once
-        self.knows_ours |= before.knows_ours
+    def set(self, message_id: int, wish: Wish | None) -> bool:
+        """Store a wish, None for the default. Return False if it has too many."""
+        if wish is None:
+            self.wishes.pop(message_id, None)
+        elif message_id in self.wishes or len(self.wishes) < MOST_WISHES:
+            self.wishes[message_id] = wish
+        else:
+            return False
+        return True
 
-    def wish(self, message_id: int) -> int:
-        """The interval [us] at which it wants a message that it may have asked for, else its default, else OFF."""
+    def interval(self, message_id: int, default: int = OFF) -> int:
+        """Return the interval [us] at which it wants a message: as asked, by its rates, or else `default`."""
         asked = self.wishes.get(message_id)
         if asked is not None:
             return asked.interval
-        return self.defaults.get(message_id, OFF) if self.understands(message_id) else OFF
+        if is_ours(message_id) and not self.knows_ours:
+            return OFF
+        return self.defaults.get(message_id, default)
 
-    def understands(self, message_id: int) -> bool:
-        """Whether it may know the message: one of twodof's own only if it has shown that it knows any."""
-        return self.knows_ours or not is_ours(message_id)
+    def wants(self, frame: Frame, vehicle_interval: int, default: int) -> bool:
+        """Return whether it gets a frame that the vehicle sends at `vehicle_interval` [us].
+
+        A message that comes faster than wanted is thinned by the time in it, never by our clock, so that the same
+        flight gives the same messages in lockstep and in real time. Messages without a time are not thinned.
+        """
+        number = frame.message_id
+        if number in self.due_once:
+            self.due_once.discard(number)
+            return True
+        interval = self.interval(number, default)
+        if interval <= max(vehicle_interval, EVERY):
+            return interval != OFF
+        time = time_us(frame)
+        if time < 0:
+            return True
+        slot = time // interval
+        due = self._slots.get(number) != slot
+        self._slots[number] = slot
+        return due
 
     def deliver(self, frame: Frame, lost: int = 0) -> None:
-        """Send it a frame, numbered so that it counts as lost only what was: `lost` of its sender on the way to us."""
+        """Send a frame, numbered so that a thinned message is no loss; `lost` frames of its sender were lost before."""
         self.write(renumbered(frame, self.number((frame.system, frame.component), lost)))
 
     def number(self, identity: Identity, lost: int = 0) -> int:
-        """The sequence number of the next frame to it in the name of `identity`."""
+        """Return the sequence number of the next frame to it from `identity`."""
         number = self._sequences.pop(identity, 0)
         self._sequences[identity] = number + 1
         if len(self._sequences) > MOST_SENDERS:
@@ -102,8 +162,8 @@ class CompanionClient:
         return (number + lost) & 0xFF
 
     def write(self, raw: bytes) -> None:
-        """Hand bytes to its transport, which drops and counts them if the client does not read."""
-        try:  # noqa: SIM105 (to enter `suppress` takes half a microsecond, for each frame and client)
+        """Give bytes to the transport, which drops and counts them if the client does not read."""
+        try:  # noqa: SIM105 (`suppress` takes half a microsecond, for each frame and client)
             self.transport.send(raw, self.peer)
         except LinkLost:
             pass

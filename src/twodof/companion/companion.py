@@ -1,17 +1,15 @@
-"""The companion: opens its links, lets the router pass the frames between them, and says that it is there."""
+"""The companion: links to the flight controller and to clients, joined by a router."""
 
 import asyncio
 from collections.abc import Callable, Sequence
 from typing import Self
 
 from twodof.companion.client import CompanionClient
-from twodof.companion.client_link import ClientLink
-from twodof.companion.client_link import Serve as Serve
-from twodof.companion.component import CompanionComponent
-from twodof.companion.computer import ComputerStatus, Traffic
+from twodof.companion.component import CompanionComponent, ComputerStatus, Traffic
+from twodof.companion.links import ClientLink, VehicleLink
+from twodof.companion.links import Serve as Serve
 from twodof.companion.router import Router
 from twodof.companion.uplink_queue import BITS_A_BYTE, NETWORK_FRAME, NETWORK_RATE, UplinkQueue
-from twodof.companion.vehicle_link import VehicleLink
 from twodof.errors import LinkError
 from twodof.link.signing import Signing
 from twodof.link.transport.url import parse
@@ -21,14 +19,15 @@ BEAT_S = 1.0
 
 
 class Companion:
-    """Routes between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
+    """Router between the flight controller at `vehicle` (a URL) and clients at `serve`; a context manager.
 
     `system` is the vehicle's system id (1 to 255). With `signing` its own messages are signed, and only frames that are
     signed with that key pass or have any effect. Without it signed frames pass untouched. `line_rate` [byte/s] bounds
     what is sent to the flight controller. Its default is what a serial line's baud rate carries, and 1 Mbyte/s over a
-    network; in memory nothing is bounded. `tell` is called with a line for people while the flight controller is not
-    reached, each minute, and when it is heard then.
-    Raises LinkError where a client's link cannot be opened; the flight controller may come later.
+    network; in memory nothing is bounded. `tell` is called each minute with a line for people while the flight
+    controller is not reached, and when it is heard again.
+
+    Raises LinkError if a client link cannot be opened; the flight controller may come later.
     """
 
     def __init__(
@@ -89,22 +88,22 @@ class Companion:
                 raise end
 
     async def run(self) -> None:
-        """Until a part of it fails, which it raises, or it is cancelled."""
+        """Route until a part fails, whose exception it raises, or until it is cancelled."""
         await asyncio.gather(*self._tasks)
 
     @property
     def urls(self) -> list[tuple[str, str]]:
-        """Of each link that clients come to its URL, with the port that the system chose for port 0, and its rates."""
+        """URL of each client link, with the port that the system chose for port 0, and its rates."""
         return [port.address for port in self.ports]
 
     @property
     def clients(self) -> list[CompanionClient]:
-        """Who is there."""
+        """The connected clients."""
         return [*self.router.clients]
 
     @property
     def killed(self) -> bool:
-        """Whether the drone has said that it was killed, and not yet that it was released."""
+        """Whether the drone said that it was killed, and not yet that it was released."""
         return self.router.killed
 
     @property
@@ -113,13 +112,12 @@ class Companion:
         return self._vehicle.lost
 
     async def _look(self) -> None:
-        """Find who has come and gone without a word, what broke off, and what was not answered."""
+        """Let all links act on the clock."""
         while True:
             await asyncio.sleep(LOOK_S)
             now = self.router.clock()
             for port in self.ports:
                 port.look(now)
-            self.router.follow(now)
             self._vehicle.look(now)
 
     async def _beat(self) -> None:
@@ -128,6 +126,6 @@ class Companion:
             await asyncio.sleep(BEAT_S)
 
     def _traffic(self) -> list[Traffic]:
-        """The line first, then the clients' links."""
+        """Return the traffic of the line, then of the client links."""
         rows = [Traffic(self.line.counts.bytes, self._vehicle.bytes_in, self.line.rate or 0.0)]
         return rows + [Traffic(port.transport.counts.bytes_out, port.transport.counts.bytes_in) for port in self.ports]

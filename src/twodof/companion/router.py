@@ -1,53 +1,58 @@
-"""The rules by which frames pass between the vehicle and the clients: each to whom it concerns, nothing to the others.
+"""The rules by which frames pass between the vehicle and the clients, without sockets and without a clock of its own.
 
-Pure of sockets and of clocks but the one it is given. What arrives are whole frames whose checksum held.
+All frames that arrive are whole, and their checksum held.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import inf
 from typing import Any
 
 from twodof.companion import frame_fields
-from twodof.companion.client import SILENT_S, CompanionClient, Identity, Wish
-from twodof.companion.reply_routing import ReplyRouting
-from twodof.companion.streams.batch_repacking import BatchRepacker
-from twodof.companion.streams.stream_thinning import ClientStreams
-from twodof.companion.streams.subscriptions import Subscriptions
+from twodof.companion.client import SILENT_S, CompanionClient, Identity, Wish, group, is_ours
+from twodof.companion.frame_fields import CommandFields
+from twodof.companion.streams import Streams, whole, wish_of
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink.enums import AUTOPILOT, COMPANION
+from twodof.link.mavlink.enums import AUTOPILOT, COMPANION, MavResult
 from twodof.link.mavlink.framing import Frame, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Signing
 
-MOST_IDENTITIES = 32
-# Who has spoken from a new address for so long, and not from its old one, has moved: it beats once a second.
-MOVED_S = 2.0
-# Who is behind the line with a system of its own is believed to be there for so long after it spoke.
-BESIDE_S = 10.0
-# Frames that are known again, and for how long: a circle of links is passed in less, a program is not started anew.
+MOST_BEHIND = 32
+"""Identities behind the line that are remembered."""
+BEHIND_S = 10.0
+"""For so long after its last frame an identity behind the line is taken, so that no client can use it."""
 MOST_PASSED, MOST_ROUNDS, ROUND_S = 256, 2, 0.5
-_NOW_AND_THEN = 15
-LATE_US = 500_000  # A frame that is older than the last one by less was late on the line: nothing has started anew.
-_STRANGERS = "strangers"  # who on the line has no place among the clients
-_HALF = 128  # of the range of a sequence number: what is further ahead is behind
+"""Frames that are recognised again, how often one may come from other clients, and for how long [s]."""
+_STRANGERS = "strangers"  # the queue of senders without a place among the clients
+_HALF = 128  # of the range of a sequence number: more than that ahead is behind
+_ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_INTERVAL, frame_fields.REQUEST_MESSAGE)
 
 
 @dataclass(slots=True)
 class RouterCounts:
-    """Frames of the vehicle, frames that ended here, by cause, and starts of the vehicle anew."""
+    """Frames of the vehicle, and frames that ended here by cause."""
 
     from_vehicle: int = 0
     nobody: int = 0
     impostors: int = 0
     echoes: int = 0
-    restarts: int = 0
+
+
+@dataclass(slots=True)
+class _Behind:
+    """An identity behind the line: its last sequence number, when it spoke [s], and its frames that were lost."""
+
+    sequence: int
+    heard: float
+    lost: int = 0
 
 
 class Router:
-    """Passes frames on for the vehicle `system`. `clock` gives seconds; `signing` signs what is sent in our own
-    name; with it everything that arrives was signed with its key.
+    """Routes frames for the vehicle `system`. `clock` gives seconds.
 
-    `own` takes the frames that are for the companion itself: called with the client it came from, None for the vehicle.
+    `signing` signs messages in the companion's own name. With it all frames that arrive were signed with its key.
+    `own` takes the frames that are for the companion itself, with the client that sent them, None for the vehicle.
     """
 
     def __init__(
@@ -55,112 +60,85 @@ class Router:
     ) -> None:
         self.system = system
         self.line = line
-        self.streams = ClientStreams()
-        self.answers = ReplyRouting()
-        self.batches = BatchRepacker(self._as_vehicle, self._deliver)
-        wires = (self._ask, self._as_vehicle, clock, signing is not None)
-        self.subscriptions = Subscriptions(self.streams, self.batches, self.answers, *wires)
+        self.clock = clock
+        self.signing = signing
+        self.streams = Streams()
         self.counts = RouterCounts()
         self.own: Callable[[Frame, CompanionClient | None], None] = lambda frame, client: None
-        self.clock = clock
         self.killed = False
-        """Whether the vehicle has said that it was killed, and not yet that it was released."""
+        """Whether the vehicle said that it was killed, and not yet that it was released."""
         self.pilot: Identity | None = None
-        """Who has the lease, as the vehicle said last."""
-        self.vehicle: dict[Identity, int] = {(system, AUTOPILOT): -1}  # who is behind the line -> its last sequence
-        self.lost: dict[Identity, int] = {}
-        self.signing = signing
+        """Holder of the lease, as the vehicle said last."""
+        self._behind: dict[Identity, _Behind] = {}
+        # Frames of clients: the first sender, when it sent it first [s], and how often others sent it since.
+        self._passed: dict[bytes, tuple[CompanionClient, float, int]] = {}
         self._sequence = 0
-        self._time = -1
-        self._beside: dict[Identity, float] = {}  # of these who is of another system -> when last heard
-        self._passed: dict[
-            bytes, tuple[CompanionClient, float, int]
-        ] = {}  # frames of clients: from whom and when first, how often since
-        self._jumped = False  # its sequence had a gap since its time was last seen to go on
+        self._start = 0  # number of the start of the vehicle's program
 
     @property
     def clients(self) -> list[CompanionClient]:
-        """Those that are there."""
+        """The connected clients."""
         return self.streams.clients
 
     def add(self, client: CompanionClient) -> None:
-        """A client has come: from now on it gets what it wants."""
+        """Add a client and have the vehicle stream what it wants."""
         self.clients.append(client)
-        self.subscriptions.refresh()
+        self.refresh()
 
     def remove(self, client: CompanionClient) -> None:
-        """A client has gone: nobody asks the vehicle in its name any more."""
+        """Remove a client and its streams."""
         self.clients.remove(client)
-        self.answers.forget(client)
-        self.batches.forget(client)
-        self.subscriptions.refresh()
-
-    def follow(self, now: float) -> None:
-        """See which clients have moved to another address: another network, or a router that gave another port.
-
-        What such a client had asked for moves with it, once its old address has been silent for MOVED_S.
-        """
-        for client in self.clients:
-            if not client.identities or not MOVED_S < now - client.came < SILENT_S:
-                continue
-            for before in self.clients:
-                same = before.transport is client.transport and before.identities.keys() & client.identities.keys()
-                if same and before.wishes and before.heard < client.came:
-                    client.follow(before)
-                    before.forget()
-                    self.subscriptions.refresh()
-                    break
+        self.refresh()
 
     def forget(self, client: CompanionClient) -> None:
-        """A client whose place stays has fallen silent."""
+        """Forget a default address that fell silent; it keeps its place."""
         client.forget()
-        self.subscriptions.refresh()
+        self.refresh()
 
     def started(self) -> None:
-        """The link to the vehicle stands anew: it is told again what to stream."""
-        self._time = -1
-        self.subscriptions.restart()
+        """Tell the vehicle all streams again: it is connected anew, or may have been restarted."""
+        self.streams.asked.clear()
+        self.refresh()
+
+    def refresh(self) -> None:
+        """Tell the vehicle which streams have changed."""
+        for number, wish in self.streams.changes():
+            self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, wish)))
 
     def behind(self, system: int, component: int) -> list[CompanionClient]:
-        """The clients behind which this system and component is, or, if that one is unknown, its system.
+        """Return the clients with this system and component or, if none has it, with this system.
 
-        Of our own system only the very component, as the vehicle's others are behind the line.
+        In the drone's own system only the exact component counts, as the others are behind the line.
         """
         exact = [client for client in self.clients if (system, component) in client.identities]
         if exact or (system == self.system and component):
             return exact
         return [client for client in self.clients if any(one[0] == system for one in client.identities)]
 
-    def behind_client(self, identity: Identity) -> bool:
-        """Whether this very component has spoken through a client."""
-        return any(identity in client.identities for client in self.clients)
-
     def from_client(self, client: CompanionClient, frame: Frame) -> None:
-        """A frame that a client sent."""
+        """Route a frame that a client sent."""
         now = self.clock()
-        identity = (frame.system, frame.component)
         if not self._may_say(frame, client.on_board):
             self.counts.impostors += 1
             return
-        client.known_as(identity, now)
+        self._meet(client, (frame.system, frame.component), now)
         if self._came_round(client, frame, now):
             self.counts.echoes += 1
             return
         system, component = frame_fields.target(frame)
-        urgent = None
         asked = frame_fields.command(frame)
-        if not client.knows_ours:
-            self.subscriptions.notice(client, frame, asked)
+        if not client.knows_ours and _knows_ours(frame, asked):
+            client.knows_ours = True
+            self.refresh()
         if (system, component) == (self.system, COMPANION):
             self.own(frame, client)
             return
-        if asked is not None:
-            urgent = frame_fields.stop(asked)
-            to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
-            if to_vehicle and self.subscriptions.take(client, frame, asked, on_board=frame.system == self.system):
-                return
+        raw: bytes | None = frame.raw
+        to_vehicle = system in (0, self.system) and component in (0, AUTOPILOT)
+        if asked is not None and asked.command in _ABOUT_MESSAGES and to_vehicle:
+            raw = self._about_message(client, frame, asked)
         elif frame.message_id == frame_fields.REQUEST_DATA_STREAM and system in (0, self.system):
-            self.subscriptions.take_group(client, frame)
+            self._set_group(client, decode(frame))
             return
         if system:
             others = [one for one in self.behind(system, component) if one is not client]
@@ -168,78 +146,84 @@ class Router:
                 self._deliver(other, frame)
             if others and (system != self.system or component):
                 return
-        elif frame.system == self.system:  # a program on board speaks to everybody
+        elif frame.system == self.system:  # a program on board speaks to all clients
             for other in self.clients:
                 if other is not client:
                     self._deliver(other, frame)
-        self.answers.asked(client, frame, now)
-        self.line.offer(client, frame.raw, now, urgent)
+        if raw is not None:
+            self.line.offer(client, raw, now, frame_fields.stop(asked) if asked is not None else None)
 
     def from_stranger(self, frame: Frame) -> None:
-        """A frame of a sender that found no place among the clients: only what stops motors passes."""
+        """Pass a kill or a disarm of a sender without a place among the clients; drop all else."""
         asked = frame_fields.command(frame)
         urgent = frame_fields.stop(asked) if asked is not None else None
         if asked is not None and urgent is not None and asked.system in (0, self.system) and self._may_say(frame):
             self.line.offer(_STRANGERS, frame.raw, self.clock(), urgent)
 
     def from_vehicle(self, frame: Frame) -> None:
-        """A frame that came over the line."""
+        """Route a frame that came over the line."""
         self.counts.from_vehicle += 1
         system, component = frame_fields.target(frame)
         identity = (frame.system, frame.component)
         autopilot = identity == (self.system, AUTOPILOT)
-        came_back = not autopilot and not system and self.behind_client(identity)
-        if came_back or identity == (self.system, COMPANION):  # what a client or we have said
+        of_client = not system and any(identity in client.identities for client in self.clients)
+        if identity == (self.system, COMPANION) or (of_client and not autopilot):
             self.counts.echoes += 1
             return
-        self._account(frame)
-        if frame.message_id == frame_fields.BATCH:
-            self.batches.take(frame, self.clients, not frame.signed or self.signing is not None)
-            return
-        if autopilot and frame.message_id in (frame_fields.HEARTBEAT, frame_fields.LEASE):
+        self._account(frame, identity)
+        if autopilot and frame.message_id in (frame_fields.HEARTBEAT, frame_fields.LEASE, frame_fields.RIG):
             self._learn(decode(frame))
-        if frame.message_id == frame_fields.TICK:
-            self.batches.flush_all()
         if system:
             if system == self.system and component in (0, COMPANION):
-                self._for_us(frame)
+                self.own(frame, None)
                 if component:
                     return
             receivers: Sequence[CompanionClient] = self.behind(system, component)
             if not receivers:
                 self.counts.nobody += 1
         else:
-            receivers = self.answers.receivers(frame, self.clock()) or self.streams.receivers(frame)
+            receivers = self.streams.receivers(frame)
         for client in receivers:
             self._deliver(client, frame)
 
-    def _learn(self, got: Any) -> None:
-        """A HEARTBEAT or TWODOF_LEASE of the vehicle's."""
-        if got.get_type() == "HEARTBEAT":
-            self.killed = got.system_status == frame_fields.TERMINATED
-        else:
-            self.pilot = (got.holder_system, got.holder_component) if got.holder_system else None
-
     def tell(self, sent: Any, vehicle: bool = True, clients: bool = True) -> None:
-        """Say something in the companion's own name."""
+        """Send a message in the companion's own name."""
         if clients:
             for client in self.clients:
                 self.answer(client, sent)
         if vehicle:
             self._to_vehicle(sent)
 
-    def answer(self, client: CompanionClient, sent: Any) -> None:
-        """Say something to one client in the companion's own name."""
-        client.write(self._encoded(sent, COMPANION, client.number((self.system, COMPANION))))
+    def answer(self, client: CompanionClient, sent: Any, component: int = COMPANION) -> None:
+        """Send a message to one client as the companion, or in the name of another `component` of the drone."""
+        identity = (self.system, component)
+        lost = self._behind[identity].lost if identity in self._behind else 0
+        client.write(self.encoded(sent, component, client.number(identity, lost)))
 
-    def said(self, sent: Any) -> bytes:
-        """A message of the companion for a peer that is not a client."""
-        return self._encoded(sent, COMPANION, 0)
+    def encoded(self, sent: Any, component: int = COMPANION, sequence: int = 0) -> bytes:
+        """Encode a message of the drone's system, signed if there is a key."""
+        return self._encoded(sent, (self.system, component), sequence)
+
+    def _encoded(self, sent: Any, identity: Identity, sequence: int) -> bytes:
+        signing = (self.signing.outgoing(),) if self.signing is not None else ()
+        return encode(sent, *identity, sequence, *signing)
+
+    def _meet(self, client: CompanionClient, identity: Identity, now: float) -> None:
+        """Note the identity of a client. It gets what this identity asked for from another address before."""
+        client.heard = now
+        if identity in client.identities:
+            return
+        client.add_identity(identity)
+        for before in self.clients:
+            moved = before is not client and before.transport is client.transport and identity in before.identities
+            if moved and now - before.heard < SILENT_S:
+                client.wishes = before.wishes | client.wishes
+                client.knows_ours |= before.knows_ours
 
     def _came_round(self, client: CompanionClient, frame: Frame, now: float) -> bool:
-        """Whether this very frame came from one client and then again and again from others.
+        """Return whether a frame came from one client and then again and again from others.
 
-        Then links make a circle, in which it would go for ever. Its first sender may repeat it as often as it likes.
+        Links then make a circle, in which it would go for ever. Its first sender may repeat it without limit.
         """
         first, since, rounds = self._passed.pop(frame.raw, (client, now, 0))
         if now - since > ROUND_S:
@@ -251,74 +235,98 @@ class Router:
         return first is not client and rounds > MOST_ROUNDS
 
     def _may_say(self, frame: Frame, on_board: bool = False) -> bool:
-        """Whether it may come from a client. No client speaks for the vehicle or for us.
+        """Return whether a client may use the identity of a frame.
 
-        Only a program that is `on_board` speaks with the drone's own system. Otherwise anybody's ATTITUDE would look
-        like the drone's to all others.
+        The drone's own system belongs to the line and to programs `on_board`; otherwise the ATTITUDE of any client
+        would look like the drone's to all others.
         """
-        identity = (frame.system, frame.component)
         if frame.system == self.system:
-            return on_board and identity not in self.vehicle and frame.component != COMPANION
-        beside = self.clock() - self._beside.get(identity, -BESIDE_S) < BESIDE_S
-        return not beside and bool(frame.system)
+            return on_board and frame.component not in (AUTOPILOT, COMPANION) and not self._on_line(frame)
+        return bool(frame.system) and not self._on_line(frame)
 
-    def _deliver(self, client: CompanionClient, frame: Frame) -> None:
-        client.deliver(frame, self.lost.get((frame.system, frame.component), 0))
+    def _on_line(self, frame: Frame) -> bool:
+        """Return whether the identity of a frame was heard on the line lately."""
+        there = self._behind.get((frame.system, frame.component))
+        return there is not None and self.clock() - there.heard < BEHIND_S
 
-    def _account(self, frame: Frame) -> None:
-        """Note who is behind the line, what was lost on the way, and whether the vehicle has started anew."""
-        identity = (frame.system, frame.component)
-        last = self.vehicle.get(identity)
-        if frame.system != self.system and last is not None:
-            self._beside[identity] = self.clock()
-        if last is None:
-            if len(self.vehicle) >= MOST_IDENTITIES or self.behind_client(identity):
-                return
-            last = -1
-            if frame.system != self.system:
-                self._beside[identity] = self.clock()
-        ahead = (frame.sequence - last - 1) % 256 if last >= 0 else 0
-        self.vehicle[identity] = frame.sequence
-        if 0 < ahead < _HALF:
-            self.lost[identity] = self.lost.get(identity, 0) + ahead
-        if identity != (self.system, AUTOPILOT):
+    def _about_message(self, client: CompanionClient, frame: Frame, asked: CommandFields) -> bytes | None:
+        """Note what a client wants by command 510, 511 or 512; return the frame for the vehicle, None if denied.
+
+        The vehicle is asked for the union of all wishes. Its answer goes to the client, whose numbers the frame keeps.
+        A frame that was signed with a key that is not here stays as it is.
+        """
+        number = whole(asked.params[0])
+        sets = asked.command == frame_fields.SET_MESSAGE_INTERVAL
+        wish = wish_of(number, asked) if sets else None
+        of_truth = client.on_board and number == frame_fields.TRUTH  # nothing on board knows the truth
+        if of_truth or (sets and not client.set(number, wish)):
+            result = MavResult.DENIED if of_truth else MavResult.TEMPORARILY_REJECTED
+            to = {"target_system": frame.system, "target_component": frame.component}
+            self.answer(client, message("COMMAND_ACK", command=asked.command, result=result, **to), AUTOPILOT)
+            return None
+        if asked.command == frame_fields.REQUEST_MESSAGE and number in frame_fields.places():
+            client.due_once.add(number)
+        if not sets:
+            return frame.raw
+        union = self.streams.told(number)
+        if union == wish or (frame.signed and self.signing is None):
+            return frame.raw
+        sent: Any = decode(frame)
+        for name, value in self._interval_fields(number, union).items():
+            if name.startswith("param"):
+                setattr(sent, name, value)
+        return self._encoded(sent, (frame.system, frame.component), frame.sequence)
+
+    def _interval_fields(self, number: int, wish: Wish) -> dict[str, float]:
+        """Return the fields of command 511 for a wish."""
+        fields = {"param1": number, "param2": wish.interval, "param3": wish.mask & 0xFFFF, "param4": wish.mask >> 16}
+        to = {"target_system": self.system, "target_component": AUTOPILOT}
+        return {"command": frame_fields.SET_MESSAGE_INTERVAL, **to, **fields}
+
+    def _set_group(self, client: CompanionClient, got: Any) -> None:
+        """Set the rates of a group by REQUEST_DATA_STREAM, as clients of ArduPilot ask for them; it has no answer."""
+        if got.start_stop and not got.req_message_rate:
             return
-        self._jumped = self._jumped or ahead > 0
-        if not self._jumped and frame.sequence & _NOW_AND_THEN:
+        chosen = group(got.req_stream_id)
+        interval = round(1e6 / got.req_message_rate) if got.start_stop else -1
+        for number, default in client.defaults.items():
+            if default > 0 and (chosen is None or number in chosen):
+                client.set(number, Wish(interval))
+        self.refresh()
+
+    def _account(self, frame: Frame, identity: Identity) -> None:
+        """Note an identity behind the line, and how many of its frames were lost on the way."""
+        there = self._behind.get(identity)
+        if there is None:
+            if len(self._behind) < MOST_BEHIND:
+                self._behind[identity] = _Behind(frame.sequence, self.clock())
             return
-        time = frame_fields.time_us(frame)
-        if time >= 0:
-            if self._jumped and 0 < self._time - time < LATE_US:
-                return
-            # Time alone goes back in a reset of the rig too, which leaves the streams as they are.
-            started, self._time, self._jumped = self._jumped and time < self._time, time, False
-            if started:
-                self.counts.restarts += 1
+        missing = (frame.sequence - there.sequence - 1) % 256
+        there.lost += missing if missing < _HALF else 0
+        there.sequence, there.heard = frame.sequence, self.clock()
+
+    def _learn(self, got: Any) -> None:
+        """Read the state of the drone from its HEARTBEAT, TWODOF_LEASE or TWODOF_RIG."""
+        if got.get_type() == "HEARTBEAT":
+            self.killed = got.system_status == frame_fields.TERMINATED
+        elif got.get_type() == "TWODOF_LEASE":
+            self.pilot = (got.holder_system, got.holder_component) if got.holder_system else None
+        elif got.start:
+            before, self._start = self._start, got.start
+            if before not in (0, got.start):
                 self.started()
 
-    def _encoded(self, sent: Any, component: int, sequence: int) -> bytes:
-        signing = (self.signing.outgoing(),) if self.signing is not None else ()
-        return encode(sent, self.system, component, sequence, *signing)
+    def _deliver(self, client: CompanionClient, frame: Frame) -> None:
+        there = self._behind.get((frame.system, frame.component))
+        client.deliver(frame, there.lost if there is not None else 0)
 
     def _to_vehicle(self, sent: Any) -> None:
-        raw = self._encoded(sent, COMPANION, self._sequence)
-        if self.line.offer(self, raw, self.clock()):
+        raw = self._encoded(sent, (self.system, COMPANION), self._sequence)
+        if self.line.offer(self, raw, self.clock(), stale_s=inf):
             self._sequence = (self._sequence + 1) & 0xFF
 
-    def _ask(self, message_id: int, wish: Wish) -> None:
-        fields = {"param1": message_id, "param2": wish.interval, "param3": wish.mask & 0xFFFF}
-        fields |= {"param4": wish.mask >> 16, "command": frame_fields.SET_MESSAGE_INTERVAL}
-        self._to_vehicle(message("COMMAND_LONG", target_system=self.system, target_component=AUTOPILOT, **fields))
 
-    def _as_vehicle(self, client: CompanionClient, sent: Any) -> None:
-        """Answer in the vehicle's name: it is whom the client asked."""
-        identity = (self.system, AUTOPILOT)
-        client.write(self._encoded(sent, AUTOPILOT, client.number(identity, self.lost.get(identity, 0))))
-
-    def _for_us(self, frame: Frame) -> None:
-        if frame.message_id == frame_fields.COMMAND_ACK:
-            got: Any = decode(frame)
-            if got.command == frame_fields.SET_MESSAGE_INTERVAL:
-                self.subscriptions.asking.answered(got.result, self.clock())
-            return
-        self.own(frame, None)
+def _knows_ours(frame: Frame, asked: CommandFields | None) -> bool:
+    """Return whether a frame shows that its sender knows twodof's own messages: it is one, or asks for one."""
+    about = asked is not None and asked.command in _ABOUT_MESSAGES and is_ours(whole(asked.params[0]))
+    return about or is_ours(frame.message_id)
