@@ -186,9 +186,9 @@ def test_a_fault_is_named_with_its_path(fault: Callable[[Diagram], None], where:
     ("initial", "where", "what"),
     [
         ({"y": 2.0}, "gain.y", r"sub.part.gain.y starts at 2.0 and at 1.0"),
-        ({"y": [1.0, 2.0]}, "y", "a real is expected"),
+        ({"y": [1.0, 2.0]}, "y", "it takes real"),
         ({"y": True}, "y", "bool"),
-        ({"y": "1"}, "y", "a real is expected"),
+        ({"y": "1"}, "y", "it takes real"),
         ({"through": 0.0}, "through", "nothing inside computes it"),
     ],
 )
@@ -225,7 +225,7 @@ def enabled_in_enabled(values: dict[str, Any]) -> Callable[[Diagram], None]:
     ("values", "where", "what"),
     [
         ({"y": 2.0}, "y", "gain.y is reset to 3.0 and to 2.0|gain.y is reset to 2.0 and to 3.0"),
-        ({"y": [1.0, 2.0]}, "y", "a real is expected"),
+        ({"y": [1.0, 2.0]}, "y", "it takes real"),
         ({"through": 0.0}, "through", "nothing inside computes it"),
     ],
 )
