@@ -36,7 +36,7 @@ def test_an_excitation_is_two_files(tmp_path: Path) -> None:
 def test_a_stick_mode_is_three_files(tmp_path: Path) -> None:
     assert carry_out("add-a-stick-mode.md", copied(tmp_path)) == {
         "src/twodof/link/mavlink/modes.py",
-        "src/twodof/fcu/command/manual_control.py",
+        "src/twodof/fcu/command/setpoints.py",
         "docs/reference/protocol.md",
     }
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.errors import ParameterError
-from twodof.parameters import NAME_LENGTH, PARAMETERS, PRESETS, UNDO_STEPS, Parameter, ParameterSet
+from twodof.parameters import NAME_LENGTH, PARAMETERS, PRESETS, Parameter, ParameterSet
 
 pytestmark = pytest.mark.slow
 
@@ -43,26 +43,6 @@ def test_the_drones_own_names_bounds_and_gains() -> None:
     assert (values["RATE_KP"], values["ATT_KP"], values["POS_KP"]) == (0.0651, 6.1986, 0.7)
 
 
-@given(st.lists(VALID, min_size=1, max_size=10))
-def test_undo_and_redo_walk_through_every_state(changes: list[dict[str, float]]) -> None:
-    values = ParameterSet()
-    states = [values.snapshot()]
-    for change in changes:
-        values.update(change)
-        if values.snapshot() != states[-1]:
-            states.append(values.snapshot())
-    for state in reversed(states[:-1]):
-        values.undo()
-        assert values.snapshot() == state
-    with pytest.raises(ParameterError, match="nothing to undo"):
-        values.undo()
-    for state in states[1:]:
-        values.redo()
-        assert values.snapshot() == state
-    with pytest.raises(ParameterError, match="nothing to redo"):
-        values.redo()
-
-
 @given(VALID, st.sampled_from(sorted(ROWS)), st.sampled_from([float("nan"), float("inf"), -1e-9, 1e9, "1", None, True]))
 def test_one_wrong_value_changes_nothing(good: dict[str, float], name: str, wrong: object) -> None:
     values = ParameterSet()
@@ -70,8 +50,6 @@ def test_one_wrong_value_changes_nothing(good: dict[str, float], name: str, wron
     with pytest.raises(ParameterError, match=f"{name}: .*nothing was changed"):
         values.update({**good, name: wrong})
     assert (values.snapshot(), values.revision) == (before, revision)
-    with pytest.raises(ParameterError, match="nothing to undo"):
-        values.undo()
 
 
 def test_every_fault_is_listed() -> None:
@@ -81,32 +59,6 @@ def test_every_fault_is_listed() -> None:
     assert "RATE_KP: 5 is outside 0 to 0.12 s/rad" in text
     assert "NO_SUCH: no such parameter, there are RATE_KP" in text
     assert "ATT_KP: given twice" in text
-
-
-def test_a_new_change_forgets_what_was_undone() -> None:
-    values = ParameterSet()
-    values.set("ATT_KP", 5.0)
-    values.undo()
-    values.set("ATT_KP", 6.0)
-    with pytest.raises(ParameterError, match="nothing to redo"):
-        values.redo()
-    assert values.revision == 3
-    values.reset()
-    assert values.snapshot() == ParameterSet().snapshot()
-    values.undo()
-    assert values["ATT_KP"] == 6.0
-
-
-def test_undo_is_bounded_and_no_change_is_no_step() -> None:
-    values = ParameterSet()
-    for k in range(UNDO_STEPS + 50):
-        values.set("ATT_KP", k / 100.0)
-        values.set("ATT_KP", k / 100.0)
-    for _ in range(UNDO_STEPS):
-        values.undo()
-    with pytest.raises(ParameterError, match="nothing to undo"):
-        values.undo()
-    assert values["ATT_KP"] == 49 / 100.0
 
 
 @given(VALID)

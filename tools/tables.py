@@ -12,11 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from xml.etree import ElementTree
 
-from twodof.fcu.onboard_log.step_row import COLUMNS
-from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.table import vehicle_rows
-from twodof.fcu.px4_compat.event_table import CHECKS, CRITICAL, ERROR, EVENTS, INFO, WARNING
-from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
+from twodof.fcu.onboard_log.log_topics import COLUMNS, PX4_TOPICS
+from twodof.fcu.parameters.table import VehicleParameter, vehicle_rows
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import NAMED
 from twodof.flight.starters import STARTERS, starter
@@ -58,7 +55,6 @@ def render(text: str) -> str:
         "onboard": _onboard,
         "steps": _steps,
         "streams": _streams,
-        "events": _events,
         "fmea": _fmea,
         "rooms": _rooms,
     }
@@ -285,20 +281,6 @@ def _streams() -> Iterator[str]:
         name, text = texts[number]
         rates = " | ".join(_rate(profile.get(number)) for profile in (ONBOARD, GROUND))
         yield f"| `{name}` | {number} | {rates} | {text} |"
-
-
-def _events() -> Iterator[str]:
-    levels = {CRITICAL: "critical", ERROR: "error", WARNING: "warning", INFO: "info"}
-    yield "| id | event | shown as | level | arguments |"
-    yield "|---|---|---|---|---|"
-    for event in EVENTS:
-        shown = event.shown and event.group == "default"
-        level = levels[event.level] if shown else f"{levels[event.level]}, in the log only"
-        if event.group != "default":
-            level = f"protocol, `{event.group}`" if event.kind else f"{levels[event.level]}, `{event.group}`"
-        kinds = (f"`{one.name}` ({one.kind.removesuffix('_t')})" for one in event.arguments)
-        arguments = "of a check" if event in CHECKS.values() else ", ".join(kinds)
-        yield f"| {event.id} | `{event.name}` | {event.message} | {level} | {arguments} |"
 
 
 def _rate(rate: float | None) -> str:

@@ -1,8 +1,11 @@
 """The few errors this package raises: each says what went wrong, where, and what to do about it."""
 
+from __future__ import annotations
+
 import reprlib
 from collections.abc import Iterable
 from difflib import get_close_matches
+from enum import IntEnum
 from itertools import islice
 
 _SHORT = reprlib.Repr()
@@ -107,8 +110,29 @@ class LinkLost(LinkError):
     """The other side of a link is gone, or the link was closed."""
 
 
+class Refusal(IntEnum):
+    """Reason code of a refusal, as the drone sends it (TWODOF_REFUSAL in the dialect): programs decide by it."""
+
+    OTHER = 0
+    LEASE = 1
+    ARMED = 2
+    RINGS = 3
+    INVALID = 4
+    QUEUE = 5
+    NOTHING = 6
+
+    @classmethod
+    def of(cls, number: int) -> Refusal:
+        """Return the code with this number; OTHER for one that a newer drone sends."""
+        return next((code for code in cls if code == number), cls.OTHER)
+
+
 class Rejected(TwodofError):
-    """The drone received a command and refused it; `reason` is what it said."""
+    """The drone received a command and refused it; `reason` is what it said, `code` the same for programs."""
+
+    def __init__(self, what: str, where: str = "", remedy: str = "", code: Refusal = Refusal.OTHER) -> None:
+        super().__init__(what, where, remedy)
+        self.code = code
 
     @property
     def reason(self) -> str:

@@ -1,4 +1,4 @@
-"""Every parameter of the flight code, one row each, and ParameterSet: values that are bounded and can be undone.
+"""Every parameter of the flight code, one row each, and ParameterSet: values that are bounded and change together.
 
 A row says where the parameter stands in the flight code, what MAVLink calls it, its default, bounds, unit and text.
 The blocks of the flight code, the gains, the vehicle's list, its metadata and the tables of the documentation derive
@@ -22,7 +22,6 @@ import numpy as np
 from twodof.errors import ParameterError, outside
 
 NAME_LENGTH = 16
-UNDO_STEPS = 100
 _VERSION = 1
 
 
@@ -260,8 +259,8 @@ def float32_decimal(value: float) -> float:
 class ParameterSet(Mapping[str, float]):
     """Values of a table of parameters. What is read is always a whole, valid set.
 
-    A change takes effect entirely or not at all, and each is one step that `undo` takes back. `revision`
-    counts the changes, undone ones too, so that a reader sees that something changed.
+    A change takes effect entirely or not at all. `revision` counts the changes, so that a reader sees that something
+    changed.
     """
 
     def __init__(self, values: Mapping[str, float] | None = None, table: tuple[Parameter, ...] = PARAMETERS) -> None:
@@ -272,8 +271,6 @@ class ParameterSet(Mapping[str, float]):
             raise ParameterError("two parameters have one name", ", ".join(row.name for row in table))
         self._values: Mapping[str, float] = {row.name: row.kept(row.default) for row in table}
         self._values = {**self._values, **self._checked(values or {})}
-        self._undo: list[Mapping[str, float]] = []
-        self._redo: list[Mapping[str, float]] = []
         self.revision = 0
 
     def __getitem__(self, name: str) -> float:
@@ -305,7 +302,7 @@ class ParameterSet(Mapping[str, float]):
         self.update({name: value})
 
     def update(self, changes: Mapping[str, float]) -> None:
-        """Changes several values together, as one step to undo.
+        """Change several values together.
 
         Raises ParameterError, and then changes nothing, if a name is unknown or given twice, or if a value is not a
         finite number within its bounds. The message lists every fault.
@@ -313,48 +310,18 @@ class ParameterSet(Mapping[str, float]):
         checked = self._checked(changes)
         changed = {name: value for name, value in checked.items() if value != self._values[name]}
         if changed:
-            self._undo = [*self._undo[-(UNDO_STEPS - 1) :], self._values]
-            self._redo = []
             self._commit({**self._values, **changed})
 
     def reset(self) -> None:
-        """Back to the defaults, as one step to undo."""
+        """Set all values to their defaults."""
         self.update({row.name: row.default for row in self._rows.values()})
-
-    def undo(self) -> None:
-        """Takes the latest change back. Raises ParameterError if there is none (100 are kept)."""
-        if not self._undo:
-            raise ParameterError("there is nothing to undo", "parameters")
-        self._redo.append(self._values)
-        self._commit(self._undo.pop())
-
-    def redo(self) -> None:
-        """Makes the change again that `undo` took back. Raises ParameterError if there is none."""
-        if not self._redo:
-            raise ParameterError("there is nothing to redo", "parameters")
-        self._undo.append(self._values)
-        self._commit(self._redo.pop())
-
-    def forget(self) -> None:
-        """Forgets what could be undone or made again."""
-        self._undo, self._redo = [], []
-
-    @property
-    def before(self) -> Mapping[str, float] | None:
-        """The values that `undo` would bring back; None if there are none."""
-        return MappingProxyType(self._undo[-1]) if self._undo else None
-
-    @property
-    def after(self) -> Mapping[str, float] | None:
-        """The values that `redo` would bring; None if there are none."""
-        return MappingProxyType(self._redo[-1]) if self._redo else None
 
     def to_json(self) -> str:
         """The values as JSON; numbers read back to the same bits."""
         return json.dumps({"version": _VERSION, "parameters": self.snapshot()}, indent=2)
 
     def load_json(self, text: str) -> None:
-        """Takes the values of a JSON text over, as one step to undo; what it does not name stays.
+        """Takes the values of a JSON text over; what it does not name stays.
 
         Raises ParameterError, and then changes nothing.
         """

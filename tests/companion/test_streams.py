@@ -42,7 +42,7 @@ def test_defaults_are_those_of_the_flight_controller(name: str) -> None:
     theirs, ours = VEHICLE_PROFILES[name], profile(name)
     known = dialect.load().mavlink_map
     passed = {known[number].msgname for number in theirs.keys() - ours.keys()}
-    assert passed == {"TWODOF_OPENLOOP", "CURRENT_MODE", "AVAILABLE_MODES_MONITOR", "CURRENT_EVENT_SEQUENCE"}
+    assert passed == {"TWODOF_OPENLOOP", "CURRENT_MODE", "AVAILABLE_MODES_MONITOR"}
     for number, every in ours.items():
         if every > EVERY:
             assert 1e6 / every == pytest.approx(theirs[number], rel=1e-4)  # whole microseconds

@@ -18,9 +18,8 @@ from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.fly import fly
 from twodof.experiment.script import Script, script
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED

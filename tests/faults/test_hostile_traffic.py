@@ -25,8 +25,7 @@ from tests.faults.whole import GROUND, NONE, Seen, Whole, run
 from twodof.companion.companion import Companion
 from twodof.companion.links import Serve
 from twodof.excitation import Doublet
-from twodof.fcu.mavlink.files.ftp import MOST_CLIENTS
-from twodof.fcu.mavlink.files.ftp_client import MOST_SESSIONS
+from twodof.fcu.mavlink.ftp import MOST_CLIENTS, MOST_SESSIONS
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message

@@ -23,7 +23,7 @@ from twodof.companion.links import Serve
 from twodof.errors import TwodofError
 from twodof.fcu import server
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.watchdog import Watchdog
+from twodof.fcu.control.real_time import Watchdog
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.gcs.async_drone import AsyncDrone

@@ -9,8 +9,8 @@ from typing import Any
 from twodof.blocks import Block, Diagram, Port, State, where
 from twodof.blocks.elementary.functions import sin
 from twodof.blocks.library import Sum
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
+from twodof.fcu.control.hardware import ControlInput
 from twodof.fcu.control.loop import FlightController
 from twodof.flight.templates import ATTITUDE
 from twodof.rig.parameters import lab

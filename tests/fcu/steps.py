@@ -7,9 +7,8 @@ from typing import Any, get_type_hints
 
 import numpy as np
 
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.signals import MODES
 
 MADE = [field.name for field in fields(ControlStep) if field.name not in ("tick", "sample", "asked")]

@@ -30,7 +30,7 @@ def test_who_wants_to_know_what_flies_in_every_period_takes_no_time_to_fly(monke
         assert len([got for got in there.sent if got.get_type() == "TWODOF_RIG"]) == 50
         counts.append(told)
         there.drone.assembly.store.set("THRUST_BAR", value)
-    there.drone.assembly.store.undo()
+    there.drone.assembly.store.set("THRUST_BAR", 0.5)
     there.sent.clear()
     there.run(50)
     counts.append({got.changed for got in there.sent if got.get_type() == "TWODOF_RIG"})

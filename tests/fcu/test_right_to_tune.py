@@ -1,4 +1,4 @@
-"""Who may change which parameter: anyone those for tuning, who holds the lease the others, and each undoes its own."""
+"""Who may change which parameter: anyone those for tuning, who holds the lease the others."""
 
 from typing import Any
 
@@ -22,10 +22,6 @@ def put(drone: VirtualDrone, system: int, **values: float) -> None:
         number = float_of_int(int(value)) if whole else value
         sent = message("PARAM_SET", param_id=name, param_value=number, param_type=6 if whole else 9, **ITS)
         hear(drone, system, sent)
-
-
-def undo(drone: VirtualDrone, system: int, number: int) -> None:
-    hear(drone, system, message("TWODOF_PARAM_TRANSACTION", transaction=number, action=3, **ITS))
 
 
 def hear(drone: VirtualDrone, system: int, sent: Any) -> None:
@@ -73,32 +69,6 @@ def test_logs_are_not_bounded_in_flight_even_by_who_commands() -> None:
 def test_the_gains_of_the_loops_are_what_is_for_tuning() -> None:
     tuned = {row.name for row in FLIGHT_PARAMETERS if row.tuning}
     assert tuned == {*("RATE_KP", "RATE_KI", "RATE_KD", "RATE_N", "ATT_KP", "VEL_KP", "VEL_KI", "POS_KP")}
-
-
-def test_undo_takes_back_what_the_client_has_tuned_itself_or_what_it_commands() -> None:
-    async def work() -> None:
-        async with VirtualDrone("paper", lockstep=True) as drone:
-            store, commander = drone.assembly.store, drone.commander
-            assert commander.lease.ask(ME).accepted
-            put(drone, ME[0], RATE_KP=0.03125)
-            put(drone, OTHER[0], RATE_KP=0.0625)
-            put(drone, OTHER[0], RATE_KP=0.07)
-            undo(drone, OTHER[0], 1)
-            assert store["RATE_KP"] == 0.0625
-            undo(drone, OTHER[0], 2)
-            assert store["RATE_KP"] == 0.03125
-            undo(drone, OTHER[0], 3)  # that is the other one's
-            assert store["RATE_KP"] == 0.03125
-            put(drone, OTHER[0], RATE_KP=0.0625)
-            undo(drone, ME[0], 1)
-            assert store["RATE_KP"] == 0.03125
-            put(drone, ME[0], M_MAX=0.5)
-            assert commander.lease.give_up(ME).accepted
-            assert commander.lease.ask(OTHER).accepted
-            undo(drone, ME[0], 2)  # not for tuning
-            assert store["M_MAX"] == 0.5
-
-    run_virtual(work())
 
 
 def test_the_holder_is_told_who_has_tuned_what() -> None:

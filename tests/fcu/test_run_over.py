@@ -11,8 +11,8 @@ import pytest
 
 from tests.fcu.assembled import INTERVAL, TARGET, Assembled
 from twodof.excitation import Impulse
-from twodof.fcu.command.setpoint_manager import FRESH
-from twodof.fcu.mavlink.wire_tick import RUN_OVER, RUN_OVER_MS, acts_at, acts_at_ms, meant
+from twodof.fcu.command.setpoints import FRESH
+from twodof.fcu.mavlink.service import RUN_OVER, RUN_OVER_MS, acts_at, acts_at_ms, meant
 from twodof.link.mavlink.dialect import message_id
 from twodof.link.mavlink.messages import excite, message
 

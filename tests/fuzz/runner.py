@@ -22,7 +22,7 @@ from pathlib import Path
 from tests.fuzz.target import Target
 
 NAMES = ("framing", "mcap", "mat", "ulog", "diagram", "ftp")
-GUIDING = ("twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink", "twodof.fcu.px4_compat")
+GUIDING = ("twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink")
 CORPUS = Path(__file__).with_name("corpus")
 MEMORY_MIB = 2048
 ONE_INPUT_S = 10
@@ -93,9 +93,7 @@ def _guided(name: str, runs: int, seconds: float, seed: int, findings: Path) -> 
 
     # Only what is fuzzed is instrumented: the rest of the package would only slow it down.
     importlib.import_module("tests.fuzz.target")
-    with atheris.instrument_imports(
-        include=["twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink", "twodof.fcu.px4_compat"]
-    ):
+    with atheris.instrument_imports(include=["twodof.flightlog", "twodof.link", "twodof.blocks", "twodof.fcu.mavlink"]):
         target = load(name)
     found = Path(tempfile.mkdtemp(prefix="twodof-corpus-"))
     for number, data in enumerate([*target.seeds(), *(path.read_bytes() for path in kept(name))]):

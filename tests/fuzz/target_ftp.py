@@ -5,7 +5,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
-from tests.fcu.mavlink.files.test_ftp import Server
+from tests.fcu.mavlink.test_ftp import Server
 from tests.fuzz.target import Target
 from twodof.link.mavlink.ftp import FtpOperation, read_packet
 

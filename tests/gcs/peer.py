@@ -45,7 +45,6 @@ class Peer:
         self.heard: list[Any] = []
         self.refuse: dict[int, tuple[int, str]] = {}
         self.parameters: dict[str, float] = dict(PARAMETERS)
-        self.before: dict[str, float] = {}
         self.log = bytes(range(256)) * 5
         self.files: dict[str, bytes] = {"/etc/extras/parameters.json": DESCRIPTION}
         self._file = ""
@@ -220,8 +219,6 @@ class Peer:
         if self._open >= 0:
             self._pending.setdefault(self._open, {})[got.param_id] = value
             return
-        if self.parameters[got.param_id] != value:
-            self.before = dict(self.parameters)
         self.parameters[got.param_id] = value
         self._value(got.param_id)
 
@@ -237,10 +234,6 @@ class Peer:
             return answer
         if key in self._done:
             return {**answer, "result": self._done[key]}
-        if got.action == 3:
-            self.parameters = dict(self.before)
-            self._done[key] = 0
-            return answer
         changes = self._pending.get(got.transaction, {})
         if len(changes) != got.count:
             return {**answer, "result": 8}  # it stays open: what was overtaken may still come
@@ -248,7 +241,6 @@ class Peer:
         self._done[key] = 2 if changes.get("ATT_KP") == 13.0 else 0
         if self._done[key]:
             return {**answer, "result": 2, "param_id": "ATT_KP"}
-        self.before = dict(self.parameters)
         self.parameters.update(changes)
         return answer
 

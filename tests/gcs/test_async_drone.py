@@ -9,7 +9,7 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
-from twodof.errors import LinkLost, ParameterError, Rejected, Timeout
+from twodof.errors import LinkLost, ParameterError, Refusal, Rejected, Timeout
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.identity import OWN_SYSTEMS
@@ -177,14 +177,19 @@ def test_a_setpoint_whose_mode_is_refused_is_not_sent_any_more() -> None:
 
 
 def test_a_setpoint_that_the_drone_does_not_take_is_refused_at_once_with_its_reason() -> None:
+    class Refusing(Peer):
+        def _set_position_target_local_ned(self, _got: Any, frame: Any) -> None:
+            to = {"target_system": frame.system, "target_component": frame.component}
+            self.send("TWODOF_REFUSED", message_id=frame.message_id, reason=Refusal.RINGS, **to)
+
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        peer.refuse[176] = (1, "set-point refused: it moves the cart")
+        peer.refuse[176] = (1, "not now")
         began = asyncio.get_running_loop().time()
         with pytest.raises(Rejected, match="moves the cart"):
             await drone.set_position(0.1, timeout=5.0)
         assert asyncio.get_running_loop().time() - began < 2.0
 
-    fly(flight)
+    fly(flight, Refusing())
 
 
 def test_it_shows_which_drone_it_is_and_how_it_stands() -> None:

@@ -14,11 +14,10 @@ from pathlib import Path
 from mavsdk.asyncio import System
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.component_metadata import ComponentMetadataAsync
-from mavsdk.asyncio.plugins.events import EventsAsync
 from mavsdk.asyncio.plugins.ftp import FtpAsync
 from mavsdk.asyncio.plugins.log_streaming import LogStreamingAsync
+from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError
-from mavsdk.plugins.events import HealthAndArmingCheckMode
 from mavsdk.plugins.ftp import FtpError
 from mavsdk_steps import DEADLINE_S, made, say, within
 
@@ -62,46 +61,28 @@ async def files(ftp: FtpAsync, folder: Path) -> None:
 
 
 async def metadata(system: System) -> None:
-    """What describes parameters and events."""
+    """What describes the parameters."""
     plugin = ComponentMetadataAsync(system)
     updates = plugin.subscribe_metadata_available()
     asked = asyncio.create_task(within(anext(updates)))
     await asyncio.sleep(0.1)
     await plugin.request_autopilot_component()
-    for update in (await asked, await within(anext(updates))):
-        say("metadata", type=update.type.name, text=update.json_metadata)
+    update = await asked
+    say("metadata", type=update.type.name, text=update.json_metadata)
 
 
-async def events(system: System) -> None:
-    """What it is told in words while somebody arms, kills, and wants to arm again."""
-    plugin, action = EventsAsync(system), ActionAsync(system)
-    lines, reports = plugin.subscribe_events(), plugin.subscribe_health_and_arming_checks()
-    line = asyncio.create_task(within(anext(lines)))
-
-    async def report(able: bool) -> HealthAndArmingCheckMode:
-        """The first report that says so, of possibly several."""
-        async for one in reports:
-            if one.current_mode_intention.can_arm_or_run == able:
-                return one.current_mode_intention
-        raise EOFError
-
-    now = await within(report(able=True))
-    say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
-    await within(action.arm())
-    await within(action.disarm())
-    for told in (await line, await within(anext(lines))):
-        say("event", name=told.event_name, text=told.message, level=told.log_level.name)
+async def refusal(system: System) -> None:
+    """What it is told in words when somebody kills, and wants to arm then."""
+    action, texts = ActionAsync(system), TelemetryAsync(system).subscribe_status_text()
+    first = asyncio.create_task(within(anext(texts)))
+    await asyncio.sleep(0.1)
     await within(action.kill())
-    told = await within(anext(lines))
-    say("event", name=told.event_name, text=told.message, level=told.log_level.name)
     try:
         await within(action.arm())
     except ActionError as refused:
         say("not armed", why=str(refused))
-    denied = await within(anext(lines))
-    say("event", name=denied.event_name, text=denied.message, level=denied.log_level.name)
-    now = await within(report(able=False))
-    say("checks", mode=now.mode_name, able=now.can_arm_or_run, problems=[one.message for one in now.problems])
+    for told in (await first, await within(anext(texts))):
+        say("text", text=told.text, level=told.type.name)
 
 
 async def stream(system: System, target: Path) -> None:
@@ -136,7 +117,7 @@ async def main(url: str, folder: Path) -> None:
         await files(FtpAsync(system), folder)
         await metadata(system)
         await stream(system, folder / "streamed.ulg")
-        await events(system)
+        await refusal(system)
 
 
 if __name__ == "__main__":

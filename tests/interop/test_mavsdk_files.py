@@ -13,8 +13,8 @@ import pytest
 
 from bench.stack.programs import port
 from tests.patience import PATIENCE_S
-from twodof.fcu.mavlink.files.metadata import metadata_files
-from twodof.fcu.onboard_log.step_row import STEP_TOPIC
+from twodof.fcu.mavlink.file_tree import metadata_files
+from twodof.fcu.onboard_log.log_topics import STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flightlog.ulog_file import scan_ulog
 
@@ -59,23 +59,14 @@ def test_it_sends_a_diagram_and_removes_it(saw: dict[str, list[Any]]) -> None:
 def test_it_finds_the_descriptions_by_component_metadata(saw: dict[str, list[Any]]) -> None:
     found = {update["type"]: update["text"].encode() for update in saw["metadata"]}
     files = metadata_files(ParameterStore().rows)
-    assert found == {"PARAMETER": files["parameters.json"], "EVENTS": files["events.json"]}
+    assert found == {"PARAMETER": files["parameters.json"]}
 
 
-@pytest.mark.long
-def test_it_shows_events_in_words_and_what_keeps_from_arming(saw: dict[str, list[Any]]) -> None:
-    """MAVSDK reads them with libevents' own C++ parser, by the descriptions that it has fetched."""
-    killed = "It was killed, release it first"
-    assert [(one["able"], one["problems"]) for one in saw["checks"]] == [(True, []), (False, [killed])]
-    armed, disarmed, kill, denied = saw["event"]
-    assert kill["text"] == "Killed by system 245, component 190"
-    assert denied == {
-        "name": "arming_denied",
-        "text": "Arming denied: it was killed, release it first",
-        "level": "CRITICAL",
-    }
-    assert armed["text"] == "Armed by system 245, component 190"
-    assert disarmed["text"] == "Disarmed by command"
+def test_it_is_told_why_arming_is_refused(saw: dict[str, list[Any]]) -> None:
+    killed, denied = saw["text"]
+    assert killed == {"text": "killed by system 245, component 190", "level": "CRITICAL"}
+    assert denied["text"].startswith("not armed: killed by system 245")
+    assert denied["level"] == "CRITICAL"
     assert len(saw["not armed"]) == 1
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from twodof.errors import ParameterError
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
+from twodof.fcu.control.hardware import ControlInput
 from twodof.rig.parameters import load_rig
 from twodof.signals import MODES
 from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.errors import LinkError, Rejected
+from twodof.errors import LinkError, Refusal, Rejected
 from twodof.fleet.local_drone import controller_in_words
 from twodof.fleet.local_ports import with_port_owner
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -40,12 +40,12 @@ def lease_refusals(url: str) -> Iterator[None]:
     try:
         yield
     except Rejected as refusal:
-        if "lease" not in refusal.what:
+        if refusal.code is not Refusal.LEASE:
             raise
         remedy = (
             f"wait until it is given up, or end who has it; `twodof kill --url {url}` stops the motors all the same"
         )
-        raise Rejected(refusal.what, refusal.where, remedy) from refusal
+        raise Rejected(refusal.what, refusal.where, remedy, refusal.code) from refusal
 
 
 async def run_until_signal(work: Coroutine[object, object, int | None]) -> int | None:

@@ -1,38 +1,92 @@
-"""The flight controller's program put together: store, commander, control loop, links and services."""
+"""The flight controller's program put together: store, commander, control loop, links, services and controllers."""
 
 from collections.abc import Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
-from twodof.fcu.active_configuration import ActiveConfiguration
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.controllers import ControllerIdentity, Controllers, controller_identity
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.event_bus import OnboardEventBus
-from twodof.fcu.mavlink.addressing import VehicleAddress
-from twodof.fcu.mavlink.commands.excitation import ExcitationService
-from twodof.fcu.mavlink.commands.lease import LeaseService
-from twodof.fcu.mavlink.commands.lockstep import LockstepService
-from twodof.fcu.mavlink.commands.reload import ReloadCommand
-from twodof.fcu.mavlink.commands.setpoints import SetpointService
-from twodof.fcu.mavlink.files.file_tree import FileTree
-from twodof.fcu.mavlink.files.ftp import FileTransfer
-from twodof.fcu.mavlink.files.log_download import LogDownload
-from twodof.fcu.mavlink.files.metadata import Metadata
-from twodof.fcu.mavlink.service import Service
+from twodof.fcu.mavlink.clients import LeaseService
+from twodof.fcu.mavlink.file_tree import FileTree, Metadata
+from twodof.fcu.mavlink.ftp import FileTransfer
+from twodof.fcu.mavlink.lockstep import LockstepService
+from twodof.fcu.mavlink.log_download import LogDownload
+from twodof.fcu.mavlink.log_stream import LogStreamService
+from twodof.fcu.mavlink.service import Service, VehicleAddress
 from twodof.fcu.mavlink.services import MavlinkServices
+from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
 from twodof.fcu.mavlink.status_text import StorageMonitor, TextSent
+from twodof.fcu.mavlink.vehicle_commands import ReloadCommand
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.px4_compat.log_stream import LogStreamService
+from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
 from twodof.fcu.server import Server
 from twodof.link.mavlink.enums import MavSeverity
 from twodof.link.mavlink.rates import ONBOARD
 from twodof.link.signing import Signing
 from twodof.signals import TICK_MS
+
+
+class ActiveConfiguration:
+    """Builds the flight code from `controllers`, and keeps its parameters at the values of `store`.
+
+    `remarks` says in words what could not be taken over. `fresh` begins without uploads, and with all defaults.
+    """
+
+    def __init__(self, controllers: Controllers, store: ParameterStore, fresh: bool = False) -> None:
+        """Raises as `Controllers.build`, and DiagramError where uploads cannot be forgotten."""
+        if fresh:
+            controllers.forget()
+        self.code, damage = controllers.build()
+        self._store = store
+        tuned = store.carry(self.code.user_parameters)
+        if fresh:
+            tuned = ()
+            store.reset()
+        self._values = store.flying() | store.user_values()
+        self.code.set_parameters(self._values)
+        self.remarks = [text for text in (damage, *store.remarks, *tuned, *self._hidden()) if text]
+        self._named = (self.code, controller_identity(self.code))
+        self._counted = (-1, 0)  # a revision of the store, and how many parameters differ from their defaults in it
+
+    def attach(self, controller: FlightController) -> None:
+        """Has each change of the store fly in `controller`, before its next tick."""
+        self._controller = controller
+        self._store.bus.subscribe(ParametersChanged, self._fly_changes)
+
+    def fly_replaced(self) -> list[str]:
+        """Another flight code flies by now: lists its users' parameters. Returns what clients must know of that."""
+        self.code = self._controller.code
+        remarks = self._store.carry(self.code.user_parameters)
+        own = self._store.user_values()
+        self._values = self._store.flying() | own
+        self._controller.set_parameters(own)
+        return [*remarks, *self._hidden()]
+
+    @property
+    def identity(self) -> ControllerIdentity:
+        """Which controller flies, and how many parameters differ from their defaults."""
+        code = self._controller.code
+        if self._named[0] is not code:
+            self._named = (code, controller_identity(code))
+        if self._counted[0] != self._store.revision:  # a client may have TWODOF_RIG sent in every control period
+            self._counted = (self._store.revision, len(self._store.changed()))
+        return self._named[1]._replace(changed=self._counted[1])
+
+    def _fly_changes(self, _: ParametersChanged) -> None:
+        values: dict[str, Any] = self._store.flying() | self._store.user_values()
+        changed = {name: value for name, value in values.items() if value != self._values[name]}
+        self._values = values
+        if changed:
+            self._controller.set_parameters(changed)
+
+    def _hidden(self) -> list[str]:
+        """Which of the users' parameters are not shown."""
+        return [one.remark for one in self.code.user_parameters if one.remark]
 
 
 class Assembly:
@@ -92,7 +146,8 @@ class Assembly:
     def _services(self, state: Path | None) -> list[Service]:
         """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
         px4, server, commander, log = self.px4, self.server, self.commander, self.log
-        us, explain, lockstep = VehicleAddress(server.system), px4.commands.explain, self.controller.lockstep
+        us, lockstep = VehicleAddress(server.system), self.controller.lockstep
+        explain, refuse = px4.commands.explain, px4.commands.refuse
         metadata = Metadata(self.store, lambda: TICK_MS * self.controller.tick)
         px4.requests.on("COMPONENT_METADATA", metadata.message)
         uploads = None if state is None else state / "controllers"
@@ -103,15 +158,15 @@ class Assembly:
             downloaded = [LogDownload(server, us, log, commander.lease.take, explain, lockstep)]
         return [
             px4.services[0],
-            LeaseService(server, us, commander, explain),
+            LeaseService(server, us, commander, refuse),
             *streamed,  # it hears every frame, and so knows whether its client is there
             *px4.services[1:],
-            SetpointService(us, commander, explain),
-            ExcitationService(server, us, commander, explain),
+            SetpointService(us, commander, refuse),
+            ExcitationService(server, us, commander, refuse),
             FileTransfer(server, us, tree, commander.lease.take, explain, lockstep),
             StorageMonitor(self.store, log, commander.remarks),
             *downloaded,
-            LockstepService(server, us, self.controller, commander, explain, px4.telemetry.rig),
+            LockstepService(server, us, self.controller, commander, refuse, px4.telemetry.rig),
         ]
 
     def close(self) -> None:

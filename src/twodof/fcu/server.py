@@ -10,8 +10,7 @@ from typing import Any, Self
 
 from twodof.errors import LinkError, LinkLost
 from twodof.fcu.control.loop import FlightController, TimeRestarted
-from twodof.fcu.control.pacing import Pacer
-from twodof.fcu.control.watchdog import Watchdog
+from twodof.fcu.control.real_time import Pacer, Watchdog
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.enums import AUTOPILOT

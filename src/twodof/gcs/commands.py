@@ -6,7 +6,7 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from twodof.errors import LinkError, LinkLost, Rejected, Timeout, shown
+from twodof.errors import LinkError, LinkLost, Refusal, Rejected, Timeout, shown
 from twodof.gcs.drone_state import StatusTexts
 from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink import dialect
@@ -54,7 +54,10 @@ class CommandSender:
         self.words_follow = False
         """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
         self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
+        self.refusals: dict[str, Refusal] = {}
+        """The reason of the latest refusal of each kind of message that has no acknowledgement, by its name."""
         session.on(self._answered, "COMMAND_ACK")
+        session.on(self._refused, "TWODOF_REFUSED")
 
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
@@ -83,7 +86,7 @@ class CommandSender:
                         if got.result != IN_PROGRESS:
                             # What was said before the answer may be about another command.
                             spoken = self._spoken[number] if self.words_follow else spoken
-                            raise await self._refusal(got.result, spoken, deadline)
+                            raise await self._refusal(got, spoken, deadline)
                         progress = True
                     if progress:
                         await self._progress(deadline)
@@ -94,6 +97,11 @@ class CommandSender:
     def _answered(self, got: Any) -> None:
         if got.command in self._turns:
             self._spoken[got.command] = self._texts.count
+
+    def _refused(self, got: Any) -> None:
+        kind = dialect.load().mavlink_map.get(got.message_id)
+        if kind is not None and self._is_ours(got):
+            self.refusals[kind.msgname] = Refusal.of(got.reason)
 
     def long(self, number: int, values: Sequence[float], attempt: int = 0) -> Any:
         """The COMMAND_LONG of a command."""
@@ -120,10 +128,13 @@ class CommandSender:
         connection = self._session.connection
         return got.target_system in (0, connection.system) and got.target_component in (0, connection.component)
 
-    async def _refusal(self, result: int, spoken: int, deadline: Deadline) -> Rejected:
+    async def _refusal(self, got: Any, spoken: int, deadline: Deadline) -> Rejected:
+        result = got.result
         words = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         said = await self.words(spoken, deadline)
-        return Rejected(said or words, f"drone {self._session.system}, {deadline.doing}", _REMEDIES.get(result, ""))
+        where = f"drone {self._session.system}, {deadline.doing}"
+        code = Refusal.of(got.result_param2) if self.words_follow else Refusal.OTHER  # PX4 has codes of its own
+        return Rejected(said or words, where, _REMEDIES.get(result, ""), code)
 
     async def words(self, spoken: int, deadline: Deadline) -> str:
         """What the drone said since it had said `spoken` lines, waiting a moment for it; "" if it says nothing.

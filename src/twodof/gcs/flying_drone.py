@@ -6,20 +6,25 @@ import asyncio
 from collections.abc import Callable
 from math import ceil, inf
 
-from twodof.errors import ParameterError, Rejected, Timeout, shown
+from twodof.errors import ParameterError, Refusal, Rejected, Timeout, shown
 from twodof.gcs import setpoints
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.session import Deadline
-from twodof.gcs.setpoints import Setpoint
 from twodof.link.mavlink.modes import custom_mode
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import TICK_S
 
 HOVER = "THRUST_BAR"
 # Offboard is refused until set-points have come for a while; they are sent meanwhile.
 _MODE_RETRY_S = 0.1
-# How the drone begins to say that a set-point is not taken: then no waiting lets offboard be entered.
-_NOT_TAKEN = "set-point refused"
-_RINGS = "set-point refused: it moves the cart, and the rings lock it"
+_SETPOINTS = ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "TWODOF_OPENLOOP")
+_REASONS = {
+    Refusal.LEASE: "another client holds the lease",
+    Refusal.RINGS: "it moves the cart, and the rings lock it",
+    Refusal.INVALID: "a number is not finite or outside its bounds",
+    Refusal.QUEUE: "too many wait, or it is more than a minute ahead",
+    Refusal.NOTHING: "it asks for nothing that is flown here",
+}
 _FOLLOWING = "changing to a mode in which set-points are followed"
 
 
@@ -98,24 +103,25 @@ class FlyingDrone(DroneBase):
             raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
         return await self.parameters.read(HOVER, deadline.left)
 
-    async def _follow(self, setpoint: Setpoint, deadline: Deadline) -> None:
+    async def _follow(self, setpoint: SetPoint, deadline: Deadline) -> None:
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
         if setpoint.moves_cart and self.ours and self.state.rig.rings_locked:
             # In words the drone says so once a second at most, and where offboard flies already there is no answer.
-            raise self._not_taken(_RINGS, deadline)
+            raise self._not_taken(Refusal.RINGS, deadline)
         self._not_killed(deadline)
-        before, spoken = self.setpoints.current, self.texts.count
+        before = self.setpoints.current
+        self.commands.refusals.clear()
         self.setpoints.hold(setpoint)
         try:
-            await self._enter(setpoint, deadline, spoken)
+            await self._enter(setpoint, deadline)
         except BaseException:
             self.setpoints.back_to(before)  # what a call that failed has asked for is not to fly later
             raise
 
-    async def _enter(self, setpoint: Setpoint, deadline: Deadline, spoken: int) -> None:
+    async def _enter(self, setpoint: SetPoint, deadline: Deadline) -> None:
         """Switch to the first mode of a set-point that is streamed, unless one in which it is followed flies."""
-        mode = setpoint.modes[0]
-        if self.state.mode in setpoint.modes:
+        modes = setpoints.modes(setpoint)
+        if self.state.mode in modes:
             self._must_command(deadline)
             return
         # Offboard wants to see that they keep coming.
@@ -123,14 +129,14 @@ class FlyingDrone(DroneBase):
             self.setpoints.hold(setpoint)
         else:
             await asyncio.sleep(2.5 * setpoints.PERIOD_S)
-        while self.state.mode not in setpoint.modes:
+        while self.state.mode not in modes:
             try:
-                await self._switch(custom_mode(mode), deadline)
-                await self._see(lambda: self.state.mode in setpoint.modes, deadline)
+                await self._switch(custom_mode(modes[0]), deadline)
+                await self._see(lambda: self.state.mode in modes, deadline)
             except Rejected:
-                for line in self.texts.since(spoken):
-                    if line.text.startswith(_NOT_TAKEN):
-                        raise self._not_taken(line.text, deadline) from None
+                for code in [self.commands.refusals[name] for name in _SETPOINTS if name in self.commands.refusals]:
+                    # No waiting lets offboard be entered.
+                    raise self._not_taken(code, deadline) from None
                 if deadline.left < _MODE_RETRY_S:
                     raise
                 await self._pass(self.tick + ceil(_MODE_RETRY_S / TICK_S), None, deadline)
@@ -142,12 +148,13 @@ class FlyingDrone(DroneBase):
             who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
             raise Rejected(f"it was killed{who}", deadline.where, "see why, then drone.release(), and arm it again")
 
-    def _not_taken(self, text: str, deadline: Deadline) -> Rejected:
+    def _not_taken(self, code: Refusal, deadline: Deadline) -> Rejected:
         remedy = "put right what it says and try again"
-        if text == _RINGS:
+        if code is Refusal.RINGS:
             virtual = self.state.rig.virtual
             remedy = "disarm and drone.reset(rings=False)" if virtual else "take the rings off"
-        return Rejected(text, deadline.where, remedy)
+        reason = _REASONS.get(code, "drone.messages has its reason")
+        return Rejected(f"set-point refused: {reason}", deadline.where, remedy, code)
 
     def _must_command(self, deadline: Deadline) -> None:
         """Set-points have no answer: raise Rejected where the drone is known to listen to somebody else."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+from collections import deque
 from collections.abc import AsyncIterator, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
@@ -114,7 +115,9 @@ TIMEOUT_S = 5.0
 SILENCE_S = 1.0
 """Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
 DESCRIPTION = "/etc/extras/parameters.json"
-BEGIN, COMMIT, ROLL_BACK, UNDO = range(4)
+BEGIN, COMMIT, ROLL_BACK = range(3)
+UNDO_STEPS = 50
+"""Changes that can be undone, one after the other."""
 _ERRORS = (
     "",
     "there is no such parameter",
@@ -127,6 +130,13 @@ _ERRORS = (
     "it could not be read",
 )
 _INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
+
+
+class SentChange(NamedTuple):
+    """A change that was made from here: the values before it and after it, by the names that were given."""
+
+    before: Mapping[str, float]
+    after: Mapping[str, float]
 
 
 class AsyncParameters:
@@ -149,6 +159,7 @@ class AsyncParameters:
         self.transactions = False  # whether several can be set at once: the drone is one of ours
         self._numbers = count(1)
         self._changing = asyncio.Lock()
+        self._made: deque[SentChange] = deque(maxlen=UNDO_STEPS)
         session.on(self._told, "PARAM_VALUE")
         session.on(self._flies, "TWODOF_RIG")
 
@@ -166,19 +177,24 @@ class AsyncParameters:
         """Set one and see that it is set. Raises as `update`."""
         await self.update({name: value}, timeout)
 
-    async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
-        """Set several, all or none. Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
+    async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> SentChange:
+        """Set several, all or none. Return the values before and after.
+
+        Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
 
         A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
         when a later one is refused. Of several calls at once one is done after the other.
         """
         if not changes:
-            return
+            return SentChange({}, {})
         deadline = self._session.deadline(timeout, f"setting {listed(changes, 3)}")
         async with self._alone(deadline):
-            await self._update(changes, deadline)
+            made = await self._update(changes, deadline)
+        if made.before != made.after:
+            self._made.append(made)
+        return made
 
-    async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> None:
+    async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> SentChange:
         names = [await self._on_board(name, deadline) for name in changes]
         # What is set back where a later one is refused is what the drone has now.
         known = {} if len(names) > 1 and not self.transactions else self.known
@@ -195,14 +211,34 @@ class AsyncParameters:
                 await self._ask(entry.name, deadline)
         else:
             await self._one_by_one(wanted, deadline)
+        named = dict(zip(changes, entries, strict=True))
+        before = {name: entry.value for name, entry in named.items()}
+        return SentChange(before, {name: self.known[entry.name].value for name, entry in named.items()})
 
-    async def undo(self, timeout: float = TIMEOUT_S) -> None:
-        """Back to what was before the last change. Raises Rejected, LinkLost, Timeout."""
+    @property
+    def last(self) -> SentChange:
+        """The last change that was made from here and is not undone. Raises Rejected where there is none."""
+        if not self._made:
+            where = f"drone {self._session.system}"
+            raise Rejected("nothing was changed here that could be undone", where, "set the values themselves")
+        return self._made[-1]
+
+    async def undo(self, timeout: float = TIMEOUT_S) -> SentChange:
+        """Undo the last change made from here. Return the values before and after.
+
+        Raises Rejected where there is none, or the same was changed since by another client; LinkLost, Timeout.
+        """
+        made = self.last
         deadline = self._session.deadline(timeout, "undoing the last change of parameters")
-        if not self.transactions:
-            raise Rejected("it keeps no changes to undo: it is not one of ours", deadline.where, "set them back")
         async with self._alone(deadline):
-            await self._transaction(UNDO, next(self._numbers) & 0xFFFF, deadline)
+            now = {name: (await self._ask(await self._on_board(name, deadline), deadline)).value for name in made.after}
+            if since := [name for name, value in made.after.items() if now[name] != value]:
+                what = f"{listed(since)} changed since then"
+                raise Rejected(what, f"drone {self._session.system}", "set the values themselves")
+            undone = await self._update(made.before, deadline)
+        if made in self._made:
+            self._made.remove(made)
+        return undone
 
     async def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
         """Every parameter, by the drone's names. Raises LinkLost, Timeout."""

@@ -5,84 +5,61 @@ The stream ends with its process: then the drone's failsafe acts, which is what 
 """
 
 import asyncio
-from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
-from math import degrees, isfinite, nan, pi
-from typing import Any
+from math import degrees, isfinite, pi
 
 from twodof.errors import LinkLost, ParameterError, shown
 from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
 from twodof.gcs.session import DroneSession
-from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.setpoints import attitude_target, position_target, rate_target, velocity_target
-from twodof.signals import TICK_MS
+from twodof.link.mavlink.setpoints import (
+    SetPoint,
+    setpoint_message,
+)
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 PERIOD_S = 0.02
-_MASK = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does
 MOST_PITCH, MOST_RATE = pi / 2, 60.0
 """[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
 MOST_WAY, MOST_SPEED = 1.0, 5.0
 """[m], [m/s]: beyond them millimetres were meant; the rail is shorter."""
 
 
-@dataclass(frozen=True)
-class Setpoint:
-    """What the drone shall follow, in one of its `modes`, the first is best: `make(tick, place)` is its message."""
-
-    modes: tuple[str, ...]
-    make: Callable[[int, dict[str, int]], Any]
-    moves_cart: bool = False
+def modes(setpoint: SetPoint) -> tuple[str, ...]:
+    """Return the modes in which a set-point is followed, the best one first."""
+    return ("manual", "offboard") if setpoint.loop == OPEN_LOOP else ("offboard",)
 
 
-def moment(M: float, thrust: float | None) -> Setpoint:
+def moment(M: float, thrust: float | None) -> SetPoint:
     """Normalised pitch moment without a loop; thrust None leaves the thrust as it is."""
-    fields = {
-        "M": _fraction("M", M, -1.0),
-        "T": _thrust(thrust),
-        "openloop": 1,
-        "enableM": 1,
-        "enableT": int(thrust is not None),
-    }
-    return Setpoint(
-        ("manual", "offboard"), lambda tick, place: message("TWODOF_OPENLOOP", tick=tick & _MASK, **place, **fields)
-    )
+    return SetPoint(OPEN_LOOP, M_open=_fraction("M", M, -1.0), thrust=None if thrust is None else _thrust(thrust))
 
 
-def pitch(theta: float, thrust: float) -> Setpoint:
+def pitch(theta: float, thrust: float) -> SetPoint:
     """Pitch [rad]; thrust 0 to 1."""
-    return _attitude(attitude_target, _within("theta", theta, MOST_PITCH, "rad"), thrust)
+    return SetPoint(ATTITUDE, theta0=_within("theta", theta, MOST_PITCH, "rad"), thrust=_thrust(thrust))
 
 
-def pitch_rate(q: float, thrust: float) -> Setpoint:
+def pitch_rate(q: float, thrust: float) -> SetPoint:
     """Pitch rate [rad/s]; thrust 0 to 1."""
-    return _attitude(rate_target, _within("q", q, MOST_RATE, "rad/s"), thrust)
+    return SetPoint(RATE, q0=_within("q", q, MOST_RATE, "rad/s"), thrust=_thrust(thrust))
 
 
-def velocity(v: float, acceleration: float | None) -> Setpoint:
+def velocity(v: float, acceleration: float | None) -> SetPoint:
     """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(velocity_target, _within("v", v, MOST_SPEED, "m/s"), acceleration)
+    return SetPoint(VELOCITY, v0=_within("v", v, MOST_SPEED, "m/s"), ax0=_acceleration(acceleration))
 
 
-def position(x: float, acceleration: float | None) -> Setpoint:
+def position(x: float, acceleration: float | None) -> SetPoint:
     """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
-    return _along_rail(position_target, _within("x", x, MOST_WAY, "m"), acceleration)
+    return SetPoint(POSITION, x0=_within("x", x, MOST_WAY, "m"), ax0=_acceleration(acceleration))
 
 
-def _attitude(make: Callable[..., Any], value: float, thrust: float) -> Setpoint:
-    power = _thrust(thrust)
-    return Setpoint(("offboard",), lambda tick, place: make(value, power, time_boot_ms=tick * TICK_MS & _MASK, **place))
+def _acceleration(acceleration: float | None) -> float | None:
+    return None if acceleration is None else _number("acceleration", acceleration)
 
 
-def _along_rail(make: Callable[..., Any], value: float, acceleration: float | None) -> Setpoint:
-    forward = nan if acceleration is None else _number("acceleration", acceleration)
-    return Setpoint(
-        ("offboard",), lambda tick, place: make(value, forward, time_boot_ms=tick * TICK_MS & _MASK, **place), True
-    )
-
-
-def _thrust(thrust: float | None) -> float:
-    return _fraction("thrust", 0.0 if thrust is None else thrust, 0.0)
+def _thrust(thrust: float) -> float:
+    return _fraction("thrust", thrust, 0.0)
 
 
 def _fraction(name: str, value: float, least: float) -> float:
@@ -115,13 +92,13 @@ class SetpointStream:
 
     def __init__(self, session: DroneSession, clock: DroneClock) -> None:
         self._session, self._clock = session, clock
-        self.current: Setpoint | None = None
+        self.current: SetPoint | None = None
         self.sent = 0
         self._next_tick = 0
         self._streaming: asyncio.Task[None] | None = None
         session.on(self._slice, SliceStarts)
 
-    def hold(self, setpoint: Setpoint) -> None:
+    def hold(self, setpoint: SetPoint) -> None:
         """Send it now and keep sending it. Raises LinkLost."""
         self.current = setpoint
         self._next_tick = self._clock.tick
@@ -133,7 +110,7 @@ class SetpointStream:
         else:
             self._send(0)
 
-    def back_to(self, setpoint: Setpoint | None) -> None:
+    def back_to(self, setpoint: SetPoint | None) -> None:
         """Keep this one alive instead of the latest, or none."""
         if setpoint is None:
             self.stop()
@@ -166,6 +143,6 @@ class SetpointStream:
     def _send(self, tick: int) -> None:
         if self.current is None:
             return
-        self._session.send(self.current.make(tick, self._session.target))
+        self._session.send(setpoint_message(self.current, tick, **self._session.target))
         self.sent += 1
         self._next_tick = tick + SETPOINT_TICKS

@@ -10,9 +10,8 @@ from twodof.blocks.noise import SEEDS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import FlightCode
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig

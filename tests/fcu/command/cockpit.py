@@ -7,13 +7,12 @@ from dataclasses import dataclass, field
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import CommandResult, Source
-from twodof.fcu.command.setpoints import SetPoint
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, MAY_TURN, OFF, REFUSED
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE
 
 ME: Source = (250, 190)

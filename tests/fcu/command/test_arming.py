@@ -3,17 +3,18 @@
 import pytest
 
 from tests.fcu.command.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
+from twodof.errors import Refusal
 from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.result import failed, rejected
-from twodof.fcu.command.setpoint_manager import FRESH
-from twodof.fcu.command.setpoints import OPENLOOP, STICKS, SetPoint
-from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.command.setpoints import FRESH, OPENLOOP, STICKS
+from twodof.fcu.control.hardware import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 
 # Arming.
@@ -342,7 +343,7 @@ def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none(
     assert cockpit.run().arm, "a release stops nothing"
     cockpit.commander.arming.kill(OTHER)
     verdict = cockpit.commander.arming.release(OTHER)
-    assert verdict == rejected("release refused: system 250, component 190 holds the lease")
+    assert verdict == rejected("release refused: system 250, component 190 holds the lease", Refusal.LEASE)
     assert cockpit.commander.arming.killed_by is not None
     assert len(cockpit.commander.remarks) == said + 1
 

@@ -8,18 +8,19 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tests.fcu.command.cockpit import COMPANION, ME, OTHER, Cockpit, armed
+from twodof.errors import Refusal
 from twodof.excitation import Impulse
 from twodof.fcu.command.arming import PATIENCE
 from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import MOST_EFFORT, PLAYING, written_out
 from twodof.fcu.command.result import Source
-from twodof.fcu.command.setpoint_manager import CAPACITY, FRESH
-from twodof.fcu.command.setpoints import HORIZON, SetPoint
+from twodof.fcu.command.setpoints import CAPACITY, FRESH, HORIZON
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE
 
 CLIENTS = (ME, OTHER, COMPANION)
@@ -254,7 +255,7 @@ def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() 
         assert take(commander).accepted
         assert (commander.lease.holder, commander.lease.revision) == (OTHER, 2)
         assert commander.lease.left > 1
-        assert commander.refused == {"lease": 2}
+        assert commander.refused == {Refusal.LEASE: 2}
         assert cockpit.run(10).mode == 0
 
 
@@ -273,7 +274,7 @@ def test_every_loss_is_counted() -> None:
     for lost in (1, 2):
         cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + 10)
         cockpit.commander.lease.give_up(ME)
-        assert cockpit.commander.refused == {"lease": lost}
+        assert cockpit.commander.refused == {Refusal.LEASE: lost}
 
 
 def test_disarmed_any_client_keeps_the_link_again() -> None:

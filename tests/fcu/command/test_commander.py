@@ -7,11 +7,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
-from twodof.fcu.command.manual_control import PITCH_AT_FULL, RATE_AT_FULL, VELOCITY_AT_FULL
-from twodof.fcu.command.setpoint_manager import CAPACITY, FRESH
-from twodof.fcu.command.setpoints import HORIZON, SetPoint
+from twodof.errors import Refusal
+from twodof.fcu.command.setpoints import (
+    CAPACITY,
+    FRESH,
+    HORIZON,
+    PITCH_AT_FULL,
+    RATE_AT_FULL,
+    VELOCITY_AT_FULL,
+    SetPoint,
+)
 from twodof.fcu.command.vehicle_state import MOST_REMARKS
-from twodof.fcu.control.control_input import ControlInput
+from twodof.fcu.control.hardware import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
@@ -50,7 +57,7 @@ def test_a_number_that_is_none_changes_nothing_and_is_counted(name: str, value: 
     verdict = cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(**{name: value}))
     assert verdict.result == MavResult.DENIED
     assert cockpit.run() == before
-    assert cockpit.commander.refused == {"invalid": 1}
+    assert cockpit.commander.refused == {Refusal.INVALID: 1}
 
 
 def test_offboard_wants_a_stream_above_2_hz() -> None:
@@ -112,7 +119,7 @@ def test_no_set_point_moves_a_locked_cart() -> None:
         assert "rings" in verdict.text
         assert cockpit.run().mode == ATTITUDE
     assert cockpit.commander.set_mode(ME, modes.POSITION).result == MavResult.DENIED
-    assert cockpit.commander.refused["rings"] == 2
+    assert cockpit.commander.refused[Refusal.RINGS] == 2
 
 
 def test_set_points_act_at_their_tick_in_the_order_in_which_they_came() -> None:
@@ -132,7 +139,7 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
     assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + 5).accepted
     cockpit.run(10)
     assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1).accepted
-    assert cockpit.commander.refused["queue"] == 2
+    assert cockpit.commander.refused[Refusal.QUEUE] == 2
     cockpit.commander.arming.disarm(ME)
     cockpit.run(CAPACITY)
     assert cockpit.arm().accepted
@@ -145,7 +152,7 @@ def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
     assert cockpit.commander.lease.give_up(ME).accepted
     assert cockpit.commander.lease.ask(OTHER).accepted
     assert cockpit.run(20).theta0 == 0.0
-    assert cockpit.commander.refused["lease"] == 1
+    assert cockpit.commander.refused[Refusal.LEASE] == 1
 
 
 # Modes.

@@ -26,11 +26,11 @@ from twodof.fcu.command.excitation_player import (
     prepare,
     written_out,
 )
-from twodof.fcu.command.setpoints import SetPoint
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 pytestmark = pytest.mark.slow

@@ -11,8 +11,8 @@ import pytest
 from tests.fcu.flights import ARM_AT, FLY_AT, FLYING, OFF, Script, controller, exhausting, failing, fly
 from twodof.blocks import Diagram
 from twodof.errors import ControllerFault, ParameterError
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import OUTPUTS, ControlStep, FlightCode
+from twodof.fcu.control.hardware import ControlInput
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter
 from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, PRESETS

@@ -9,11 +9,10 @@ from types import SimpleNamespace
 import pytest
 
 from tests.fcu.flights import ARM_AT, FLYING, OFF, Script, controller, fly
-from tests.fcu.mavlink.commands import desk as services_desk
+from tests.fcu.mavlink import desk as services_desk
 from twodof.errors import ParameterError
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import MOST_GRANTED, REMEDY, FlightController, TimeRestarted
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED

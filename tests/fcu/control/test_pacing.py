@@ -10,8 +10,8 @@ from itertools import cycle
 
 import pytest
 
-from twodof.fcu.control import pacing
-from twodof.fcu.control.pacing import MOST_CATCH_UP, Pacer
+from twodof.fcu.control import real_time as pacing
+from twodof.fcu.control.real_time import MOST_CATCH_UP, Pacer
 
 PERIOD_NS = 2_000_000
 

@@ -10,8 +10,8 @@ import pytest
 
 from tests.fcu.flights import ARM_AT, FLY_AT, FLYING, Script, controller, fly
 from twodof.fcu.control import sandbox
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import FlightCode
+from twodof.fcu.control.hardware import ControlInput
 from twodof.fcu.control.loop import REMEDY, FlightController
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT
 from twodof.flight.starters import starter

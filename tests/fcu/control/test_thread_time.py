@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tests.patience import PATIENCE_S, patiently
-from twodof.fcu.control.watchdog import ThreadTime
+from twodof.fcu.control.real_time import ThreadTime
 
 if sys.platform != "linux":
     pytest.skip("what a thread waits for is asked of Linux", allow_module_level=True)

@@ -9,7 +9,7 @@ from inspect import signature
 import pytest
 
 from tests.patience import PATIENCE_S
-from twodof.fcu.control.watchdog import LOOK_S, LOOKS, ThreadTime, Watchdog
+from twodof.fcu.control.real_time import LOOK_S, LOOKS, ThreadTime, Watchdog
 
 NEVER_S = 1e6  # between looks of its own: the test looks
 

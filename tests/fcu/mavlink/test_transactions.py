@@ -1,4 +1,4 @@
-"""Several parameters at once: all or none, at one tick; undone; repeated without harm."""
+"""Several parameters at once: all or none, at one tick; repeated without harm."""
 
 from typing import Any
 
@@ -9,16 +9,20 @@ from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
 from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.parameter_service import (
+    BEGIN,
+    COMMIT,
     DOES_NOT_EXIST,
     INT32,
+    LONGEST_TICKS,
+    MOST_OPEN,
     NO_ERROR,
     OUT_OF_RANGE,
     PERMISSION_DENIED,
     READ_FAIL,
     REAL32,
+    ROLL_BACK,
     TYPE_MISMATCH,
 )
-from twodof.fcu.mavlink.transactions import BEGIN, COMMIT, LONGEST_TICKS, MOST_OPEN, ROLL_BACK, UNDO
 from twodof.fcu.parameters.parameter_store import ParametersChanged
 from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import message
@@ -59,19 +63,6 @@ def test_all_take_effect_together() -> None:
     assert {name: world.store[name] for name in GOOD} == GOOD
     assert world.store.revision == revision + 1
     assert {one.param_id for one in world.taken("PARAM_VALUE", None)} >= set(GOOD)
-
-
-def test_undo_takes_all_of_it_back() -> None:
-    world = World()
-    before = dict(world.store)
-    transact(world, BEGIN)
-    put_all(world, GOOD)
-    transact(world, COMMIT, count=3)
-    assert transact(world, UNDO, number=2).result == NO_ERROR
-    assert dict(world.store) == before
-    answer = transact(world, UNDO, number=3)
-    assert answer.result == PERMISSION_DENIED  # there is nothing more
-    assert "undo" in world.texts()
 
 
 def test_one_that_is_refused_refuses_all() -> None:
@@ -127,8 +118,6 @@ def test_a_commit_that_comes_again_is_answered_again_and_not_done_again() -> Non
     again = transact(world, COMMIT, count=3)
     assert (again.result, again.count) == (NO_ERROR, 3)
     assert world.store["RATE_KP"] == 0.05
-    assert transact(world, UNDO, number=9).result == transact(world, UNDO, number=9).result == NO_ERROR
-    assert world.store["RATE_KP"] == 0.0625  # one step back, not two
 
 
 def test_a_number_may_be_used_again_after_a_new_beginning() -> None:
@@ -174,7 +163,6 @@ def test_who_is_not_let_tune_changes_nothing() -> None:
     transact(world, BEGIN)
     put_all(world, GOOD)
     assert transact(world, COMMIT, count=3).result == PERMISSION_DENIED
-    assert transact(world, UNDO, number=2).result == PERMISSION_DENIED
     assert dict(world.store) == before
     assert "system 7" in world.texts()
 
@@ -236,19 +224,3 @@ def test_a_transaction_about_a_controller_that_is_gone_changes_nothing() -> None
     answer = transact(world, COMMIT, count=2)
     assert (answer.result, answer.param_id) == (DOES_NOT_EXIST, "TMI_LAW_ABOVE")
     assert world.store["RATE_KP"] == before
-
-
-def test_own_and_stock_parameters_change_together_and_are_undone_together() -> None:
-    world = World()
-    world.store.carry(user_parameters([tuned()]))
-    before = dict(world.store)
-    assert transact(world, BEGIN).result == NO_ERROR
-    put_all(world, {"TMI_LAW_ABOVE": 5.0, "RATE_KP": 0.0625})
-    assert transact(world, COMMIT, count=2).result == NO_ERROR
-    assert (world.store["TMI_LAW_ABOVE"], world.store["RATE_KP"]) == (5.0, 0.0625)
-    assert transact(world, BEGIN, 2).result == NO_ERROR
-    put_all(world, {"TMI_LAW_ABOVE": 11.0, "RATE_KP": 0.05})
-    assert transact(world, COMMIT, 2, count=2).result == OUT_OF_RANGE
-    assert world.store["RATE_KP"] == 0.0625
-    assert transact(world, UNDO, 3).result == NO_ERROR
-    assert dict(world.store) == before

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 
 from tests.fcu.sent_message import SentMessage
 from twodof.fcu.command.result import DONE, CommandResult, Source
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import LoopTiming
 from twodof.fcu.mavlink.services import MavlinkServices
 from twodof.fcu.parameters.parameter_store import ParameterStore
@@ -106,6 +105,9 @@ class Commander:
     def _note(self, *what: Any) -> CommandResult:
         self.asked.append(what)
         return self.verdict
+
+    def obstacles(self) -> str:
+        return self.unfit()
 
     def arm(self, source: Source) -> CommandResult:
         return self._note("arm", source)

@@ -21,11 +21,10 @@ from twodof.errors import LogError
 from twodof.experiment.flight import flight_log
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.onboard_log import logger
+from twodof.fcu.onboard_log.log_topics import COLUMNS, PX4_TOPICS, STEP_TOPIC
 from twodof.fcu.onboard_log.log_writer import MARGIN, LogWriter
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.onboard_log.step_row import COLUMNS, STEP_TOPIC
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.px4_compat.log_topics import PX4_TOPICS
 from twodof.flightlog import read_log, recover
 from twodof.flightlog.ulog_file import scan_ulog
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from twodof.errors import LogError
-from twodof.fcu.mavlink.files.file_tree import FileTree
-from twodof.fcu.onboard_log.log_folder import LogFolder
+from twodof.fcu.mavlink.file_tree import FileTree
+from twodof.fcu.onboard_log.log_writer import LogFolder
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flightlog.atomic import atomic_write

@@ -1,4 +1,4 @@
-"""The store: all or none, typed and bounded, undone in steps, and what the wire can carry is what is kept."""
+"""The store: all or none, typed and bounded, and what the wire can carry is what is kept."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from twodof.errors import ParameterError, printable
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
-from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.table import vehicle_rows, wire_rows
+from twodof.fcu.parameters.table import VehicleParameter, vehicle_rows, wire_rows
 from twodof.parameters import FLIGHT_PARAMETERS
 
 ROWS = {row.name: row for row in wire_rows(1)}
@@ -64,14 +63,6 @@ def test_a_change_is_whole_or_nothing(rounds: list[tuple[list[tuple[str, float]]
         assert heard[count:] == ([changed] if changed else [])
         if changed:
             states.append(expected)
-    for state in reversed(states[:-1]):
-        store.undo()
-        assert dict(store) == state
-    with pytest.raises(ParameterError, match="nothing to undo"):
-        store.undo()
-    for state in states[1:]:
-        store.redo()
-        assert dict(store) == state
 
 
 def both_names(name: str) -> set[str]:
@@ -128,20 +119,8 @@ def test_gains_change_in_flight_and_the_failsafe_does_not() -> None:
         store.update({"RATE_KP": 0.06, "SAFE_SP_T": 0.4}, armed=True)
     assert store["RATE_KP"] == 0.05
     store.set("SAFE_SP_T", 0.4)
-    with pytest.raises(ParameterError, match="disarmed"):
-        store.undo(armed=True)
-    assert store["SAFE_SP_T"] == 0.4
     # A value that it has already is no change.
     store.set("SAFE_SP_T", 0.4, armed=True)
-
-
-def test_reset_is_one_step_to_undo() -> None:
-    store = ParameterStore(values={"RATE_KP": 0.05, "SAFE_SP_T": 0.4})
-    before = dict(store)
-    store.reset()
-    assert store.changed() == {}
-    store.undo()
-    assert dict(store) == before
 
 
 def px4_crc(data: bytes, crc: int) -> int:

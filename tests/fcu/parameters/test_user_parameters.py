@@ -15,7 +15,7 @@ from twodof.blocks.reference import Reference
 from twodof.compile.px4 import make_module
 from twodof.compile.px4.parameters import MOST
 from twodof.fcu.control.flight_code import FlightCode
-from twodof.fcu.mavlink.files.metadata import metadata_files
+from twodof.fcu.mavlink.file_tree import metadata_files
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.table import wire_rows
 from twodof.fcu.parameters.user_parameters import user_parameters
@@ -92,7 +92,7 @@ def test_at_its_default_a_value_flies_as_the_diagram_has_it_and_beside_it_as_it_
     flying = store.user_values()
     assert flying[f"{KIND}.law.weights"] == [1 / 3, 0.25]
     assert (flying[f"{KIND}.law.inverted"], flying[f"{KIND}.law.steps"]) == (True, -5)
-    store.undo()
+    store.reset()
     assert store.user_values()[f"{KIND}.law.weights"] == [1 / 3, 2 / 3]
 
 

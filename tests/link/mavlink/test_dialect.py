@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.patience import PATIENCE_S
-from twodof.errors import LinkError
+from twodof.errors import LinkError, Refusal
 from twodof.fcu.command import excitation_player
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES
 from twodof.link.mavlink import dialect
@@ -39,25 +39,7 @@ FIELDS = {
         ),
     ),
     "COMPONENT_METADATA": (397, "uint32_t time_boot_ms,uint32_t file_crc,char uri[100]"),
-    "EVENT": (
-        410,
-        (
-            "uint8_t destination_component,uint8_t destination_system,uint32_t id,uint32_t event_time_boot_ms,"
-            "uint16_t sequence,uint8_t log_levels,uint8_t arguments[40]"
-        ),
-    ),
     "ESC_STATUS": (291, "uint8_t index,uint64_t time_usec,int32_t rpm[4],float voltage[4],float current[4]"),
-    "REQUEST_EVENT": (
-        412,
-        "uint8_t target_system,uint8_t target_component,uint16_t first_sequence,uint16_t last_sequence",
-    ),
-    "RESPONSE_EVENT_ERROR": (
-        413,
-        (
-            "uint8_t target_system,uint8_t target_component,uint16_t sequence,uint16_t sequence_oldest_available,"
-            "uint8_t reason"
-        ),
-    ),
     "AVAILABLE_MODES": (
         435,
         (
@@ -67,7 +49,6 @@ FIELDS = {
     ),
     "CURRENT_MODE": (436, "uint8_t standard_mode,uint32_t custom_mode,uint32_t intended_custom_mode"),
     "AVAILABLE_MODES_MONITOR": (437, "uint8_t seq"),
-    "CURRENT_EVENT_SEQUENCE": (411, "uint16_t sequence,uint8_t flags"),
 }
 SIZES = {"64_t": 8, "32_t": 4, "16_t": 2, "8_t": 1, "float": 4, "char": 1, "double": 8}
 
@@ -176,6 +157,10 @@ def test_the_words_of_excitations_are_in_the_dialect() -> None:
         one.name.removesuffix("_open").removesuffix("0").lower(): place
         for place, one in enumerate(excitation_player.LOOPS)
     }
+
+
+def test_reasons_of_refusals_are_in_the_dialect() -> None:
+    assert spelled("TWODOF_REFUSAL") == {reason.name.lower(): reason for reason in Refusal}
 
 
 def test_topics_name_messages_that_there_are() -> None:

@@ -38,8 +38,8 @@ def test_what_is_not_given_is_zero() -> None:
         message("HEARTBEAT", typ=2)
     with pytest.raises(LinkError, match="is not text of at most 16 bytes"):
         message("PARAM_SET", param_id="A_NAME_OF_SEVENTEE")
-    with pytest.raises(LinkError, match="at most 40 fit"):
-        message("EVENT", arguments=range(41))
+    with pytest.raises(LinkError, match="at most 8 fit"):
+        message("ACTUATOR_CONTROL_TARGET", controls=range(9))
 
 
 @given(

@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 from twodof.errors import LinkError
 from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.setpoints import SetPoint
+from twodof.signals import ATTITUDE, POSITION, RATE, VELOCITY
 
 
 def test_custom_modes_are_those_that_px4_publishes() -> None:
@@ -38,18 +40,19 @@ def test_targets_say_what_they_were_made_of(value: float, thrust: float, forward
     attitude = setpoints.read_attitude(sent(setpoints.attitude_target(value, thrust)))
     assert attitude is not None
     # float32 of the quaternion: 6e-8, over cos(1) at the largest pitch here, times the 2 of the double angle.
-    assert attitude == ("attitude", pytest.approx(value, abs=3e-7), thrust, None)
+    assert attitude == SetPoint(ATTITUDE, theta0=pytest.approx(value, abs=3e-7), thrust=thrust)
     rate = setpoints.read_attitude(sent(setpoints.rate_target(value, thrust)))
     assert rate is not None
-    assert rate[:3] == ("rate", value, thrust)
+    assert rate == SetPoint(RATE, q0=value, thrust=thrust)
     alone = setpoints.read_attitude(sent(setpoints.thrust_target(thrust)))
     assert alone is not None
-    assert (alone.loop, alone.thrust) == ("", thrust)
-    for make, loop in ((setpoints.position_target, "position"), (setpoints.velocity_target, "velocity")):
+    assert alone == SetPoint(None, thrust=thrust)
+    for make, loop, name in (
+        (setpoints.position_target, POSITION, "x0"),
+        (setpoints.velocity_target, VELOCITY, "v0"),
+    ):
         plain = setpoints.read_position(sent(make(value)))
-        assert plain is not None
-        assert plain[:2] == (loop, value)
-        assert plain.feed_forward is None
-        fed = setpoints.read_position(sent(make(value, forward)))
-        assert fed is not None
-        assert (fed.loop, fed.value, fed.feed_forward) == (loop, value, forward)
+        assert plain == SetPoint(loop, ax0=0.0, **{name: value})
+        assert setpoints.read_position(sent(make(value, forward))) == SetPoint(loop, ax0=forward, **{name: value})
+        again = setpoints.setpoint_message(plain._replace(ax0=None), 0)
+        assert setpoints.read_position(sent(again)) == plain

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from twodof.fcu.command.command_lease import CommandLease
 from twodof.fcu.command.result import DONE, CommandResult, Source, failed, rejected
-from twodof.fcu.command.setpoint_manager import SetpointManager
+from twodof.fcu.command.setpoints import SetpointManager
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.flight.failsafe.causes_and_actions import BIT, named_causes
@@ -68,7 +68,7 @@ class ArmingControl:
             return self.answer
         if self.flies:
             return DONE
-        if against := self._against_arming() or self._unfit():
+        if against := self.obstacles():
             return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
@@ -134,8 +134,11 @@ class ArmingControl:
             self.word = False
             self.answer = failed("not armed: the flight code did not answer")
 
+    def obstacles(self) -> str:
+        """Return what speaks against arming a drone that is not armed, "" if nothing does."""
+        return self._against_arming() or self._unfit()
+
     def _against_arming(self) -> str:
-        """What speaks against arming a drone that is not armed, "" if nothing does."""
         rig, mode = self._vehicle.rig, self._setpoints.custom_mode
         if self.killed_by is not None:
             system, component = self.killed_by

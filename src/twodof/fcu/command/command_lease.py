@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 
+from twodof.errors import Refusal
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.link.mavlink.enums import MavSeverity
@@ -76,7 +77,7 @@ class CommandLease:
         if not source[0]:
             return denied(f"{what} refused: it has no sender")
         if not self._take(source):
-            return rejected(f"{what} refused: {self._who()} holds the lease")
+            return rejected(f"{what} refused: {self._who()} holds the lease", Refusal.LEASE)
         self._until = max(self._until, self._vehicle.now + COMMANDING)
         return DONE
 
@@ -90,7 +91,7 @@ class CommandLease:
         if self.holder == source:
             return self.take(source, what)
         if self.tuning_withheld:
-            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning")
+            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning", Refusal.LEASE)
         return DONE
 
     def tuned(self, source: Source, what: str) -> None:
@@ -106,7 +107,7 @@ class CommandLease:
         if not source[0]:
             return denied("lease refused: it has no sender")
         if not self._take(source):
-            return rejected(f"lease refused: {self._who()} holds it")
+            return rejected(f"lease refused: {self._who()} holds it", Refusal.LEASE)
         self.tuning_withheld = withhold_tuning
         ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
         self._until = self._vehicle.now + min(max(ticks, 1), LONGEST)
@@ -115,7 +116,7 @@ class CommandLease:
     def give_up(self, source: Source) -> CommandResult:
         """Frees the lease; refused to all but its holder."""
         if self.holder != source:
-            return rejected(f"lease not given up: {self._who()} holds it")
+            return rejected(f"lease not given up: {self._who()} holds it", Refusal.LEASE)
         self._free()
         return DONE
 

@@ -7,23 +7,136 @@ excitation.
 from collections import Counter
 from collections.abc import Callable
 
+from twodof.errors import Refusal
 from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.command_lease import CommandLease
-from twodof.fcu.command.excitation_control import ExcitationControl
-from twodof.fcu.command.excitation_player import STOPPED
-from twodof.fcu.command.manual_control import manual_setpoint
+from twodof.fcu.command.excitation_player import (
+    LOOPS,
+    REFUSED,
+    STOPPED,
+    OnboardPlayer,
+    SampledExcitation,
+)
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected, unsupported
-from twodof.fcu.command.setpoint_manager import SetpointManager
-from twodof.fcu.command.setpoints import HORIZON, OPENLOOP, STICKS, TARGET, OpenLoopState, SetPoint
+from twodof.fcu.command.setpoints import (
+    HORIZON,
+    OPENLOOP,
+    RULES,
+    STICKS,
+    TARGET,
+    OpenLoopState,
+    SetpointManager,
+    manual_setpoint,
+)
 from twodof.fcu.command.vehicle_state import ACTING, VehicleState
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.hardware import Hardware
+from twodof.fcu.control.hardware import ControlInput, Hardware
 from twodof.flight.failsafe.causes_and_actions import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.enums import MavSeverity
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
+
+
+class ExcitationControl:
+    """Decides over the excitation of `setpoints.player`.
+
+    `level_thrust` gives the thrust of a level hold, with which an excitation flies where none is in use.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleState,
+        setpoints: SetpointManager,
+        arming: ArmingControl,
+        lease: CommandLease,
+        level_thrust: Callable[[], float],
+    ) -> None:
+        self._vehicle = vehicle
+        self._setpoints = setpoints
+        self._arming = arming
+        self._lease = lease
+        self._level_thrust = level_thrust
+
+    @property
+    def player(self) -> OnboardPlayer:
+        """The excitation, to be read only: state, transfer, start, end, reason, revision."""
+        return self._setpoints.player
+
+    def define(self, source: Source, transfer: int, prepared: SampledExcitation) -> CommandResult:
+        """Takes a definition, whole and written out; refused while another plays. Nothing is played yet."""
+        result = self._lease.take(source, "excitation")
+        if result.accepted and self.player.playing:
+            return rejected("excitation refused: another plays")
+        if result.accepted:
+            self.player.define(transfer, prepared)
+        return result
+
+    def start(
+        self, source: Source, transfer: int, loop: int, thrust: float | None = None, at_tick: int = 0
+    ) -> CommandResult:
+        """Plays the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: from the next tick).
+
+        `thrust` flies with it; None: that in use, or that of a level hold if there is none.
+        """
+        result = self._lease.take(source, "excitation")
+        player = self.player
+        if not result.accepted or (player.playing and player.transfer == transfer):
+            return result  # a start that comes twice is done once
+        why = self._against_playing(transfer, loop, thrust, at_tick)
+        if not why and not at_tick:
+            why = self._against_beginning()
+        if not why:
+            player.wait(max(at_tick, self._vehicle.now), LOOPS[loop], thrust)
+            return DONE
+        if player.unit and player.transfer == transfer:
+            player.finish(REFUSED, why)
+        return rejected(f"excitation refused: {why}")
+
+    def stop(self, source: Source) -> CommandResult:
+        """Stops it, playing or not, and forgets it; its base is held."""
+        result = self._lease.take(source, "excitation")
+        if result.accepted and self.player.unit:
+            self.player.finish(STOPPED, "by command")
+        return result
+
+    def begin(self, tick: int) -> None:
+        """The tick of the excitation that waits has come."""
+        why = self._against_beginning()
+        if why:
+            self.player.finish(REFUSED, why)
+        else:
+            self._setpoints.begin_play(self._level_thrust(), tick)
+
+    def _against_beginning(self) -> str:
+        """What speaks against an excitation that begins in this tick, "" if nothing does."""
+        if not self._arming.flies:
+            return "not armed"
+        # It would go on in its middle when the failsafe lets go.
+        return f"the failsafe acts: {STATES[self._vehicle.failsafe]}" if self._vehicle.failsafe_acts else ""
+
+    def _against_playing(self, transfer: int, loop: int, thrust: float | None, at_tick: int) -> str:
+        """What speaks against the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: now)."""
+        player, now = self.player, self._vehicle.now
+        if player.playing:
+            return "another plays"
+        if not player.unit or player.transfer != transfer:
+            return f"there is no definition {transfer}, whole and not yet played"
+        if not 0 <= loop < len(LOOPS):
+            return f"there is no loop {loop}"
+        where = LOOPS[loop]
+        if player.unit != where.unit:
+            return f"it is in {player.unit!r}, the loop in {where.unit!r}"
+        if where.loop >= VELOCITY and self._vehicle.rig.rings:
+            return "the loop moves the cart, and the rings lock it"
+        if thrust is not None and not 0.0 <= thrust <= 1.0:
+            return "thrust is not within 0 to 1"
+        if thrust == 0.0 and where.loop != OPEN_LOOP:
+            return "a closed loop without thrust"
+        if at_tick and not now <= at_tick <= now + HORIZON:
+            return f"tick {at_tick} is past or more than a minute ahead, the next is {now}"
+        return ""
 
 
 class Commander:
@@ -38,7 +151,7 @@ class Commander:
     def __init__(self, rig: Hardware, level_thrust: Callable[[], float], lockstep: bool) -> None:
         self.lockstep = lockstep
         self.unfit: Callable[[], str] = lambda: ""
-        self.refused: Counter[str] = Counter()
+        self.refused: Counter[Refusal] = Counter()
         self._level_thrust = level_thrust
         self._vehicle = VehicleState(rig)
         self.remarks = self._vehicle.remarks
@@ -127,9 +240,9 @@ class Commander:
         if custom_mode not in modes.BY_NUMBER:
             return unsupported(f"there is no mode {modes.mode_name(custom_mode)}")
         if modes.BY_NUMBER[custom_mode].moves_cart and self._vehicle.rig.rings:
-            return denied(f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it")
-        if custom_mode == modes.OFFBOARD and not self._setpoints.streamed(self._vehicle.now):
-            return rejected("mode offboard wants set-points above 2 Hz first")
+            return denied(f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it", Refusal.RINGS)
+        if RULES[custom_mode].streamed and not self._setpoints.streamed(self._vehicle.now):
+            return rejected(f"mode {modes.mode_name(custom_mode)} wants set-points above 2 Hz first")
         self._setpoints.enter(custom_mode, self._level_thrust(), self._vehicle.now, self.arming.flies)
         return DONE
 
@@ -149,16 +262,16 @@ class Commander:
         `said` is the open-loop message that it came of.
         """
         if not setpoint.sound:
-            return self._refuse("invalid", "a number is not finite")
-        if setpoint.loop is not None and setpoint.loop >= VELOCITY and self._vehicle.rig.rings:
-            return self._refuse("rings", "it moves the cart, and the rings lock it")
+            return self.refuse(Refusal.INVALID, "a number is not finite")
+        if setpoint.moves_cart and self._vehicle.rig.rings:
+            return self.refuse(Refusal.RINGS, "it moves the cart, and the rings lock it")
         result = self.lease.take(source, "set-point")
         if not result.accepted:
-            self.refused["lease"] += 1
+            self.refused[result.reason] += 1
         elif at_tick <= self._vehicle.now:
             self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, said)
         elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, said):
-            return self._refuse("queue", "too many wait, or it is more than a minute ahead")
+            return self.refuse(Refusal.QUEUE, "too many wait, or it is more than a minute ahead")
         return result
 
     def open_loop(
@@ -169,9 +282,9 @@ class Commander:
         Then the attitude loop holds the pitch level, but in manual mode, which closes no loop, M is 0.
         """
         if openloop and enableM and not abs(M) <= 1.0:  # nor does NaN pass
-            return self._refuse("invalid", f"M = {M:g} is outside -1 to 1")
+            return self.refuse(Refusal.INVALID, f"M = {M:g} is outside -1 to 1")
         if enableT and not 0.0 <= T <= 1.0:
-            return self._refuse("invalid", f"T = {T:g} is outside 0 to 1")
+            return self.refuse(Refusal.INVALID, f"T = {T:g} is outside 0 to 1")
         thrust = T if enableT else None
         if openloop or self.custom_mode == modes.MANUAL:
             setpoint = SetPoint(OPEN_LOOP, M_open=M if openloop and enableM else 0.0, thrust=thrust)
@@ -184,7 +297,7 @@ class Commander:
     def sticks(self, source: Source, pitch: float, thrust: float) -> CommandResult:
         """MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1; the mode decides what they give."""
         if not (abs(pitch) <= 1.0 and 0.0 <= thrust <= 1.0):  # nor does NaN pass
-            return self._refuse("invalid", "a stick is beyond its end")
+            return self.refuse(Refusal.INVALID, "a stick is beyond its end")
         x = self._vehicle.step.x if self._vehicle.step is not None else 0.0
         setpoint = manual_setpoint(self.custom_mode, pitch, thrust, self._setpoints.values, x)
         result = self.setpoint(source, setpoint, kind=STICKS)
@@ -195,14 +308,15 @@ class Commander:
     def _hand_over(self) -> None:
         """The lease has changed hands: what was sent ahead is forgotten, and an arming that waits ends."""
         if waiting := self._setpoints.waiting:
-            self.refused["lease"] += waiting
+            self.refused[Refusal.LEASE] += waiting
         self._setpoints.forget_ahead("who started it has lost the lease")
         if self.arming.pending:
             self.arming.withdraw()
 
-    def _refuse(self, reason: str, text: str) -> CommandResult:
+    def refuse(self, reason: Refusal, text: str) -> CommandResult:
+        """Count a refused set-point, and return the answer."""
         self.refused[reason] += 1
-        return denied(f"set-point refused: {text}")
+        return denied(f"set-point refused: {text}", reason)
 
     def _failsafe_changed(self, step: ControlStep) -> None:
         vehicle, player = self._vehicle, self._setpoints.player

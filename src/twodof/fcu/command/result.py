@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from twodof.errors import Refusal
 from twodof.link.mavlink.enums import MavResult
 
 Source = tuple[int, int]
@@ -9,10 +10,11 @@ Source = tuple[int, int]
 
 
 class CommandResult(NamedTuple):
-    """The answer to a command: `result` is a MAV_RESULT, `text` says why it was refused."""
+    """The answer to a command: a MAV_RESULT, and why it was refused, as a `text` for people and a code for programs."""
 
     result: MavResult
     text: str = ""
+    reason: Refusal = Refusal.OTHER
 
     @property
     def accepted(self) -> bool:
@@ -28,14 +30,14 @@ class CommandResult(NamedTuple):
 DONE = CommandResult(MavResult.ACCEPTED)
 
 
-def denied(text: str = "") -> CommandResult:
-    """It makes no sense, now or later."""
-    return CommandResult(MavResult.DENIED, text)
+def denied(text: str = "", reason: Refusal = Refusal.OTHER) -> CommandResult:
+    """Return the answer to what makes no sense, now or later."""
+    return CommandResult(MavResult.DENIED, text, reason)
 
 
-def rejected(text: str) -> CommandResult:
-    """It cannot be done now."""
-    return CommandResult(MavResult.TEMPORARILY_REJECTED, text)
+def rejected(text: str, reason: Refusal = Refusal.OTHER) -> CommandResult:
+    """Return the answer to what cannot be done now."""
+    return CommandResult(MavResult.TEMPORARILY_REJECTED, text, reason)
 
 
 def failed(text: str = "") -> CommandResult:

@@ -1,45 +1,23 @@
-"""Set-points: what one message asks for, and the values in use."""
+"""Set-points: what a message or a stick asks for, which act in which mode, and what flies in each tick."""
 
 from __future__ import annotations
 
-from math import isfinite
+from bisect import insort
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
-from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE
+from twodof.fcu.command.excitation_player import REFUSED, STOPPED, OnboardPlayer
+from twodof.fcu.control.hardware import ControlInput
+from twodof.link.mavlink import modes
+from twodof.link.mavlink.setpoints import NOTHING, SetPoint
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 HORIZON = round(60.0 / PERIOD)
 """Most ticks that something may be asked for ahead: a minute."""
 
 TARGET, OPENLOOP, STICKS = "target", "open loop", "sticks"
 """Where a set-point comes from: SET_ATTITUDE_TARGET and the like, TWODOF_OPENLOOP, MANUAL_CONTROL."""
-
-
-class SetpointValues(NamedTuple):
-    """The set-points in use, as `ControlInput` has them; `loop` is an index into `signals.MODES`."""
-
-    loop: int = OFF
-    x0: float = 0.0
-    v0: float = 0.0
-    ax0: float = 0.0
-    theta0: float = 0.0
-    q0: float = 0.0
-    thrust: float = 0.0
-    M_open: float = 0.0
-
-    def with_number(self, name: str, value: float) -> SetpointValues:
-        """These, with another number `name`."""
-        return SetpointValues._make(value if own == name else old for own, old in zip(self._fields, self, strict=True))
-
-    @property
-    def flown(self) -> int:
-        """The loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment without it."""
-        return OFF if self.loop in (RATE, ATTITUDE) and not self.thrust > 0.0 else self.loop
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
-        loop = self.flown
-        return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
 
 
 class OpenLoopState(NamedTuple):
@@ -54,35 +32,222 @@ class OpenLoopState(NamedTuple):
     revision: int = 0
 
 
-class SetPoint(NamedTuple):
-    """What one message asks for: the loop (an index into `signals.MODES`; None: thrust alone) and its numbers.
+RATE_AT_FULL = 1.75
+"""Pitch rate at full stick [rad/s] (100 deg/s)."""
 
-    A number that is None keeps its last value. Units as in `flight.declarations.INPUTS`.
+PITCH_AT_FULL = 0.35
+"""Pitch at full stick [rad] (20 deg)."""
+
+VELOCITY_AT_FULL = 0.3
+"""Velocity at full stick [m/s]."""
+
+
+def manual_setpoint(custom_mode: int, pitch: float, thrust: float, held: ControlInput, x: float) -> SetPoint:
+    """The set-point of the stick `pitch` (-1 to 1, forward is nose down and towards +x) and of `thrust` (0 to 1).
+
+    In position mode a centred stick holds the position: that of `held` if it is one, else `x` [m].
+    """
+    if custom_mode == modes.RATE:
+        return SetPoint(RATE, q0=-RATE_AT_FULL * pitch, thrust=thrust)
+    if custom_mode == modes.ATTITUDE:
+        return SetPoint(ATTITUDE, theta0=-PITCH_AT_FULL * pitch, thrust=thrust)
+    if custom_mode != modes.POSITION:
+        return SetPoint(OPEN_LOOP, M_open=-pitch, thrust=thrust)
+    if pitch != 0.0:
+        return SetPoint(VELOCITY, v0=VELOCITY_AT_FULL * pitch, ax0=0.0)
+    return SetPoint(POSITION, x0=held.x0 if held.mode == POSITION else x, ax0=0.0)
+
+
+FRESH = round(0.5 / PERIOD)
+"""Set-points must come above 2 Hz, as PX4 asks: the last one at most so many ticks ago."""
+
+
+class ModeRule(NamedTuple):
+    """What a mode asks of set-points: which kinds act in it, and whether they are streamed before it is entered.
+
+    Where they are streamed, they may ask for thrust while the drone arms, as in PX4: mode and stream are two deliberate
+    acts. In the other modes a set-point that asks something of the motors keeps the drone from arming.
     """
 
-    loop: int | None
-    x0: float | None = None
-    v0: float | None = None
-    ax0: float | None = None
-    theta0: float | None = None
-    q0: float | None = None
-    thrust: float | None = None
-    M_open: float | None = None
+    acts: tuple[str, ...] = ()
+    streamed: bool = False
+
+
+RULES: Mapping[int, ModeRule] = MappingProxyType(
+    {
+        **{mode.custom_mode: ModeRule((STICKS,) if mode.sticks else ()) for mode in modes.MODES},
+        modes.MANUAL: ModeRule((OPENLOOP, STICKS)),
+        modes.OFFBOARD: ModeRule((TARGET, OPENLOOP), streamed=True),
+    }
+)
+"""By custom_mode."""
+
+CAPACITY = 256
+"""Most set-points that wait for their tick."""
+
+_LONG_AGO = -10 * FRESH
+
+
+class QueuedSetpoint(NamedTuple):
+    """A set-point that waits for `tick`; `said` is the open-loop message that it came of."""
+
+    tick: int
+    setpoint: SetPoint
+    kind: str
+    said: OpenLoopState | None
+
+
+class SetpointManager:
+    """Mode, set-points in use and on offer, those that wait for their tick, and the player of excitations.
+
+    `changed` says that `control_input` may give something else than the last time.
+    """
+
+    def __init__(self, openloop_revision: int = 0) -> None:
+        self.custom_mode = modes.MANUAL
+        self.player = OnboardPlayer()
+        self.values = ControlInput()  # none but while armed: nothing of before flies
+        self.openloop = OpenLoopState(revision=openloop_revision)
+        self.changed = True
+        self._queue: list[QueuedSetpoint] = []  # by tick; those of one tick as they came
+        self._on_board = False  # level hold or an excitation gives set-points, at every tick
+        self._fresh = False  # one came for the next tick
+        self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
+        self._offered = _LONG_AGO
+        self._said: OpenLoopState | None = None  # the open-loop message that the offer came of
+        self._latest = ControlInput()  # what would fly in this mode, were the drone armed
+        self._latest_at = _LONG_AGO
+        self._stick = 0.0, 0.0  # where pitch and thrust were held last
+        self._stick_at = _LONG_AGO
 
     @property
-    def sound(self) -> bool:
-        """Whether its numbers are finite and its loop is one."""
-        loop = self.loop is None or OPEN_LOOP <= self.loop <= POSITION
-        return loop and all(value is None or isfinite(value) for value in self[1:])
+    def rule(self) -> ModeRule:
+        """Return what the mode asks of set-points."""
+        return RULES[self.custom_mode]
 
-    def after(self, before: SetPoint) -> SetPoint:
-        """Both in one: what this one leaves open is what the one before asks for."""
-        return SetPoint._make(old if new is None else new for new, old in zip(self, before, strict=True))
+    def streamed(self, tick: int) -> bool:
+        """Whether set-points have been coming above 2 Hz."""
+        return tick - self._offered <= FRESH
 
-    def over(self, before: SetpointValues) -> SetpointValues:
-        """The values before it, with what it asks for."""
-        return SetpointValues._make(old if new is None else new for new, old in zip(self, before, strict=True))
+    def asks(self, tick: int) -> bool:
+        """Whether fresh set-points ask something of the motors, in a mode in which that keeps from arming."""
+        fresh = not self.rule.streamed and tick - self._latest_at <= FRESH
+        return fresh and not self._latest.idle
 
+    def armed(self, tick: int) -> None:
+        """The drone has armed: in offboard what is streamed flies from the next tick on."""
+        if self.rule.streamed and self.streamed(tick):
+            self._use(self.values.with_setpoint(self._offer), tick, self._said)
 
-NOTHING = SetPoint(None)
-"""It asks for nothing and leaves all as it is."""
+    def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoopState | None = None) -> None:
+        """A set-point's tick has come: it acts, or is kept for when offboard is entered. `said`: what it came of."""
+        if kind != STICKS:
+            self._offered, self._said = tick, said
+            self._offer = setpoint.after(self._offer)
+        if kind not in self.rule.acts:
+            return
+        self._latest, self._latest_at = self._latest.with_setpoint(setpoint), tick
+        if armed and not self.player.playing:
+            self._use(self.values.with_setpoint(setpoint), tick, said)
+
+    @property
+    def waiting(self) -> int:
+        """Set-points that wait for their tick."""
+        return len(self._queue)
+
+    def queue(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoopState | None = None) -> bool:
+        """Keeps a set-point until `tick`; False if too many wait."""
+        if len(self._queue) >= CAPACITY:
+            return False
+        insort(self._queue, QueuedSetpoint(tick, setpoint, kind, said), key=lambda one: one.tick)
+        return True
+
+    def take_due(self, tick: int, armed: bool) -> None:
+        """Takes the set-points that waited for `tick` or an earlier one."""
+        while self._queue and self._queue[0].tick <= tick:
+            due = self._queue.pop(0)
+            self.take(due.setpoint, due.kind, tick, armed, due.said)
+
+    def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
+        """Changes the mode. If armed, level hold flies from the next tick on, and offboard what is on offer."""
+        if self.player.playing:
+            self.player.finish(STOPPED, f"mode {modes.mode_name(custom_mode)} was chosen")
+        self.custom_mode = custom_mode
+        streams = self.rule.streamed
+        self._on_board, self.changed = False, True
+        self._hear_anew()
+        if armed and custom_mode == modes.HOLD:
+            self._use(self.values._replace(mode=ATTITUDE, theta0=0.0, thrust=level_thrust), tick, on_board=True)
+        elif armed and streams:
+            self._use(self.values.with_setpoint(self._offer), tick, self._said)
+        if not streams:
+            self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
+
+    def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
+        """Notes where the stick is held at `tick`."""
+        self._stick, self._stick_at = (pitch, thrust), tick
+
+    def forget_ahead(self, why: str) -> None:
+        """Another steers from now on: what was sent ahead or is on offer is forgotten; what flies, flies on."""
+        self._queue.clear()
+        self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
+        self._latest, self._latest_at, self._stick_at = ControlInput(), _LONG_AGO, _LONG_AGO
+        if self.player.waiting:
+            self.player.finish(REFUSED, why)
+
+    def begin_play(self, level_thrust: float, tick: int) -> None:
+        """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
+        player, values = self.player, self.values
+        name = player.loop.name
+        about = values
+        if values.flown != player.loop.loop:
+            about = values._replace(ax0=0.0).with_number(name, 0.0)
+        thrust = player.thrust if player.thrust is not None else values.thrust or level_thrust
+        self.custom_mode = modes.OFFBOARD
+        flown = about._replace(mode=player.loop.loop, thrust=thrust)
+        self._use(flown, tick, on_board=True)
+        player.begin()
+
+    def rest(self, why: str, tick: int) -> None:
+        """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
+        if self.player.playing or self.player.waiting:
+            self.player.finish(STOPPED, why)
+        self.values = ControlInput()
+        self._hear_anew()
+        self._offer = NOTHING
+        self._on_board, self._fresh, self.changed = False, False, True
+        self._queue.clear()
+        self._say(None, tick)
+
+    def control_input(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
+        """What the flight code is asked at `tick`."""
+        values = self.values
+        if self.player.playing:
+            name = self.player.loop.name
+            values = values.with_number(name, getattr(values, name) + self.player.value(tick))
+        mode = values.flown if arm else OFF
+        use_trim = mode == OPEN_LOOP and values.thrust > 0.0
+        new = self._fresh or self._on_board
+        # One that is quiet follows a fresh one; a player changes it at every tick, and once more at its end.
+        self.changed, self._fresh = self._fresh or self.player.playing, False
+        return values._replace(mode=mode, arm=arm, use_trim=use_trim, setpoint_new=new, link_new=link_new)
+
+    def _hear_anew(self) -> None:
+        """Nothing was said in this mode yet; but a stick that is held says it again with its next message."""
+        self._latest, self._latest_at = ControlInput(), _LONG_AGO
+        if STICKS in self.rule.acts:
+            held = manual_setpoint(self.custom_mode, *self._stick, self.values, 0.0)
+            self._latest = self._latest.with_setpoint(held)
+            self._latest_at = self._stick_at
+
+    def _use(self, values: ControlInput, tick: int, said: OpenLoopState | None = None, on_board: bool = False) -> None:
+        self.values, self._on_board = values, on_board
+        self._fresh = self.changed = True
+        self._say(said, tick)
+
+    def _say(self, said: OpenLoopState | None, tick: int) -> None:
+        """The open-loop message in use is this one, or none is."""
+        before = self.openloop
+        now = (said or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
+        if now != before:
+            self.openloop = now._replace(tick=tick, revision=before.revision + 1)

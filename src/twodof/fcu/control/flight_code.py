@@ -15,8 +15,7 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ParameterError
-from twodof.fcu.control.control_input import ControlInput
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.sandbox import Sandbox
 from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
 from twodof.flight.core import core

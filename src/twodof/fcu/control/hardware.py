@@ -1,7 +1,12 @@
-"""What the flight controller stands on: sensors that are read and motors that are driven, once a control period."""
+"""What the flight code is given in a control period, and the hardware that measures and is driven."""
+
+from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol
+
+from twodof.link.mavlink.setpoints import SetPoint
+from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, RATE
 
 
 class SensorSample(NamedTuple):
@@ -23,6 +28,49 @@ class SensorSample(NamedTuple):
     dist_age: float
     voltage: float
     charge: float
+
+
+class ControlInput(NamedTuple):
+    """Inputs of the flight code that are asked for and not measured: mode, set-points in use, flags.
+
+    Names and units as in `flight.declarations.INPUTS`; `mode` is an index into `signals.MODES`.
+    """
+
+    mode: int = OFF
+    arm: bool = False
+    x0: float = 0.0
+    v0: float = 0.0
+    ax0: float = 0.0
+    theta0: float = 0.0
+    q0: float = 0.0
+    thrust: float = 0.0
+    M_open: float = 0.0
+    use_trim: bool = False
+    in_reset: bool = False
+    setpoint_new: bool = False
+    link_new: bool = False
+
+    @property
+    def flown(self) -> int:
+        """The loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment without it."""
+        return OFF if self.mode in (RATE, ATTITUDE) and not self.thrust > 0.0 else self.mode
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
+        loop = self.flown
+        return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
+
+    def with_number(self, name: str, value: float) -> ControlInput:
+        """Return the same with another number `name`."""
+        return ControlInput._make(value if own == name else old for own, old in zip(self._fields, self, strict=True))
+
+    def with_setpoint(self, setpoint: SetPoint) -> ControlInput:
+        """Return the same with the loop and the numbers of a set-point, as far as it gives them."""
+        loop, *numbers = setpoint
+        mode = self.mode if loop is None else loop
+        kept = (old if new is None else new for new, old in zip(numbers, self[2:9], strict=True))
+        return ControlInput._make((mode, self.arm, *kept, *self[9:]))
 
 
 class Hardware(Protocol):

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, cast
 
 from twodof.errors import ParameterError
-from twodof.fcu.control.control_input import ControlInput
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
-from twodof.fcu.control.hardware import Hardware, VirtualHardware
+from twodof.fcu.control.hardware import ControlInput, Hardware, VirtualHardware
 from twodof.fcu.event_bus import OnboardEventBus
 from twodof.link.mavlink.enums import MavSeverity
 from twodof.signals import TICK_NS

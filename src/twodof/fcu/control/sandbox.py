@@ -9,8 +9,7 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.compile.wasm.target import INSTALL, Wasm
 from twodof.errors import CompileError, ControllerFault
-from twodof.fcu.control.control_input import ControlInput
-from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.flight.core import core
 from twodof.flight.declarations import INPUTS as CORE_INPUTS
 from twodof.signals import PERIOD

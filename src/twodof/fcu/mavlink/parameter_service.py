@@ -1,29 +1,30 @@
-"""Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, and PARAM_ERROR.
+"""Parameters: PARAM_REQUEST_LIST, PARAM_REQUEST_READ and PARAM_SET as PX4 answers them, PARAM_ERROR, and transactions.
 
 An int32 travels with its bits in the float field. A list begins with `_HASH_CHECK`, so that a client that has
 the values already can stop it by setting `_HASH_CHECK`. Other controllers bring other parameters: then `_HASH_CHECK`
 goes to everybody, so that a client that keeps a list asks again. A list that is being sent begins anew. Bounds are
 enforced: a refused value is answered by PARAM_ERROR and the value that stays, one of the wrong type by PARAM_ERROR.
+TWODOF_PARAM_TRANSACTION sets several parameters at one tick, or none.
 """
 
 import struct
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from twodof.errors import ParameterError, listed
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.addressing import VehicleAddress, source, target
 from twodof.fcu.mavlink.clients import ClientLeft
-from twodof.fcu.mavlink.commands.command_service import CommandService
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.command_service import CommandService
+from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target
 from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
-from twodof.fcu.parameters.row import VehicleParameter
+from twodof.fcu.parameters.table import VehicleParameter
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import Packed, Packer, message
-from twodof.parameters import UNDO_STEPS
 
 UINT32, INT32, REAL32 = 5, 6, 9
 """MAV_PARAM_TYPE."""
@@ -40,8 +41,7 @@ MOST_LISTS = 64
 class ParameterService(Service):
     """The parameter protocol in front of `store`.
 
-    Anybody may change the rows for tuning, unless who holds the lease withholds it. The others need the lease. Undo
-    needs it too, except for who made the latest change by tuning.
+    Anybody may change the rows for tuning, unless who holds the lease withholds it. The others need the lease.
     """
 
     def __init__(
@@ -60,8 +60,6 @@ class ParameterService(Service):
         self._commander = commander
         self._store = store
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
-        self._tuners: deque[Source | None] = deque(maxlen=UNDO_STEPS)  # of each step to undo; None: not by tuning
-        self._revision = store.revision  # after the latest of those steps
         self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
         self._takes = {
             "PARAM_REQUEST_LIST": self._list,
@@ -93,33 +91,14 @@ class ParameterService(Service):
             result = self._commander.lease.may_tune(sender)
         if not result.accepted:
             return PERMISSION_DENIED, kept, result.text
-        self._forget_tuners()
+        before = self._store.revision
         try:
             self._store.update(wanted, self._commander.armed)
         except ParameterError as error:
             return (*self._blame(wanted), str(error))
-        if self._store.revision != self._revision:
-            self._tuners.append(None if kept else sender)
-            self._tell_holder(sender, listed([f"{name} = {self._store[name]:g}" for name in wanted], 3))
+        if self._store.revision != before:
+            self._commander.lease.tuned(sender, listed([f"{name} = {self._store[name]:g}" for name in wanted], 3))
         return NO_ERROR, "", ""
-
-    def undo(self, sender: Source) -> tuple[int, str]:
-        """Takes the latest change back: MAV_PARAM_ERROR and why."""
-        self._forget_tuners()
-        if self._tuners and self._tuners[-1] == sender:
-            result = self._commander.lease.may_tune(sender, "undo")
-        else:
-            result = self._commander.lease.take(sender, "undo (the latest change is not this client's tuning)")
-        if not result.accepted:
-            return PERMISSION_DENIED, result.text
-        try:
-            self._store.undo(self._commander.armed)
-        except ParameterError as error:
-            return PERMISSION_DENIED, str(error)
-        if self._tuners:
-            self._tuners.pop()
-        self._tell_holder(sender, "undo of parameters")
-        return NO_ERROR, ""
 
     def checked(self, received: Received) -> tuple[str, float | None, int]:
         """Name and value that a PARAM_SET carries, and MAV_PARAM_ERROR if it has no value that fits its type."""
@@ -205,17 +184,6 @@ class ParameterService(Service):
         if self._store.revision == before:
             self._link.send(self._value(self._store.row(name)), received.peer)
 
-    def _forget_tuners(self) -> None:
-        """Where the parameters were changed in another way since, nobody knows whose the steps are."""
-        if self._store.revision != self._revision:
-            self._tuners.clear()
-            self._revision = self._store.revision
-
-    def _tell_holder(self, sender: Source, what: str) -> None:
-        """Notes that `sender` has changed parameters, and has it told where somebody else holds the lease."""
-        self._revision = self._store.revision
-        self._commander.lease.tuned(sender, what)
-
     def _announce(self, changed: ParametersChanged) -> None:
         for name in changed.values:
             self._link.send(self._value(self._store.row(name)))
@@ -247,3 +215,139 @@ class ParameterService(Service):
 def text(name: str | bytes) -> str:
     """A parameter's name as it came."""
     return name if isinstance(name, str) else name.decode("ascii", "replace")
+
+
+BEGIN, COMMIT, ROLL_BACK = range(3)
+"""TWODOF_TRANSACTION."""
+LONGEST_TICKS = 15_000
+"""A transaction that is not ended within a minute is forgotten."""
+MOST_OPEN = 16
+MOST_ANSWERS = 32
+
+
+class TransactionAnswer(NamedTuple):
+    """What became of it: MAV_PARAM_ERROR, how many PARAM_SETs have come for it, and which was refused first."""
+
+    result: int
+    have: int = 0
+    name: str = ""
+    why: str = ""
+
+
+@dataclass
+class Transaction:
+    """A sender's PARAM_SETs that are kept back; `fault` is the first that cannot be."""
+
+    number: int
+    begun: int
+    values: dict[str, float] = field(default_factory=dict)
+    fault: tuple[int, str] | None = None
+
+    @property
+    def count(self) -> int:
+        """How many different parameters have come."""
+        return len(self.values) + (self.fault is not None)
+
+
+class TransactionService(Service):
+    """Stands before `parameters` and keeps back what belongs to a transaction.
+
+    Each sender has at most one open. A message that comes again, with the number of what was done already, gets the
+    same answer and does nothing. A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them,
+    and the client sends it again.
+    """
+
+    def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, parameters: ParameterService) -> None:
+        self._link = link
+        self._us = us
+        self._commands = commands
+        self._parameters = parameters
+        self._open: OrderedDict[Source, Transaction] = OrderedDict()
+        self._answered: OrderedDict[tuple[Source, int, int], TransactionAnswer] = OrderedDict()
+        self._pack = Packer("TWODOF_PARAM_TRANSACTION", "transaction", "count", "action", "result", "param_id")
+        self._tick = 0
+
+    def handle(self, received: Received) -> bool:
+        got = received.message
+        kind = got.get_type()
+        if kind == "PARAM_SET":
+            return self._keep(received)
+        if kind != "TWODOF_PARAM_TRANSACTION":
+            return False
+        if self._us.addressed(got) and got.action <= ROLL_BACK:
+            self._answer(received)
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        self._tick = step.tick
+        while self._open:
+            oldest = next(iter(self._open))
+            if 0 <= step.tick - self._open[oldest].begun <= LONGEST_TICKS:
+                break
+            del self._open[oldest]
+
+    def restart(self) -> None:
+        self._open.clear()
+        self._answered.clear()
+
+    def _keep(self, received: Received) -> bool:
+        transaction = self._open.get(source(received))
+        if transaction is None or text(received.message.param_id) == HASH_NAME:
+            return False
+        if not self._us.addressed(received.message):
+            return False
+        name, value, error = self._parameters.checked(received)
+        if value is not None:
+            transaction.values[name] = value
+        elif transaction.fault is None:
+            transaction.fault = error, name
+        return True
+
+    def _answer(self, received: Received) -> None:
+        got, sender = received.message, source(received)
+        key = (sender, got.action, got.transaction)
+        if got.action == BEGIN:
+            # Begun again is begun anew; its old answers no longer count.
+            for done in [done for done in self._answered if done[0] == sender and done[2] == got.transaction]:
+                del self._answered[done]
+            self._open.pop(sender, None)
+            self._open[sender] = Transaction(got.transaction, self._tick)
+            if len(self._open) > MOST_OPEN:
+                self._open.popitem(last=False)
+            answer = TransactionAnswer(NO_ERROR)
+        elif key in self._answered:
+            answer = self._answered[key]
+        else:
+            answer = self._end(received, sender)
+            if answer.result != READ_FAIL:  # what is still under way may come yet
+                self._answered[key] = answer
+                if len(self._answered) > MOST_ANSWERS:
+                    self._answered.popitem(last=False)
+            self._commands.explain(received.peer, answer.why)
+        name = answer.name.encode()[:16]
+        self._link.send(self._pack(got.transaction, answer.have, got.action, answer.result, name), received.peer)
+
+    def _end(self, received: Received, sender: Source) -> TransactionAnswer:
+        got = received.message
+        transaction = self._open.get(sender)
+        if transaction is None or transaction.number != got.transaction:
+            return TransactionAnswer(READ_FAIL, why=f"there is no open transaction {got.transaction}")
+        if got.action == ROLL_BACK:
+            del self._open[sender]
+            return TransactionAnswer(NO_ERROR, transaction.count)
+        return self._commit(transaction, sender, got.count)
+
+    def _commit(self, transaction: Transaction, sender: Source, count: int) -> TransactionAnswer:
+        have = transaction.count
+        if transaction.fault is None and have != count:
+            return TransactionAnswer(
+                READ_FAIL, have, why=f"{have} of {count} parameters have come; nothing was changed yet"
+            )
+        del self._open[sender]
+        if transaction.fault is not None:
+            error, name = transaction.fault
+            return TransactionAnswer(
+                error, have, name, f"{name}: no such parameter, or of another type; nothing was changed"
+            )
+        error, name, why = self._parameters.change(transaction.values, sender)
+        return TransactionAnswer(error, have, name, why)

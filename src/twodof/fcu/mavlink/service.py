@@ -1,16 +1,74 @@
-"""A service: one MAVLink microservice of the flight controller, such as parameters or streams."""
+"""A service: one MAVLink microservice of the flight controller, and what all of them share."""
 
 from collections.abc import Callable, Hashable
-from typing import Any, Protocol
+from math import isfinite
+from typing import Any, NamedTuple, Protocol
 
 from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
+from twodof.link.mavlink.enums import AUTOPILOT
+from twodof.signals import TICK_MS
+
+
+class VehicleAddress(NamedTuple):
+    """Our own address."""
+
+    system: int
+    component: int = AUTOPILOT
+
+    def addressed(self, message: Any, everybody: bool = False) -> bool:
+        """Whether a message with a target is for us; `everybody`: one for all systems is for us too."""
+        systems = (self.system, 0) if everybody else (self.system,)
+        return message.target_system in systems and message.target_component in (self.component, 0)
+
+
+def source(received: Received) -> Source:
+    """Who sent it."""
+    return received.frame.system, received.frame.component
+
+
+def target(sender: Source) -> dict[str, int]:
+    """The fields of an answer that name who asked."""
+    return {"target_system": sender[0], "target_component": sender[1]}
+
+
+def whole(value: float, default: int = 0) -> int:
+    """The nearest whole number of a command's parameter; `default` for NaN, infinity and what exceeds 2^31."""
+    return round(value) if isfinite(value) and abs(value) < 2**31 else default
+
+
+RUN_OVER = 2**32
+MASK_32 = RUN_OVER - 1
+RUN_OVER_MS = RUN_OVER // TICK_MS
+"""Ticks after which a stamp in milliseconds begins anew."""
+
+
+def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
+    """The tick that a field of 32 bits names: of the ticks that look like `value`, the one nearest to `now`.
+
+    None is before tick 0, so until the first half of the field's range has passed it is `value` itself.
+    """
+    nearest = now + (value - now + run_over // 2) % run_over - run_over // 2
+    return nearest if nearest > 0 else value
+
+
+def acts_at(tick: int, now: int) -> int:
+    """The tick at which something acts whose field says `tick`; 0, what a client leaves out, is at once."""
+    return meant(tick, now) if tick else 0
+
+
+def acts_at_ms(time_boot_ms: int, now: int) -> int:
+    """The same by a stamp in milliseconds: the first tick that is not before it."""
+    return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
+
 
 Take = Callable[[Source, str], CommandResult]
 """Says whether a source may command; what it wanted is named in a refusal."""
 Explain = Callable[[Hashable, str], None]
 """Tells a peer in words why something was refused."""
+Refuse = Callable[[Received, CommandResult], None]
+"""Tells the sender of a message without an acknowledgement, by code and in words, why it was refused."""
 
 
 class Link(Protocol):

@@ -5,25 +5,17 @@ from collections.abc import Callable, Mapping
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import ControllerIdentity
 from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.addressing import VehicleAddress
+from twodof.fcu.mavlink.batches import BatchService
 from twodof.fcu.mavlink.clients import Clients
-from twodof.fcu.mavlink.commands.arming import ArmingCommands
-from twodof.fcu.mavlink.commands.command_service import CommandService
-from twodof.fcu.mavlink.commands.message_requests import MessageRequests
-from twodof.fcu.mavlink.commands.modes import ModeService
-from twodof.fcu.mavlink.parameter_service import ParameterService
-from twodof.fcu.mavlink.service import Link, Service
+from twodof.fcu.mavlink.command_service import CommandService
+from twodof.fcu.mavlink.encoders import TelemetryEncoders
+from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, VersionService
+from twodof.fcu.mavlink.parameter_service import ParameterService, TransactionService
+from twodof.fcu.mavlink.service import Link, Service, VehicleAddress
 from twodof.fcu.mavlink.status_text import StatusTextService
-from twodof.fcu.mavlink.telemetry.batches import BatchService
-from twodof.fcu.mavlink.telemetry.encoders import TelemetryEncoders
-from twodof.fcu.mavlink.telemetry.heartbeat import Heartbeat
-from twodof.fcu.mavlink.telemetry.streams import ChangeDetector, StreamService
-from twodof.fcu.mavlink.transactions import TransactionService
-from twodof.fcu.mavlink.version import VersionService
+from twodof.fcu.mavlink.streams import ChangeDetector, Heartbeat, StreamService
+from twodof.fcu.mavlink.vehicle_commands import ArmingCommands, ModeService, StorageCommand
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.px4_compat.events import EventService
-from twodof.fcu.px4_compat.missions import MissionService
-from twodof.fcu.px4_compat.storage import StorageCommand
 from twodof.link.mavlink.rates import ONBOARD
 
 
@@ -54,7 +46,7 @@ class MavlinkServices:
         self.telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
         self.requests = MessageRequests(link, self.commands, self.telemetry)
         VersionService(self.requests, system, controller.hardware.name)
-        ArmingCommands(self.commands, commander, bus, restart)
+        ArmingCommands(self.commands, commander, restart)
         StorageCommand(self.commands, commander, store, controller.lockstep)
         heartbeat = Heartbeat(link, bus, self.telemetry, commander)
         modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
@@ -68,7 +60,6 @@ class MavlinkServices:
             parameters,
             modes,
             MissionService(link, us, self.commands, self.requests),
-            EventService(link, us, self.telemetry, controller, commander, bus),
             StreamService(link, bus, self.commands, self.telemetry, changes, batches, profile),
             batches,
             heartbeat,

@@ -8,7 +8,6 @@ from twodof.fcu.event_bus import OnboardEventBus
 from twodof.fcu.mavlink.service import Link, Service
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.px4_compat.event_table import marked
 from twodof.link.connection import Received
 from twodof.link.mavlink.enums import MavSeverity
 from twodof.link.mavlink.messages import statustext
@@ -44,7 +43,7 @@ class StatusTextService(Service):
         for severity, text in told:
             self._bus.publish(TextSent(severity, text))
             self._number = self._number % 0xFFFF + 1
-            for piece in statustext(marked(text), severity, self._number):
+            for piece in statustext(text, severity, self._number):
                 self._link.send(piece)
 
 

@@ -15,9 +15,8 @@ import numpy as np
 from twodof import __version__
 from twodof.errors import LogError, TwodofError
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.onboard_log.log_folder import MAX_BYTES, LogFolder, StoredLog
-from twodof.fcu.onboard_log.log_writer import LogWriter
-from twodof.fcu.onboard_log.step_row import ROW, pack
+from twodof.fcu.onboard_log.log_topics import ROW, pack
+from twodof.fcu.onboard_log.log_writer import MAX_BYTES, LogFolder, LogWriter, StoredLog
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParametersRelisted, ParameterStore
 from twodof.flightlog.append_only_file import DEADLINE_S
 from twodof.signals import TICK_US

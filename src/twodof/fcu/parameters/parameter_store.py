@@ -7,9 +7,8 @@ from typing import Any, NamedTuple, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
 from twodof.fcu.event_bus import OnboardEventBus
-from twodof.fcu.parameters.row import VehicleParameter
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
-from twodof.fcu.parameters.table import vehicle_rows, wire_rows
+from twodof.fcu.parameters.table import VehicleParameter, vehicle_rows, wire_rows
 from twodof.fcu.parameters.user_parameters import UserParameters
 from twodof.parameters import TUNABLES, ParameterSet, float32_decimal
 
@@ -81,7 +80,7 @@ class ParameterStore(Mapping[str, float]):
 
     @property
     def revision(self) -> int:
-        """Counts the changes, those undone too."""
+        """Number of changes so far."""
         return self._set.revision
 
     @property
@@ -122,7 +121,7 @@ class ParameterStore(Mapping[str, float]):
         """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
 
         Each controller has the values that were stored of the very same diagram, else its defaults. Returns remarks on
-        that, for the clients. The others keep their values; what was done before cannot be undone any more.
+        that, for the clients. The others keep their values.
         """
         if [one.identity for one in users] == [one.identity for one in self._users]:
             return ()
@@ -149,7 +148,7 @@ class ParameterStore(Mapping[str, float]):
         self.update({name: value}, armed)
 
     def update(self, changes: Mapping[str, float], armed: bool = False) -> None:
-        """Changes several values together, as one step to undo, or none of them.
+        """Change several values together, or none of them.
 
         Raises ParameterError, naming every fault: an unknown name, one parameter twice, a value of the wrong kind or
         outside its bounds. While `armed`, a parameter that only changes disarmed is a fault too.
@@ -158,19 +157,11 @@ class ParameterStore(Mapping[str, float]):
         faults += self._locked(good, armed)
         if faults:
             raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
-        self._change(lambda: self._set.update(good))
+        self._change(good)
 
     def reset(self, armed: bool = False) -> None:
-        """All defaults, as one step to undo. Raises ParameterError as `update` does."""
+        """Set all to their defaults. Raises ParameterError as `update` does."""
         self.update({row.name: row.default for row in self.rows if not row.of}, armed)
-
-    def undo(self, armed: bool = False) -> None:
-        """Takes the latest change back. Raises ParameterError if there is none, or one that needs disarming."""
-        self._walk(self._set.before, self._set.undo, armed)
-
-    def redo(self, armed: bool = False) -> None:
-        """Makes the change again that `undo` took back. Raises ParameterError as `undo` does."""
-        self._walk(self._set.after, self._set.redo, armed)
 
     def hash_check(self) -> int:
         """PX4's _HASH_CHECK: CRC-32 over names and values in the order of the indices, begun with 0, not inverted."""
@@ -218,15 +209,9 @@ class ParameterStore(Mapping[str, float]):
             if self.row(name).disarmed and value != self._set[name]
         ]
 
-    def _walk(self, values: Mapping[str, float] | None, step: Callable[[], None], armed: bool) -> None:
-        faults = self._locked(values or {}, armed)
-        if faults:
-            raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
-        self._change(step)
-
-    def _change(self, step: Callable[[], None]) -> None:
+    def _change(self, values: Mapping[str, float]) -> None:
         before = self._set.snapshot()
-        step()
+        self._set.update(values)
         after = self._set.snapshot()
         main = {row.name: row.of or row.name for row in self.rows}
         changes = {name: after[key] for name, key in main.items() if after[key] != before[key]}
@@ -273,7 +258,6 @@ class ParameterStore(Mapping[str, float]):
         known = {names[path].name: value for path, value in tuned.values.items() if path in names}
         good, faults = fresh.check(self._as_carried(known))
         fresh.update(good)
-        fresh.forget()
         said = f"{own.kind}: flies as it was tuned before: {listed(good, 3)}"
         return [*([said] if good else []), *(f"{own.kind}: left out: {fault}" for fault in faults)]
 

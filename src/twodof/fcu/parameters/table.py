@@ -1,11 +1,124 @@
-"""All parameters of a vehicle: the flight code's, and those of PX4 that its clients ask for."""
+"""All parameters of a vehicle: the flight code's, and those of PX4 that its clients ask for.
 
-from dataclasses import replace
+QGroundControl cannot do without some of PX4's; MAVSDK, MAVProxy and course scripts read or set others. A few act here.
+Some are fixed, because they tell what this vehicle is. The rest are kept for the client that sets them and act on
+nothing, as their text says. Source of names, types, bounds: PX4 v1.16, parameter reference.
+"""
+
+import struct
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import Literal
 
-from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.px4_compat.parameters import px4_rows
-from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS
+from twodof.parameters import FLIGHT_PARAMETERS, PARAMETERS, Parameter
+
+
+@dataclass(frozen=True)
+class VehicleParameter(Parameter):
+    """A parameter as a vehicle describes it.
+
+    `group` is where a ground station shows it. `disarmed`: it is changed only while disarmed; `reboot`: a change acts
+    after the next start. `acts` is False for one that clients of PX4 ask for and nothing on board reads. `of` names the
+    parameter that this one is another name of. `user_path` is its place in a user's diagram, such as
+    `attitude_control.k_q`, with an index for an array's element. One without bounds in the diagram is not `bounded`.
+    """
+
+    group: str = "Flight"
+    disarmed: bool = False
+    reboot: bool = False
+    acts: bool = True
+    of: str = ""
+    user_path: str = ""
+    bounded: bool = True
+
+    def bits(self, value: float) -> bytes:
+        """The four bytes of a value, as PARAM_VALUE carries them."""
+        return struct.pack("<i", int(value)) if self.kind == "int32" else struct.pack("<f", value)
+
+    @property
+    def fixed(self) -> bool:
+        """Whether it has only one value, which tells a client something."""
+        return self.low == self.high
+
+
+Kind = Literal["float", "int32"]
+
+LOG_ALWAYS, LOG_BOOT, LOG_ARMED, LOG_NEVER = 2, 1, 0, -1
+"""Values of SDLOG_MODE: from the start on, from the start to the first disarming, while armed, only on request."""
+SIMULATED_IMU, SIMULATED_MAG = 1310988, 197388
+"""What PX4 in simulation calls its sensors; an id of 0 is a sensor that was never calibrated."""
+_LOGGED = "on-board log: 0 while armed, 1 from the start to disarming, 2 from the start on, -1 on request"
+_UNUSED = "; kept, acts on nothing here"
+
+
+def _fixed(
+    name: str, value: float, text: str, kind: Kind = "int32", unit: str = "", group: str = "System"
+) -> VehicleParameter:
+    return VehicleParameter(name, value, value, value, unit, text, kind=kind, group=group)
+
+
+def _kept(
+    name: str, default: float, low: float, high: float, unit: str, text: str, kind: Kind = "int32", group: str = "PX4"
+) -> VehicleParameter:
+    return VehicleParameter(name, default, low, high, unit, text + _UNUSED, kind=kind, group=group, acts=False)
+
+
+def _logging(name: str, default: float, low: float, high: float, text: str) -> VehicleParameter:
+    return VehicleParameter(name, default, low, high, "", text, kind="int32", group="Log", disarmed=True)
+
+
+def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
+    """The rows of a vehicle with this MAVLink system id."""
+    return (
+        _fixed("MAV_SYS_ID", system, "MAVLink system id, set where the flight controller is started"),
+        _fixed("MAV_COMP_ID", 1, "MAVLink component id: autopilot"),
+        _fixed("MAV_TYPE", 2, "MAVLink type: quadrotor"),
+        _fixed("MAV_PROTO_VER", 2, "MAVLink version that is sent"),
+        _fixed("SYS_PARAM_VER", 1, "version of the set of parameters"),
+        _fixed("SYS_AUTOSTART", 4001, "airframe: quadrotor"),
+        _fixed("SYS_AUTOCONFIG", 0, "parameters are not set again from the airframe"),
+        _fixed("SYS_HAS_GPS", 0, "there is no GPS receiver"),
+        _fixed("SYS_HAS_MAG", 0, "there is no magnetometer"),
+        _fixed("SYS_HAS_BARO", 0, "there is no barometer"),
+        _fixed("IMU_GYRO_RATEMAX", 250, "rate of the inner loop", unit="Hz"),
+        _fixed("CAL_ACC0_ID", SIMULATED_IMU, "the accelerometer is there and calibrated", group="Sensors"),
+        _fixed("CAL_GYRO0_ID", SIMULATED_IMU, "the gyro is there and calibrated", group="Sensors"),
+        _fixed("CAL_MAG0_ID", SIMULATED_MAG, "as in simulation: no ground station asks for a compass", group="Sensors"),
+        *(_fixed(f"CAL_MAG{n}_ID", 0, "there is no such magnetometer", group="Sensors") for n in (1, 2, 3)),
+        *(_fixed(f"CAL_MAG{n}_ROT", -1, "there is no such magnetometer", group="Sensors") for n in (0, 1, 2, 3)),
+        _fixed("SENS_BOARD_ROT", 0, "the board's axes are the body's", group="Sensors"),
+        *(
+            _fixed(f"SENS_BOARD_{axis}_OFF", 0, "the board's axes are the body's", "float", "deg", "Sensors")
+            for axis in "XYZ"
+        ),
+        _fixed("SENS_DPRES_OFF", 0, "there is no airspeed sensor", "float", "Pa", "Sensors"),
+        _fixed("TRIG_MODE", 0, "there is no camera"),
+        _fixed("UAVCAN_ENABLE", 0, "there is no CAN bus"),
+        _logging("SDLOG_MODE", LOG_ARMED, LOG_NEVER, LOG_ALWAYS, _LOGGED),
+        _logging("SDLOG_DIRS_MAX", 100, 1, 1000, "most logs that are kept on board; the oldest go first"),
+        _kept("BAT_LOW_THR", 0.15, 0.05, 0.5, "norm", "low charge; see SAFE_BAT_LOW", "float", "Battery"),
+        _kept("BAT_CRIT_THR", 0.07, 0.03, 0.5, "norm", "critical charge; see SAFE_BAT_CRIT", "float", "Battery"),
+        _kept("BAT_EMERGEN_THR", 0.05, 0.02, 0.5, "norm", "charge of emergency; see SAFE_BAT_CRIT", "float", "Battery"),
+        _fixed("BAT1_N_CELLS", 3, "cells in series", group="Battery"),
+        _kept("BAT1_V_EMPTY", 3.6, 2.0, 5.0, "V", "an empty cell's voltage", "float", "Battery"),
+        _kept("BAT1_V_CHARGED", 4.2, 2.0, 5.0, "V", "a full cell's voltage", "float", "Battery"),
+        _kept("COM_RC_IN_MODE", 1, 0, 5, "", "source of manual control"),
+        _kept("COM_OBL_RC_ACT", 7, -1, 8, "", "after the loss of offboard set-points; see docs/explanation/safety.md"),
+        _kept("COM_OF_LOSS_T", 1.0, 0.0, 60.0, "s", "silence of offboard set-points; see SAFE_SP_T", "float"),
+        _kept("COM_DL_LOSS_T", 10, 5, 300, "s", "silence of the ground; see SAFE_LINK_T"),
+        _kept("COM_LOW_BAT_ACT", 0, 0, 3, "", "what a low battery does; see docs/explanation/safety.md"),
+        _kept("COM_DISARM_LAND", -1.0, -1.0, 120.0, "s", "disarming after landing", "float"),
+        _kept("COM_DISARM_PRFLT", -1.0, -1.0, 120.0, "s", "disarming when nothing takes off", "float"),
+        _kept("COM_ARM_WO_GPS", 1, 0, 2, "", "arming without GPS"),
+        *(_kept(f"COM_FLTMODE{n}", -1, -1, 16, "", "mode of a switch") for n in range(1, 7)),
+        _kept("NAV_RCL_ACT", 0, 0, 6, "", "loss of manual control"),
+        _kept("NAV_DLL_ACT", 0, 0, 6, "", "loss of the ground station; see docs/explanation/safety.md"),
+        _kept("GF_ACTION", 0, 0, 5, "", "geofence"),
+        _kept("CBRK_SUPPLY_CHK", 894281, 0, 894281, "", "circuit breaker of the supply check"),
+        _kept("CBRK_USB_CHK", 197848, 0, 197848, "", "circuit breaker of the USB check"),
+        _kept("CBRK_IO_SAFETY", 22027, 0, 22027, "", "circuit breaker of the safety switch"),
+        *(_kept(f"RC_MAP_{name}", 0, 0, 18, "", "radio channel") for name in ("ROLL", "PITCH", "YAW", "THROTTLE")),
+    )
 
 
 @cache

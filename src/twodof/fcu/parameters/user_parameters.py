@@ -20,8 +20,7 @@ from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names
 from twodof.compile.px4.parameters import LARGEST_FLOAT, LARGEST_INT, SMALLEST_INT, ExportedParameter, diagram_rows
 from twodof.errors import listed
-from twodof.fcu.parameters.row import VehicleParameter
-from twodof.fcu.parameters.table import wire_rows
+from twodof.fcu.parameters.table import VehicleParameter, wire_rows
 from twodof.flight.templates import by_kind
 from twodof.parameters import float32_decimal
 from twodof.signals import PERIOD

@@ -1,13 +1,11 @@
-"""ParameterTable: all parameters of one drone, kept up by what it tells of changes; changes, and taking them back."""
+"""ParameterTable: all parameters of one drone, kept up by what it tells of changes."""
 
 from __future__ import annotations
 
 import asyncio
-from collections import deque
-from collections.abc import Callable, Iterable, Mapping
-from typing import NamedTuple
+from collections.abc import Callable
 
-from twodof.errors import Rejected, Timeout, listed
+from twodof.errors import Rejected, Timeout
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.parameters import MOST, ParameterDescription, ParameterEntry, entry_of
@@ -16,15 +14,6 @@ LOOK_S = 0.1
 SETTLES_S = 1.0
 """So long no parameter changes before what flies is asked for again."""
 HASH = "_HASH_CHECK"
-MOST_SENT = 50
-"""Changes that can be taken back, one after the other."""
-
-
-class SentChange(NamedTuple):
-    """What a change of ours set, by name: the values before it and after it."""
-
-    before: Mapping[str, float]
-    after: Mapping[str, float]
 
 
 class ParameterTable:
@@ -40,7 +29,6 @@ class ParameterTable:
         self._active: ActiveController | None = None
         self._stale_since: float | None = drone.session.now
         self._flown = drone.state.rig.diagram
-        self._sent: deque[SentChange] = deque(maxlen=MOST_SENT)
         drone.session.on(self._told, "PARAM_VALUE")
 
     async def entries(self) -> list[ParameterEntry]:
@@ -53,33 +41,6 @@ class ParameterTable:
                 self._listed = frozenset(await parameters.all())
             known = [parameters.known[name] for name in sorted(self._listed)]
         return [entry._replace(described=self._described.get(entry.name)) for entry in known]
-
-    async def change(self, changes: Mapping[str, float]) -> SentChange:
-        """Change several at once, all or none. Raises as `AsyncParameters.update`."""
-        before = await self._read_all(changes)
-        await self._drone.parameters.update(changes)
-        made = SentChange(before, await self._read_all(changes))
-        if made.before != made.after:
-            self._sent.append(made)
-        return made
-
-    @property
-    def last(self) -> SentChange:
-        """The last change that was made here and not taken back. Raises Rejected where there is none."""
-        if not self._sent:
-            where = f"drone {self._drone.session.system}"
-            raise Rejected("nothing was changed here that could be taken back", where, "set the values themselves")
-        return self._sent[-1]
-
-    async def take_back(self, made: SentChange) -> None:
-        """Set what was there before a change of ours. Raises Rejected where somebody has changed it since."""
-        now = await self._read_all(made.after)
-        if since := [name for name, value in made.after.items() if now[name] != value]:
-            where = f"drone {self._drone.session.system}"
-            raise Rejected(f"{listed(since)} changed since then", where, "set the values themselves")
-        await self._drone.parameters.update(made.before)
-        if made in self._sent:
-            self._sent.remove(made)
 
     async def active(self) -> ActiveController:
         """What flies: as it was read lately, or asked for now. Raises LinkLost, Timeout."""
@@ -105,9 +66,6 @@ class ParameterTable:
                 except (Rejected, Timeout):
                     self._stale_since = session.now
             await asyncio.sleep(LOOK_S)
-
-    async def _read_all(self, names: Iterable[str]) -> dict[str, float]:
-        return {name: await self._drone.parameters.read(name) for name in names}
 
     async def _read(self) -> None:
         async with self._asking:

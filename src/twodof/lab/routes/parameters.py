@@ -7,9 +7,8 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Body, Query
 from pydantic import Field
 
-from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, same_as
+from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, SentChange, same_as
 from twodof.lab.current_lab import CurrentLab
-from twodof.lab.drones.parameter_table import SentChange
 from twodof.lab.request_body import Finite
 from twodof.lab.routes.drones import Number
 
@@ -39,9 +38,8 @@ async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Con
     gains that the drone's model does not keep stable, until `confirm` has the token of their preview.
     """
     one = lab.drones[number]
-    parameters = one.connection.parameters
     await lab.guard.check(one, changes, confirm)
-    return _changed(await parameters.change(changes))
+    return _changed(await one.connection.drone.parameters.update(changes))
 
 
 @router.post("/undo")
@@ -52,11 +50,9 @@ async def undo(lab: CurrentLab, number: Number, confirm: Confirmed = "") -> dict
     keep stable, until `confirm` has the token of their preview.
     """
     one = lab.drones[number]
-    parameters = one.connection.parameters
-    made = parameters.last
-    await lab.guard.check(one, made.before, confirm)
-    await parameters.take_back(made)
-    return _changed(SentChange(made.after, made.before))
+    parameters = one.connection.drone.parameters
+    await lab.guard.check(one, parameters.last.before, confirm)
+    return _changed(await parameters.undo())
 
 
 def _changed(made: SentChange) -> dict[str, Any]:

@@ -46,7 +46,6 @@ RATES = (
     Rates(242, "HOME_POSITION", 0.5, 0.5),
     Rates(436, "CURRENT_MODE", 0.5, 0.5, on_change=True),
     Rates(437, "AVAILABLE_MODES_MONITOR", 0.3, 0.3, on_change=True),
-    Rates(411, "CURRENT_EVENT_SEQUENCE", 0.2, 0.2, on_change=True),
     Rates(54204, "TWODOF_TOF", 0.0, None),
     Rates(54200, "TWODOF_OPENLOOP", 0.0, 0.0, on_change=True),
 )

@@ -1,13 +1,16 @@
-"""Set-points as messages of `common`, and back: masks as PX4 reads them, the pitch as a quaternion.
+"""SetPoint, and its messages, and back: masks as PX4 reads them, the pitch as a quaternion.
 
-What is ignored in a message is None in what is read from it. Of an attitude the pitch counts; north is the rail's x.
+What is ignored in a message is None in the set-point. Of an attitude the pitch counts; north is the rail's x.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from twodof.link.mavlink.messages import message
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, TICK_MS, VELOCITY
 
 NAN = math.nan
 
@@ -23,13 +26,39 @@ LOCAL_NED, BODY_NED = 1, 8
 """MAV_FRAME; on the rail the body's north is the rail's."""
 
 
-class SetpointTarget(NamedTuple):
-    """What a message asks for, None where it says nothing; `loop` is one of signals.MODES, "" for thrust alone."""
+class SetPoint(NamedTuple):
+    """Set-point of one message: the loop (an index into `signals.MODES`; None: thrust alone) and its numbers.
 
-    loop: str
-    value: float = 0.0
+    Units are those of `flight.declarations.INPUTS`. A number that is None keeps its last value.
+    """
+
+    loop: int | None
+    x0: float | None = None
+    v0: float | None = None
+    ax0: float | None = None
+    theta0: float | None = None
+    q0: float | None = None
     thrust: float | None = None
-    feed_forward: float | None = None
+    M_open: float | None = None
+
+    @property
+    def sound(self) -> bool:
+        """Whether its numbers are finite and its loop is one of the flight code's."""
+        loop = self.loop is None or OPEN_LOOP <= self.loop <= POSITION
+        return loop and all(value is None or math.isfinite(value) for value in self[1:])
+
+    @property
+    def moves_cart(self) -> bool:
+        """Whether its loop moves the cart along the rail."""
+        return self.loop is not None and self.loop >= VELOCITY
+
+    def after(self, before: SetPoint) -> SetPoint:
+        """Return both in one: where this set-point leaves a number open, the one before gives it."""
+        return SetPoint._make(old if new is None else new for new, old in zip(self, before, strict=True))
+
+
+NOTHING = SetPoint(None)
+"""Set-point that asks for nothing and leaves all as it is."""
 
 
 def quaternion(theta: float) -> list[float]:
@@ -83,8 +112,8 @@ def _along_rail(ignored: int, acceleration: float, **fields: Any) -> Any:
     return message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=LOCAL_NED, type_mask=ignored | _YAW, **fields)
 
 
-def read_attitude(received: Any) -> SetpointTarget | None:
-    """What a SET_ATTITUDE_TARGET asks for; None if it is not flown here: rates without the pitch's.
+def read_attitude(received: Any) -> SetPoint | None:
+    """Return the set-point of a SET_ATTITUDE_TARGET; None if it is not flown here: rates without the pitch's.
 
     As PX4: an attitude goes before rates; `thrust_body` before `thrust`, of which its z counts.
     """
@@ -95,28 +124,49 @@ def read_attitude(received: Any) -> SetpointTarget | None:
     elif not mask & NO_THRUST:
         thrust = received.thrust
     if not mask & NO_ATTITUDE:
-        return SetpointTarget("attitude", pitch(received.q), thrust)
+        return SetPoint(ATTITUDE, theta0=pitch(received.q), thrust=thrust)
     if not mask & (ROLL_RATE | PITCH_RATE):
-        return SetpointTarget("rate", received.body_pitch_rate, thrust)
+        return SetPoint(RATE, q0=received.body_pitch_rate, thrust=thrust)
     if mask & PITCH_RATE and not mask & NO_THRUST | mask & THRUST_BODY:
-        return SetpointTarget("", thrust=thrust)
+        return SetPoint(None, thrust=thrust)
     return None
 
 
-def read_position(received: Any) -> SetpointTarget | None:
-    """What a SET_POSITION_TARGET_LOCAL_NED asks for; None if it is not flown here.
+def read_position(received: Any) -> SetPoint | None:
+    """Return the set-point of a SET_POSITION_TARGET_LOCAL_NED; None if it is not flown here.
 
     As PX4: a position goes before a velocity, and a NaN counts as ignored. The frame is LOCAL_NED, or BODY_NED for a
     velocity. Forces are refused. An acceleration alone is not flown here; with the others it is a feed-forward.
     """
     mask, frame = received.type_mask, received.coordinate_frame
-    acceleration = None if mask & NO_AX or math.isnan(received.afx) else received.afx
-    if frame not in (LOCAL_NED, BODY_NED) or (mask & FORCE and acceleration is not None):
+    given = not mask & NO_AX and not math.isnan(received.afx)
+    if frame not in (LOCAL_NED, BODY_NED) or (mask & FORCE and given):
         return None
+    acceleration = received.afx if given else 0.0
     x = NAN if mask & NO_X or frame == BODY_NED else received.x
     if not math.isnan(x):
-        return SetpointTarget("position", x, None, acceleration)
+        return SetPoint(POSITION, x0=x, ax0=acceleration)
     v = NAN if mask & NO_VX else received.vx
     if not math.isnan(v):
-        return SetpointTarget("velocity", v, None, acceleration)
+        return SetPoint(VELOCITY, v0=v, ax0=acceleration)
     return None
+
+
+_MASK_32 = 0xFFFFFFFF  # ticks and milliseconds begin anew where a uint32 does
+
+
+def setpoint_message(setpoint: SetPoint, tick: int, **target: int) -> Any:
+    """Return the message that carries a set-point with a loop, for `tick` and the addressee `target`."""
+    loop, x0, v0, ax0, theta0, q0, thrust, M_open = setpoint
+    power, forward = thrust or 0.0, NAN if ax0 is None else ax0
+    if loop == OPEN_LOOP:
+        flags = {"openloop": 1, "enableM": 1, "enableT": int(thrust is not None)}
+        return message("TWODOF_OPENLOOP", tick=tick & _MASK_32, M=M_open or 0.0, T=power, **flags, **target)
+    where = {"time_boot_ms": tick * TICK_MS & _MASK_32, **target}
+    if loop == ATTITUDE:
+        return attitude_target(theta0 or 0.0, power, **where)
+    if loop == RATE:
+        return rate_target(q0 or 0.0, power, **where)
+    if loop == VELOCITY:
+        return velocity_target(v0 or 0.0, forward, **where)
+    return position_target(x0 or 0.0, forward, **where)

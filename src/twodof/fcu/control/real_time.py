@@ -1,0 +1,204 @@
+"""Real time: what wakes the control loop at each period, and the watchdog that stops the motors when it hangs."""
+
+import asyncio
+import ctypes
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from twodof.errors import LinkError
+
+MOST_CATCH_UP = 25
+"""Periods that are made up for at once after a stall; what is beyond them is missed."""
+
+
+class Pacer:
+    """Due times `period_ns` apart from the first `wait` on.
+
+    On Linux a timer of the kernel that wakes to the microsecond (asyncio's own timers wake a millisecond late), else
+    asyncio's. A wall clock that jumps changes nothing.
+    """
+
+    def __init__(self, period_ns: int) -> None:
+        self.period_ns = period_ns
+        self.missed = 0
+        self.late_ns = 0
+        self._begin = 0
+        self._done = 0
+        self._waiter: asyncio.Future[None] | None = None
+        self._timer: int | None = None
+        self._loop = asyncio.get_running_loop()
+        if sys.platform == "linux":
+            self._timer = _timer("create", time.CLOCK_MONOTONIC, _NONBLOCK | _CLOEXEC)
+            self._loop.add_reader(self._timer, self._fired)
+
+    async def wait(self) -> int:
+        """Waits for the next due time, and says how many periods are due now: 1, or more after a stall.
+
+        Periods beyond `MOST_CATCH_UP` are counted in `missed` and left out. `late_ns` is by how much the first of
+        those that are due is late.
+        """
+        if not self._begin:
+            self._begin = time.monotonic_ns()
+            if self._timer is not None:
+                times = (divmod(at, 10**9) for at in (self.period_ns, self._begin + self.period_ns))
+                setting = _Setting(*(_Time(*parts) for parts in times))
+                _timer("settime", self._timer, _ABSOLUTE, ctypes.byref(setting), None)
+        due = self._due()
+        while due <= 0:
+            self._waiter = self._loop.create_future()
+            handle = None
+            if self._timer is None:
+                at = self._begin + (self._done + 1) * self.period_ns
+                handle = self._loop.call_later((at - time.monotonic_ns()) * 1e-9, self._wake)
+            try:
+                await self._waiter
+            finally:
+                self._waiter = None
+                if handle is not None:
+                    handle.cancel()
+            due = self._due()
+        self.late_ns = time.monotonic_ns() - self._begin - (self._done + 1) * self.period_ns
+        left_out = max(0, due - MOST_CATCH_UP)
+        self.missed += left_out
+        self._done += due
+        return due - left_out
+
+    def close(self) -> None:
+        """Gives the timer back."""
+        if self._timer is not None:
+            self._loop.remove_reader(self._timer)
+            os.close(self._timer)
+            self._timer = None
+
+    def _due(self) -> int:
+        return (time.monotonic_ns() - self._begin) // self.period_ns - self._done
+
+    def _fired(self) -> None:
+        if self._timer is not None:
+            with suppress(BlockingIOError):
+                os.read(self._timer, 8)
+        self._wake()
+
+    def _wake(self) -> None:
+        if self._waiter is not None and not self._waiter.done():
+            self._waiter.set_result(None)
+
+
+class _Time(ctypes.Structure):
+    _fields_ = (("seconds", ctypes.c_long), ("nanoseconds", ctypes.c_long))
+
+
+class _Setting(ctypes.Structure):
+    _fields_ = (("interval", _Time), ("value", _Time))
+
+
+_NONBLOCK, _CLOEXEC, _ABSOLUTE = os.O_NONBLOCK, getattr(os, "O_CLOEXEC", 0), 1
+
+
+def _timer(call: str, *given: object) -> int:
+    """Calls timerfd_create or timerfd_settime of the system."""
+    made = int(getattr(ctypes.CDLL(None, use_errno=True), f"timerfd_{call}")(*given))
+    if made < 0:
+        what = f"the system gives no timer: timerfd_{call}: {os.strerror(ctypes.get_errno())}"
+        raise LinkError(what, "pacing", "end other programs")
+    return made
+
+
+LOOK_S = 0.02
+LOOKS = 5
+"""Looks without a beat after which the loop hangs."""
+
+# A loop that runs all the time loses a little of it to whoever looks.
+_HANGS = LOOKS - 0.5
+
+
+class ThreadTime:
+    """The thread that makes it, as seen from any other. On Linux; elsewhere nothing counts as lacking a processor."""
+
+    def __init__(self) -> None:
+        self._stat = Path(f"/proc/self/task/{threading.get_native_id()}/stat")
+        self._clock = time.pthread_getcpuclockid(threading.get_ident()) if sys.platform == "linux" else None
+        self._seen, self._ran = time.monotonic(), self._processor_time()
+
+    def own(self) -> float:
+        """The part, 0 to 1, of the time since the last call that was the thread's own.
+
+        All of it where the thread waits for something now, or has ended; where it would run, only what it ran.
+        """
+        now, ran = time.monotonic(), self._processor_time()
+        passed, used = now - self._seen, ran - self._ran
+        self._seen, self._ran = now, ran
+        if not self._would_run():
+            return 1.0
+        return min(1.0, used / passed) if passed > 0.0 else 1.0
+
+    def _processor_time(self) -> float:
+        """What it has used so far [s]; 0 once it has ended, or where that is not known."""
+        with suppress(OSError):
+            return 0.0 if self._clock is None else time.clock_gettime(self._clock)
+        return 0.0
+
+    def _would_run(self) -> bool:
+        """Whether it runs, or only lacks a processor; False where that is not known."""
+        with suppress(OSError):
+            # proc(5): the number, the name in parentheses, then the state.
+            return self._clock is not None and self._stat.read_bytes().rpartition(b")")[2].split()[0] == b"R"
+        return False
+
+
+class Watchdog:
+    """A thread that calls `stop` when no `beat` came for `LOOKS` looks, `LOOK_S` apart: .1 s.
+
+    It counts looks and not time: where the whole machine stands still, its thread stands still too. It begins with the
+    first beat. `trips` counts the stops.
+
+    With `patient` a look counts by the part of its time in which the loop ran or waited. A loop that lacks a processor
+    does not hang, and does a virtual rig no harm, since the rig's time is the loop's.
+
+    It does not see native code that never releases the interpreter: that is for the hardware.
+    """
+
+    def __init__(self, stop: Callable[[], None], look_s: float = LOOK_S, patient: bool = False) -> None:
+        self.trips = 0
+        self._stop = stop
+        self._look_s = look_s
+        self._patient = patient
+        self._loop: ThreadTime | None = None
+        self._beats = self._seen = 0
+        self._silent = 0.0  # looks since the last beat was seen
+        self._tripped = False
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+        self._thread.start()
+
+    def beat(self) -> None:
+        """The loop runs. Always called by one thread, the loop's."""
+        if self._patient and self._loop is None:
+            self._loop = ThreadTime()
+        self._beats += 1
+
+    def look(self) -> None:
+        """Whether a beat came since the last look; the thread does it every `look_s`."""
+        beats, own = self._beats, 1.0 if self._loop is None else self._loop.own()
+        if beats != self._seen or not beats:
+            self._seen, self._silent, self._tripped = beats, 0.0, False
+            return
+        self._silent += own
+        if self._silent > _HANGS and not self._tripped:
+            self._tripped = True
+            self.trips += 1
+            self._stop()
+
+    def close(self) -> None:
+        """Ends the thread; a second time does nothing."""
+        self._end.set()
+        self._thread.join(5.0)
+
+    def _watch(self) -> None:
+        while not self._end.wait(self._look_s):
+            self.look()

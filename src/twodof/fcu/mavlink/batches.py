@@ -1,0 +1,141 @@
+"""Batches: TWODOF_BATCH carries every sample of chosen channels to a client that asks, several ticks in a message."""
+
+from collections.abc import Callable, Hashable, Mapping
+from math import isfinite, nan
+from operator import attrgetter
+from types import MappingProxyType
+from typing import Any
+
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.command.result import DONE, CommandResult, denied
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.mavlink.clients import ClientLeft
+from twodof.fcu.mavlink.command_service import ReceivedCommand
+from twodof.fcu.mavlink.service import MASK_32, Link, Service, whole
+from twodof.link.mavlink.messages import BATCH_VALUES, Packer, channel_bits
+from twodof.signals import TICK_US, TOPICS, Topic
+
+BATCH = 54203
+LATEST_TICKS = 25
+"""A batch waits at most .1 s for its last row."""
+LARGEST_HALF = 0xFFFF
+
+
+def published(tick: int) -> bool:
+    """Whether the estimator's position and velocity at this tick are new: at 100 of 250 ticks a second, from 0 on."""
+    return 2 * tick % 5 < 2
+
+
+_NEW: Mapping[str, Callable[[ControlStep], bool]] = MappingProxyType(
+    {
+        "imu_new": lambda s: s.sample.imu_new,
+        "dist_new": lambda s: s.sample.dist_new,
+        "published": lambda s: published(s.tick),
+    }
+)
+"""In which steps a signal is new, by `Topic.when`."""
+
+
+def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
+    """Channel -> its value at a step, NaN where it has no new sample."""
+
+    def value(row: Topic, name: str) -> Callable[[ControlStep], float]:
+        if row.name == "openloop":
+            return lambda _step: float(getattr(commander.openloop, name))
+        if name == "-|T|":
+            return lambda s: -abs(s.T)
+        if name == "mode":
+            return lambda s: float(s.asked.mode)
+        read: Callable[[Any], float] = attrgetter(f"sample.{name}" if name in SensorSample._fields else name)
+        if not row.when:
+            return read
+        new = _NEW[row.when]
+        return lambda s: read(s) if new(s) else nan
+
+    return {
+        column.replace(".", "_").upper(): value(row, name)
+        for row in TOPICS
+        for column, name in zip(row.columns, row.source, strict=bool(row.source))
+    }
+
+
+class BatchSubscription:
+    """The channels of one client, and the rows that wait to be sent."""
+
+    def __init__(self, peer: Hashable, mask: int, every: int, read: list[Callable[[ControlStep], float]]) -> None:
+        self.peer = peer
+        self.mask = mask
+        self.every = every
+        self.read = read
+        # As many rows as fit, but no more than are due within the longest wait.
+        self.most = max(1, min(BATCH_VALUES // len(read), LATEST_TICKS // every + 1))
+        self.values: list[float] = []
+        self.rows = 0
+        self.begun = 0
+
+
+class BatchService(Service):
+    """Subscriptions to batches, one a client, made and ended by command 511 for TWODOF_BATCH.
+
+    Its parameter 2 is the interval of the samples [us] (0: each tick, -1: end), 3 and 4 are the low and the high 16
+    bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
+    """
+
+    def __init__(self, link: Link, bus: OnboardEventBus, commander: Commander) -> None:
+        self._link = link
+        self._pack = Packer("TWODOF_BATCH")
+        read = channel_readers(commander)
+        self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
+        self._all = sum(bit for bit, _ in self._readers)
+        self._subscriptions: dict[Hashable, BatchSubscription] = {}
+        bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.client.peer, None))
+
+    def after(self, step: ControlStep) -> None:
+        for subscription in self._subscriptions.values():
+            if step.tick % subscription.every:
+                continue
+            if not subscription.rows:
+                subscription.begun = step.tick & MASK_32
+            subscription.values += [read(step) for read in subscription.read]
+            subscription.rows += 1
+            if subscription.rows == subscription.most:
+                self._flush(subscription)
+
+    def restart(self) -> None:
+        for subscription in self._subscriptions.values():
+            self._flush(subscription)
+
+    def subscribe(self, command: ReceivedCommand) -> CommandResult:
+        """Command 511 for TWODOF_BATCH."""
+        interval, low, high = command.params[1], whole(command.params[2], -1), whole(command.params[3], -1)
+        old = self._subscriptions.pop(command.peer, None)
+        if old is not None:
+            self._flush(old)
+        if interval < 0.0:
+            return DONE
+        every = max(1, round(interval / TICK_US)) if isfinite(interval) else 0
+        if not 0 <= low <= LARGEST_HALF or not 0 <= high <= LARGEST_HALF or not 1 <= every <= 0xFF:
+            return denied("a batch wants an interval up to 255 ticks and two halves of a mask")
+        mask = low | high << 16
+        if not mask or mask & ~self._all:
+            return denied("a batch wants channels, and only those there are")
+        read = [one for bit, one in self._readers if mask & bit]
+        self._subscriptions[command.peer] = BatchSubscription(command.peer, mask, every, read)
+        return DONE
+
+    def interval(self, peer: Hashable) -> int:
+        """Interval [us] of a client's samples, -1 without a subscription."""
+        subscription = self._subscriptions.get(peer)
+        return subscription.every * TICK_US if subscription is not None else -1
+
+    def _flush(self, subscription: BatchSubscription) -> None:
+        if not subscription.rows:
+            return
+        values = subscription.values
+        values += [0.0] * (BATCH_VALUES - len(values))
+        sent = self._pack(subscription.mask, subscription.begun, *values, subscription.rows, subscription.every)
+        subscription.values = []
+        subscription.rows = 0
+        self._link.send(sent, subscription.peer)

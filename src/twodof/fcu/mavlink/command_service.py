@@ -1,0 +1,225 @@
+"""Commands: COMMAND_LONG and COMMAND_INT in, one COMMAND_ACK out for each; handlers are registered by number."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+from twodof.fcu.command.result import DONE, CommandResult, Source, unsupported
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.mavlink.clients import ClientLeft, ClientRecognised
+from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target
+from twodof.fcu.mavlink.status_text import TextSent
+from twodof.link.connection import Received
+from twodof.link.mavlink.enums import MavCmd, MavResult, MavSeverity
+from twodof.link.mavlink.messages import message, statustext
+
+_QUESTIONS = frozenset(
+    {
+        MavCmd.GET_HOME_POSITION,
+        MavCmd.GET_MESSAGE_INTERVAL,
+        MavCmd.REQUEST_MESSAGE,
+        MavCmd.REQUEST_PROTOCOL_VERSION,
+        MavCmd.REQUEST_AUTOPILOT_CAPABILITIES,
+    }
+)
+_ANSWERED_AGAIN = _QUESTIONS | {MavCmd.SET_MESSAGE_INTERVAL}
+"""They are answered as often as they come."""
+
+LATEST_TICKS = 125
+"""Half a second: what comes again later is another command."""
+MOST_REMEMBERED = 64
+
+
+class ReceivedCommand(NamedTuple):
+    """A command that is for us; `params` are its seven numbers, any of which may be NaN."""
+
+    number: int
+    params: tuple[float, ...]
+    source: Source
+    peer: Hashable
+
+    @property
+    def what(self) -> Hashable:
+        """All of it; the numbers as text, since NaN equals nothing."""
+        return self.peer, self.source, self.number, str(self.params)
+
+
+class CommandHandled(NamedTuple):
+    """A command was answered; what it changes, it has changed."""
+
+
+Handler = Callable[[ReceivedCommand], CommandResult]
+
+
+class DuplicateFilter:
+    """Remembers what was accepted.
+
+    A command is repeated if its sender says so (`confirmation` above 0), or if the network doubled its frame, which the
+    frame's sequence number tells. In lockstep, where time may stand still between two sessions of a client that are
+    equal to the frame, only the former counts.
+    """
+
+    def __init__(self, lockstep: bool) -> None:
+        self._lockstep = lockstep
+        self._accepted: OrderedDict[Hashable, int] = OrderedDict()  # what came -> tick
+
+    def known(self, what: Hashable, confirmation: int, sequence: int, tick: int) -> bool:
+        """Whether `what` was accepted a moment before `tick`, and this is it again."""
+        copies = (what, confirmation > 0), ((what, sequence), not self._lockstep)
+        return any(counts and 0 <= tick - self._accepted.get(key, tick + 1) <= LATEST_TICKS for key, counts in copies)
+
+    def accepted(self, what: Hashable, sequence: int, tick: int) -> None:
+        """Remembers that `what` was carried out."""
+        for key in (what, (what, sequence)):
+            self._accepted[key] = tick
+            self._accepted.move_to_end(key)
+        while len(self._accepted) > MOST_REMEMBERED:
+            self._accepted.popitem(last=False)
+
+
+class CommandService(Service):
+    """Dispatches commands to those that registered for them, and acknowledges every one.
+
+    A command that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it
+    stops motors. It publishes CommandHandled after each command, and TextSent for each refusal in words.
+    """
+
+    def __init__(self, link: Link, us: VehicleAddress, bus: OnboardEventBus, lockstep: bool = False) -> None:
+        self._link = link
+        self._bus = bus
+        self._us = us
+        self._lockstep = lockstep
+        self._handlers: dict[int, Handler] = {}
+        self._polls: dict[int, Handler] = {}
+        self._slow: set[int] = set()
+        self._ours: set[Hashable] = set()  # peers that know twodof's own messages
+        bus.subscribe(ClientRecognised, lambda known: self._ours.add(known.client.peer))
+        bus.subscribe(ClientLeft, lambda left: self._ours.discard(left.client.peer))
+        self._tick = 0
+        self.refused = 0
+        self.restart()
+
+    def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
+        """Registers who carries out a command.
+
+        A handler may answer IN_PROGRESS. Then `poll` is asked after each control period, until it gives another
+        result. In lockstep the client is told IN_PROGRESS, so that it lets time run. For a `slow` command, which may
+        take seconds, it is told so in real time too.
+        """
+        if slow:
+            self._slow.add(number)
+        self._handlers[number] = handler
+        if poll is not None:
+            self._polls[number] = poll
+
+    @property
+    def supported(self) -> tuple[int, ...]:
+        """The commands that are carried out."""
+        return tuple(sorted(self._handlers))
+
+    def handle(self, received: Received) -> bool:
+        """Carries a command out and answers."""
+        name = received.message.get_type()
+        if name not in ("COMMAND_LONG", "COMMAND_INT"):
+            return False
+        got, sender = received.message, source(received)
+        # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop.
+        from_others = sender != tuple(self._us) or _stops(got.command, got.param1)
+        if from_others and self._us.addressed(got, everybody=_for_everybody(got)):
+            last = (
+                (got.param5, got.param6, got.param7) if name == "COMMAND_LONG" else (float(got.x), float(got.y), got.z)
+            )
+            params = (got.param1, got.param2, got.param3, got.param4, *last)
+            command = ReceivedCommand(got.command, params, sender, received.peer)
+            self.acknowledge(command, self._carried_out(command, received))
+            self._bus.publish(CommandHandled())
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        self._tick = step.tick
+        if self._pending:
+            self.poll()
+
+    def poll(self) -> None:
+        """Answers what was in progress and is done."""
+        for what, (command, sequence) in [*self._pending.items()]:
+            result = self._polls[command.number](command)
+            if not result.in_progress:
+                del self._pending[what]
+                if result.accepted:
+                    self._repetitions.accepted(what, sequence, self._tick)
+                self.acknowledge(command, result)
+
+    def restart(self) -> None:
+        self._tick = 0
+        self._repetitions = DuplicateFilter(self._lockstep)
+        self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
+
+    def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
+        """Answers a command that was carried out, also one that came in another message."""
+        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
+            return
+        answer = message(
+            "COMMAND_ACK",
+            command=command.number,
+            result=result.result,
+            result_param2=result.reason,
+            **target(command.source),
+        )
+        self._link.send(answer, command.peer)
+        if not result.accepted and not result.in_progress:
+            # QGroundControl opens a message box for an error or worse; the others it only lists.
+            arms = command.number == MavCmd.COMPONENT_ARM_DISARM
+            self.explain(command.peer, result.text, MavSeverity.CRITICAL if arms else MavSeverity.WARNING)
+
+    def refuse(self, received: Received, result: CommandResult) -> None:
+        """Tell a sender, by code and in words, why its message was refused; for messages without an acknowledgement."""
+        if received.peer in self._ours:
+            code = {"message_id": received.frame.message_id, "reason": result.reason}
+            self._link.send(message("TWODOF_REFUSED", **code, **target(source(received))), received.peer)
+        self.explain(received.peer, result.text)
+
+    def explain(self, peer: Hashable, why: str, severity: MavSeverity = MavSeverity.WARNING) -> None:
+        """Tell a peer in words why something was refused."""
+        self.refused += 1
+        if not why:
+            return
+        self._bus.publish(TextSent(severity, why))
+        for piece in statustext(why, severity, self.refused % 0xFFFF + 1):
+            self._link.send(piece, peer)
+
+    def _carried_out(self, command: ReceivedCommand, received: Received) -> CommandResult:
+        handler = self._handlers.get(command.number)
+        if handler is None:
+            return unsupported()
+        what, sequence = command.what, received.frame.sequence
+        if what in self._pending:
+            return CommandResult(MavResult.IN_PROGRESS)
+        confirmation = getattr(received.message, "confirmation", 0)
+        # What stops motors is carried out as often as it comes: somebody may have armed in between.
+        if not _stops(command.number, command.params[0]) and self._repetitions.known(
+            what, confirmation, sequence, self._tick
+        ):
+            return DONE
+        result = handler(command)
+        if result.in_progress and command.number in self._polls:
+            self._pending[what] = command, sequence
+        elif result.accepted and command.number not in _ANSWERED_AGAIN:
+            self._repetitions.accepted(what, sequence, self._tick)
+        return result
+
+
+def _for_everybody(got: Any) -> bool:
+    """Whether all vehicles that hear a command to system 0 are to do it: those that ask, and those that stop motors.
+
+    As in PX4 nothing else: one careless client would arm a whole laboratory.
+    """
+    return got.command in _QUESTIONS or _stops(got.command, got.param1)
+
+
+def _stops(number: int, first: float) -> bool:
+    """Whether a command stops motors: a kill, or a disarming."""
+    if number == MavCmd.DO_FLIGHTTERMINATION:
+        return first > 0.5
+    return number == MavCmd.COMPONENT_ARM_DISARM and first == 0.0

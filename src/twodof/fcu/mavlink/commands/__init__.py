@@ -1,1 +1,0 @@
-"""Commands, set-points, excitations, the lease and lockstep over MAVLink."""

@@ -1,0 +1,382 @@
+"""Telemetry: every message that can be streamed or asked for, as of now.
+
+Axes are forward-right-down. North is along the rail: heading is 0 and x points north. What the rig cannot do (roll,
+yaw, sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/messages/common.html says.
+"""
+
+import time
+from collections.abc import Callable
+from math import cos, isfinite, nan, sin
+from typing import Any, NamedTuple
+
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.control.controllers import ControllerIdentity
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import SensorSample
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.service import MASK_32
+from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
+from twodof.link.mavlink.dialect import message_id
+from twodof.link.mavlink.messages import Packed, Packer
+from twodof.signals import OPEN_LOOP, POSITION, RATE, TICK_MS, TICK_US, VELOCITY
+
+LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT = 1, 12, 8
+PWM_OFF, PWM_LOW, PWM_SPAN = 900, 1000, 1000
+# Of POSITION_TARGET_TYPEMASK: only x, vx and afx of the rig are ever flown.
+_X, _VX, _AX, _ALWAYS = 1, 8, 64, 2 | 4 | 16 | 32 | 128 | 256 | 1024 | 2048
+_NO_ATTITUDE, _NO_PITCH_RATE = 128, 2
+
+LIPO, ALL_FUNCTIONS, CHARGE_OK, CHARGE_LOW, CHARGE_CRITICAL = 1, 1, 1, 2, 3
+UNKNOWN_16, UNKNOWN_SIGNED_16 = 0xFFFF, 0x7FFF
+LIFTED, GROUNDED = 2, 1
+"""MAV_LANDED_STATE."""
+
+
+class StepMessage(NamedTuple):
+    """A message, those of its fields that are not always 0, in the order of the wire, and their values at a step."""
+
+    name: str
+    fields: tuple[str, ...]
+    values: Callable[[ControlStep], tuple[Any, ...]]
+
+
+def boot_ms(step: ControlStep) -> int:
+    """time_boot_ms of a step."""
+    return step.tick * TICK_MS & MASK_32
+
+
+def quaternion(pitch: float) -> tuple[float, float, float, float]:
+    """Attitude (w, x, y, z) of a pitch [rad] alone; NaN where that is none."""
+    if not isfinite(pitch):
+        return nan, nan, nan, nan
+    return cos(pitch / 2.0), 0.0, sin(pitch / 2.0), 0.0
+
+
+def millivolts(voltage: float) -> int:
+    """A voltage [V] in whole mV, 65535 where it is unknown."""
+    return round(min(max(voltage, 0.0), 65.534) * 1000.0) if isfinite(voltage) else UNKNOWN_16
+
+
+def percent(charge: float) -> int:
+    """A charge from 0 to 1 in whole percent, -1 where it is unknown."""
+    return round(min(max(charge, 0.0), 1.0) * 100.0) if isfinite(charge) else -1
+
+
+def _odometry(s: ControlStep) -> tuple[Any, ...]:
+    """The pose in local NED, velocities in the body's axes, covariances unknown."""
+    unknown = (nan, *(0.0,) * 20)
+    tilt = s.theta if isfinite(s.theta) else nan
+    forward, down = s.v * cos(tilt), s.v * sin(tilt)
+    pose = s.tick * TICK_US, s.x, *quaternion(s.theta)
+    return *pose, forward, down, s.q, *unknown, *unknown, LOCAL_NED, BODY_FRD, ESTIMATOR_AUTOPILOT
+
+
+def _attitude_target(s: ControlStep) -> tuple[Any, ...]:
+    """The set-points in use, thrust from 0 to 1 (upwards positive, as in PX4)."""
+    mode = s.asked.mode
+    mask = _NO_ATTITUDE | _NO_PITCH_RATE if mode <= OPEN_LOOP else _NO_ATTITUDE if mode == RATE else 0
+    return boot_ms(s), *quaternion(s.theta0), s.q0, abs(s.T), mask
+
+
+def _position_target(s: ControlStep) -> tuple[Any, ...]:
+    """x0, v0 in use and the feed-forward; the mask says which of them is flown."""
+    mode = s.asked.mode
+    mask = _ALWAYS | (0 if mode == POSITION else _X | _AX) | (0 if mode in (VELOCITY, POSITION) else _VX)
+    return boot_ms(s), s.x0, s.v0, s.asked.ax0, mask, LOCAL_NED
+
+
+def _servo_output(s: ControlStep) -> tuple[Any, ...]:
+    """Pulse widths of PX4's quadrotor x, motors 1 and 3 in front; 900 us while disarmed."""
+
+    def width(command: float) -> int:
+        if not s.armed or not isfinite(command):
+            return PWM_OFF
+        return PWM_LOW + round(PWM_SPAN * min(max(command, 0.0), 1.0))
+
+    fore, aft = width(s.fore), width(s.aft)
+    return s.tick * TICK_US & MASK_32, fore, aft, fore, aft
+
+
+def _vfr_hud(s: ControlStep) -> tuple[Any, ...]:
+    """The speed along the rail, and thrust in percent."""
+    throttle = round(100.0 * min(abs(s.T), 1.0)) if isfinite(s.T) else 0
+    return nan, abs(s.v), throttle
+
+
+def _battery_status(s: ControlStep) -> tuple[Any, ...]:
+    """The voltage of the whole pack stands in the place of the first cell's, as MAVLink has it then."""
+    critical, low = (s.causes & BIT[name] for name in ("battery_critical", "battery_low"))
+    state = CHARGE_CRITICAL if critical else CHARGE_LOW if low else CHARGE_OK
+    cells = millivolts(s.sample.voltage), *(UNKNOWN_16,) * 9
+    return -1, -1, UNKNOWN_SIGNED_16, *cells, -1, ALL_FUNCTIONS, LIPO, percent(s.sample.charge), state
+
+
+def _landed_state(s: ControlStep) -> tuple[Any, ...]:
+    """In the air while the motors give thrust."""
+    return (LIFTED if s.armed and (s.fore > 0.0 or s.aft > 0.0) else GROUNDED,)
+
+
+def _estimator_status(s: ControlStep) -> tuple[Any, ...]:
+    """Attitude, position and velocity along the rail are estimated, as long as they are believed."""
+    lost = s.causes & (BIT["estimate_lost"] | BIT["imu_lost"])
+    return s.tick * TICK_US, 0 if lost else 1 if s.causes & BIT["range_lost"] else 1 | 2 | 8
+
+
+_Q = ("q1", "q2", "q3", "q4")
+_CELLS = ("current_consumed", "energy_consumed", "temperature", "voltages", "current_battery")
+_PACK = ("battery_function", "type", "battery_remaining", "charge_state")
+_POSE, _TWIST = ("time_usec", "x", "q"), ("vx", "vz", "pitchspeed")
+_FRAMES = ("pose_covariance", "velocity_covariance", "frame_id", "child_frame_id", "estimator_type")
+_SERVOS = tuple(f"servo{number}_raw" for number in range(1, 5))
+
+STEP_MESSAGES = (
+    StepMessage(
+        "ATTITUDE",
+        ("time_boot_ms", "pitch", "pitchspeed"),
+        lambda s: (boot_ms(s), s.theta, s.q),
+    ),
+    StepMessage(
+        "ATTITUDE_QUATERNION",
+        ("time_boot_ms", *_Q, "pitchspeed"),
+        lambda s: (boot_ms(s), *quaternion(s.theta), s.q),
+    ),
+    StepMessage("LOCAL_POSITION_NED", ("time_boot_ms", "x", "vx"), lambda s: (boot_ms(s), s.x, s.v)),
+    StepMessage("ODOMETRY", (*_POSE, *_TWIST, *_FRAMES), _odometry),
+    StepMessage("ATTITUDE_TARGET", ("time_boot_ms", "q", "body_pitch_rate", "thrust", "type_mask"), _attitude_target),
+    StepMessage(
+        "POSITION_TARGET_LOCAL_NED",
+        ("time_boot_ms", "x", "vx", "afx", "type_mask", "coordinate_frame"),
+        _position_target,
+    ),
+    StepMessage("SERVO_OUTPUT_RAW", ("time_usec", *_SERVOS), _servo_output),
+    StepMessage(  # what the mixer was given: M as pitch, T as thrust
+        "ACTUATOR_CONTROL_TARGET",
+        ("time_usec", "controls"),
+        lambda s: (s.tick * TICK_US, 0.0, s.M, 0.0, s.T, *(0.0,) * 4),
+    ),
+    StepMessage("VFR_HUD", ("airspeed", "groundspeed", "throttle"), _vfr_hud),
+    StepMessage("BATTERY_STATUS", (*_CELLS, *_PACK), _battery_status),
+    StepMessage("EXTENDED_SYS_STATE", ("landed_state",), _landed_state),
+    StepMessage("ESTIMATOR_STATUS", ("time_usec", "flags"), _estimator_status),
+)
+
+
+HEARTBEAT, HIGHRES_IMU, DISTANCE_SENSOR = 0, 105, 132
+OPENLOOP, TOF, RIG, LEASE, SAFETY = 54200, 54204, 54206, 54209, 54210
+"""Ids of messages."""
+
+QUADROTOR, PX4, VERSION = 2, 12, 3
+"""HEARTBEAT: MAV_TYPE_QUADROTOR, MAV_AUTOPILOT_PX4 and MAVLink's version."""
+
+# MAV_SYS_STATUS_SENSOR
+GYRO, ACCELEROMETER, RANGE, RATE_CONTROL, ATTITUDE_CONTROL, POSITION_CONTROL = 1, 2, 256, 1024, 2048, 16384
+MOTORS, AHRS, BATTERY, PREARM = 32768, 2097152, 33554432, 268435456
+PRESENT = (
+    GYRO | ACCELEROMETER | RANGE | RATE_CONTROL | ATTITUDE_CONTROL | POSITION_CONTROL | MOTORS | AHRS | BATTERY | PREARM
+)
+FENCE = 1048576
+"""There is none; said to be sound, as MAVProxy takes one that is neither there nor sound for breached."""
+UNHEALTHY: tuple[tuple[int, int], ...] = (
+    (BIT["imu_lost"], GYRO | ACCELEROMETER),
+    (BIT["range_lost"], RANGE),
+    (BIT["estimate_lost"], AHRS),
+    (BIT["own_failed"] | BIT["command_stuck"] | BIT["command_lost"], RATE_CONTROL | ATTITUDE_CONTROL),
+    (BIT["battery_low"] | BIT["battery_critical"], BATTERY),
+)
+"""Causes of the failsafe, and what SYS_STATUS calls unhealthy while they hold."""
+
+ON_THE_GROUND = BIT["not_idle"] | BIT["tilted"]
+"""Causes that keep from arming, and in flight are as they should be."""
+
+IMU_FIELDS = 0x3F
+"""HIGHRES_IMU_UPDATED_FLAGS of accelerometer and gyro; there is neither compass nor barometer."""
+ABSENT = ("xmag", "ymag", "zmag", "abs_pressure", "diff_pressure", "pressure_alt", "temperature")
+RANGE_CM = (2, 120)
+"""Least and largest range that DISTANCE_SENSOR announces; the rail's are 10 to 90 cm."""
+LONGEST_CM = 0xFFFF
+BACKWARD = 4
+"""MAV_SENSOR_ROTATION_YAW_180: the range grows as the cart goes forward."""
+UNKNOWN_VARIANCE = 0xFF
+OLDEST_S = 10.0
+
+RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
+"""TWODOF_RIG_FLAG."""
+SEED_MASK = 0xFFFFFFFFFFFFFFFF
+NOBODY = (0, 0)
+
+
+def hindering(step: ControlStep) -> int:
+    """The causes that would keep from arming, or in flight are not as they should be."""
+    return step.causes & ~ON_THE_GROUND if step.armed else step.causes
+
+
+def health(causes: int) -> int:
+    """onboard_control_sensors_health for a mask of causes."""
+    sound = PRESENT | FENCE
+    for bits, sensors in UNHEALTHY:
+        if causes & bits:
+            sound &= ~sensors
+    return sound & ~PREARM if causes else sound
+
+
+def deciding(reason: int) -> int:
+    """Which cause of a mask decides: the place of the one that asks for the strongest action, -1 if there is none."""
+    places = [place for place in range(len(CAUSES)) if reason >> place & 1]
+    return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
+
+
+class TelemetryEncoders:
+    """The latest step, and an encoder for each of `messages`, by message id.
+
+    A sensor's message tells of the last sample, at that sample's own time. `news` has the tick of that sample, -1: none
+    yet, so that none is sent twice. `lost` counts messages that clients did not take. `truth` is the virtual rig's
+    state, None for a real one: it comes from the rig, past everything on board.
+    """
+
+    def __init__(
+        self,
+        controller: FlightController,
+        commander: Commander,
+        identity: Callable[[], ControllerIdentity] = ControllerIdentity,
+        lost: Callable[[], int] = lambda: 0,
+        truth: Callable[[], tuple[float, float, float, float]] | None = None,
+    ) -> None:
+        self._controller, self._commander = controller, commander
+        self._identity, self._lost = identity, lost
+        self._encoders: dict[int, Callable[[], Any | None]] = {}
+        self.messages = self._encoders.keys()
+        self.news: dict[int, int] = {}
+        self.restart()
+        for row in (*STEP_MESSAGES, *self._judged()):
+            self._add_of_step(row)
+        self._add("HEARTBEAT", self._heartbeat)
+        self._add("SYSTEM_TIME", lambda: (time.time_ns() // 1000, controller.tick * TICK_MS & MASK_32))
+        # The middle of the rail. A rig indoors has no place on the globe: latitude and longitude are 0.
+        self._add("HOME_POSITION", lambda: (1.0, 0.0, 0.0, 0.0), "q")
+        imu = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
+        self._add("HIGHRES_IMU", self._highres_imu, "time_usec", *imu, *ABSENT, "fields_updated")
+        distances = ("min_distance", "max_distance", "current_distance")
+        self._add("DISTANCE_SENSOR", self._distance_sensor, "time_boot_ms", *distances, "orientation", "covariance")
+        self._add("TWODOF_TOF", self._tof)
+        self._pack_rig = Packer("TWODOF_RIG")
+        self.add("TWODOF_RIG", self.rig)
+        self._add("TWODOF_TIMING", self._timing)
+        self._add("TWODOF_LEASE", self._lease, "duration_ms", "holder_system", "holder_component", "tuning_withheld")
+        self._add("TWODOF_OPENLOOP", self._openloop, "tick", "M", "T", "openloop", "enableM", "enableT")
+        if truth is not None:
+            self._add("TWODOF_TRUTH", lambda: (controller.tick * TICK_US, *truth(), controller.tick & MASK_32))
+
+    def add(self, name: str, encode: Callable[[], Any | None]) -> None:
+        """Another message that can be streamed and asked for."""
+        self._encoders[message_id(name)] = encode
+
+    def message(self, number: int) -> Any | None:
+        """A message of `messages` as of now; None if nothing of the kind was measured yet."""
+        return self._encoders[number]()
+
+    def restart(self) -> None:
+        """Time begins anew: nothing was measured yet."""
+        self._step: ControlStep | None = None
+        self._imu: SensorSample | None = None
+        self._range: SensorSample | None = None
+        self._since, self._action = 0, -1
+        self.news.update(dict.fromkeys((HIGHRES_IMU, DISTANCE_SENSOR, TOF), -1))
+
+    def observe(self, step: ControlStep) -> None:
+        """Takes a step over."""
+        self._step, sample = step, step.sample
+        if sample.imu_new:
+            self._imu = sample
+            self.news[HIGHRES_IMU] = step.tick
+        if sample.dist_new:
+            self._range = sample
+            self.news[DISTANCE_SENSOR] = self.news[TOF] = step.tick
+        if step.action != self._action:
+            self._action, self._since = step.action, step.tick
+
+    def rig(self, on_top: int = 0) -> Packed:
+        """TWODOF_RIG, with flags that come on top."""
+        controller, what = self._controller, self._identity()
+        hardware, tick = controller.hardware, controller.tick & MASK_32
+        flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
+        flags |= on_top | (VIRTUAL if hardware.virtual else 0) | (LOCKSTEP if controller.lockstep else 0)
+        names = hardware.name.encode()[:16], what.controller.encode()[:24]
+        return self._pack_rig(
+            hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as, what.changed
+        )
+
+    def _add(self, name: str, values: Callable[[], tuple[Any, ...] | None], *fields: str) -> None:
+        pack = Packer(name, *fields)
+
+        def encode() -> Packed | None:
+            given = values()
+            return None if given is None else pack(*given)
+
+        self.add(name, encode)
+
+    def _add_of_step(self, row: StepMessage) -> None:
+        self._add(row.name, lambda: None if self._step is None else row.values(self._step), *row.fields)
+
+    def _judged(self) -> tuple[StepMessage, ...]:
+        """Messages of a step and of more than that."""
+        sensors = tuple(f"onboard_control_sensors_{part}" for part in ("present", "enabled", "health"))
+        power = ("load", "voltage_battery", "current_battery", "battery_remaining")
+        return (
+            StepMessage("SYS_STATUS", (*sensors, *power), self._sys_status),
+            StepMessage("TWODOF_SAFETY", (), self._safety),
+        )
+
+    def _sys_status(self, s: ControlStep) -> tuple[Any, ...]:
+        """The load is the part of a control period that a step takes. No current is measured."""
+        load = round(min(max(self._controller.timing.step_mean / TICK_US, 0.0), 1.0) * 1000.0)
+        volts, charge = millivolts(s.sample.voltage), percent(s.sample.charge)
+        return PRESENT, PRESENT, health(hindering(s)), load, volts, -1, charge
+
+    def _safety(self, s: ControlStep) -> tuple[Any, ...]:
+        killed_by = self._commander.arming.killed_by
+        killed = (0, 0, 0) if killed_by is None else (1, *killed_by)
+        return s.tick & MASK_32, self._since & MASK_32, s.causes & MASK_32, s.action, deciding(s.reason), *killed
+
+    def _heartbeat(self) -> tuple[Any, ...]:
+        now = self._commander
+        return now.custom_mode, QUADROTOR, PX4, now.base_mode, now.system_status, VERSION
+
+    def _highres_imu(self) -> tuple[Any, ...] | None:
+        """Accelerometer and gyro; the sensors that do not exist are NaN."""
+        if self._imu is None:
+            return None
+        return self.news[HIGHRES_IMU] * TICK_US, *self._imu[:6], *(nan,) * len(ABSENT), IMU_FIELDS
+
+    def _distance_sensor(self) -> tuple[Any, ...] | None:
+        """The range in whole centimetres."""
+        if self._range is None:
+            return None
+        dist = self._range.dist
+        centimetres = round(min(max(dist * 100.0, 0.0), float(LONGEST_CM))) if isfinite(dist) else LONGEST_CM
+        stamp = self._range_us(self._range) // 1000 & MASK_32
+        return stamp, *RANGE_CM, centimetres, BACKWARD, UNKNOWN_VARIANCE
+
+    def _tof(self) -> tuple[Any, ...] | None:
+        """The range, not rounded."""
+        if self._range is None:
+            return None
+        dist = self._range.dist
+        return self._range_us(self._range), self.news[TOF] & MASK_32, dist, int(isfinite(dist))
+
+    def _range_us(self, sample: SensorSample) -> int:
+        """When the range was measured [us]."""
+        late = round(sample.dist_age * 1e6) if 0.0 <= sample.dist_age <= OLDEST_S else 0
+        return max(0, self.news[TOF] * TICK_US - late)
+
+    def _timing(self) -> tuple[Any, ...]:
+        now = self._controller.timing
+        counts = now.overruns, now.missed, self._lost() & MASK_32
+        return self._controller.tick & MASK_32, *counts, now.step_mean, now.step_worst, now.late_worst
+
+    def _lease(self) -> tuple[Any, ...]:
+        now = self._commander.lease
+        return min(now.left * TICK_MS, MASK_32), *(now.holder or NOBODY), int(now.tuning_withheld)
+
+    def _openloop(self) -> tuple[Any, ...]:
+        now = self._commander.openloop
+        return now.tick & MASK_32, now.M, now.T, int(now.openloop), int(now.enableM), int(now.enableT)

@@ -1,0 +1,286 @@
+"""The files that clients see by MAVLink FTP: a tree of folders, and no way out of it; the descriptions among them.
+
+A path is looked up, never handed to the system: `/etc/extras` holds what is made here, descriptions of parameters
+and the diagrams that fly, `/log` the on-board logs, `/controllers` the diagrams that clients have sent. All is
+bounded. Called from the thread of `Background`.
+
+COMPONENT_METADATA names the general file, which names the other. Sources: MAVLink guide, "Component Metadata
+Protocol"; schemas general and parameter, version 1.
+"""
+
+import json
+import os
+import re
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from twodof.errors import LogError
+from twodof.fcu.mavlink.service import MASK_32
+from twodof.fcu.onboard_log.log_writer import LogFolder
+from twodof.fcu.parameters.parameter_store import ParametersRelisted, ParameterStore
+from twodof.fcu.parameters.table import VehicleParameter
+from twodof.flightlog.atomic import atomic_write, make_folder, sync_folder
+from twodof.link.mavlink.ftp import FtpError
+from twodof.link.mavlink.messages import message
+
+EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
+MAX_UPLOAD = 8 << 20
+"""Bytes of a diagram: what the loader of diagrams reads."""
+MOST_UPLOADS = 32
+_UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
+_CARD = "/fs/microsd"
+"""Where PX4 has the card: /fs/microsd/log is /log here."""
+_PIECE = 1 << 20
+
+
+class FileFault(LogError):
+    """A file cannot be had or written; `code` is the error of MAVLink FTP."""
+
+    def __init__(self, code: FtpError, what: str, where: str = "") -> None:
+        super().__init__(what, where)
+        self.code = code
+
+
+class OpenFile:
+    """A file that is read: bytes, or an open descriptor with the size that it had then."""
+
+    def __init__(self, content: bytes | int, size: int) -> None:
+        self.size = size
+        self._content = content
+
+    def read(self, offset: int, count: int) -> bytes:
+        """At most `count` bytes from `offset`; none behind the end. Raises OSError."""
+        count = min(count, self.size - offset)
+        if count <= 0:
+            return b""
+        if isinstance(self._content, bytes):
+            return self._content[offset : offset + count]
+        return os.pread(self._content, count, offset)
+
+    def close(self) -> None:
+        """Lets the file go; a second time does nothing."""
+        content, self._content = self._content, b""
+        if isinstance(content, int):
+            with suppress(OSError):
+                os.close(content)
+
+
+class FolderEntry(NamedTuple):
+    """A line of a listing; `size` of a file, None for a folder."""
+
+    name: str
+    size: int | None
+
+
+class FileTree:
+    """The tree of files; without `logs` or `controllers` that folder is missing.
+
+    `made` gives the files in /etc/extras by name.
+    """
+
+    def __init__(
+        self, made: Callable[[], Mapping[str, bytes]], logs: LogFolder | None = None, controllers: Path | None = None
+    ) -> None:
+        self._made = made
+        self._logs = logs
+        self._controllers = controllers
+
+    def entries(self, path: str) -> list[FolderEntry]:
+        """What is in a folder, sorted by name. Raises FileFault."""
+        place = _normal(path)
+        folders = [EXTRAS, *((LOGS,) if self._logs else ()), *((CONTROLLERS,) if self._controllers else ())]
+        inside = {folder[len(place) :].lstrip("/").split("/")[0] for folder in folders if _below(folder, place)}
+        if inside:
+            return [FolderEntry(name, None) for name in sorted(inside)]
+        if place not in folders:
+            raise FileFault(FtpError.NOT_FOUND, "no such folder", place)
+        if place == EXTRAS:
+            return [FolderEntry(name, len(content)) for name, content in sorted(self._made().items())]
+        if place == LOGS and self._logs is not None:
+            return [FolderEntry(log.path.name, log.size) for log in self._logs.logs()]
+        return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
+
+    def open(self, path: str) -> OpenFile:
+        """A file to be read. Raises FileFault."""
+        folder, _, name = _normal(path).rpartition("/")
+        content = self._made().get(name) if folder == EXTRAS else None
+        if content is not None:
+            return OpenFile(content, len(content))
+        found = self._find(folder, name)
+        try:
+            descriptor = os.open(found, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        except OSError as refusal:
+            raise FileFault(FtpError.NOT_FOUND, f"cannot be read: {refusal.strerror}", path) from refusal
+        return OpenFile(descriptor, os.fstat(descriptor).st_size)
+
+    def checksum(self, path: str) -> int:
+        """The checksum of a file as MAVLink FTP defines it: CRC-32 begun with 0 and not inverted. Raises FileFault."""
+        file = self.open(path)
+        try:
+            crc, at = 0, 0
+            while piece := file.read(at, _PIECE):
+                crc, at = mavlink_crc32(piece, crc), at + len(piece)
+            return crc
+        finally:
+            file.close()
+
+    def check_upload(self, path: str) -> Path:
+        """Where an upload to `path` goes. Raises FileFault for a place where none may go."""
+        folder, _, name = _normal(path).rpartition("/")
+        if folder != CONTROLLERS or self._controllers is None:
+            raise FileFault(FtpError.PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
+        if not _UPLOADED.fullmatch(name):
+            raise FileFault(FtpError.PROTECTED, "a diagram is called NAME.json, of letters, digits, _ and -", path)
+        there = {one.name for one in self._uploads()}
+        if name not in there and len(there) >= MOST_UPLOADS:
+            raise FileFault(FtpError.FAIL, f"{MOST_UPLOADS} diagrams are there, remove one", path)
+        return self._controllers / name
+
+    def upload(self, path: str, content: bytes) -> None:
+        """Writes an upload, whole or not at all. Raises FileFault, LogError."""
+        target = self.check_upload(path)
+        try:
+            make_folder(target.parent)
+        except OSError as refusal:
+            raise FileFault(FtpError.FAIL, f"cannot be written: {refusal.strerror}", path) from refusal
+        if target.is_symlink():
+            raise FileFault(FtpError.PROTECTED, "is a link", path)
+        with atomic_write(target) as file:
+            file.write(content)
+
+    def remove(self, path: str) -> None:
+        """Deletes an upload, on the disk too when it returns. Raises FileFault, LogError."""
+        folder, _, name = _normal(path).rpartition("/")
+        if folder != CONTROLLERS:
+            raise FileFault(FtpError.PROTECTED, "only diagrams in /controllers are removed", path)
+        found = self._find(folder, name)
+        try:
+            found.unlink()
+        except OSError as refusal:
+            raise FileFault(FtpError.FAIL, f"cannot be removed: {refusal.strerror}", path) from refusal
+        sync_folder(found.parent)
+
+    def _find(self, folder: str, name: str) -> Path:
+        if folder == LOGS and self._logs is not None:
+            for log in self._logs.logs():
+                if log.path.name == name:
+                    return log.path
+        if folder == CONTROLLERS:
+            for path in self._uploads():
+                if path.name == name:
+                    return path
+        raise FileFault(FtpError.NOT_FOUND, "no such file", f"{folder}/{name}")
+
+    def _uploads(self) -> list[Path]:
+        if self._controllers is None or not self._controllers.is_dir():
+            return []
+        found = [path for path in self._controllers.iterdir() if _UPLOADED.fullmatch(path.name)]
+        return sorted(path for path in found if path.is_file() and not path.is_symlink())
+
+
+def mavlink_crc32(data: bytes, crc: int = 0) -> int:
+    """CRC-32 as MAVLink FTP and PX4 compute it: zlib's polynomial, begun with 0, not inverted."""
+    return zlib.crc32(data, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
+
+
+def _below(folder: str, place: str) -> bool:
+    return folder != place and folder.startswith(place if place.endswith("/") else f"{place}/")
+
+
+def _normal(path: str) -> str:
+    """A path from the root, without a slash at its end; `..` is refused, empty names are left out. Raises FileFault."""
+    names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
+    if ".." in names or "\0" in path:
+        raise FileFault(FtpError.NOT_FOUND, "no such file", path[:100])
+    return "/" + "/".join(names)
+
+
+GENERAL, PARAMETERS = "component_general.json", "parameters.json"
+_PARAMETER_TYPE = 1
+"""COMP_METADATA_TYPE_PARAMETER."""
+_KINDS = MappingProxyType({"int32": "Int32", "float": "Float"})
+
+
+class Metadata:
+    """The files that describe the vehicle, and the answer to a request for COMPONENT_METADATA.
+
+    `files`, by name, describe the parameters, and hold the users' diagrams that fly. They are made from
+    `store`, and made anew when other parameters are listed there.
+    """
+
+    def __init__(self, store: ParameterStore, time_boot_ms: Callable[[], int] = lambda: 0) -> None:
+        self.files = self._made(store)
+        self._time_boot_ms = time_boot_ms
+        store.bus.subscribe(ParametersRelisted, lambda _: self._renew(store))
+
+    def _renew(self, store: ParameterStore) -> None:
+        self.files = self._made(store)
+
+    @staticmethod
+    def _made(store: ParameterStore) -> Mapping[str, bytes]:
+        diagrams = {f"{one.kind}.json": one.text.encode() for one in store.carried}
+        return MappingProxyType({**metadata_files(store.rows), **diagrams})
+
+    def message(self, _command: object = None) -> Iterable[Any]:
+        """COMPONENT_METADATA."""
+        crc = mavlink_crc32(self.files[GENERAL])
+        return [
+            message(
+                "COMPONENT_METADATA",
+                time_boot_ms=self._time_boot_ms() & MASK_32,
+                file_crc=crc,
+                uri=_uri(GENERAL).encode(),
+            )
+        ]
+
+
+def metadata_files(rows: Sequence[VehicleParameter]) -> Mapping[str, bytes]:
+    """The files by name, made of the parameters `rows`."""
+    parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
+    described = {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)}
+    return MappingProxyType({GENERAL: _json({"version": 1, "metadataTypes": [described]}), PARAMETERS: parameters})
+
+
+def _parameter(row: VehicleParameter) -> dict[str, Any]:
+    text = row.text if row.user_path else row.text[0].upper() + row.text[1:] if row.text else row.name
+    made: dict[str, Any] = {
+        "name": row.name,
+        "type": _KINDS[row.kind],
+        "shortDesc": text,
+        "units": row.unit,
+        "default": row.kept(row.default),
+        "group": row.group,
+        "category": "Standard" if row.acts else "Developer",
+        "rebootRequired": row.reboot,
+        "readOnly": row.fixed,
+    }
+    if row.bounded:
+        made |= {"min": row.kept(row.low), "max": row.kept(row.high)}
+    if row.user_path:
+        made["path"] = row.user_path  # no key of the schema's, which allows others: by this our own clients find it
+    if said := _conditions(row):
+        made["longDesc"] = said
+    if row.kind == "float":
+        made["decimalPlaces"] = 6
+    return made
+
+
+def _conditions(row: VehicleParameter) -> str:
+    said = [f"Another name of {row.of}."] if row.of else []
+    if row.fixed:
+        said.append("Fixed.")
+    elif row.disarmed:
+        said.append("Changed only while disarmed.")
+    return " ".join(said)
+
+
+def _uri(name: str) -> str:
+    return f"mftp://{EXTRAS}/{name}"
+
+
+def _json(content: object) -> bytes:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).encode()

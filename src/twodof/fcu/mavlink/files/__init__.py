@@ -1,1 +1,0 @@
-"""Files over MAVLink: FTP, component metadata and log download."""

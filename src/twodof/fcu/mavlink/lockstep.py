@@ -1,0 +1,119 @@
+"""Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK says how far it has; TWODOF_RIG_RESET begins again."""
+
+from bisect import insort
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+from twodof.errors import Refusal, TwodofError
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.command.result import DONE, CommandResult, denied, unsupported
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, meant, source
+from twodof.link.connection import Received
+from twodof.link.mavlink.messages import message
+
+REFUSED_FLAG = 16
+"""TWODOF_RIG_FLAG_REFUSED."""
+
+MOST_SEEDS = 2**32
+MOST_GRANTS = 256
+"""Grants that wait for their answer; of more the earliest are answered by the last."""
+
+
+class Grant(NamedTuple):
+    """One that is not answered yet."""
+
+    until: int
+    number: int
+    peer: Hashable
+
+
+class LockstepService(Service):
+    """Grants ticks, and answers when they have run. Last among the services, so that its answer comes after all else.
+
+    `rig` makes the TWODOF_RIG that answers a reset, with these flags added.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        us: VehicleAddress,
+        controller: FlightController,
+        commander: Commander,
+        refuse: Refuse,
+        rig: Callable[[int], Any],
+    ) -> None:
+        self._link = link
+        self._us = us
+        self._controller = controller
+        self._commander = commander
+        self._refuse = refuse
+        self._rig = rig
+        self._waiting: list[Grant] = []
+
+    def handle(self, received: Received) -> bool:
+        """Takes grants and resets."""
+        got, name = received.message, received.message.get_type()
+        if name not in ("TWODOF_GRANT", "TWODOF_RIG_RESET"):
+            return False
+        if self._us.addressed(got) and source(received) != tuple(self._us):
+            if name == "TWODOF_GRANT":
+                self._grant(received)
+            else:
+                self._reset(received)
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        while self._waiting and self._controller.tick >= self._waiting[0].until:
+            grant = self._waiting.pop(0)
+            self._answer(grant.number, grant.peer)
+
+    def restart(self) -> None:
+        while self._waiting:  # what was granted is void, and answered
+            grant = self._waiting.pop(0)
+            self._answer(grant.number, grant.peer)
+
+    def gone(self, peer: Hashable) -> None:
+        self._waiting = [grant for grant in self._waiting if grant.peer != peer]
+
+    def _grant(self, received: Received) -> None:
+        got, controller = received.message, self._controller
+        if not controller.lockstep:
+            self._refuse(received, unsupported("grant refused: time runs by itself"))
+            return
+        result = self._commander.lease.take(source(received), "grant")
+        if result.accepted:
+            until = meant(got.until, controller.tick)
+            controller.grant(until)
+            grant = Grant(min(until, controller.granted), got.number, received.peer)
+            if grant.until <= controller.tick:
+                self._answer(grant.number, grant.peer)
+            elif len(self._waiting) < MOST_GRANTS:
+                insort(self._waiting, grant, key=lambda one: one.until)
+        else:
+            self._refuse(received, result)
+            self._answer(got.number, received.peer)
+
+    def _answer(self, number: int, peer: Hashable) -> None:
+        controller = self._controller
+        until = max(controller.granted, controller.tick) & MASK_32
+        self._link.send(message("TWODOF_TICK", tick=controller.tick & MASK_32, until=until, number=number), peer)
+
+    def _reset(self, received: Received) -> None:
+        result = self._commander.lease.take(source(received), "reset")
+        if result.accepted:
+            result = self._begin_again(received.message)
+        if not result.accepted:
+            self._refuse(received, result)
+        self._link.send(self._rig(0 if result.accepted else REFUSED_FLAG), received.peer)
+
+    def _begin_again(self, got: Any) -> CommandResult:
+        if got.seed >= MOST_SEEDS:
+            return denied(f"reset refused: seed {got.seed} is above {MOST_SEEDS - 1}", Refusal.INVALID)
+        try:
+            self._controller.reset(got.seed, got.x, got.noise, got.rings != 0)
+        except TwodofError as reason:
+            code = Refusal.ARMED if self._commander.armed else Refusal.INVALID
+            return denied(f"reset refused: {reason}", code)
+        return DONE

@@ -1,0 +1,161 @@
+"""Requests for one message, by command 512 and older ones; versions, and the missions that there are not."""
+
+import hashlib
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import Any
+
+import twodof
+from twodof.fcu.command.result import DONE, CommandResult, denied, rejected, unsupported
+from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
+from twodof.fcu.mavlink.encoders import TelemetryEncoders
+from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target, whole
+from twodof.link.connection import Received
+from twodof.link.mavlink import dialect
+from twodof.link.mavlink.dialect import message_id
+from twodof.link.mavlink.enums import MavCmd
+from twodof.link.mavlink.messages import message
+
+OLD_FORMS = {
+    MavCmd.GET_HOME_POSITION: "HOME_POSITION",
+    MavCmd.REQUEST_PROTOCOL_VERSION: "PROTOCOL_VERSION",
+    MavCmd.REQUEST_AUTOPILOT_CAPABILITIES: "AUTOPILOT_VERSION",
+}
+
+Builder = Callable[[ReceivedCommand], Iterable[Any] | None]
+
+
+class MessageRequests:
+    """Answers a request with what a builder registered for the message gives, or with a stream's message as of now."""
+
+    def __init__(self, link: Link, commands: CommandService, telemetry: TelemetryEncoders) -> None:
+        self._link = link
+        self._telemetry = telemetry
+        self._builders: dict[int, Builder] = {}
+        commands.on(MavCmd.REQUEST_MESSAGE, lambda command: self._send(whole(command.params[0], -1), command))
+        for command, name in OLD_FORMS.items():
+            commands.on(command, partial(self._send_old, message_id(name)))
+
+    def on(self, name: str, builder: Builder) -> None:
+        """Registers who gives a message; None from it says that the request's other parameters make no sense."""
+        self._builders[message_id(name)] = builder
+
+    @property
+    def supported(self) -> tuple[int, ...]:
+        """Ids of the messages that are given."""
+        return tuple(sorted({*self._builders, *self._telemetry.messages}))
+
+    def _send_old(self, number: int, command: ReceivedCommand) -> CommandResult:
+        # Their first parameter is 1 or left out; the others, which a builder may read, do not exist.
+        return self._send(number, command._replace(params=(float(number), *(0.0,) * 6)))
+
+    def _send(self, number: int, command: ReceivedCommand) -> CommandResult:
+        builder = self._builders.get(number)
+        built: Iterable[Any] | None
+        if builder is not None:
+            built = builder(command)
+        elif number in self._telemetry.messages:
+            now = self._telemetry.message(number)
+            if now is None:
+                return rejected("nothing was measured yet: let time run")
+            built = [now]
+        else:
+            return unsupported()
+        if built is None:
+            return denied()
+        for one in built:
+            self._link.send(one, command.peer)
+        return DONE
+
+
+CAPABILITIES = (
+    *("MISSION_INT", "PARAM_FLOAT", "COMMAND_INT", "PARAM_ENCODE_BYTEWISE", "FTP", "MAVLINK2"),
+    *("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "FLIGHT_TERMINATION"),
+)
+"""MAV_PROTOCOL_CAPABILITY: only what there is."""
+PX4_VERSION = (1, 16, 1)
+"""The PX4 whose protocol is spoken: clients of PX4 choose what they do by this number."""
+OFFICIAL = 255
+"""FIRMWARE_VERSION_TYPE_OFFICIAL."""
+
+
+def packed_version(major: int, minor: int, patch: int) -> int:
+    """A version as MAVLink packs it."""
+    return major << 24 | minor << 16 | patch << 8 | OFFICIAL
+
+
+class VersionService:
+    """Answers requests for the two messages; `system` and `name` make the unique number of this vehicle."""
+
+    def __init__(self, requests: MessageRequests, system: int, name: str) -> None:
+        digest = hashlib.sha256(f"twodof {system} {name}".encode()).digest()
+        self.uid2 = digest[:18]
+        self.uid = int.from_bytes(digest[:8], "little") | 1  # 0 means that there is none
+        requests.on("AUTOPILOT_VERSION", self._autopilot)
+        # MAVLink 2 alone is sent; of the specification and of the library there is no hash to give.
+        speaks = message("PROTOCOL_VERSION", version=200, min_version=200, max_version=200)
+        requests.on("PROTOCOL_VERSION", lambda _: [speaks])
+
+    def _autopilot(self, _command: object) -> Iterable[Any]:
+        own = (int(part) for part in twodof.__version__.split(".")[:3])
+        return [
+            message(
+                "AUTOPILOT_VERSION",
+                capabilities=sum(getattr(dialect.load(), f"MAV_PROTOCOL_CAPABILITY_{name}") for name in CAPABILITIES),
+                flight_sw_version=packed_version(*PX4_VERSION),
+                middleware_sw_version=packed_version(*own),
+                flight_custom_version=b"twodof\0\0",
+                uid=self.uid,
+                uid2=self.uid2,
+            )
+        ]
+
+
+ACCEPTED, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE = 0, 3, 4, 13
+"""MAV_MISSION_RESULT."""
+TYPES, ALL = (0, 1, 2), 255
+"""MAV_MISSION_TYPE: mission, fence, rally points; and all of these."""
+NO_MISSION = 1
+"""MISSION_STATE."""
+
+ANSWERED = frozenset(
+    {
+        *("MISSION_REQUEST_LIST", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT", "MISSION_ACK"),
+        *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ITEM_INT"),
+    }
+)
+
+
+class MissionService(Service):
+    """An empty mission, fence and list of rally points; a client that wants to store one is told of no space."""
+
+    def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, requests: MessageRequests) -> None:
+        self._link = link
+        self._us = us
+        self._current = message("MISSION_CURRENT", seq=0, total=0, mission_state=NO_MISSION)
+        commands.on(MavCmd.MISSION_START, lambda _command: denied("there is no mission"))
+        requests.on("MISSION_CURRENT", lambda _command: [self._current])
+
+    def handle(self, received: Received) -> bool:
+        """Answers every message about missions, but the end of a transfer."""
+        name = received.message.get_type()
+        if name in ANSWERED and name != "MISSION_ACK" and self._us.addressed(received.message):
+            self._link.send(self._answer(name, received), received.peer)
+        return name in ANSWERED
+
+    def _answer(self, name: str, received: Received) -> Any:
+        if name == "MISSION_SET_CURRENT":
+            return self._current
+        got = received.message
+        there = {**target(source(received)), "mission_type": got.mission_type}
+        known = got.mission_type in TYPES or (name == "MISSION_CLEAR_ALL" and got.mission_type == ALL)
+        if name == "MISSION_REQUEST_LIST" and known:
+            return message("MISSION_COUNT", count=0, **there)
+        result = INVALID_SEQUENCE  # there is no item to be read or written
+        if not known:
+            result = UNSUPPORTED
+        elif name == "MISSION_CLEAR_ALL" or (name == "MISSION_COUNT" and not got.count):  # storing nothing is possible
+            result = ACCEPTED
+        elif name == "MISSION_COUNT":
+            result = NO_SPACE
+        return message("MISSION_ACK", type=result, **there)

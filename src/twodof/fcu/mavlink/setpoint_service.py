@@ -1,0 +1,233 @@
+"""Set-points by message, stick and open loop; excitations in pieces, their start, stop and state."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from math import isnan
+from typing import Any, NamedTuple
+
+from twodof.errors import Refusal
+from twodof.fcu.command import result
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.command.excitation_player import DONE, RECEIVING, REFUSED, SampledExcitation, prepare
+from twodof.fcu.command.result import CommandResult, Source, denied
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.background import BackgroundWorker
+from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, acts_at, acts_at_ms, source
+from twodof.link.connection import Received
+from twodof.link.mavlink.messages import ExcitationReceiver, message
+from twodof.link.mavlink.setpoints import SetPoint, read_attitude, read_position
+
+TOLD_TICKS = 250
+"""A refusal is told in words once a second at most to each source; all are counted."""
+MOST_TOLD = 16
+"""Sources that are told in a second; a flood under ever new numbers costs no more words."""
+
+FULL_STICK = 1000
+"""MANUAL_CONTROL's largest value."""
+
+
+class SetpointService(Service):
+    """Hands set-points to the commander, and tells a client why one is refused.
+
+    In lockstep `time_boot_ms` names the tick at which one acts; in real time it is a clock that nobody knows, and it
+    acts at once.
+    """
+
+    def __init__(self, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
+        self._us = us
+        self._commander = commander
+        self._refuse = refuse
+        self._tick = 0
+        self._told: OrderedDict[Source, int] = OrderedDict()  # when each was told last, the oldest first
+        self._readers: dict[str, Callable[[Any, Source], CommandResult]] = {
+            "SET_ATTITUDE_TARGET": lambda got, sender: self._target(read_attitude(got), got, sender),
+            "SET_POSITION_TARGET_LOCAL_NED": lambda got, sender: self._target(read_position(got), got, sender),
+            "TWODOF_OPENLOOP": self._open_loop,
+            "MANUAL_CONTROL": self._sticks,
+        }
+
+    def handle(self, received: Received) -> bool:
+        """Takes a set-point."""
+        got, sender = received.message, source(received)
+        read = self._readers.get(got.get_type())
+        if read is None:
+            return False
+        ours = got.target in (self._us.system, 0) if read == self._sticks else self._us.addressed(got, everybody=True)
+        if ours and sender != tuple(self._us):
+            result = read(got, sender)
+            if not result.accepted and self._may_tell(sender):
+                self._refuse(received, result)
+        return True
+
+    def after(self, step: ControlStep) -> None:
+        self._tick = step.tick
+
+    def restart(self) -> None:
+        self._tick = 0
+        self._told.clear()
+
+    def _may_tell(self, sender: Source) -> bool:
+        """Whether it was not told just now, and not too many others were."""
+        while self._told and self._tick - next(iter(self._told.values())) >= TOLD_TICKS:
+            self._told.popitem(last=False)
+        if sender in self._told or len(self._told) >= MOST_TOLD:
+            return False
+        self._told[sender] = self._tick
+        return True
+
+    def _target(self, setpoint: SetPoint | None, got: Any, sender: Source) -> CommandResult:
+        if setpoint is None:
+            return self._commander.refuse(Refusal.NOTHING, "it asks for nothing that is flown here")
+        at_tick = acts_at_ms(got.time_boot_ms, self._tick) if self._commander.lockstep else 0
+        return self._commander.setpoint(sender, setpoint, at_tick)
+
+    def _open_loop(self, got: Any, sender: Source) -> CommandResult:
+        flags = bool(got.openloop), bool(got.enableM), bool(got.enableT)
+        return self._commander.open_loop(sender, got.M, got.T, *flags, at_tick=acts_at(got.tick, self._tick))
+
+    def _sticks(self, got: Any, sender: Source) -> CommandResult:
+        return self._commander.sticks(sender, got.x / FULL_STICK, got.z / FULL_STICK)
+
+
+PIECE, START, STOP = range(3)
+"""TWODOF_EXCITE_ACTION."""
+
+STATUS_TICKS = 250
+REASON_BYTES = 80
+
+
+class ExcitationDefinition(NamedTuple):
+    """Which definition pieces belong to."""
+
+    sender: Source
+    transfer: int
+    crc: int
+    total: int
+
+
+class ExcitationService(Service):
+    """Puts definitions together, hands them to the commander, and tells everybody how the excitation stands.
+
+    Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.
+    """
+
+    def __init__(self, link: Link, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
+        self._link = link
+        self._us = us
+        self._commander = commander
+        self._refuse_sender = refuse
+        self._background = BackgroundWorker(inline=commander.lockstep)
+        self._begin(None)
+        self._tick = 0
+        self._revision = 0
+
+    def handle(self, received: Received) -> bool:
+        """Takes pieces, starts and stops."""
+        got, name = received.message, received.message.get_type()
+        if name == "TWODOF_EXCITE" and self._us.addressed(got) and source(received) != tuple(self._us):
+            answer = self._act(got, source(received), received.peer)
+            if not answer.accepted:
+                self._refuse_sender(received, answer)
+                self._send(received.peer, got.transfer, REFUSED, answer.text)
+            self._tell_changes()
+        return bool(name in ("TWODOF_EXCITE", "TWODOF_EXCITE_STATUS"))
+
+    def after(self, step: ControlStep) -> None:
+        self._tick = step.tick
+        self._background.poll()
+        player = self._commander.excitation.player
+        if player.revision != self._revision:
+            self._tell_changes()
+        elif player.playing and (step.tick - player.start) % STATUS_TICKS == 0:
+            self._tell_player(None)
+
+    def restart(self) -> None:
+        self._begin(None)
+        self._tick, self._revision = 0, self._commander.excitation.player.revision
+
+    def _begin(self, coming: ExcitationDefinition | None) -> None:
+        """Waits for the pieces of this definition; None: of any."""
+        self._coming = coming
+        self._receiver = ExcitationReceiver()
+        self._whole = False  # all pieces of it have come
+        self._refused = ""  # why it was refused then
+
+    def _act(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
+        if got.action == PIECE:
+            return self._piece(got, sender, peer)
+        if got.action == START:
+            player = self._commander.excitation.player
+            if player.transfer == got.transfer and player.state == DONE:
+                # A start that comes once more, since its answer was lost: it was played, and is not played twice.
+                self._tell_player(peer)
+                return result.DONE
+            thrust = None if isnan(got.thrust) else got.thrust
+            at_tick = acts_at(got.tick, self._tick)
+            return self._commander.excitation.start(sender, got.transfer, got.loop, thrust, at_tick)
+        if got.action == STOP:
+            return self._commander.excitation.stop(sender)
+        return denied(f"excitation refused: there is no action {got.action}")
+
+    def _piece(self, got: Any, sender: Source, peer: Hashable) -> CommandResult:
+        taken = self._commander.lease.take(sender, "excitation")
+        if not taken.accepted:
+            return taken
+        definition = ExcitationDefinition(sender, got.transfer, got.crc, got.total)
+        if definition != self._coming:
+            self._begin(definition)
+        if not self._whole:
+            before = self._receiver.received
+            data = self._receiver.take(got)
+            if data is not None:
+                self._write_out(definition, data)
+            elif self._receiver.received != before:
+                self._send(peer, got.transfer, RECEIVING)
+        elif self._refused:
+            self._send(peer, got.transfer, REFUSED, self._refused)
+        else:  # a piece that comes once more: what became of the definition is asked for
+            self._tell_player(peer)
+        return taken
+
+    def _write_out(self, definition: ExcitationDefinition, data: bytes) -> None:
+        self._whole = True
+        if not self._background.submit(lambda: prepare(data), lambda made: self._made(definition, made)):
+            self._refuse(definition, "too many wait to be written out")
+
+    def _made(self, definition: ExcitationDefinition, made: object) -> None:
+        if not isinstance(made, SampledExcitation):
+            self._refuse(definition, str(made))
+            return
+        answer = self._commander.excitation.define(definition.sender, definition.transfer, made)
+        if not answer.accepted:
+            self._refuse(definition, answer.text)
+
+    def _refuse(self, definition: ExcitationDefinition, reason: str) -> None:
+        if definition == self._coming:
+            self._refused = reason
+        self._send(None, definition.transfer, REFUSED, reason)
+
+    def _tell_changes(self) -> None:
+        if self._commander.excitation.player.revision != self._revision:
+            self._revision = self._commander.excitation.player.revision
+            self._tell_player(None)
+
+    def _tell_player(self, peer: Hashable | None) -> None:
+        player = self._commander.excitation.player
+        self._send(peer, player.transfer, player.state, player.reason, player.start, player.end)
+
+    def _send(
+        self, peer: Hashable | None, transfer: int, state: int, reason: str = "", start: int = 0, end: int = 0
+    ) -> None:
+        self._link.send(
+            message(
+                "TWODOF_EXCITE_STATUS",
+                tick=self._tick & MASK_32,
+                start_tick=start & MASK_32,
+                end_tick=end & MASK_32,
+                transfer=transfer,
+                received=self._receiver.received if self._coming is not None else 0,
+                state=state,
+                reason=reason.encode()[:REASON_BYTES],
+            ),
+            peer,
+        )

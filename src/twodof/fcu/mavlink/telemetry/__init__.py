@@ -1,1 +1,0 @@
-"""What the vehicle tells by itself: streams, batches and their messages."""

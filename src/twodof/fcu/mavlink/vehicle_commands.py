@@ -1,0 +1,312 @@
+"""Commands to the vehicle: arming and stopping, modes, storing parameters, flying uploaded controllers."""
+
+import asyncio
+import gc
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
+from typing import Any
+
+from twodof.blocks import Diagram
+from twodof.compile.wasm.target import check_ready
+from twodof.errors import CompileError, ParameterError, Refusal, TwodofError
+from twodof.fcu.command.commander import Commander
+from twodof.fcu.command.result import DONE, CommandResult, denied, failed, rejected, unsupported
+from twodof.fcu.control.controllers import Controllers
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
+from twodof.fcu.mavlink.encoders import TelemetryEncoders
+from twodof.fcu.mavlink.message_requests import MessageRequests
+from twodof.fcu.mavlink.service import Service, VehicleAddress, source, whole
+from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
+from twodof.link.connection import Received
+from twodof.link.mavlink.enums import MavCmd, MavResult
+from twodof.link.mavlink.messages import message
+from twodof.link.mavlink.modes import BY_NUMBER, MODES
+
+FORCE = 21196
+"""Second parameter of command 400: a disarming with it is a kill."""
+MOST_CODE, REBOOT_AUTOPILOT = 4, 1
+"""REBOOT_SHUTDOWN_ACTION."""
+
+
+class ArmingCommands:
+    """Hands arming and stopping to the commander, and a restart to `restart` (None: it cannot restart)."""
+
+    def __init__(
+        self,
+        commands: CommandService,
+        commander: Commander,
+        restart: Callable[[], None] | None = None,
+    ) -> None:
+        self._commands = commands
+        self._commander = commander
+        self._restart = restart
+        commands.on(MavCmd.COMPONENT_ARM_DISARM, self._arm_or_disarm, self._armed)
+        commands.on(MavCmd.DO_FLIGHTTERMINATION, self._terminate)
+        commands.on(MavCmd.PREFLIGHT_REBOOT_SHUTDOWN, self._reboot)
+        commands.on(MavCmd.RUN_PREARM_CHECKS, self._check)
+
+    def _arm_or_disarm(self, command: ReceivedCommand) -> CommandResult:
+        if command.params[0] == 1.0:  # with FORCE too no check is skipped
+            return self._commander.arming.arm(command.source)
+        if command.params[0] != 0.0:
+            return denied("arm is 1, disarm is 0")
+        if whole(command.params[1]) == FORCE:
+            return self._commander.arming.kill(command.source)
+        return self._commander.arming.disarm(command.source)
+
+    def _armed(self, _command: ReceivedCommand) -> CommandResult:
+        """Return what became of it, once that is known."""
+        return self._commander.arming.answer
+
+    def _check(self, command: ReceivedCommand) -> CommandResult:
+        """Tell the sender in words what the checks find, which the failsafe makes at every tick."""
+        if not self._commander.armed and (against := self._commander.arming.obstacles()):
+            self._commands.explain(command.peer, f"arming is not possible: {against}")
+        return DONE
+
+    def _terminate(self, command: ReceivedCommand) -> CommandResult:
+        if command.params[0] == 0.0:
+            return self._commander.arming.release(command.source)
+        if not command.params[0] > 0.5:
+            return denied("a kill is 1, its release 0")
+        return self._commander.arming.kill(command.source)
+
+    def _reboot(self, command: ReceivedCommand) -> CommandResult:
+        action = whole(command.params[0], -1)
+        if not 0 <= action <= MOST_CODE:
+            return denied()
+        if action == 0:
+            return DONE
+        if self._restart is None or action != REBOOT_AUTOPILOT:  # it has no boot loader, and is not shut down
+            return unsupported()
+        if self._commander.armed:
+            return rejected("no restart while armed: disarm first", Refusal.ARMED)
+        result = self._commander.lease.take(command.source, "restart")
+        if result.accepted:
+            self._commander.arming.release(command.source)  # it begins as after being switched on
+            self._restart()
+        return result
+
+
+_CUSTOM = 1  # MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+
+
+class ModeService(Service):
+    """SET_MODE and the commands 176 and 262; AVAILABLE_MODES on request; two messages for the streams."""
+
+    def __init__(
+        self,
+        us: VehicleAddress,
+        commands: CommandService,
+        requests: MessageRequests,
+        telemetry: TelemetryEncoders,
+        commander: Commander,
+    ) -> None:
+        self._us = us
+        self._commands = commands
+        self._commander = commander
+        commands.on(MavCmd.DO_SET_MODE, self._set)
+        commands.on(MavCmd.DO_SET_STANDARD_MODE, self._set_standard)
+        requests.on("AVAILABLE_MODES", self._available)
+        telemetry.add("CURRENT_MODE", self._current)
+        # The list is the same for as long as the flight controller runs.
+        telemetry.add("AVAILABLE_MODES_MONITOR", lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
+
+    def handle(self, received: Received) -> bool:
+        """Takes SET_MODE, which is acknowledged as command 176, as in PX4."""
+        if received.message.get_type() != "SET_MODE":
+            return False
+        got = received.message
+        if got.target_system == self._us.system and got.base_mode & _CUSTOM:
+            number = got.custom_mode
+            params = (float(got.base_mode), float(number >> 16 & 0xFF), float(number >> 24), *(0.0,) * 4)
+            command = ReceivedCommand(MavCmd.DO_SET_MODE, params, source(received), received.peer)
+            self._commands.acknowledge(command, self._commander.set_mode(command.source, number))
+        return True
+
+    def _current(self) -> Any:
+        number = self._commander.custom_mode
+        standard = BY_NUMBER[number].standard_mode if number in BY_NUMBER else 0
+        return message("CURRENT_MODE", standard_mode=standard, custom_mode=number, intended_custom_mode=number)
+
+    def _set(self, command: ReceivedCommand) -> CommandResult:
+        base, main, sub = (whole(value, -1) for value in command.params[:3])
+        if base < 0 or not base & _CUSTOM or not 0 <= main <= 255:
+            return denied("a mode is asked for with base mode 1 and PX4's main and sub mode")
+        return self._commander.set_mode(command.source, main << 16 | (max(sub, 0) & 0xFF) << 24)
+
+    def _set_standard(self, command: ReceivedCommand) -> CommandResult:
+        wanted = whole(command.params[0])
+        for row in MODES:
+            if wanted > 0 and row.standard_mode == wanted:
+                return self._commander.set_mode(command.source, row.custom_mode)
+        return unsupported()
+
+    def _available(self, command: ReceivedCommand) -> Iterable[Any] | None:
+        """All modes, or the one whose number from 1 is the second parameter."""
+        wanted = whole(command.params[1])
+        if not 0 <= wanted <= len(MODES):
+            return None
+        return [
+            message(
+                "AVAILABLE_MODES",
+                number_modes=len(MODES),
+                mode_index=place,
+                standard_mode=row.standard_mode,
+                custom_mode=row.custom_mode,
+                properties=row.properties,
+                mode_name=row.name.encode()[:34],
+            )
+            for place, row in enumerate(MODES, start=1)
+            if wanted in (0, place)
+        ]
+
+
+LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)
+"""PREFLIGHT_STORAGE_PARAMETER_ACTION."""
+MOST_WAITING = 16
+
+
+class StorageCommand:
+    """As in PX4 while disarmed only. Each answer comes when what flies is on the disk, or says why it is not.
+
+    The control loop does not wait for the disk: it asks after each control period. In lockstep, where periods may
+    stand still, the command itself waits.
+    """
+
+    def __init__(
+        self, commands: CommandService, commander: Commander, store: ParameterStore, lockstep: bool = False
+    ) -> None:
+        self._commander = commander
+        self._store = store
+        self._lockstep = lockstep
+        self._waiting: dict[Hashable, Callable[[], bool]] = {}
+        commands.on(MavCmd.PREFLIGHT_STORAGE, self._act, self._stored)
+
+    def _act(self, command: ReceivedCommand) -> CommandResult:
+        action = whole(command.params[0], -1)
+        if not LOAD <= action <= RESET_ALL:
+            return denied()
+        if action == RESET_SENSORS:
+            return unsupported("nothing of the sensors is calibrated")
+        if self._commander.armed:
+            return rejected("parameters are stored and reset while disarmed only", Refusal.ARMED)
+        if len(self._waiting) >= MOST_WAITING:
+            return rejected(f"{MOST_WAITING} others wait for the disk: ask again")
+        if action in (RESET_CONFIG, RESET_ALL):
+            taken = self._commander.lease.take(command.source, "reset of the parameters")
+            if not taken.accepted:
+                return taken
+            try:
+                self._store.reset(self._commander.armed)
+            except ParameterError as reason:
+                return failed(str(reason))
+        stored = self._store.save()
+        if stored is None:
+            unkept = unsupported("it keeps no parameters: start it with a folder for its state")
+            return unkept if action in (LOAD, SAVE) else DONE
+        self._waiting[command.what] = stored
+        return self._stored(command)
+
+    def _stored(self, command: ReceivedCommand) -> CommandResult:
+        """What has become of it."""
+        try:
+            if self._lockstep:
+                self._store.flush(SAVE_S)
+            elif not self._waiting[command.what]():
+                return CommandResult(MavResult.IN_PROGRESS)
+        except ParameterError as reason:
+            del self._waiting[command.what]
+            return failed(f"parameters are not stored: {reason}")
+        del self._waiting[command.what]
+        return DONE
+
+
+ASK = 1.0
+
+
+class ReloadCommand:
+    """Builds the flight code of the controllers in the folder of uploads, and flies it from then on, at MAV_CMD_USER_1.
+
+    It does so disarmed only. The answer comes when the controllers fly, or says why they do not. Where the command's
+    first number is `ASK`, it only tells whether there is what that takes, and takes no lease: a client asks so before
+    it uploads. What could not be built is not among the uploads any more: they are what flies, also for a later
+    command.
+
+    It compiles for seconds, in a thread beside the control loop. Nobody may arm during that time (`building`), since
+    both threads want the interpreter. `flies` is called before the first tick in which the new controllers fly.
+    """
+
+    def __init__(
+        self,
+        commands: CommandService,
+        controller: FlightController,
+        commander: Commander,
+        controllers: Controllers,
+        flies: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._controller = controller
+        self._commander = commander
+        self._controllers = controllers
+        self._flies = flies
+        self._task: asyncio.Task[None] | None = None
+        self._result = DONE
+        self._commands = commands
+        commands.on(MavCmd.USER_1, self._reload, lambda _: self._result, slow=True)
+
+    @property
+    def building(self) -> bool:
+        """Whether a controller is being built."""
+        return self._result.in_progress
+
+    def _reload(self, command: ReceivedCommand) -> CommandResult:
+        if self._controllers.uploads is None:
+            return unsupported("it keeps no uploads: start it with a folder for its state")
+        if self._commander.armed or self._commander.arming.pending:
+            return rejected("no other controller while armed: disarm first", Refusal.ARMED)
+        if command.params[0] == ASK:
+            return _equipped()
+        taken = self._commander.lease.take(command.source, "reload")
+        if not taken.accepted:
+            return taken
+        if not self.building:
+            self._result = CommandResult(MavResult.IN_PROGRESS)
+            self._task = asyncio.get_running_loop().create_task(self._build(), name="reload")
+        return self._result
+
+    async def _build(self) -> None:
+        made = failed("the program itself has a fault: report it")
+        try:
+            code, uploaded = await asyncio.to_thread(self._controllers.build_uploaded)
+            self._controller.replace(code)
+            self._flies()
+            # Only what flies is kept: else a restart would bring what this command refused.
+            made = await self._kept(uploaded)
+            gc.collect()
+            gc.freeze()  # see `Server`: not in flight
+        except TwodofError as error:
+            made = failed(str(error))
+        finally:
+            if not made.accepted:
+                with suppress(TwodofError):  # a disk that refuses changes nothing of what flies
+                    await asyncio.to_thread(self._controllers.restore)
+            self._result = made
+            self._commands.poll()
+
+    async def _kept(self, uploaded: Mapping[str, Diagram]) -> CommandResult:
+        """The result for what flies now: it is on the disk, or it flies until the program ends."""
+        try:
+            await asyncio.to_thread(self._controllers.keep, uploaded)
+        except TwodofError as refusal:
+            return failed(f"it flies until a restart and is not stored: {refusal}")
+        return DONE
+
+
+def _equipped() -> CommandResult:
+    """Whether the sandbox can be made here."""
+    try:
+        check_ready()
+    except CompileError as lack:
+        return failed(f"{lack.what}: {lack.remedy}")
+    return DONE

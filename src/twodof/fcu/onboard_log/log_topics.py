@@ -1,0 +1,308 @@
+"""What the on-board log holds of a step: every number of it in one row, and the topics of PX4.
+
+PlotJuggler, Flight Review and pyulog show a flight by PX4's names. Topics and fields are those of PX4 v1.16 (msg/), as
+far as this vehicle has them. Roll, yaw, y and z are 0: the rail is the local x axis. What PX4 leaves open is NaN.
+"""
+
+from collections.abc import Callable
+from dataclasses import fields
+from operator import attrgetter
+from struct import Struct
+from typing import Any, NamedTuple, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import ControlInput, SensorSample
+from twodof.flight.failsafe.causes_and_actions import BIT
+from twodof.flightlog.steps import ASKED, STEP_TOPIC, is_published
+from twodof.signals import MODES, TICK_US
+
+__all__ = ["FORMAT", "ROW", "STEP_TOPIC", "pack", "row_names"]
+
+_CODES = {float: ("d", "double", "<f8"), bool: ("?", "bool", "u1"), int: ("i", "int32_t", "<i4")}
+_PARTS = ("tick", "sample", "asked")
+
+
+def _columns() -> list[tuple[str, type]]:
+    """Name and type of each number of a step, in order; what was asked for is `asked_...`, as x0 is an output too."""
+    sample, asked, step = get_type_hints(SensorSample), get_type_hints(ControlInput), get_type_hints(ControlStep)
+    return [
+        *((name, sample[name]) for name in SensorSample._fields),
+        *((ASKED + name, asked[name]) for name in ControlInput._fields),
+        *((field.name, step[field.name]) for field in fields(ControlStep) if field.name not in _PARTS),
+    ]
+
+
+COLUMNS = _columns()
+FORMAT = "uint64_t timestamp;uint32_t tick;" + "".join(f"{_CODES[kind][1]} {name};" for name, kind in COLUMNS)
+"""How ULog describes a row: every number in the precision in which it was computed."""
+ROW = np.dtype([("timestamp", "<u8"), ("tick", "<u4"), *((name, _CODES[kind][2]) for name, kind in COLUMNS)])
+"""The same for numpy, without padding."""
+
+_PACK = Struct("<QI" + "".join(_CODES[kind][0] for _, kind in COLUMNS))
+_TICK_BITS = 0xFFFFFFFF  # it runs over after 198 days, the timestamp does not
+_MADE = attrgetter(*(field.name for field in fields(ControlStep) if field.name not in _PARTS))
+
+
+def pack(step: ControlStep) -> bytes:
+    """The row of a step. Raises struct.error for a number that does not fit, which no step has."""
+    return _PACK.pack(TICK_US * step.tick, step.tick & _TICK_BITS, *step.sample, *step.asked, *_MADE(step))
+
+
+def row_names() -> tuple[str, ...]:
+    """Names of the columns behind `timestamp` and `tick`."""
+    return tuple(name for name, _ in COLUMNS)
+
+
+Rows = NDArray[np.void]
+Value = Callable[[Rows], Any] | float
+"""What a field holds: something of the rows (n,), or always the same number."""
+
+BATTERY_TICKS, STATUS_TICKS = 125, 125
+MOTOR_PAIRS = ("fore", "aft", "fore", "aft")
+"""The rotor pair of PX4's motors 1 to 4 of a quadrotor in X: front right, back left, front left, back right."""
+NAV_STATES = {"off": 0, "open-loop": 14, "rate": 14, "attitude": 14, "velocity": 14, "position": 14}
+"""PX4's nav_state for each of `signals.MODES`: manual, and offboard for what flies a set-point."""
+_DISARMED, _ARMED = 1, 2
+
+
+def _always(rows: Rows) -> NDArray[np.bool_]:
+    return np.ones(len(rows), dtype=np.bool_)
+
+
+def _changed(rows: Rows) -> NDArray[np.bool_]:
+    """Each change of mode, arming or action; twice a second; and the first of `rows`, whose past is unknown."""
+    found = rows["tick"] % STATUS_TICKS == 0
+    for name in ("armed", "asked_mode", "action"):
+        found[1:] |= rows[name][1:] != rows[name][:-1]
+    found[:1] = True
+    return np.asarray(found)
+
+
+class LoggedTopic(NamedTuple):
+    """A topic of PX4: `text` says what it holds and when, `fields` what stands behind the time stamp.
+
+    A field is its type and name, as in ULog, with what it holds. `when` chooses the steps in which it is written,
+    `stamp` says when it was measured [us] if not at the step.
+    """
+
+    name: str
+    text: str
+    fields: dict[str, Value]
+    when: Callable[[Rows], NDArray[np.bool_]] = _always
+    stamp: Callable[[Rows], Any] = lambda rows: rows["timestamp"]
+
+    @property
+    def format(self) -> str:
+        """How ULog describes its records."""
+        return "uint64_t timestamp;" + "".join(f"{field};" for field in self.fields)
+
+
+def _of(name: str) -> Value:
+    return lambda rows: rows[name]
+
+
+def _vector(*names: str) -> Value:
+    """Columns side by side; "" is 0, and a name behind a minus sign counts the other way."""
+
+    def columns(rows: Rows) -> NDArray[np.float64]:
+        made = np.zeros((len(rows), len(names)))
+        for place, name in enumerate(names):
+            if name:
+                made[:, place] = -rows[name[1:]] if name.startswith("-") else rows[name]
+        return made
+
+    return columns
+
+
+def _quaternion(name: str) -> Value:
+    """Quaternions (n, 4), w first, of a pitch."""
+
+    def turned(rows: Rows) -> NDArray[np.float64]:
+        zero = np.zeros(len(rows))
+        return np.stack([np.cos(rows[name] / 2.0), zero, np.sin(rows[name] / 2.0), zero], axis=-1)
+
+    return turned
+
+
+def _motors(rows: Rows) -> NDArray[np.float64]:
+    control = np.full((len(rows), 12), np.nan)
+    for motor, pair in enumerate(MOTOR_PAIRS):
+        control[:, motor] = rows[pair]
+    return control
+
+
+def _measured_us(rows: Rows) -> NDArray[np.int64]:
+    """When the range was measured."""
+    age_us = np.nan_to_num(rows["dist_age"] * 1e6, nan=0.0, posinf=0.0, neginf=0.0)
+    return np.maximum(rows["timestamp"].astype(np.int64) - np.clip(age_us, 0.0, 1e6).astype(np.int64), 0)
+
+
+def _battery_warning(rows: Rows) -> NDArray[np.int64]:
+    low, critical = (rows["causes"] & BIT[name] != 0 for name in ("battery_low", "battery_critical"))
+    return np.where(critical, 2, np.where(low, 1, 0))
+
+
+def _nav_state(rows: Rows) -> NDArray[np.uint8]:
+    states = np.array([NAV_STATES[name] for name in MODES], dtype=np.uint8)
+    return np.asarray(states[np.clip(rows["asked_mode"], 0, len(MODES) - 1)])
+
+
+_SAMPLED: dict[str, Value] = {"uint64_t timestamp_sample": _of("timestamp")}
+_THRUST: dict[str, Value] = {"float[3] thrust_body": _vector("", "", "-T")}
+
+
+def _unset(kind: str, *names: str) -> dict[str, Value]:
+    """Fields that are always 0."""
+    return {f"{kind} {name}": 0 for name in names}
+
+
+PX4_TOPICS: tuple[LoggedTopic, ...] = (
+    LoggedTopic(
+        "sensor_combined",
+        "accelerometer and gyro, each sample of the IMU",
+        {
+            "float[3] gyro_rad": _vector("gyro_x", "gyro_y", "gyro_z"),
+            "uint32_t gyro_integral_dt": 4000,
+            "int32_t accelerometer_timestamp_relative": 0,
+            "float[3] accelerometer_m_s2": _vector("acc_x", "acc_y", "acc_z"),
+            "uint32_t accelerometer_integral_dt": 4000,
+        },
+        lambda rows: rows["imu_new"] != 0,
+    ),
+    LoggedTopic(
+        "vehicle_angular_velocity",
+        "estimated pitch rate, each step",
+        {**_SAMPLED, "float[3] xyz": _vector("", "q", "")},
+    ),
+    LoggedTopic(
+        "vehicle_attitude",
+        "estimated pitch as a quaternion, each step",
+        {
+            **_SAMPLED,
+            "float[4] q": _quaternion("theta"),
+            "float[4] delta_q_reset": 0,
+            "uint8_t quat_reset_counter": 0,
+        },
+    ),
+    LoggedTopic(
+        "vehicle_local_position",
+        "estimated place and speed on the rail, 100 Hz",
+        {
+            **_SAMPLED,
+            "bool xy_valid": 1,
+            "bool z_valid": 0,
+            "bool v_xy_valid": 1,
+            "bool v_z_valid": 0,
+            "float x": _of("x"),
+            "float y": 0,
+            "float z": 0,
+            "float vx": _of("v"),
+            **_unset("float", "vy", "vz", "ax", "ay", "az", "heading"),
+            "float dist_bottom": np.nan,
+        },
+        lambda rows: is_published(rows["tick"].astype(np.int64) - 1),
+    ),
+    LoggedTopic(
+        "vehicle_attitude_setpoint",
+        "pitch set-point in use and thrust, each step",
+        {"float yaw_sp_move_rate": 0, "float[4] q_d": _quaternion("theta0"), **_THRUST},
+    ),
+    LoggedTopic(
+        "vehicle_rates_setpoint",
+        "pitch-rate set-point in use, each step",
+        {"float roll": 0, "float pitch": _of("q0"), "float yaw": 0, **_THRUST},
+    ),
+    LoggedTopic(
+        "vehicle_local_position_setpoint",
+        "position and velocity set-point in use, each step",
+        {
+            "float x": _of("x0"),
+            "float y": 0,
+            "float z": 0,
+            "float vx": _of("v0"),
+            **_unset("float", "vy", "vz", "yaw", "yawspeed"),
+        },
+    ),
+    LoggedTopic(
+        "vehicle_torque_setpoint",
+        "moment M as it flies, each step",
+        {**_SAMPLED, "float[3] xyz": _vector("", "M", "")},
+    ),
+    LoggedTopic(
+        "vehicle_thrust_setpoint",
+        "thrust T as it flies, each step",
+        {**_SAMPLED, "float[3] xyz": _vector("", "", "-T")},
+    ),
+    LoggedTopic(
+        "actuator_motors",
+        "the four motors' commands, each step; motors 1 and 3 are the fore pair, 2 and 4 the aft pair",
+        {**_SAMPLED, "uint16_t reversible_flags": 0, "float[12] control": _motors},
+    ),
+    LoggedTopic(
+        "distance_sensor",
+        "range, each sample, stamped when it was measured",
+        {
+            "uint32_t device_id": 0,
+            "float min_distance": 0.0,
+            "float max_distance": 1.3,
+            "float current_distance": _of("dist"),
+            "float variance": 0,
+            "int8_t signal_quality": -1,
+            **_unset("uint8_t", "type", "orientation"),
+        },
+        lambda rows: rows["dist_new"] != 0,
+        _measured_us,
+    ),
+    LoggedTopic(
+        "battery_status",
+        "voltage and charge, 2 Hz",
+        {
+            "bool connected": 1,
+            "float voltage_v": _of("voltage"),
+            "float current_a": -1.0,
+            "float remaining": _of("charge"),
+            "uint8_t cell_count": 3,
+            "uint8_t warning": _battery_warning,
+        },
+        lambda rows: rows["tick"] % BATTERY_TICKS == 0,
+    ),
+    LoggedTopic(
+        "vehicle_status",
+        "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
+        {
+            "uint64_t armed_time": 0,
+            "uint8_t arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
+            "uint8_t nav_state": _nav_state,
+            "uint8_t nav_state_user_intention": _nav_state,
+            "uint8_t vehicle_type": 1,
+            "bool failsafe": lambda rows: rows["action"] != 0,
+        },
+        _changed,
+    ),
+    LoggedTopic(
+        "actuator_armed",
+        "armed, and whether arming is possible: each change, and 2 Hz",
+        {
+            "bool armed": _of("armed"),
+            "bool prearmed": 0,
+            "bool ready_to_arm": lambda rows: rows["causes"] == 0,
+            "bool lockdown": 0,
+        },
+        _changed,
+    ),
+)
+
+
+def records(topic: LoggedTopic, layout: np.dtype[np.void], rows: Rows) -> Rows:
+    """The records of `topic`, laid out as `layout`, that the steps `rows` (n,) give."""
+    chosen = rows[topic.when(rows)]
+    made = np.zeros(len(chosen), dtype=layout)
+    if len(chosen):
+        with np.errstate(over="ignore", invalid="ignore"):  # the pitch of infinity is NaN, beyond float32 is infinite
+            made["timestamp"] = topic.stamp(chosen)
+            for field, value in topic.fields.items():
+                made[field.split()[1]] = value(chosen) if callable(value) else value
+    return made

@@ -1,1 +1,0 @@
-"""What only PX4's clients need, such as QGroundControl, MAVSDK and PlotJuggler."""
