@@ -28,6 +28,12 @@ def test_a_telemetry_signal_is_five_files(tmp_path: Path) -> None:
     assert "estimate.bias" in (root / "docs" / "reference" / "topics.md").read_text(encoding="utf-8")
 
 
+def test_a_sensor_with_its_own_rate_is_six_files(tmp_path: Path) -> None:
+    root = copied(tmp_path)
+    assert len(carry_out("add-a-sensor.md", root)) == 6
+    assert "camera.flow" in (root / "docs" / "reference" / "topics.md").read_text(encoding="utf-8")
+
+
 def test_an_excitation_is_two_files(tmp_path: Path) -> None:
     changed = carry_out("add-an-excitation.md", copied(tmp_path))
     assert changed == {"src/twodof/blocks/library/waveform_laws.py", "src/twodof/excitation.py"}

@@ -12,7 +12,6 @@ where MAVROS has one.
 
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Literal
 
 from twodof.errors import LogError
 
@@ -53,7 +52,8 @@ class Topic:
     `source` has a name for each number of a sample: that of the value in a control step (`theta`, `acc_x`, `mode`).
     `places` says for each where it stands in the MAVLink message; none: it travels in TWODOF_BATCH alone. `later` is
     how much later [s] the drone's logs stamp it than the moment M of the same step. `when` says in which steps it is
-    new: "" in each, "imu_new" or "dist_new" where the sensor gave a sample, "published" where the estimator publishes.
+    new: "" in each, the flag of its sensor ("imu_new", "dist_new") where that gave a sample, "published" where the
+    estimator publishes.
     """
 
     name: str
@@ -67,8 +67,13 @@ class Topic:
     source: tuple[str, ...] = ()
     places: tuple[str, ...] = ()
     later: float = 0.0
-    when: Literal["", "imu_new", "dist_new", "published"] = ""
+    when: str = ""
     onboard: bool = True
+
+    @property
+    def own_rate(self) -> bool:
+        """Whether its sensor has a rate of its own, and `when` is the flag of its samples."""
+        return self.when not in ("", "imu_new", "published")
 
     @property
     def width(self) -> int:

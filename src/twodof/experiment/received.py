@@ -75,7 +75,7 @@ class ReceivedSamples:
         """As a flight log, with what the failsafe did if that is given; what was lost is a gap."""
         out: dict[str, NDArray[Any]] = {name: self.column(name) for name in NAMES}
         mode = np.nan_to_num(out["mode"], nan=0.0)
-        out["dist_new"] = np.isfinite(out["dist"])
+        out |= {row.when: np.isfinite(out[row.source[0]]) for row in TOPICS if row.own_rate}
         channels = step_channels(self.ticks, out, np.clip(mode, 0, len(MODES) - 1).astype(np.int32))
         if len(self.truth_ticks):
             channels |= truth_channels(self.truth_ticks, dict(zip(TRUTH, self.truth.T, strict=True)))

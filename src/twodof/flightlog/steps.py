@@ -28,11 +28,11 @@ _SLOWEST_HZ = 10.0
 
 MESSAGE_PERIOD = round(0.02 / PERIOD)
 """Steps between two open-loop messages."""
-_WHEN = ("imu_new", "", "dist_new", "published")
+_ORDER = {"imu_new": 0, "": 1, "published": 3}  # sensors with a rate of their own are between
 _COMPUTED = ("-|T|", "mode")
 _LOGGED = sorted(
     (row for row in TOPICS if row.source and row.rate_hz),
-    key=lambda row: (row.rate_hz < _SLOWEST_HZ, _WHEN.index(row.when), row.source[0] in _COMPUTED),
+    key=lambda row: (row.rate_hz < _SLOWEST_HZ, _ORDER.get(row.when, 2), row.source[0] in _COMPUTED),
 )
 """The signals that a step tells, in the order of a log's channels; the open-loop messages are events."""
 
@@ -84,8 +84,8 @@ def step_channels(
         values = values if row.fields else values[:, 0]
         if row.when == "published":
             fast[row.mat] = _channel(row.mat, time[held], values[after])
-        elif row.when == "dist_new":
-            new = out["dist_new"].astype(bool)
+        elif row.own_rate:
+            new = out[row.when].astype(bool)
             fast[row.mat] = _channel(row.mat, time[new], values[new])
         elif row.rate_hz < _SLOWEST_HZ:
             due = tick % round(1.0 / (row.rate_hz * PERIOD)) == 0

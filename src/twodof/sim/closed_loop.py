@@ -37,6 +37,9 @@ SETPOINTS = tuple(name for name, _, _, _ in INPUTS if name not in MEASUREMENTS)
 SAFETY = tuple(name for name, _, _, _ in FAILSAFE_INPUTS if name != "voltage")
 """Inputs of the closed loop with the failsafe, besides `SETPOINTS`."""
 
+READ = frozenset(name for name, _, _, _ in INPUTS)
+"""Inputs of the flight code: the measurements among them are those that it reads."""
+
 ARMING = 25
 """Steps after a start with the motors off until `fly` arms: the range sensor has then given a sample."""
 
@@ -80,7 +83,8 @@ def closed_loop(
     for name in given:
         d.connect(f"{name}_held", f"flight.{name}")
     for name in MEASUREMENTS:
-        d.connect(f"rig.{name}", f"flight.{name}")
+        if name in READ:
+            d.connect(f"rig.{name}", f"flight.{name}")
     for name in ("fore", "aft"):
         d.connect(f"flight.{name}", f"rig.{name}")
     if failsafe:

@@ -4,13 +4,14 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import Any
 
 from twodof.blocks.noise import SEEDS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
-from twodof.fcu.control.flight_code import FlightCode
+from twodof.fcu.control.flight_code import MEASURED, FlightCode
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab
@@ -26,6 +27,9 @@ MOST_SETTLED = 16
 _settled: dict[str, Mapping[str, Any]] = {}  # what was run once need not be run again in this process
 
 _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
+# The rig does not roll or yaw, and its IMU gives a sample at each tick.
+_LACKING = len(_OUTPUTS), len(_OUTPUTS) + 1
+_sampled = itemgetter(*(_OUTPUTS.index(n) if n in _OUTPUTS else _LACKING[n == "imu_new"] for n in SensorSample._fields))
 
 
 @functools.cache
@@ -82,7 +86,7 @@ class VirtualRig:
     @property
     def truth(self) -> tuple[float, float, float, float]:
         """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
-        return self._outputs[8:]
+        return self._outputs[-len(TRUTH) :]
 
     def settle(self, code: FlightCode) -> None:
         """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
@@ -118,7 +122,7 @@ class VirtualRig:
         self.machine.reset()
         code.reset()
         seen = self.machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
-        given: dict[str, Any] = {name: seen[name][::TICKS] for name in (*MEASUREMENTS, "voltage")}
+        given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
         given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
         code.machine.run(SETTLE_STEPS, given | ControlInput()._asdict())
         return {path: code.machine.state(path) for path in paths}
@@ -153,8 +157,7 @@ class VirtualRig:
 
     def read(self) -> SensorSample:
         """The measurements of this tick."""
-        acc_x, acc_z, gyro_y, dist, dist_new, dist_age, voltage, charge = self._outputs[:8]
-        sample = SensorSample(acc_x, 0.0, acc_z, 0.0, gyro_y, 0.0, True, dist, dist_new, dist_age, voltage, charge)
+        sample = SensorSample._make(_sampled((*self._outputs, 0.0, True)))
         return sample if self.distort is None else self.distort(sample)
 
     def drive(self, fore: float, aft: float) -> None:

@@ -41,7 +41,7 @@ def test_the_files_are_where_they_are_said_to_be_with_the_checksums_said(tmp_pat
     assert mavlink_crc32(general) == told.file_crc
     rows = json.loads(general)
     assert rows["version"] == 1
-    assert [row["type"] for row in rows["metadataTypes"]] == [1, 4]  # COMP_METADATA_TYPE_PARAMETER, _EVENTS
+    assert [row["type"] for row in rows["metadataTypes"]] == [1]  # COMP_METADATA_TYPE_PARAMETER
     for row in rows["metadataTypes"]:
         assert mavlink_crc32(fetched(server, row["uri"])) == row["fileCrc"]
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Any
 
@@ -19,16 +20,16 @@ from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.sandbox import Sandbox
 from twodof.fcu.parameters.user_parameters import UserParameters, user_parameters
 from twodof.flight.core import core
-from twodof.flight.declarations import OWN_INPUTS
+from twodof.flight.declarations import FAILSAFE_INPUTS, OWN_INPUTS
+from twodof.flight.declarations import INPUTS as CORE_INPUTS
 from twodof.flight.templates import MOTOR, TEMPLATES
 from twodof.parameters import FLIGHT_PARAMETERS
 from twodof.signals import PERIOD
 
-INPUTS = (
-    *("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age", "imu_new", "voltage"),
-    *ControlInput._fields,
-    *("rings", "step_late", "own_late"),
-)
+MEASURED = tuple(name for name, _, _, _ in (*CORE_INPUTS, *FAILSAFE_INPUTS) if name in SensorSample._fields)
+"""The fields of a sample that it reads."""
+
+INPUTS = (*MEASURED, *ControlInput._fields, "rings", "step_late", "own_late")
 """What the flight code is given, in the order in which `FlightCode.step` gives it."""
 
 USER_INPUTS = tuple(name for name, _, _, _ in OWN_INPUTS)
@@ -73,6 +74,7 @@ class ControlStep:
 OUTPUTS = tuple(field.name for field in fields(ControlStep))[3:]
 """What the flight code gives: the fields of `ControlStep` behind `asked`."""
 
+_measured = attrgetter(*MEASURED)
 _USED = slice(OUTPUTS.index("x0"), OUTPUTS.index("q0") + 1)
 
 
@@ -126,8 +128,7 @@ class FlightCode:
         self, tick: int, sample: SensorSample, asked: ControlInput, rings: bool = False, step_late: bool = False
     ) -> ControlStep:
         """One control period. `step_late` says that the step before ran out of its time."""
-        acc_x, _, acc_z, _, gyro_y, _, imu_new, dist, dist_new, dist_age, voltage, _ = sample
-        measured = (acc_x, acc_z, gyro_y, dist, dist_new, dist_age, imu_new, voltage)
+        measured = _measured(sample)
         if self.sandbox is None:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
         else:

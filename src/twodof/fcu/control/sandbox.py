@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Iterable, Mapping
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from twodof.blocks import Diagram
@@ -22,7 +23,10 @@ PAUSE, LONGEST_PAUSE = 250, 4000
 GOOD = 1000
 """Steps in a row that were in time, after which it is as if it had never been too slow."""
 
-INPUTS = tuple(name for name, _, _, _ in CORE_INPUTS)
+MEASURED, ASKED = (
+    tuple(name for name, _, _, _ in CORE_INPUTS if name in given._fields) for given in (SensorSample, ControlInput)
+)
+"""The inputs that are measured, and those that are asked for."""
 OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
 
@@ -43,6 +47,7 @@ class SandboxOutput(NamedTuple):
     q0: float
 
 
+_measured, _asked = attrgetter(*MEASURED), attrgetter(*ASKED)
 _NOTHING = SandboxOutput(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -81,7 +86,7 @@ class Sandbox:
         self._spent = self._pause = self._rest = self._good = 0
         self._tries = False
         self.machine = self.program.machine()
-        self._stepper = Stepper(self.machine, INPUTS, OUTPUTS)
+        self._stepper = Stepper(self.machine, (*MEASURED, *ASKED), OUTPUTS)
 
     def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Those of `values` that it has."""
@@ -142,13 +147,8 @@ class Sandbox:
         tries, self._tries = self._tries, False
         began = time.thread_time_ns() if self.timed else 0
         try:
-            asked_for = self._stepper.step(
-                (
-                    *(sample.acc_x, sample.acc_z, sample.gyro_y, sample.dist, sample.dist_new, sample.dist_age),
-                    *(asked.mode, in_reset, asked.x0, asked.v0, asked.ax0, asked.theta0, asked.q0),
-                    *(asked.thrust, asked.M_open, asked.use_trim),
-                )
-            )
+            given = asked._replace(in_reset=in_reset)
+            asked_for = self._stepper.step((*_measured(sample), *_asked(given)))
         except ControllerFault as fault:
             self.fault = str(fault)
             return _NOTHING

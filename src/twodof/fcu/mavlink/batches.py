@@ -1,9 +1,8 @@
 """Batches: TWODOF_BATCH carries every sample of chosen channels to a client that asks, several ticks in a message."""
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable
 from math import isfinite, nan
 from operator import attrgetter
-from types import MappingProxyType
 from typing import Any
 
 from twodof.fcu.command.commander import Commander
@@ -28,14 +27,9 @@ def published(tick: int) -> bool:
     return 2 * tick % 5 < 2
 
 
-_NEW: Mapping[str, Callable[[ControlStep], bool]] = MappingProxyType(
-    {
-        "imu_new": lambda s: s.sample.imu_new,
-        "dist_new": lambda s: s.sample.dist_new,
-        "published": lambda s: published(s.tick),
-    }
-)
-"""In which steps a signal is new, by `Topic.when`."""
+def _new(when: str) -> Callable[[ControlStep], bool]:
+    """Return what tells the steps in which a signal is new, by `Topic.when`."""
+    return (lambda s: published(s.tick)) if when == "published" else attrgetter(f"sample.{when}")
 
 
 def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
@@ -51,7 +45,7 @@ def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], f
         read: Callable[[Any], float] = attrgetter(f"sample.{name}" if name in SensorSample._fields else name)
         if not row.when:
             return read
-        new = _NEW[row.when]
+        new = _new(row.when)
         return lambda s: read(s) if new(s) else nan
 
     return {
