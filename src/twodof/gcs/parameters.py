@@ -228,6 +228,7 @@ class AsyncParameters:
 
         Raises Rejected where there is none, or the same was changed since by another client; LinkLost, Timeout.
         """
+        self._session.check(self._session.now)
         made = self.last
         deadline = self._session.deadline(timeout, "undoing the last change of parameters")
         async with self._alone(deadline):
