@@ -11,7 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from twodof.sim.play import play_program
+from twodof.sim.portable_loop import play_program
 
 PROJECT = Path(__file__).resolve().parents[1]
 BUILT = PROJECT / "out" / "play-build"

@@ -54,7 +54,7 @@ from twodof.compile.px4.export import make_module
 from twodof.errors import CompileError, TwodofError
 from twodof.excitation import Doublet
 from twodof.flight.core import core
-from twodof.flight.estimator.diagram import POSITION_FILTERS
+from twodof.flight.estimator import POSITION_FILTERS
 from twodof.flight.starters import STARTERS, starter
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog

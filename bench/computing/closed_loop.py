@@ -18,10 +18,10 @@ from twodof.blocks.block import Clock
 from twodof.compile import CompiledMachine, CompiledProgram, build
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
+from twodof.rig.dynamics import Turbulence
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
 from twodof.rig.sensors import NoiseSource
-from twodof.rig.turbulence import Turbulence
 from twodof.signals import MODES
 from twodof.sim.closed_loop import closed_loop
 

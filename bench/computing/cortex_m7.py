@@ -21,7 +21,7 @@ from twodof.compile.cortex_m7.report import FUNCTIONS, CortexM7Report, measure
 from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.cortex_m7.usage import Usage, image_sizes
 from twodof.errors import CompileError
-from twodof.flight.control.cascade import cascade
+from twodof.flight.cascade import cascade
 from twodof.flight.core import core
 from twodof.flight.starters import starter
 from twodof.signals import MODES

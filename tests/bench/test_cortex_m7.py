@@ -22,7 +22,7 @@ from bench.computing.cortex_m7 import (
 )
 from tests.toolchains import need
 from twodof.blocks import Diagram
-from twodof.flight.control.cascade import cascade
+from twodof.flight.cascade import cascade
 from twodof.flight.starters import starter
 from twodof.signals import MODES
 

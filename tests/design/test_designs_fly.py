@@ -18,7 +18,7 @@ from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.starters.attitude import pid_attitude
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.rig.parameters import paper
-from twodof.sim.identified_rig import identified_rig
+from twodof.sim.resimulation import identified_rig
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from twodof.design.saturated_step import acting_moment, saturated_step
 from twodof.errors import DiagramError, ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flight.starters.attitude import pid_attitude
-from twodof.flight.starters.motor import stock_motor
+from twodof.flight.starters.position import stock_motor
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from twodof.blocks.library import Gain, Step
 from twodof.errors import DiagramError, ParameterError
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.flight.starters import new_diagram, starter
-from twodof.flight.starters.build import with_ports
+from twodof.flight.starters.attitude import with_ports
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, Template
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog

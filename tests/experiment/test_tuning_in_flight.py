@@ -28,7 +28,7 @@ from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab
 from twodof.signals import TICK_US
 from twodof.sim.initial_state import InitialState
-from twodof.sim.rig_host import VirtualRig
+from twodof.sim.virtual_drone import VirtualRig
 
 pytestmark = pytest.mark.slow
 

@@ -15,7 +15,7 @@ from twodof.fcu.control.loop import FlightController
 from twodof.flight.templates import ATTITUDE
 from twodof.rig.parameters import lab
 from twodof.signals import MODES
-from twodof.sim.rig_host import VirtualRig
+from twodof.sim.virtual_drone import VirtualRig
 
 ARM_AT, FLY_AT = 100, 120
 ATTITUDE_MODE = MODES.index("attitude")

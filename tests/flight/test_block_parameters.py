@@ -6,7 +6,7 @@ import pytest
 
 from twodof.compile.program.lower import lower
 from twodof.flight.core import core
-from twodof.flight.estimator.diagram import POSITION_FILTERS
+from twodof.flight.estimator import POSITION_FILTERS
 from twodof.parameters import TUNABLES
 from twodof.signals import PERIOD
 

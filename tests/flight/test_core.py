@@ -11,7 +11,7 @@ from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.compile import CompiledProgram, build
 from twodof.flight.core import OUTPUTS, core
 from twodof.flight.declarations import INPUTS
-from twodof.flight.estimator.diagram import POSITION_FILTERS
+from twodof.flight.estimator import POSITION_FILTERS
 from twodof.flight.gains import DEFAULT
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 

@@ -8,7 +8,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, FractionalDelay, Gain, Integrator, Mux, Sum
 from twodof.errors import DiagramError
 from twodof.flight.starters import starter
-from twodof.flight.starters.build import with_ports
+from twodof.flight.starters.attitude import with_ports
 from twodof.flight.templates import (
     ATTITUDE,
     MOTOR,

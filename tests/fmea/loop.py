@@ -14,10 +14,10 @@ from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile.builder import build
 from twodof.compile.instances import Instances
 from twodof.compile.machine import CompiledProgram
-from twodof.flight.control.cascade import cascade
-from twodof.flight.control.mixer import Mixer
+from twodof.flight.cascade import cascade
 from twodof.flight.core import PreviousPitch, core
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
+from twodof.flight.mixer import Mixer
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, rig
 

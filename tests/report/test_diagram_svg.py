@@ -14,7 +14,7 @@ from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.drawing.text_width import shortened, text_width
 from twodof.errors import DiagramError
-from twodof.flight.control.cascade import cascade
+from twodof.flight.cascade import cascade
 from twodof.flight.core import core
 from twodof.flight.starters import STARTERS, starter
 from twodof.report.diagram_svg import Drawing, draw, find, to_svg

@@ -10,9 +10,8 @@ import pytest
 from twodof.blocks import Diagram
 from twodof.blocks.library.delays import ZeroOrderHold
 from twodof.compile import CompiledMachine, CompiledProgram, build
-from twodof.rig.battery import BatteryPack
 from twodof.rig.parameters import lab, paper
-from twodof.rig.rotors import Rotors
+from twodof.rig.rotors import BatteryPack, Rotors
 from twodof.rig.steady_state import moment_gain, rotor_moment, velocity_gain
 from twodof.signals import HOVER
 

@@ -9,9 +9,9 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.rig.dynamics import Turbulence
 from twodof.rig.rig import rig
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
-from twodof.rig.turbulence import Turbulence
 
 TS = 0.004
 

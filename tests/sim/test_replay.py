@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
-from twodof.flight.control.cascade import cascade
+from twodof.flight.cascade import cascade
 from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import Channel, FlightLog

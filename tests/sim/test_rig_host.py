@@ -13,7 +13,7 @@ from twodof.fcu.control.hardware import ControlInput
 from twodof.rig.parameters import load_rig
 from twodof.signals import MODES
 from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState
-from twodof.sim.rig_host import VirtualRig
+from twodof.sim.virtual_drone import VirtualRig
 
 pytestmark = pytest.mark.slow
 

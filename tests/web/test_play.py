@@ -18,7 +18,7 @@ from twodof.compile.builder import build
 from twodof.rig.rig import BASE_DT
 from twodof.signals import ATTITUDE, POSITION
 from twodof.sim.closed_loop import ARMING, closed_loop
-from twodof.sim.play import PlayProgram, play_program
+from twodof.sim.portable_loop import PlayProgram, play_program
 
 pytestmark = pytest.mark.slow
 

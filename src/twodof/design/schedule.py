@@ -3,7 +3,7 @@
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Divide, Gain, Saturation, Sum, Switch
 from twodof.errors import ParameterError
-from twodof.flight.starters.motor import motor_pairs
+from twodof.flight.starters.position import motor_pairs
 from twodof.flight.templates import MOTOR
 from twodof.signals import HOVER
 

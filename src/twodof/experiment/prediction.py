@@ -16,8 +16,8 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import HOVER, MODES, OFF, PERIOD
 from twodof.sim.closed_loop import ARMING, ClosedLoop
-from twodof.sim.identified_rig import estimates_in, identified_rig, load_rig_or_model
 from twodof.sim.initial_state import InitialState
+from twodof.sim.resimulation import estimates_in, identified_rig, load_rig_or_model
 
 LONGEST_S = 120.0
 """A longer excitation is predicted for its first part: what it uses shows in it, and the answer stays quick."""

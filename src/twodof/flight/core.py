@@ -6,9 +6,8 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, State
 from twodof.errors import DiagramError
-from twodof.flight.control.cascade import cascade
-from twodof.flight.control.level_hold import ArmingReset, LevelHold
-from twodof.flight.control.mixer import FiniteCommands, Mixer, MotorFlags, RotorPairs
+from twodof.flight.cascade import cascade
+from twodof.flight.cascade_loops import ArmingReset, LevelHold
 from twodof.flight.declarations import (
     COMMANDS,
     FAILSAFE_INPUTS,
@@ -20,11 +19,12 @@ from twodof.flight.declarations import (
     add_inputs,
     ports,
 )
-from twodof.flight.estimator.diagram import estimator
+from twodof.flight.estimator import estimator
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
 from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
-from twodof.flight.failsafe.output_selector import StandbyReset
+from twodof.flight.failsafe.gate import StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.mixer import FiniteCommands, Mixer, MotorFlags, RotorPairs
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, by_kind
 
 OUTPUTS: tuple[tuple[str, str, str], ...] = (

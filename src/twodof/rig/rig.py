@@ -2,11 +2,9 @@
 
 from twodof.blocks import Block, Diagram, Param
 from twodof.blocks.library.delays import ZeroOrderHold
-from twodof.rig.battery import BatteryPack
-from twodof.rig.dynamics import Dynamics
-from twodof.rig.rotors import Rotors
+from twodof.rig.dynamics import Dynamics, Turbulence
+from twodof.rig.rotors import BatteryPack, Rotors
 from twodof.rig.sensors import Imu, NoiseSource, RangeSensor
-from twodof.rig.turbulence import Turbulence
 
 BASE_DT = 0.001
 """The base tick [s]."""

@@ -68,7 +68,7 @@ def closed_loop(
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
     `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`.
     The `position_filter` "drone" is the real drone's estimator (`sim.drone_estimator`). The others are those of
-    `flight.estimator.diagram`. With `failsafe` the flight code has it as its last gate, with the inputs `SAFETY` and
+    `flight.estimator`. With `failsafe` the flight code has it as its last gate, with the inputs `SAFETY` and
     the outputs of `flight.failsafe.diagram.OUTPUTS`; the voltage is the rig's. Raises ParameterError for an unknown
     position filter, DiagramError for a diagram that fits no template.
     """

@@ -15,7 +15,7 @@ from twodof.blocks import Block, Diagram, Param, Port, State, int32, store, wher
 from twodof.blocks.block import Clock
 from twodof.blocks.elementary.functions import cos, sin
 from twodof.flight.declarations import IMU, RANGE, add_inputs, ports
-from twodof.flight.estimator.diagram import Publisher
+from twodof.flight.estimator import Publisher
 from twodof.signals import GRAVITY, PERIOD, RAIL_CENTRE
 
 LATE = 22
@@ -130,7 +130,7 @@ class DelayedFilter(Block):
 
 
 def drone_estimator() -> Diagram:
-    """`DelayedFilter` with the ports of `flight.estimator.diagram.estimator`."""
+    """`DelayedFilter` with the ports of `flight.estimator.estimator`."""
     d = Diagram("estimator", "the drone's own, as its logs show it")
     add_inputs(d, *IMU, "dist", "dist_age", "dist_new")
     d.add("filter", DelayedFilter(), inputs={name: name for name in (*IMU, *RANGE)})

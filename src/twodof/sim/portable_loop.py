@@ -14,11 +14,14 @@ from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.flatten import FlatDiagram
 from twodof.compile.program.lower import lower
 from twodof.compile.wasm.module import WasmModule, compile_module
+from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
+from twodof.flight.failsafe.state_machine import STATES
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import MOTOR, check_template
-from twodof.rig.parameters import load_rig
+from twodof.parameters import TUNABLES
+from twodof.rig.parameters import NAMES, TABLE, load_rig
 from twodof.rig.rig import BASE_DT
-from twodof.signals import PERIOD
+from twodof.signals import MODES, PERIOD
 from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, closed_loop
 from twodof.sim.initial_state import InitialState
 
@@ -113,3 +116,47 @@ def _given(loop: Diagram, place: str) -> dict[str, str]:
             if signal.node is not None:
                 found[name] = signal.path
     return found
+
+
+@dataclass(frozen=True)
+class PlayProgram:
+    """`module` is the .wasm of the closed loop with its failsafe, in float64.
+
+    `data` is JSON: `table` (`WasmModule.interface`), `ticks` of a control step, the names of `modes`, failsafe
+    `states`, `actions` and `causes`; `rigs` (parameters by path), `starts` (`parameters` and `states` by path, for
+    "rest" and "hover"), and `texts` (what parameters are, by path).
+    """
+
+    module: bytes
+    data: dict[str, Any]
+
+
+def play_program() -> PlayProgram:
+    """The rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
+
+    Raises CompileError where there is no compiler for WebAssembly.
+    """
+    emitted = emit_program(closed_loop(failsafe=True), BASE_DT)
+    module = compile_module([emitted])
+    loop = ClosedLoop(failsafe=True)
+    starts = {}
+    for name in ("rest", "hover"):
+        at = InitialState(hover=name == "hover")
+        parameters, states = loop.start_values(at)
+        starts[name] = {"parameters": {f"rig.{path}": v for path, v in parameters.items()}, "states": states}
+    texts = {f"{FLIGHT}{row.path}": row.text for row in TUNABLES.values()} | {
+        f"rig.{row.name}": row.text for row in TABLE
+    }
+    rigs = {name: {f"rig.{path}": v for path, v in load_rig(name).snapshot().items()} for name in NAMES}
+    data = {
+        "table": module.interface(),
+        "ticks": TICKS,
+        "modes": list(MODES),
+        "states": list(STATES),
+        "actions": list(ACTIONS),
+        "causes": [{"name": cause.name, "text": cause.text} for cause in CAUSES],
+        "rigs": rigs,
+        "starts": starts,
+        "texts": texts,
+    }
+    return PlayProgram(module.data, data)

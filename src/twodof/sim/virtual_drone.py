@@ -1,23 +1,208 @@
-"""A virtual drone: the virtual rig and the flight controller's program, as one thing that speaks MAVLink."""
+"""A virtual drone: the rig as a flight controller's hardware, and the whole program on it."""
 
 import asyncio
-from collections.abc import Iterable, Mapping
+import functools
+import math
+import operator
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
 from twodof.blocks import Diagram
-from twodof.errors import ParameterError
+from twodof.blocks.noise import SEEDS
+from twodof.compile import CompiledProgram, build
+from twodof.compile.stepper import Stepper
+from twodof.errors import CompileError, ExperimentError, ParameterError
 from twodof.fcu.assembly import Assembly
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import ControllerIdentity, Controllers
+from twodof.fcu.control.flight_code import MEASURED, FlightCode
+from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.server import Server
 from twodof.link.mavlink.rates import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
-from twodof.rig.parameters import load_rig
-from twodof.sim.rig_host import VirtualRig
+from twodof.rig.parameters import lab, load_rig
+from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
+from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
+
+TICKS = SAMPLE[0]
+"""Base ticks in a control period."""
+
+MOST_SETTLED = 16
+"""Rigs and estimators whose covariances are kept."""
+
+_settled: dict[str, Mapping[str, Any]] = {}  # what was run once need not be run again in this process
+
+_OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
+# The rig does not roll or yaw, and its IMU gives a sample at each tick.
+_LACKING = len(_OUTPUTS), len(_OUTPUTS) + 1
+_sampled = itemgetter(*(_OUTPUTS.index(n) if n in _OUTPUTS else _LACKING[n == "imu_new"] for n in SensorSample._fields))
+
+
+@functools.cache
+def _program(precision: str) -> CompiledProgram:
+    program = build(rig(), BASE_DT, precision)
+    if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
+        raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
+    return program
+
+
+class VirtualRig:
+    """A rig from `twodof.rig.parameters` (None: `lab`) as a `VirtualHardware`, with the bits of `ClosedLoop`.
+
+    `conditions` are further parameters of the rig (`trim`, `noise`, `seed`, `rings`, ...). `safety_off` says that the
+    safety switch was pressed. `distort` changes what the sensors say, for trying faults. Raises ParameterError for
+    parameters that are unknown or out of bounds, CompileError where there is no C compiler.
+    """
+
+    virtual = True
+
+    def __init__(
+        self,
+        parameters: ParameterSet | None = None,
+        conditions: Mapping[str, Any] | None = None,
+        precision: str = "float64",
+        name: str = "lab",
+        safety_off: bool = True,
+    ) -> None:
+        program = _program(precision)
+        self.name = name
+        self.safety_off = safety_off
+        self.distort: Callable[[SensorSample], SensorSample] | None = None
+        self.machine = program.machine()
+        self.machine.set_many(dict((lab() if parameters is None else parameters).snapshot()) | dict(conditions or {}))
+        self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
+        self._position_filter = ""
+        self._flight_states: frozenset[str] = frozenset()
+        self._settled: Mapping[str, Any] = {}
+        self._stopped = False
+        self._take_conditions()
+        self.machine.reset()
+        self._look()
+
+    @property
+    def seed(self) -> int:
+        """Of the noise."""
+        return self._seed
+
+    @property
+    def rings(self) -> bool:
+        """Whether the rings lock the cart."""
+        return self._rings
+
+    @property
+    def truth(self) -> tuple[float, float, float, float]:
+        """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
+        return self._outputs[-len(TRUTH) :]
+
+    def settle(self, code: FlightCode) -> None:
+        """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
+
+        It runs 100 s of the rig with the motors off the first time in a process for this rig and estimator; `reset`
+        then starts from there.
+        """
+        states = code.machine.program.states
+        self._position_filter, self._flight_states = code.position_filter, frozenset(states)
+        estimator = [path for path in code.machine.parameters if path.startswith("estimator.")]
+        key = repr(
+            (
+                code.precision,
+                code.position_filter,
+                [(path, self.machine.get(path)) for path in self.machine.parameters],
+                [(path, code.machine.get(path)) for path in estimator],
+            )
+        )
+        found = _settled.get(key)
+        if found is None:
+            plain = code
+            if code.sandbox is not None:  # whoever flies, the estimator is the same
+                plain = FlightCode(position_filter=code.position_filter, precision=code.precision)
+                plain.machine.set_many({path: code.machine.get(path) for path in estimator})
+            found = _settled[key] = self._at_rest(plain, covariances(states))
+            while len(_settled) > MOST_SETTLED:
+                _settled.pop(next(iter(_settled)))
+        self._settled = found
+        code.reset(self._begin(InitialState()))
+
+    def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
+        """The rig first, whose sensors tell nothing of the flight code while the motors are off; then that code."""
+        self.machine.reset()
+        code.reset()
+        seen = self.machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
+        given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
+        given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
+        code.machine.run(SETTLE_STEPS, given | ControlInput()._asdict())
+        return {path: code.machine.state(path) for path in paths}
+
+    def reset(
+        self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
+    ) -> dict[str, Any]:
+        """Begins again at rest at `x` [m]; what is None stays as it is. Returns states for the flight code, by path.
+
+        Raises ParameterError, and changes nothing, for a place beyond the rail, a seed or a noise that cannot be.
+        """
+        values: dict[str, Any] = {}
+        if seed is not None:
+            if isinstance(seed, bool) or not 0 <= operator.index(seed) < SEEDS:
+                raise ParameterError(f"{seed!r:.40} is not a seed", "seed", f"give an integer 0 to {SEEDS - 1}")
+            values["seed"] = operator.index(seed)
+        if noise is not None:
+            if not (math.isfinite(noise) and noise >= 0.0):
+                raise ParameterError(f"a noise of {noise!r:.40}", "noise", "give 0 (none) or more; 1 is the rig's own")
+            values["noise"] = float(noise)
+        if rings is not None:
+            values["rings"] = bool(rings)
+        start = InitialState(x=float(x))
+        try:
+            start.check(float(self.machine.get("pitch_stop")), float(self.machine.get("rail_stop")))
+        except ExperimentError as error:
+            raise ParameterError(error.what, error.where, error.remedy) from error
+        # The rings hold the cart where it starts.
+        self.machine.set_many(values | {"ring_place": float(x)} | start.rig_parameters())
+        self._take_conditions()
+        return self._begin(start)
+
+    def read(self) -> SensorSample:
+        """The measurements of this tick."""
+        sample = SensorSample._make(_sampled((*self._outputs, 0.0, True)))
+        return sample if self.distort is None else self.distort(sample)
+
+    def drive(self, fore: float, aft: float) -> None:
+        """Commands the rotor pairs, 0 to 1 each, and lets the rig's time run by a control period."""
+        if self._stopped:
+            fore = aft = 0.0
+        self._stepper.run(TICKS, (fore, aft))
+        self._look()
+
+    def stop(self) -> None:
+        """Both pairs off until `release`, against every command; from any thread."""
+        self._stopped = True
+
+    def release(self) -> None:
+        """Commands count again."""
+        self._stopped = False
+
+    def _look(self) -> None:
+        # What the sensors say of a tick depends on the rig's state only, and is needed before that tick's commands.
+        self._outputs = self._stepper.peek()
+
+    def _begin(self, start: InitialState) -> dict[str, Any]:
+        machine = self.machine
+        machine.set_many(start.rig_parameters())
+        machine.reset()
+        for path, value in start.rig_states(float(machine.get("delay")), float(machine.get("lag"))).items():
+            machine.set_state(path, value)
+        self._look()
+        if not self._flight_states:
+            return {}
+        return start.flight_states(self._position_filter, self._flight_states) | dict(self._settled)
+
+    def _take_conditions(self) -> None:
+        self._seed, self._rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
 
 
 class VirtualDrone:

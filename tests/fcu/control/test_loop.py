@@ -18,7 +18,7 @@ from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import DISARMED
 from twodof.rig.parameters import lab
 from twodof.signals import TICK_NS
-from twodof.sim.rig_host import VirtualRig
+from twodof.sim.virtual_drone import VirtualRig
 
 AT = 300
 

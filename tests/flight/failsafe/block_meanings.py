@@ -15,8 +15,7 @@ from twodof.flight.declarations import COMMANDS, SET_POINTS
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
 from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
-from twodof.flight.failsafe.output_selector import OutputSelector, StandbyReset
-from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
+from twodof.flight.failsafe.gate import OutputSelector, SafeSetPoints, StandbyReset
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
 
 NAN, INF = math.nan, math.inf

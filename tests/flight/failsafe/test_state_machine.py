@@ -34,9 +34,9 @@ from twodof.blocks import Block
 from twodof.flight.declarations import tunable
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, LEVEL, NONE, OFF, RequestedActions, named_causes
 from twodof.flight.failsafe.diagram import TIMERS
+from twodof.flight.failsafe.flags import OffDelay, WatchdogTimer
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, MAY_TURN, REFUSED, FailsafeStateMachine
 from twodof.flight.failsafe.state_machine import LEVEL as LEVELLING
-from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
 
 pytestmark = pytest.mark.slow
 

@@ -18,11 +18,17 @@ from twodof.flight.declarations import (
 )
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, RequestedActions
 from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
-from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
-from twodof.flight.failsafe.output_selector import OutputSelector
-from twodof.flight.failsafe.safe_setpoints import SafeSetPoints
+from twodof.flight.failsafe.flags import (
+    BatteryFlags,
+    OffDelay,
+    PlaceFlags,
+    SensorFlags,
+    SetPointFlags,
+    StuckCommands,
+    WatchdogTimer,
+)
+from twodof.flight.failsafe.gate import OutputSelector, SafeSetPoints
 from twodof.flight.failsafe.state_machine import STATES, FailsafeStateMachine, Reasons
-from twodof.flight.failsafe.timers import OffDelay, WatchdogTimer
 
 __all__ = ["ACTIONS", "CAUSES", "OUTPUTS", "STATES", "TIMERS", "failsafe"]
 

@@ -7,7 +7,7 @@ from typing import Any
 from twodof.blocks import Block, Port, State, int32, maximum, where
 from twodof.flight.declarations import ports, tunable, tunables
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES, NONE
-from twodof.flight.failsafe.timers import ticks
+from twodof.flight.failsafe.flags import ticks
 
 STATES = ("disarmed", "refused", "flying", "level", "brake", "descend", "off")
 """What the failsafe is in, by number. Motors may turn in flying, level, brake and descend."""

@@ -7,7 +7,7 @@ from types import MappingProxyType
 from twodof.blocks import Diagram
 from twodof.blocks.schema.json_form import MAX_BYTES, from_json, to_json
 from twodof.errors import DiagramError
-from twodof.flight.starters import attitude, motor, position
+from twodof.flight.starters import attitude, position
 from twodof.flightlog.atomic import atomic_write, check_free
 
 STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
@@ -20,9 +20,9 @@ STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
         "stock-position": position.stock_position,
         "pid-position": position.pid_position,
         "empty-position": position.empty_position,
-        "stock-motor": motor.stock_motor,
-        "direct-motor": motor.direct_motor,
-        "empty-motor": motor.empty_motor,
+        "stock-motor": position.stock_motor,
+        "direct-motor": position.direct_motor,
+        "empty-motor": position.empty_motor,
     }
 )
 """What makes each starter diagram."""

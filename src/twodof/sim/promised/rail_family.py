@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twodof.design.pitch_family import PitchFamily
 from twodof.errors import ParameterError, shown
 from twodof.rig.parameters import load_rig
-from twodof.sim.identified_rig import identified_rig
+from twodof.sim.resimulation import identified_rig
 
 Array = NDArray[np.float64]
 

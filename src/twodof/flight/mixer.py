@@ -6,8 +6,7 @@ from operator import and_
 from typing import Any
 
 from twodof.blocks import Block, Port, int32, maximum, minimum, where
-from twodof.flight.declarations import ports
-from twodof.flight.finite import finite
+from twodof.flight.declarations import finite, ports
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS
 from twodof.signals import ATTITUDE, OFF, POSITION, RATE, VELOCITY
 

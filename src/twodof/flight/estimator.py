@@ -5,9 +5,8 @@ from typing import Any
 from twodof.blocks import Block, Diagram, State, int32, where
 from twodof.errors import ParameterError
 from twodof.flight.declarations import IMU, RANGE, add_inputs, ports
-from twodof.flight.estimator.longitudinal_filter import LongitudinalFilter
-from twodof.flight.estimator.pitch_filter import PitchFilter
-from twodof.flight.estimator.position_filter import FixedGainPosition, KalmanPosition, RailAcceleration
+from twodof.flight.joint_filter import LongitudinalFilter
+from twodof.flight.separate_filters import FixedGainPosition, KalmanPosition, PitchFilter, RailAcceleration
 
 POSITION_FILTERS = ("joint", "fixed-gain", "kalman")
 

@@ -11,7 +11,7 @@ import pytest
 from twodof.blocks import Block, Diagram
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
-from twodof.flight.control.mixer import FiniteCommands, MotorFlags, RotorPairs
+from twodof.flight.mixer import FiniteCommands, MotorFlags, RotorPairs
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY
 
 

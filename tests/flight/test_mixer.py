@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from twodof.blocks import Diagram
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
-from twodof.flight.control.mixer import Mixer
+from twodof.flight.mixer import Mixer
 
 
 def _machine() -> ReferenceMachine:

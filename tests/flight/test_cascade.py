@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
-from twodof.flight.control.cascade import cascade
+from twodof.flight.cascade import cascade
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 

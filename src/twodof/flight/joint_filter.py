@@ -4,8 +4,7 @@ from typing import Any
 
 from twodof.blocks import Block, Port, State, where
 from twodof.blocks.elementary.functions import atan2, cos, sin
-from twodof.flight.declarations import IMU, RANGE, ports, tunables
-from twodof.flight.finite import restarted
+from twodof.flight.declarations import IMU, RANGE, ports, restarted, tunables
 from twodof.signals import RAIL_CENTRE
 
 STATES = ("theta", "bias", "x", "v")

@@ -3,7 +3,7 @@
 from typing import Any
 
 from twodof.blocks import Block, Diagram, Port, int32, where
-from twodof.flight.control.cascade_loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
+from twodof.flight.cascade_loops import AttitudeLoop, PositionLoop, Projection, RateLoop, VelocityLoop
 from twodof.flight.declarations import SET_POINTS, add_inputs, ports
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY

@@ -1,12 +1,11 @@
-"""Set-points as they may fly: limited, and while the failsafe acts its own."""
+"""Gate of the failsafe: the set-points that it lets pass, and the commands that reach the motors."""
 
 from typing import Any
 
 from twodof.blocks import Block, Port, State, int32, maximum, minimum, to_real, where
-from twodof.flight.declarations import SET_POINTS, ports, tunable, tunables
+from twodof.flight.declarations import COMMANDS, SET_POINTS, finite, ports, tunable, tunables
+from twodof.flight.failsafe.flags import ticks
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
-from twodof.flight.failsafe.timers import ticks
-from twodof.flight.finite import finite
 from twodof.signals import ATTITUDE, OFF, POSITION
 
 
@@ -59,3 +58,54 @@ class SafeSetPoints(Block):
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         held = maximum(0.0, minimum(p.thrust_held, u.T_flown))
         return where((u.state == int32(FLYING)) & finite(u.T_flown), held, where(u.stopped, 0.0, x.thrust))
+
+
+class OutputSelector(Block):
+    """Chooses between the user's controller and the stock one, and stops the motors.
+
+    `own_fore`, ... are the user's commands. They fly while `own`, if they are numbers and the controller was in time
+    (not `own_late`). Else the stock commands fly, from that very tick on. Where those are not numbers either, or the
+    motors are `stopped`, both pairs get 0 in that tick. Every output lies within [0, 1].
+    """
+
+    inputs = ports("stopped", "own", "own_late", *COMMANDS, *(f"own_{name}" for name in COMMANDS))
+    outputs = ports(*COMMANDS, "own_lost", "command_lost")
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        def numbers(prefix: str) -> Any:
+            fore, aft, moment, thrust = (finite(u[f"{prefix}{name}"]) for name in COMMANDS)
+            return fore & aft & moment & thrust
+
+        healthy = numbers("own_") & ~u.own_late
+        use_own = u.own & healthy
+        sound = use_own | numbers("")
+        fly = ~u.stopped & sound
+
+        def passed(name: str) -> Any:
+            return where(fly, where(use_own, u[f"own_{name}"], u[name]), 0.0)
+
+        return {
+            "fore": maximum(0.0, minimum(1.0, passed("fore"))),
+            "aft": maximum(0.0, minimum(1.0, passed("aft"))),
+            "M": passed("M"),
+            "T": passed("T"),
+            "own_lost": u.own & ~healthy,
+            "command_lost": ~u.stopped & ~sound,
+        }
+
+
+class StandbyReset(Block):
+    """Which controllers hold their integrals in reset: those that do not fly. `own_given` is the constant `given`."""
+
+    inputs = ports("in_reset", "own")
+    outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), *ports("own_given"))
+
+    def __init__(self, given: bool) -> None:
+        self.given = given
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {
+            "own_in_reset": u.in_reset | ~u.own,
+            "stock_in_reset": u.in_reset | u.own,
+            "own_given": self.given,
+        }
