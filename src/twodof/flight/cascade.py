@@ -67,7 +67,7 @@ class MomentAndThrust(Block):
 
 
 def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: Diagram | None = None) -> Diagram:
-    """The cascade with `gains`, made for 250 Hz.
+    """Return the cascade with `gains`, made for 250 Hz.
 
     Inputs: `mode` (int32, index into `signals.MODES`) and `in_reset` (bool: the integrals). The mode uses one of the
     set-points `x0` [m], `v0` [m/s], `theta0` [rad], `q0` [rad/s]. `thrust` is for the modes without velocity loop,
@@ -113,7 +113,7 @@ def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: D
 
 
 def _stock_position(d: Diagram, gains: Gains) -> tuple[str, str, str]:
-    """Adds the stock loops; returns the sources of v0, of the pitch set-point and of the thrust."""
+    """Add the stock loops; return the sources of v0, of the pitch set-point and of the thrust."""
     d.add("position", PositionLoop(gains.position), x0="x0", x="x", v0="v0", closed="logic.position")
     d.add("velocity", VelocityLoop(*gains.velocity), v0="position.v0", v="v", in_reset="logic.reset_velocity")
     d.add("projection", Projection(), force="velocity.force")
@@ -121,7 +121,7 @@ def _stock_position(d: Diagram, gains: Gains) -> tuple[str, str, str]:
 
 
 def _own_position(d: Diagram, position: Diagram) -> tuple[str, str, str]:
-    """Adds a user's position controller; returns the same sources."""
+    """Add a user's position controller; return the same sources."""
     add_inputs(d, "ax0")
     d.add(
         "position_control",
@@ -139,7 +139,7 @@ def _own_position(d: Diagram, position: Diagram) -> tuple[str, str, str]:
 
 
 def _stock_attitude(d: Diagram, gains: Gains) -> tuple[str, str]:
-    """Adds the stock loops; returns the sources of q0 and of the moment."""
+    """Add the stock loops; return the sources of q0 and of the moment."""
     d.add(
         "attitude",
         AttitudeLoop(gains.attitude),
@@ -153,7 +153,7 @@ def _stock_attitude(d: Diagram, gains: Gains) -> tuple[str, str]:
 
 
 def _own_attitude(d: Diagram, attitude: Diagram) -> tuple[str, str]:
-    """Adds a user's attitude controller; returns the same sources."""
+    """Add a user's attitude controller; return the same sources."""
     d.add(
         "attitude_control",
         attitude,

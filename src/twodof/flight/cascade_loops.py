@@ -69,7 +69,8 @@ class VelocityLoop(Block):
 
 
 class Projection(Block):
-    """The pitch and thrust that push with `force` along the rail and keep the vertical thrust:
+    """Pitch and thrust that push with `force` along the rail and keep the vertical thrust.
+
     theta0 = -atan(force / (T_bar eta_T)), T = T_bar / cos(theta0).
     """
 

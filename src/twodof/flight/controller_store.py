@@ -15,7 +15,7 @@ STOCK = {"attitude_control": "stock-attitude", "position_control": "stock-positi
 
 
 def data_folder() -> Path:
-    """The user's folder of what is kept: TWODOF_DATA, or XDG_DATA_HOME/twodof, or ~/.local/share/twodof.
+    """Return the user's data folder: TWODOF_DATA, or XDG_DATA_HOME/twodof, or ~/.local/share/twodof.
 
     Raises DiagramError where the user has no home folder.
     """
@@ -42,7 +42,7 @@ class ControllerStore:
         return self.folder / f"{kind}.json"
 
     def flashed(self) -> dict[str, Diagram]:
-        """The diagrams that were flashed, by template; a template of which none was is left out.
+        """Return the flashed diagrams by template.
 
         Raises DiagramError for a file that is not a diagram any more, or not of its template.
         """
@@ -55,7 +55,7 @@ class ControllerStore:
         return found
 
     def flies(self, kind: str) -> tuple[Diagram, str]:
-        """The diagram of the template `kind` that flies now, and what it is: its file, or the stock controller.
+        """Return the diagram of the template `kind` that flies now, and its origin: a file, or the stock controller.
 
         A file that is damaged flies nothing, so the stock controller stands for it, and the text says so.
         """
@@ -69,7 +69,7 @@ class ControllerStore:
             return load_diagram(STOCK[kind]), f"{stock}, as what was flashed is damaged: {damage}"
 
     def flash(self, diagram: Diagram) -> Path:
-        """Puts `diagram` in the place of what flew by its template, and returns the file.
+        """Let `diagram` fly from now on for its template, and return its file.
 
         Raises DiagramError for a diagram that fits no template or has no JSON form, LogError where the file system
         refuses; then what flew stays.
@@ -101,5 +101,5 @@ class ControllerStore:
 
 
 def simulator_controllers() -> ControllerStore:
-    """What `twodof flash --to sim` writes and `twodof simulate --controller flashed` flies."""
+    """Return the store that `twodof flash --to sim` writes and `twodof simulate --controller flashed` reads."""
     return ControllerStore(data_folder() / "flashed" / "sim")

@@ -71,7 +71,7 @@ def core(
     failsafe: bool = False,
     outside: bool = False,
 ) -> Diagram:
-    """What flies: estimator, level hold, cascade, mixer, with the ports `INPUTS` and `OUTPUTS`, made for 250 Hz.
+    """Return the flight core for 250 Hz: estimator, level hold, cascade, mixer; its ports are `INPUTS` and `OUTPUTS`.
 
     Parameter paths: `estimator.filter...` (of the joint filter; else `estimator.pitch...`, `estimator.position...`),
     `cascade.rate.kp` and so on (see `cascade`), `hold.settle`, `hold.window`, `arming.samples`.
@@ -153,7 +153,7 @@ def core(
 
 
 def _cascade(d: Diagram, name: str, item: Diagram, given: Mapping[str, str], in_reset: str) -> None:
-    """Adds a cascade, fed by the set-points `given` and the estimates."""
+    """Add a cascade, fed by the set-points `given` and the estimates."""
     d.add(
         name,
         item,
@@ -170,7 +170,7 @@ def _cascade(d: Diagram, name: str, item: Diagram, given: Mapping[str, str], in_
 def _failsafe(
     d: Diagram, given: Mapping[str, str], commands: Mapping[str, str], reserve: Gains | None, outside: bool
 ) -> None:
-    """Adds the failsafe behind `commands`; where those are a user's, stock controllers with the gains `reserve`."""
+    """Add the failsafe behind `commands`, and stock controllers with the gains `reserve` behind a user's commands."""
     d.add("failsafe", failsafe_diagram())
     for name in (*(row[0] for row in FAILSAFE_INPUTS), *IMU, *RANGE, *GIVEN):
         d.connect(name, f"failsafe.{name}")
@@ -192,7 +192,7 @@ def _failsafe(
 
 
 def _own_motors(d: Diagram, motors: Diagram, command: str, mode: str, in_reset: str) -> str:
-    """Adds a user's motor controller in the mixer's place, fed by the part `command`; returns what makes the pairs."""
+    """Add a user's motor controller in the mixer's place, fed by `command`; return the part that makes the pairs."""
     d.add("flags", MotorFlags(), mode=mode)
     d.add(
         MOTOR.name,

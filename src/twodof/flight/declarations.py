@@ -1,4 +1,4 @@
-"""What the blocks of the flight code declare: ports by their names, and parameters by their rows.
+"""Declarations of the flight code's blocks: ports by their names, and parameters by their rows.
 
 A name has one type and unit in all of the blocks.
 """
@@ -14,7 +14,7 @@ from twodof.parameters import TUNABLES
 
 
 def finite(value: Any) -> Any:
-    """Whether a real is finite: for an infinite one and for NaN, value - value is not 0."""
+    """Return whether a real is finite: for an infinite one and for NaN, value - value is not 0."""
     return value - value == 0.0
 
 
@@ -23,7 +23,7 @@ PLAUSIBLE = MappingProxyType({"theta": 1.5, "bias": 100.0, "x": 1e6, "x_filter":
 
 
 def restarted(new: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, Any]:
-    """The states `new` of a filter, or, if one of them is NaN or not `PLAUSIBLE`, those that it begins with.
+    """Return the states `new` of a filter, or its initial states if one of `new` is NaN or not `PLAUSIBLE`.
 
     These are `first`, by name, 0 if unnamed. A filter that has once taken a sample that cannot be would else give no
     number for ever.
@@ -101,18 +101,18 @@ _PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS,
 
 
 def ports(*names: str) -> tuple[Port, ...]:
-    """The ports of a block that have these names."""
+    """Return the ports of a block that have these names."""
     return tuple(_PORTS[name] for name in names)
 
 
 def add_inputs(d: Diagram, *names: str) -> None:
-    """Declares inputs of a diagram that have these names."""
+    """Declare inputs of a diagram that have these names."""
     for port in ports(*names):
         d.input(port.name, port.kind, unit=port.unit)
 
 
 def tunable(path: str, value: float | None = None) -> Param:
-    """The parameter whose row is at `path` ("cascade.rate.kp"), with its default or another `value`."""
+    """Return the parameter whose row is at `path` ("cascade.rate.kp"), with its default or another `value`."""
     row = TUNABLES[path]
     default = row.default if value is None else value
     unit = "" if row.unit == "-" else row.unit
@@ -124,7 +124,7 @@ def tunable(path: str, value: float | None = None) -> Param:
 
 
 def tunables(block: str, *names: str, **values: Any) -> tuple[Param, ...]:
-    """The parameters of a block of the flight code; `names` chooses some of its rows, `values` are other defaults."""
+    """Return the parameters of a flight block; `names` chooses some of its rows, `values` are other defaults."""
     prefix = f"{block}."
     own = [path.removeprefix(prefix) for path in TUNABLES if path.startswith(prefix)]
     return tuple(tunable(prefix + name, values.get(name)) for name in names or own)

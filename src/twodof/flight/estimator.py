@@ -35,7 +35,7 @@ class Publisher(Block):
 
 
 def estimator(position_filter: str = "joint") -> Diagram:
-    """The estimator, made for 250 Hz.
+    """Return the estimator, made for 250 Hz.
 
     `position_filter` is "joint": one extended Kalman filter for pitch and position, which comes closest to the drone's
     own estimates. The others, "fixed-gain" and "kalman", are fed with the pitch of a filter of its own.
@@ -68,7 +68,7 @@ def estimator(position_filter: str = "joint") -> Diagram:
 
 
 def _separate(d: Diagram, position_filter: str) -> tuple[str, str]:
-    """Adds the pitch filter and, fed with its pitch, a position filter; returns their names."""
+    """Add the pitch filter and, fed with its pitch, a position filter; return their names."""
     d.add("pitch", PitchFilter(), acc_x="acc_x", acc_z="acc_z", gyro_y="gyro_y")
     d.add("rail", RailAcceleration(), acc_x="acc_x", acc_z="acc_z", theta="pitch.theta")
     position = KalmanPosition() if position_filter == "kalman" else FixedGainPosition()

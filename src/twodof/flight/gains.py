@@ -25,10 +25,11 @@ _SHAPE = '{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position
 
 @dataclass(frozen=True)
 class Gains:
-    """The gains of the four loops: `rate` (Kp [s/rad], Ki [1/rad], Kd [s2/rad]), `attitude` Kp [1/s],
-    `velocity` (Kp [N s/m], Ki [N/m]), `position` Kp [1/s].
+    """Gains of the four loops.
 
-    Raises ParameterError for another number of gains, and for a gain that the drone refuses, in the same words.
+    `rate` has Kp [s/rad], Ki [1/rad] and Kd [s2/rad], `attitude` Kp [1/s], `velocity` Kp [N s/m] and Ki [N/m],
+    `position` Kp [1/s]. Raises ParameterError for another number of gains, and for a gain that the drone refuses, in
+    the same words.
     """
 
     rate: tuple[float, float, float]
@@ -53,7 +54,7 @@ class Gains:
         return {_ROWS[name].path.removeprefix(_CASCADE): value for name, value in self._named().items()}
 
     def tuned(self) -> dict[str, float]:
-        """Those that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
+        """Gains that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
         return {name: value for name, value in self._named().items() if value != _DEFAULTS[name]}
 
     def changed(self, name: str, value: float) -> Self:
@@ -64,7 +65,7 @@ class Gains:
 
     @classmethod
     def flown(cls, provenance: Mapping[str, Any]) -> Self | None:
-        """The gains that a log's provenance says were flown, by the drone's parameters; None where it says nothing.
+        """Return the flown gains by a log's provenance; None where it says nothing.
 
         A flight and a recording have those that were tuned, a log of our flight controller all of them, in float32.
         """
@@ -83,7 +84,7 @@ class Gains:
         return cls((kp, ki, kd), attitude, (velocity_kp, velocity_ki), position)
 
     def to_json(self) -> dict[str, Any]:
-        """The form `from_json` reads."""
+        """Return the form that `from_json` reads."""
         return {name: list(value) if isinstance(value, tuple) else value for name, value in vars(self).items()}
 
     @classmethod
@@ -115,7 +116,7 @@ DEFAULT, STUDENT = NAMED["default"], NAMED["student"]
 
 
 def load_gains(source: str | Path) -> Gains:
-    """The gains called `source` ("default", "student"), or those of a JSON file. Raises ParameterError."""
+    """Return the gains called `source` ("default", "student"), or those of a JSON file. Raises ParameterError."""
     if str(source) in NAMED:
         return NAMED[str(source)]
     try:

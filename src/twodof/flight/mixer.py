@@ -41,7 +41,7 @@ class FiniteCommands(Block):
 
 
 class MotorFlags(Block):
-    """What a motor controller is told about the mode."""
+    """Flags of the closed loops, for a motor controller."""
 
     inputs = ports("mode")
     outputs = tuple(Port(name, "bool") for name in ("rate", "attitude", "velocity", "position"))

@@ -128,7 +128,7 @@ TEMPLATES: Mapping[str, Template] = MappingProxyType({t.name: t for t in (ATTITU
 
 
 def kind_of(diagram: Diagram) -> str:
-    """The name of the template that `diagram` is made for, as `nearest_template` says.
+    """Return the name of the template that `diagram` is made for, as `nearest_template` says.
 
     It says what a diagram is meant to be; whether it is one says `check_template`. Raises DiagramError for a diagram
     that has hardly a port of any template.
@@ -143,7 +143,7 @@ def kind_of(diagram: Diagram) -> str:
 
 
 def nearest_template(diagram: Diagram) -> str | None:
-    """The name of the template that `diagram` is made for, judged by its ports' names, outputs before inputs.
+    """Return the name of the template nearest to `diagram` by its ports' names, outputs before inputs.
 
     None if it has no output of any template, and hardly an input.
     """
@@ -164,7 +164,7 @@ def nearest_template(diagram: Diagram) -> str | None:
 
 
 def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
-    """Checked diagrams by their template. Raises DiagramError as `check_template`, and for two of one kind."""
+    """Return checked diagrams by their template. Raises DiagramError as `check_template`, and for two of one kind."""
     found: dict[str, Diagram] = {}
     for diagram in diagrams:
         name = check_template(diagram).name
@@ -179,7 +179,7 @@ def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
 
 
 def check_template(diagram: Diagram, kind: str | None = None) -> Template:
-    """The template that `diagram` fills in, by name or (None) as `kind_of` says.
+    """Return the template that `diagram` fills in, by name or (None) as `kind_of` says.
 
     It has exactly the template's ports, each a scalar of the template's type, in its unit or in none; an input may be
     left unused inside. Raises a DiagramError that names every port that is missing, too many or of another type or
@@ -204,7 +204,7 @@ class TemplateFit:
 
     @property
     def fits(self) -> bool:
-        """Whether the diagram can fly in the place of the template's stock controller."""
+        """Check that the diagram can fly in the place of the template's stock controller."""
         return not self.faults and self.refusal is None
 
 
@@ -226,7 +226,7 @@ def template_fit(diagram: Diagram, kind: str) -> TemplateFit:
 
 
 def _not_as_a_controller(diagram: Diagram, program: FlatProgram) -> DiagramError | None:
-    """What keeps a diagram that compiles from being stepped among the others."""
+    """Return the reasons why a compiled diagram cannot be a part of the flight core."""
     moving = [node.path for node in program.integrated]
     if moving:
         return DiagramError(
@@ -242,7 +242,7 @@ def _not_as_a_controller(diagram: Diagram, program: FlatProgram) -> DiagramError
 
 
 def _check_among_others(diagram: Diagram) -> None:
-    """Raises DiagramError where a diagram runs by itself but not as a part that is stepped every fourth tick."""
+    """Check that a diagram runs as a part that is stepped every fourth tick. Raises DiagramError."""
     d = Diagram(diagram.name)
     for port in diagram.inputs.values():
         d.declare(port)
@@ -257,7 +257,7 @@ def _check_among_others(diagram: Diagram) -> None:
 
 
 def _faults(what: str, wanted: Sequence[TemplatePort], given: Mapping[str, FlatSignal | Port | None]) -> Iterator[str]:
-    """What is wrong with the ports `given`, by name; None for one whose type is not known."""
+    """Return the faults of the ports `given`, by name to type; a type of None is unknown."""
     names = {port.name for port in wanted}
     strange = [name for name in given if name not in names]
     meant = _misnamed([port.name for port in wanted if port.name not in given], strange, what == "output")

@@ -65,15 +65,16 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
 
 
 def most_at_rest(friction: Any, place: Any, low: Any, high: Any) -> tuple[Any, Any]:
-    """The loads, most negative and most positive, under which a body at `place` stays at rest: `friction`, or any that
-    presses against a stop.
+    """Return the most negative and most positive loads under which a body at `place` stays at rest.
+
+    These are `friction`, or any load that presses against a stop.
     """
     # A stop bears any load that presses against it, friction at most its own either way.
     return -where(place <= low, math.inf, friction), where(place >= high, math.inf, friction)
 
 
 def stays_at_rest(speed: Any, load: Any, most: tuple[Any, Any]) -> Any:
-    """Whether a body with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
+    """Return whether a body with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
     # Together, so that a body in motion (most of the time) asks nothing of its load.
     return (speed == 0.0) & ((load <= most[1]) & (most[0] <= load))
 

@@ -118,12 +118,12 @@ MAX_BYTES = 1 << 20
 
 
 def paper() -> ParameterSet:
-    """The rig that behaves as the paper's models do: linear springs, viscous friction only, no disturbance."""
+    """Return the rig that behaves as the paper's models do: linear springs, viscous friction only, no disturbance."""
     return ParameterSet({name: value for name, (value, _) in _paper().items()}, TABLE)
 
 
 def lab() -> ParameterSet:
-    """The real drone, as `calibrate.py` found it on its logs."""
+    """Return the real drone's set, as `calibrate.py` found it on its logs."""
     return load_rig(LAB_FILE)
 
 
@@ -136,7 +136,7 @@ def origins(name: str) -> Mapping[str, str]:
 
 
 def load_rig(source: str | Path) -> ParameterSet:
-    """The set called `source` ("paper", "lab"), or that of a JSON file; what the file does not name stays as built.
+    """Return the set called `source` ("paper", "lab"), or that of a JSON file over the defaults.
 
     Raises ParameterError for a file that cannot be read, is not a set, or holds a value out of bounds.
     """
@@ -157,7 +157,7 @@ def load_rig(source: str | Path) -> ParameterSet:
 
 
 def save_rig(values: ParameterSet, path: str | Path, overwrite: bool = False) -> None:
-    """Writes a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file.
+    """Write a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file.
 
     Raises LogError for a file that is there and where the disk refuses.
     """

@@ -39,7 +39,7 @@ def rig_params() -> dict[str, Param]:
 
 
 def rig() -> Diagram:
-    """The rig. Inputs `fore` and `aft`: the commands of the rotor pairs, in [0, 1].
+    """Return the rig. Inputs `fore` and `aft`: the commands of the rotor pairs, in [0, 1].
 
     Outputs. The measurements: `acc_x`, `acc_z` [m/s2], `gyro_y` [rad/s], `dist` [m], `dist_new`, `dist_age` [s]. The
     truth: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s]. `load` (thrust over that of hover), `voltage` [V], `charge`.

@@ -31,12 +31,12 @@ def stiffness(rig: Mapping[str, float], running: float = 1.0) -> float:
 
 
 def trim_moment(rig: Mapping[str, float], moment: float, theta: float = 0.0) -> float:
-    """The wake's moment [N m] (the rig's parameter `trim`) under which M = `moment` holds `theta` at T = .4."""
+    """Return the wake's moment [N m] (the rig's parameter `trim`) under which M = `moment` holds `theta` at T = .4."""
     return restoring_moment(rig, theta) - rotor_moment(rig, moment)
 
 
 def rail_force(rig: Mapping[str, float], theta: float, speed: float = 0.0, acceleration: float = 0.0) -> float:
-    """The steady push [N] along the rail (the rig's `rail_force`) under which a flight in hover has these means.
+    """Return the steady push [N] along the rail (`rail_force`) under which a flight in hover has these means.
 
     The means are the pitch `theta` [rad], `speed` [m/s] and `acceleration` [m/s2]. Dry friction bears as much of it as
     it can: up to `rail_coulomb` the means say nothing of the rail.
@@ -48,7 +48,7 @@ def rail_force(rig: Mapping[str, float], theta: float, speed: float = 0.0, accel
 
 
 def moment_gain(rig: Mapping[str, float], thrust: float) -> float:
-    """mu [rad/s2]: pitch acceleration for a unit of M, for small M at `thrust`; at 0, of the fore pair alone."""
+    """Return mu [rad/s2]: pitch acceleration for a unit of M, for small M at `thrust`; at 0, of the fore pair alone."""
     curve = rig["curve"]
     slope = 1.0 - curve + 2.0 * curve * thrust
     pairs = 2.0 if thrust > 0.0 else 1.0
@@ -66,7 +66,7 @@ def velocity_damping(rig: Mapping[str, float]) -> float:
 
 
 def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
-    """What the paper's models call the rig's parameters, for small angles: docs/explanation/physics.md section 8, SI.
+    """Return the parameters of the paper's models for small angles, in SI: docs/explanation/physics.md section 8.
 
     The pitch has w_n and xi with the rotors at rest and `w_n_run` and `xi_run` with them running, mu at the hover's
     thrust, and tau. Where the rotors take all stiffness away, `w_n_run` is 0 and `xi_run` infinite.
@@ -92,7 +92,7 @@ def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
 
 
 def cart_parameters(rig: Mapping[str, float]) -> dict[str, float]:
-    """What `pitch_on_cart` calls the rig's cart, in SI: docs/explanation/physics.md, equations (1) and (2)."""
+    """Return the cart's parameters of `pitch_on_cart`, in SI: docs/explanation/physics.md, equations (1) and (2)."""
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
     return {
         "coupling": rig["mass_drone"] * rig["offset"] / inertia,

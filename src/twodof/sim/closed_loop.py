@@ -62,7 +62,7 @@ def closed_loop(
     controllers: Iterable[Diagram] = (),
     failsafe: bool = False,
 ) -> Diagram:
-    """The rig flown by the flight code, for a base tick of 1 ms.
+    """Return the rig flown by the flight code, for a base tick of 1 ms.
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
     measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
@@ -102,7 +102,7 @@ def closed_loop(
 
 
 def _flight_code(gains: Gains, position_filter: str, controllers: Iterable[Diagram], failsafe: bool) -> Diagram:
-    """What flies; with the filter "drone" it has the real drone's estimator in the place of ours."""
+    """Return the flight core; the filter "drone" puts the real drone's estimator in it."""
     if position_filter != "drone":
         return core(gains, position_filter, controllers, failsafe)
     code = core(gains, controllers=controllers, failsafe=failsafe)
@@ -179,16 +179,16 @@ class ClosedLoop:
         self._settled = self._settle()
 
     def configure(self, values: Mapping[str, Any]) -> None:
-        """Sets parameters of the rig by name. Raises ParameterError for an unknown or impossible one."""
+        """Set parameters of the rig by name. Raises ParameterError for an unknown or impossible one."""
         self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
 
     def tune(self, gains: Gains) -> None:
-        """Sets the gains of the cascade, of those of its loops that are the stock ones."""
+        """Set the gains of the cascade's stock loops."""
         values = {f"{CASCADE}{path}": value for path, value in gains.parameters().items()}
         self.machine.set_many({path: value for path, value in values.items() if path in self.machine.parameters})
 
     def tune_controllers(self, values: Mapping[str, Any]) -> None:
-        """Sets parameters of the user's controllers, all or none, by paths such as "attitude_control.k_theta".
+        """Set parameters of the user's controllers, all or none, by paths such as "attitude_control.k_theta".
 
         Raises ParameterError for a path that is not there or a value out of its bounds.
         """
@@ -198,13 +198,13 @@ class ClosedLoop:
         self.machine.set_many({self.controllers[path]: value for path, value in values.items()})
 
     def controller_parameters(self) -> dict[str, tuple[Param, Any]]:
-        """What can be tuned in the user's controllers: path -> (declaration with bounds and unit, present value)."""
+        """Return the tunable parameters of the user's controllers: path -> (declaration, present value)."""
         return {
             path: (self.machine.parameters[full], self.machine.get(full)) for path, full in self.controllers.items()
         }
 
     def start(self, at: InitialState) -> None:
-        """Puts everything to the start. Raises ExperimentError for a start beyond a stop."""
+        """Begin at `start`. Raises ExperimentError for a start beyond a stop."""
         parameters, states = self.start_values(at)
         self.configure(parameters)
         self.machine.reset()
@@ -212,7 +212,7 @@ class ClosedLoop:
             self.machine.set_state(path, value)
 
     def start_values(self, at: InitialState) -> tuple[dict[str, Any], dict[str, Any]]:
-        """What `start` sets: parameters of the rig by name, before a reset, and states by path, after it.
+        """Return the rig's parameters to set before a reset, by name, and the states to set after it, by path.
 
         Raises ExperimentError for a start beyond a stop.
         """
@@ -224,7 +224,7 @@ class ClosedLoop:
         return at.rig_parameters(), states | self._settled | dict(at.states)
 
     def _settle(self) -> dict[str, Any]:
-        """The covariances to which the estimator settles at rest: a flight does not start with a doubtful pitch."""
+        """Return the covariances to which the estimator settles at rest: a flight starts with a certain pitch."""
         paths = [f"{FLIGHT}{path}" for path in covariances(self._flight_states)]
         self.machine.reset()
         compiled = isinstance(self.program, CompiledProgram)
@@ -232,9 +232,9 @@ class ClosedLoop:
         return {path: self.machine.state(path) for path in paths}
 
     def fly(self, steps: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """Flies `steps` control steps (4 ms each). A set-point is one value or an array of `steps` values, and 0
-        (or false) where it is not given.
+        """Fly `steps` control steps (4 ms each).
 
+        A set-point is one value or an array of `steps` values, and 0 (or false) where it is not given.
         `mode` is a name or an index into `signals.MODES`. Returns each signal at the control steps, (steps,).
         Raises ExperimentError for an unknown set-point or mode.
         """
@@ -256,7 +256,7 @@ class ClosedLoop:
         return {name: np.asarray(values[::TICKS]) for name, values in out.items()}
 
     def _nothing_fails(self, steps: int) -> dict[str, Any]:
-        """The inputs `SAFETY` of a flight on which nothing fails."""
+        """Return the inputs `SAFETY` of a flight on which nothing fails."""
         flying = int(self.machine.state("flight.failsafe.machine.state")) == FLYING
         arm = np.arange(steps) >= (0 if flying else ARMING)
         healthy = dict.fromkeys(("setpoint_new", "link_new", "imu_new"), True)
@@ -265,7 +265,7 @@ class ClosedLoop:
 
 
 def _state_paths(diagram: Diagram, prefix: str = "") -> Iterator[str]:
-    """The paths of all states of a diagram."""
+    """Return the paths of all states of a diagram."""
     for name, part in diagram.parts.items():
         if isinstance(part.item, Diagram):
             yield from _state_paths(part.item, f"{prefix}{name}.")

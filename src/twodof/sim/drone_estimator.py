@@ -74,13 +74,13 @@ class DelayedFilter(Block):
         return {"pull": pull, "gather": _GATHER * pull * pull}
 
     def _predicted(self, u: Any, x: Any, t: Clock) -> dict[str, Any]:
-        """The outputs moved on by the newest IMU sample."""
+        """Return the outputs moved on by the newest IMU sample."""
         theta = x.theta_out + (u.gyro_y - x.bias) * t.dt + x.turning
         v = x.v_out + (cos(theta) * u.acc_x + sin(theta) * u.acc_z) * t.dt
         return {"theta_out": theta, "x_out": x.x_out + 0.5 * (x.v_out + v) * t.dt, "v_out": v}
 
     def _filtered(self, x: Any, p: Any, t: Clock, at: Any) -> dict[str, Any]:
-        """The filter moved on by the samples at `at` in the rings."""
+        """Return the filter moved on by the samples at `at` in the rings."""
         theta = x.theta + (x.gyro_y_ring[at] - x.bias) * t.dt
         v = x.v + (cos(theta) * x.acc_x_ring[at] + sin(theta) * x.acc_z_ring[at]) * t.dt
         place = x.x + 0.5 * (x.v + v) * t.dt
@@ -154,7 +154,7 @@ class SettledEstimator:
 def settled(
     theta: ArrayLike, x: ArrayLike, v: ArrayLike, velocity_bias: float = 0.0, range_rate: float = 18.35
 ) -> SettledEstimator:
-    """The filter at a step before which it put out theta, x and v, (`HISTORY`,) each, the latest last.
+    """Return the filter's states after outputs theta, x and v, (`HISTORY`,) each, the latest last.
 
     `velocity_bias` [m/s] is a lasting error of v. A lasting error of the gyro makes it: range samples, `range_rate` a
     second, pull the pitch back, and with it x and v. So theta and x have an error too. Before the start the IMU and the

@@ -76,7 +76,7 @@ class FlownParameters:
 
 
 def _diagram(template: str, row: object) -> Diagram | None:
-    """The diagram that a log has of a user's controller; None if it lacks one, or if its template does not fit."""
+    """Return a log's diagram of a user's controller; None if there is none, or its template does not fit."""
     if not isinstance(row, Mapping) or not isinstance(row.get("diagram"), Mapping) or template not in TEMPLATES:
         return None
     try:
@@ -95,7 +95,7 @@ def _is_change(row: object) -> bool:
 
 
 def _is_number(value: object) -> bool:
-    """Whether it is a number that a parameter may have: no bool, not NaN, nothing that float32 does not hold."""
+    """Return whether a value is a finite number that float32 holds, and not a bool."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _MOST
 
 
@@ -149,7 +149,7 @@ class FlightSegment:
 
     @property
     def rails(self) -> bool:
-        """Whether the cart was free (velocity or position mode somewhere in the window)."""
+        """Return whether the cart was free (velocity or position mode somewhere in the window)."""
         return bool(np.any(self.mode >= VELOCITY))
 
 
@@ -177,7 +177,7 @@ def default_window(log: FlightLog) -> tuple[float, float]:
 
 
 def _steps(log: FlightLog, stretch: Stretch) -> Floats:
-    """Times at which the set-point of a stretch changes; the switches into and out of its mode do not count.
+    """Return the times at which the set-point of a stretch changes; the switches into and out of its mode do not count.
 
     Changes below .2 % of the set-point's range are not meant: a set-point that follows its measurement drifts. Nor is a
     jump to where the cart is: the loop is handed over there.
@@ -196,7 +196,7 @@ def _steps(log: FlightLog, stretch: Stretch) -> Floats:
 
 
 def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | None = None) -> FlightSegment:
-    """Reads a window (None: the default one) of `log`, flown with `gains`.
+    """Read a window (None: the default one) of `log`, flown with `gains`.
 
     Raises LogError for a window without 10 control steps, and as `FlightLog` does for missing channels. The cart's
     channels (x, v, x0, v0) must be there only if a mode of the window needs the cart.
@@ -240,12 +240,12 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
 
 
 def logged(log: FlightLog, name: str) -> bool:
-    """Whether the log holds samples of a channel."""
+    """Return whether the log holds samples of a channel."""
     return name in log and len(log[name]) > 0
 
 
 def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
-    """The control steps from t0 to t1 by the drone's clock: a line through M's stamps, which lose and jitter."""
+    """Return the control steps from t0 to t1 by the drone's clock: a line through the jittering stamps of M."""
     if not t0 < t1:
         raise LogError(f"window {t0!s} to {t1!s} s is empty", log.source, "give t0 < t1, in seconds")
     stamps = log["M"].slice(t0 - PERIOD, t1 + PERIOD).time
@@ -265,7 +265,7 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
 
 
 def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
-    """The latest sample of a channel at or before each time; the first one before that."""
+    """Return the latest sample of a channel at or before each time; the first one before that."""
     channel = log[name]
     if not len(channel):
         raise LogError("the channel is empty", f"{log.source}: {name}", "simulate a whole flight")
@@ -273,7 +273,7 @@ def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
 
 
 def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
-    """The mode at each step, (n,)."""
+    """Return the mode at each step, (n,)."""
     found = mode_at(log, grid + 0.5 * PERIOD)
     if not found.any():
         raise LogError(
@@ -364,7 +364,7 @@ def _velocity_bias(log: FlightLog, begin: float) -> float:
 
 
 def _controller_states(log: FlightLog, gains: Gains, begin: float, mode: str) -> dict[str, float]:
-    """The integrals, and the derivative's state, from the log up to the step before `begin`: I = M - Kp e - Kd D."""
+    """Return integrals and derivative state by the log before the step `begin`: I = M - Kp e - Kd D."""
     if mode not in SETPOINTS:
         return {}
     kp, _, kd = gains.rate

@@ -53,11 +53,11 @@ class InitialState:
 
     @property
     def running(self) -> bool:
-        """Whether the rotors run."""
+        """Return whether the rotors run."""
         return self.hover or (bool(self.commands) and self.commands[-1][1] > 0.0)
 
     def check(self, pitch_stop: float, rail_stop: float) -> None:
-        """Raises ExperimentError for a start beyond a stop [rad, m]."""
+        """Check that the start is within the stops [rad, m]. Raises ExperimentError."""
         for name, bound in (("theta", pitch_stop), ("x", rail_stop)):
             if not abs(getattr(self, name)) <= bound:
                 raise ExperimentError(
@@ -76,8 +76,9 @@ class InitialState:
         }
 
     def rig_states(self, delay: float, lag: float) -> dict[str, Any]:
-        """States of the rig, to set after its reset: the delay lines [s] hold what was commanded, and
-        the rotors' lag [s] has run over it.
+        """Return the states of the rig to set after its reset.
+
+        The delay lines [s] hold the commands of before, and the rotors' lag [s] has run over them.
         """
         states: dict[str, Any] = {"battery.load": float(self.running)}
         commands = self.commands or (((0.0, HOVER),) if self.hover else ())

@@ -63,7 +63,7 @@ class PortableLoop:
 
 
 def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab", optimise: str = "-O1") -> PortableLoop:
-    """`controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
+    """Compile `controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
 
     It is compiled, not run: what comes from elsewhere runs only where the module does. Bits are those of `ClosedLoop`
     with `start(InitialState(hover=True))` on every target. Raises DiagramError for a diagram that fits no template,
@@ -132,7 +132,7 @@ class PlayProgram:
 
 
 def play_program() -> PlayProgram:
-    """The rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
+    """Return the rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
 
     Raises CompileError where there is no compiler for WebAssembly.
     """

@@ -43,7 +43,7 @@ _FLOAT32 = float(np.finfo(np.float32).eps)
 
 @dataclass(frozen=True)
 class Replay:
-    """What a replay found. Only channels whose loop was active are in `nrms` and `coverage`.
+    """Result of a replay. Only channels whose loop was active are in `nrms` and `coverage`.
 
     `nrms[channel]` is the RMS of (replayed - logged) over the RMS of the logged signal, `coverage[channel]` the share
     of the active samples that was compared; `windows` are the stretches [s] in which something was compared.
@@ -68,7 +68,7 @@ class Replay:
 
 
 def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64") -> Replay:
-    """Feeds the logged inputs to the cascade, compiled in `precision`, and compares M, q0, theta0, T.
+    """Feed the logged inputs to the cascade, compiled in `precision`, and compare M, q0, theta0, T.
 
     `gains` None: those that the log says, with each change in flight, else the default ones. A user's controller whose
     diagram the log has then runs in place of the stock loops, in the sandbox. With `gains` the stock cascade is
@@ -184,7 +184,7 @@ class _Stages:
         return self._with_doubt(found, fits)
 
     def _with_doubt(self, found: Flags, fits: Flags) -> tuple[Flags, Flags]:
-        """The reset found, and where it cannot be known: beside it, or at the end of a stretch, after a missing sample.
+        """Return the resets, and where they are unknown: beside one, or after a missing sample that ends a stretch.
 
         Until the derivative has forgotten a missing error, M does not tell the reset. It lasted if it is there before
         and afterwards.
@@ -211,7 +211,7 @@ class _Stages:
         plan: _Plan | None = None,
         seed: Callable[[Any, Mapping[str, Any], int, int], None] | None = None,
     ) -> dict[str, Floats]:
-        """The cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the plan's seeds."""
+        """Return the cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the plan's seeds."""
         machine = self.program.machine()
         inputs = self.inputs | ({} if in_reset is None else {"in_reset": in_reset})
         seeds = plan.seeds if plan else []
@@ -228,7 +228,7 @@ class _Stages:
         return {name: np.concatenate([np.asarray(p[name], dtype=np.float64) for p in pieces]) for name in pieces[0]}
 
     def seed_rate(self, machine: Any, out: Mapping[str, Any], a: int, b: int) -> None:
-        """Gives integral and derivative what M lacks in the samples a to b: a constant, and one that decays."""
+        """Give integral and derivative the part that M lacks from a to b: a constant, and one that decays."""
         missing = self.paired.value["M"][a:b] - np.asarray(out["M"], dtype=np.float64)
         lag = 1.0 / machine.get("rate.N")
         decay = (lag / (lag + PERIOD)) ** np.arange(b - a)
@@ -239,7 +239,7 @@ class _Stages:
             machine.set_state("rate.slope", machine.state("rate.slope") + float(decaying * decay[-1] / kd))
 
     def seed_velocity(self, machine: Any, out: Mapping[str, Any], a: int, b: int) -> None:
-        """Gives the integral what the force lacks in the samples a to b; the logged force is the projection undone."""
+        """Give the integral the part that the force lacks from a to b; the logged force is the inverse projection."""
         full = machine.get("projection.T_bar") * machine.get("projection.eta_T")
         logged = -np.tan(self.paired.value["theta0"][a:b]) * full
         missing = logged - np.asarray(out["velocity.force"], dtype=np.float64)
@@ -266,7 +266,7 @@ class UserReplay(NamedTuple):
 def replay_user(
     log: FlightLog, paired: AlignedLog, flown: FlownParameters, precision: str, unsure: Flags
 ) -> UserReplay:
-    """Runs the cascade with the user's controllers over the whole log, at its modes and set-points.
+    """Run the cascade with the user's controllers over the whole log, at its modes and set-points.
 
     What a user's controller remembers is known where it is reset: with no thrust, and just after. So it is compared
     from there up to the first missing sample, except the `unsure` steps (n,). M is not compared where a user's motor
@@ -298,7 +298,7 @@ def replay_user(
 
 
 def _diagram(flown: FlownParameters) -> Diagram:
-    """The cascade with the user's controllers, and the reset that comes before it on board."""
+    """Return the cascade with the user's controllers, and the reset that comes before it on board."""
     item = cascade(
         flown.gains or DEFAULT, flown.controllers.get(ATTITUDE_CONTROL.name), flown.controllers.get(POSITION.name)
     )
@@ -314,7 +314,7 @@ def _diagram(flown: FlownParameters) -> Diagram:
 
 
 def _inputs(log: FlightLog, paired: AlignedLog) -> tuple[dict[str, Any], Flags]:
-    """What the cascade read at each step, (n,), and where something of it is missing."""
+    """Return the cascade's inputs at each step, (n,), and where one of them is missing."""
     n = len(paired.time)
     at = {"mode": log["mode"].index(paired.time, "next"), "x0": log["x0"].index(paired.time, "next")}
     at["x"] = log["x"].index(paired.time, "hold")
@@ -327,7 +327,7 @@ def _inputs(log: FlightLog, paired: AlignedLog) -> tuple[dict[str, Any], Flags]:
 
 
 def _tune(machine: Any, values: Mapping[str, Any]) -> None:
-    """Sets parameters of the cascade by path, an array's element by its index.
+    """Set parameters of the cascade by path, an array's element by its index.
 
     Anybody may have written them: unknown paths, and values that the parameter refuses, are left out.
     """

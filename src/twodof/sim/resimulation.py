@@ -81,7 +81,7 @@ def load_rig_or_model(source: str | Path) -> dict[str, float]:
 
 
 def estimates_in(found: object) -> dict[str, float] | None:
-    """The values in a fit's JSON, those held among them, or in {"mu": 358.5, ...}; None for anything else."""
+    """Return the values in a fit's JSON, held ones too, or in {"mu": 358.5, ...}; None for anything else."""
     if not isinstance(found, dict):
         return None
     rows = found.get("estimates", found)
@@ -144,7 +144,7 @@ def fit_percent(logged: NDArray[np.float64], simulated: NDArray[np.float64]) -> 
 
 
 def resimulation_loop() -> ClosedLoop:
-    """The compiled loop that `LoggedFlight.simulate` needs; one serves any number of flights, rigs and gains.
+    """Return the compiled loop of `LoggedFlight.simulate`; it serves any number of flights, rigs and gains.
 
     Its estimator is the drone's own (`sim.drone_estimator`), but it does not learn the gyro's bias: an error lasts for
     a flight. In the log where it shows, the gyro drifts as fast as its bias is learnt.
@@ -187,7 +187,7 @@ class LoggedFlight:
     def simulate(
         self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """The simulated estimates at the logged stamps, by channel, for rig parameters `rig`.
+        """Return the simulated estimates at the logged stamps, by channel, for rig parameters `rig`.
 
         `conditions` are further conditions of the flight, such as `charge_start`, or `noise` and `seed`; left out: a
         full battery and no noise. Raises ParameterError for one that the rig does not know.
@@ -218,7 +218,7 @@ class LoggedFlight:
         return {name: np.interp(self.time[name], flight.time, steps[name]) for name in self.time}
 
     def _conditions(self, rig: Mapping[str, float], tilt: float) -> dict[str, Any]:
-        """Those of the flight, where every estimated pitch is `tilt` [rad] too large."""
+        """Return the conditions of a flight whose estimated pitch is `tilt` [rad] too large."""
         flight = self.flown
         pitch, *motion = flight.balance
         trim = 0.0 if flight.trim_moment is None else trim_moment(rig, flight.trim_moment, flight.trim_theta - tilt)
@@ -235,7 +235,7 @@ class LoggedFlight:
     def compare(
         self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
     ) -> ResimulationFit:
-        """Simulates as `simulate` does, and compares with the log."""
+        """Simulate as `simulate` does, and compare with the log."""
         simulated = self.simulate(loop, rig, conditions)
         fit = {name: fit_percent(self.logged[name], values) for name, values in simulated.items()}
         return ResimulationFit(fit, self.time, self.logged, simulated, (self.flown.window,), self.flown)

@@ -84,7 +84,7 @@ def driven(values: Floats) -> Flags:
 
 
 def runs(flags: Flags) -> list[tuple[int, int]]:
-    """The stretches of true values of `flags` (n,) as (first, one past the last)."""
+    """Return the stretches of true values of `flags` (n,) as (first, one past the last)."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], flags, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
 

@@ -91,7 +91,7 @@ class VirtualRig:
 
     @property
     def rings(self) -> bool:
-        """Whether the rings lock the cart."""
+        """Return whether the rings lock the cart."""
         return self._rings
 
     @property
@@ -100,7 +100,7 @@ class VirtualRig:
         return self._outputs[-len(TRUTH) :]
 
     def settle(self, code: FlightCode) -> None:
-        """Finds the covariances to which the estimator of `code` settles on this rig at rest; then both begin at rest.
+        """Find the covariances to which the estimator of `code` settles on this rig; then both begin at rest.
 
         It runs 100 s of the rig with the motors off the first time in a process for this rig and estimator; `reset`
         then starts from there.
@@ -129,7 +129,7 @@ class VirtualRig:
         code.reset(self._begin(InitialState()))
 
     def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
-        """The rig first, whose sensors tell nothing of the flight code while the motors are off; then that code."""
+        """Run the rig, whose sensors do not depend on the flight code while the motors are off; then that code."""
         self.machine.reset()
         code.reset()
         seen = self.machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
@@ -167,7 +167,7 @@ class VirtualRig:
         return self._begin(start)
 
     def read(self) -> SensorSample:
-        """The measurements of this tick."""
+        """Return the measurements of this tick."""
         sample = SensorSample._make(_sampled((*self._outputs, 0.0, True)))
         return sample if self.distort is None else self.distort(sample)
 
@@ -254,7 +254,7 @@ class VirtualDrone:
 
     @property
     def commander(self) -> Commander:
-        """Who decides what is flown."""
+        """Return the commander."""
         return self.assembly.commander
 
     @property
@@ -275,7 +275,7 @@ class VirtualDrone:
         await self.close()
 
     async def listen(self, url: str) -> str:
-        """Opens a link and returns its URL, with the port that the system chose for port 0. Raises LinkError."""
+        """Open a link and return its URL, with the port that the system chose for port 0. Raises LinkError."""
         self.urls.append(await self.server.listen(url))
         return self.urls[-1]
 

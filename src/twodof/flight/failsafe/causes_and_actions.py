@@ -63,12 +63,12 @@ BIT = MappingProxyType({cause.name: 1 << place for place, cause in enumerate(CAU
 
 
 def named_causes(mask: int) -> tuple[str, ...]:
-    """The names of the causes whose bits are set in `mask`."""
+    """Return the names of the causes whose bits are set in `mask`."""
     return tuple(name for name, bit in BIT.items() if mask & bit)
 
 
 class RequestedActions(Block):
-    """What the causes that hold ask for, and the mask of them.
+    """Strongest action that the causes ask for, and their mask.
 
     `ready` says that nothing speaks against arming: none of them holds, those that ask for nothing else included.
     """

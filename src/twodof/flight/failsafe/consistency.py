@@ -16,7 +16,7 @@ Sums = dict[str, tuple[Any, Any]]
 
 
 def cumulative_sum(total: Any, excess: Any, limit: Any, dt: Any) -> tuple[Any, Any]:
-    """A cumulative sum (Page, Biometrika 41-1954) of what is too much, after one more sample, and whether at its limit.
+    """Return a cumulative sum (Page, Biometrika 41-1954) of the excess after a sample, and whether it is at its limit.
 
     It never falls below 0 and is held at the limit, so that it goes soon after its cause. It reaches the limit by one
     large sample or by many small ones in a row; what stays below the slack for ever it never adds up. A sum that is
@@ -36,7 +36,7 @@ def _told(sums: Sums) -> dict[str, Any]:
 
 
 class ForceConsistency(Block):
-    """Whether the specific force agrees with the pitch and with the commands that flew the tick before.
+    """Check of the specific force against the pitch and the commands that flew the tick before.
 
     Turned by the estimated pitch (`sine`, `cosine`), the specific force has two parts that are known without it.
     Vertical it is -g, as the rail holds the drone up. Along the rail it is the cart's acceleration: 0 with the cart
@@ -75,7 +75,7 @@ class ForceConsistency(Block):
 
 
 class RateConsistency(Block):
-    """Whether the gyro shows the turning that the commands ask for.
+    """Check of the gyro against the turning that the commands ask for.
 
     The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), with lift(u) = (1 - `curve`) u +
     `curve` u^2. They act after the rotors' delay and lag, here one lag `answer`. Gravity turns it back by `swing` times

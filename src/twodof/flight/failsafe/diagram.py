@@ -62,7 +62,7 @@ _SAME = MappingProxyType({name: name for name in SET_POINTS})
 
 
 def failsafe() -> Diagram:
-    """The failsafe, made for 250 Hz.
+    """Return the failsafe, made for 250 Hz.
 
     Inputs: `FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands
     `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and set-points

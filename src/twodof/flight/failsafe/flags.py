@@ -21,7 +21,7 @@ def ticks(seconds: Any, dt: Any) -> Any:
 
 
 class WatchdogTimer(Block):
-    """Whether `alive` was false for `timeout` s, this tick included.
+    """Flag that is true once `alive` was false for `timeout` s, this tick included.
 
     With N = timeout / dt, `expired` comes in the Nth tick in a row without a sign of life (the first is tick 1). It
     goes in the tick of the next sign. The count saturates at N, where it starts, so that what was never alive is not
@@ -193,7 +193,7 @@ class BatteryFlags(Block):
 
 
 class SetPointFlags(Block):
-    """What the set-points ask for.
+    """Flags of the set-points: idle, invalid.
 
     `invalid`: one is infinite or NaN. `fed`: a set-point came in this tick, or none is needed since the mode is off.
     `active`: the motors are asked for something. `rings_wrong`: a mode that moves the cart, which is locked.

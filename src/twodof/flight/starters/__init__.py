@@ -32,14 +32,14 @@ DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTER
 
 
 def starter(name: str) -> Diagram:
-    """The starter diagram called `name`, a fresh one at each call. Raises DiagramError for another name."""
+    """Return the starter diagram called `name`, a fresh one at each call. Raises DiagramError for another name."""
     if name not in STARTERS:
         raise DiagramError(f"no starter diagram called {name!r:.80}", "", f"there are: {', '.join(STARTERS)}")
     return STARTERS[name]()
 
 
 def load_diagram(source: str | Path) -> Diagram:
-    """The starter diagram called `source`, or the diagram in a JSON file, of which nothing is executed.
+    """Return the starter diagram called `source`, or the diagram in a JSON file. Nothing of it is executed.
 
     Raises DiagramError for a file that cannot be read, is larger than 8 MiB or holds no diagram.
     """
@@ -64,7 +64,7 @@ def load_diagram(source: str | Path) -> Diagram:
 
 
 def save_diagram(diagram: Diagram, path: str | Path, overwrite: bool = False) -> None:
-    """Writes `diagram` as JSON that `load_diagram` reads back; an interrupted write leaves the old file.
+    """Write `diagram` as JSON that `load_diagram` reads back; an interrupted write leaves the old file.
 
     Raises DiagramError for a block without a JSON form, LogError for a file that is there and where the disk refuses.
     """
@@ -75,7 +75,7 @@ def save_diagram(diagram: Diagram, path: str | Path, overwrite: bool = False) ->
 
 
 def new_diagram(name: str, path: str | Path, overwrite: bool = False) -> Diagram:
-    """Writes the starter diagram called `name` to the file `path` and returns it.
+    """Write the starter diagram called `name` to the file `path` and return it.
 
     Raises DiagramError for another name, LogError where the file is there already, unless `overwrite` says so.
     """

@@ -24,7 +24,7 @@ from twodof.models.lqr import LqrGains, attitude_lqr, rate_lqr
 
 
 def with_ports(template: Template, name: str, text: str) -> Diagram:
-    """An empty diagram with the inputs of `template`."""
+    """Return an empty diagram with the inputs of `template`."""
     d = Diagram(name, text)
     for port in template.inputs:
         d.input(port.name, port.kind, unit=port.unit)
@@ -32,7 +32,7 @@ def with_ports(template: Template, name: str, text: str) -> Diagram:
 
 
 def tuned(d: Diagram, name: str, value: float | Sequence[float], unit: str, low: float, high: float, text: str) -> None:
-    """Declares a tunable parameter of the diagram, a number or an array, to which its parts bind theirs."""
+    """Declare a tunable parameter of the diagram, a number or an array, to which its parts bind theirs."""
     width = len(value) if isinstance(value, Sequence) else None
     d.param(
         name,
@@ -46,7 +46,7 @@ def tuned(d: Diagram, name: str, value: float | Sequence[float], unit: str, low:
 
 
 def rate_gains(d: Diagram, gains: Gains) -> tuple[float, float, float]:
-    """Declares the gains of the rate loop as parameters q_kp, q_ki, q_kd; returns their values."""
+    """Declare the gains of the rate loop as parameters q_kp, q_ki, q_kd; return their values."""
     kp, ki, kd = gains.rate
     tuned(d, "q_kp", kp, "s/rad", 0.0, 1.0, "rate P")
     tuned(d, "q_ki", ki, "1/rad", 0.0, 5.0, "rate I")
@@ -55,7 +55,7 @@ def rate_gains(d: Diagram, gains: Gains) -> tuple[float, float, float]:
 
 
 def pitch_loop(d: Diagram, kp: float) -> None:
-    """Adds q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or q_0 where the attitude loop is open."""
+    """Add q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or q_0 where the attitude loop is open."""
     tuned(d, "theta_kp", kp, "1/s", 0.0, 50.0, "attitude P")
     d.add("pitch_error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 20.0))
     d.add("pitch_gain", Gain(1.0, unit="rad/s"), params={"k": "theta_kp"}, u="pitch_error", position=(280.0, 20.0))
@@ -84,7 +84,7 @@ crosses over at 28 rad/s with 44 deg and 6.5 dB to spare (the default gains with
 
 
 def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
-    """The stock attitude and rate loops, the very blocks of the stock cascade, so with its bits."""
+    """Return the stock attitude and rate loops, the very blocks of the stock cascade, so with its bits."""
     d = with_ports(ATTITUDE, "stock_attitude", "attitude P and rate PID of the stock cascade, as they fly")
     d.add(
         "attitude",
@@ -108,7 +108,7 @@ def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
 
 
 def pid_attitude(gains: Gains = DEFAULT, anti_windup: str = "none") -> Diagram:
-    """The laws of the stock loops drawn with library blocks: equal to them up to rounding, and easy to change.
+    """Return the laws of the stock loops in library blocks: equal to them up to rounding, and easy to change.
 
     With `anti_windup` "clamping" or "back-calculation" M is limited to +-.4, where a pair of rotors stands still in
     hover, and the rate's integral does not gather beyond it. Back-calculation tracks in the integral's own time, Kp/Ki.
@@ -125,7 +125,7 @@ def pid_attitude(gains: Gains = DEFAULT, anti_windup: str = "none") -> Diagram:
 
 
 def notch_attitude(gains: Gains = NOTCHED) -> Diagram:
-    """The PID with a notch in q at the airframe's vibration (38 Hz), and anti-windup where M is limited to +-.4."""
+    """Return the PID with a notch in q at the vibration of 38 Hz, and anti-windup where M is limited to +-.4."""
     d = with_ports(ATTITUDE, "notch_attitude", "attitude P, rate PID with anti-windup, and a notch against vibration")
     pitch_loop(d, gains.attitude)
     tuned(d, "notch_hz", VIBRATION, "Hz", 10.0, 120.0, "frequency of the notch: the airframe's vibration")

@@ -24,7 +24,7 @@ MASS = 0.534
 
 
 def stock_position(gains: Gains = DEFAULT) -> Diagram:
-    """The stock position and velocity loops and their projection, the very blocks of the stock cascade."""
+    """Return the stock position and velocity loops and their projection, the blocks of the stock cascade."""
     d = with_ports(POSITION, "stock_position", "position P, velocity PI and projection of the stock cascade")
     d.add(
         "position",
@@ -50,7 +50,7 @@ def stock_position(gains: Gains = DEFAULT) -> Diagram:
 
 
 def pid_position(gains: Gains = DEFAULT) -> Diagram:
-    """The laws of the stock loops drawn with blocks of the library, and the acceleration ax_0 fed forward."""
+    """Return the laws of the stock loops in library blocks, with the acceleration ax_0 fed forward."""
     d = with_ports(POSITION, "pid_position", "position P and velocity PI, block by block, with feed-forward of ax_0")
     kp, ki = gains.velocity
     tuned(d, "x_kp", gains.position, "1/s", 0.0, 10.0, "position P")
@@ -106,14 +106,14 @@ def empty_position() -> Diagram:
 
 
 def stock_motor() -> Diagram:
-    """The stock mixer on single motors: thrust +- moment, each clipped to 0 .. 1."""
+    """Return the stock mixer on single motors: thrust +- moment, each clipped to 0 .. 1."""
     d = with_ports(MOTOR, "stock_motor", "fore motors thrust + moment, aft motors thrust - moment")
     motor_pairs(d, "thrust_0", "M_0")
     return d
 
 
 def direct_motor(gains: Gains = DEFAULT) -> Diagram:
-    """The attitude and rate loops straight on the motors, from the raw gyro; thrust is given up before moment is.
+    """Return the attitude and rate loops on the motors, from the raw gyro; thrust yields to moment.
 
     It follows theta_0 or q_0 by itself, as the level above asks for, and flies M_0 in open loop. The moment is
     kept within +-.5; the thrust gives way, so that no motor is asked for more than 1 or less than 0.
@@ -150,7 +150,7 @@ def empty_motor() -> Diagram:
 
 
 def motor_pairs(d: Diagram, thrust: str, moment: str) -> None:
-    """The motors' commands: thrust + moment on the fore pair, thrust - moment on the aft one."""
+    """Connect the motors' commands: thrust + moment on the fore pair, thrust - moment on the aft one."""
     d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1620.0, 180.0))
     d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1620.0, 300.0))
     d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1740.0, 190.0))
