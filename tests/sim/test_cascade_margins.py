@@ -23,9 +23,9 @@ from twodof.rig.rotors import RING
 from twodof.rig.steady_state import model_parameters
 from twodof.signals import HOVER, PERIOD, Q_AGE
 from twodof.sim.closed_loop import ClosedLoop, closed_loop
-from twodof.sim.identified_rig import identified_rig, load_rig_or_model
 from twodof.sim.initial_state import InitialState
 from twodof.sim.linear import LOOPS, _filter_at_rest, cascade_loop, cascade_margins, publishing_ages
+from twodof.sim.resimulation import identified_rig, load_rig_or_model
 
 pytestmark = pytest.mark.slow
 
@@ -150,7 +150,7 @@ def test_the_stock_cascade_as_a_diagram_has_the_stock_margins() -> None:
 
 def test_at_rest_the_covariance_is_the_filters_own() -> None:
     """One step of the filter with a range sample at every step leaves it where it is."""
-    from twodof.flight.estimator.diagram import estimator
+    from twodof.flight.estimator import estimator
 
     at = _filter_at_rest(18.35)
     machine = Reference(estimator(), PERIOD).machine()

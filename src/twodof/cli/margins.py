@@ -15,8 +15,8 @@ from twodof.design import LoopMargins
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.report.plots.pictures import SUFFIXES, check_picture
-from twodof.sim.identified_rig import load_rig_or_model
 from twodof.sim.linear import LOOPS, cascade_margins
+from twodof.sim.resimulation import load_rig_or_model
 
 UNSTABLE = 1
 

@@ -15,9 +15,8 @@ from twodof.fcu.command.result import CommandResult
 from twodof.fcu.mavlink.log_stream import LogStreamService
 from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.flightlog.ulog.decoder import scan_ulog
-from twodof.flightlog.ulog.format import LETTERS, MESSAGE
-from twodof.flightlog.ulog.fragments import NO_MESSAGE
+from twodof.flightlog.ulog_file import scan_ulog
+from twodof.flightlog.ulog_writer import LETTERS, MESSAGE, NO_MESSAGE
 from twodof.link.mavlink.messages import message
 
 pytestmark = pytest.mark.slow

@@ -18,8 +18,7 @@ from twodof.fcu.onboard_log.log_topics import FORMAT, PX4_TOPICS, STEP_TOPIC, Ro
 from twodof.fcu.parameters.table import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
 from twodof.flightlog.atomic import sync_folder
 from twodof.flightlog.provenance import MAX_FILE_BYTES
-from twodof.flightlog.ulog.format import MESSAGE
-from twodof.flightlog.ulog.writer import ULogWriter
+from twodof.flightlog.ulog_writer import MESSAGE, ULogWriter
 
 MAX_BYTES = 2 << 30
 MAX_NUMBER = 65_000
