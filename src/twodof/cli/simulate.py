@@ -26,7 +26,7 @@ from twodof.flightlog.log import FlightLog
 from twodof.flightlog.public_data import PUBLIC_LOGS, PublicLog
 from twodof.report.plots.flight_view import failsafe_bands
 from twodof.rig.parameters import load_rig
-from twodof.sim.flown_parameters import FlownParameters
+from twodof.sim.flight_segment import FlownParameters
 from twodof.sim.replay import replay as replay_log
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
