@@ -1,36 +1,41 @@
 """The synchronous drone is made of the asynchronous one: the same verbs, arguments, defaults and words."""
 
-import importlib.util
 import inspect
-from contextlib import AbstractAsyncContextManager
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from twodof import gcs
 from twodof.gcs import AsyncDrone, Drone
+from twodof.gcs.drone import DroneFiles, DroneLogs, DroneParameters, DroneSignal
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.parameters import AsyncParameters
-from twodof.gcs.sync_drone import DroneParameters, DroneSignal
-from twodof.gcs.sync_face import SyncFace, synchronous
 from twodof.gcs.telemetry import AsyncSignal
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "sync_stub.py"
+SCRIPT = """
+from twodof.gcs import Drone
+
+with Drone.connect("udpin://127.0.0.1:14540") as drone:
+    drone.set_pitch(0.1, thrust=0.4, timeout=2.0)
+    with drone.record("flight.mcap") as recording:
+        drone.run(1.0)
+    reveal_type(drone.version)
+    reveal_type(drone.files.read("/a"))
+    reveal_type(drone.batch)
+    reveal_type(recording)
+    drone.set_pitch("up")
+    drone.arm(tiemout=3.0)
+"""
 
 
 def verbs(kind: type) -> dict[str, Any]:
     """Public methods."""
     found = inspect.getmembers(kind, lambda one: inspect.isfunction(one) or inspect.ismethod(one))
     return {name: one for name, one in found if not name.startswith("_")}
-
-
-def test_the_stub_for_editors_and_mypy_is_the_one_that_the_tool_writes() -> None:
-    spec = importlib.util.spec_from_file_location("sync_stub", TOOL)
-    assert spec is not None
-    assert spec.loader is not None
-    tool = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(tool)
-    assert tool.STUB.read_text() == tool.stub(), "run tools/sync_stub.py"
 
 
 def test_what_connects_takes_the_same_but_for_the_component_of_a_program_on_board() -> None:
@@ -71,10 +76,32 @@ def test_the_mapping_of_parameters_has_what_a_mapping_lacks() -> None:
     assert {"next", "on"} <= set(verbs(DroneSignal))
 
 
-def test_a_class_whose_annotations_are_not_text_is_refused() -> None:
-    class There:
-        def recording(self) -> AbstractAsyncContextManager[None]:
-            raise NotImplementedError
+@pytest.mark.parametrize(
+    ("here", "there"),
+    [(Drone, AsyncDrone), (DroneFiles, AsyncFiles), (DroneLogs, AsyncLogs)],
+    ids=lambda one: one.__name__,
+)
+def test_no_public_member_is_missing(here: type, there: type) -> None:
+    members = {name for name in dir(there) if not name.startswith("_")} - {"over"}
+    assert members <= set(dir(here))
 
-    with pytest.raises(TypeError, match=r"There.recording: its module must import `annotations` from the future"):
-        synchronous(There)(SyncFace)
+
+@pytest.mark.long
+def test_type_checkers_see_the_synchronous_signatures(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    command = [sys.executable, "-m", "mypy", "--no-error-summary", "--follow-imports=silent", "script.py"]
+    environment = {**os.environ, "MYPYPATH": str(Path(gcs.__file__).parents[2])}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    lines = done.stdout.replace("twodof.gcs.", "").splitlines()
+    expected = [
+        "def (timeout: float =) -> tuple[str, str, str, str, int, fallback=drone_state.DroneVersion]",
+        'Revealed type is "bytes"',
+        "AbstractContextManager[full_rate.BatchRows",
+        'Revealed type is "recording.Recording"',
+        'incompatible type "str"; expected "float"',
+        'Unexpected keyword argument "tiemout"',
+    ]
+    found = [line for line in lines if "Revealed" in line or "error:" in line]
+    assert len(found) == len(expected), done.stdout + done.stderr
+    for line, text in zip(found, expected, strict=True):
+        assert text in line
