@@ -1,9 +1,13 @@
 """Do the tests notice a wrong rule? Changes one place of a room at a time and runs its tests on a copy.
 
 python -m tools.mutants SOURCE TESTS... [--sample N] [--seed S] [--jobs N] [--seconds S]
+python -m tools.mutants --draw N [--seed S] [--jobs N] [--seconds S]
 
-SOURCE is a file or folder below src. A mutant is killed where a test fails, cannot be collected, or runs for more than
-`--seconds`. What survives is printed with its line: read it, it is a missing test or a change without a meaning.
+SOURCE is a file or folder below src. A mutant is killed if a test fails, cannot be collected, or runs for more than
+`--seconds`. Survivors are printed with their lines: each is a missing test or a change without a meaning.
+
+`--draw` draws N mutants over all rooms, by their number of places, and prints the killed share of each room.
+A mutant meets the tests of its room that name its module; if there are none, all tests of the room.
 """
 
 from __future__ import annotations
@@ -13,13 +17,14 @@ import ast
 import copy
 import os
 import random
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 
@@ -43,6 +48,10 @@ OTHER_OPERATOR: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitOr: ast.BitAnd,
 }
 OTHER_FUNCTION = {"minimum": "maximum", "maximum": "minimum", "all_of": "any_of", "any_of": "all_of"}
+
+
+FAILED, NOT_COLLECTED = 1, 2
+"""Exit statuses of pytest."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +111,16 @@ def mutants(file: Path) -> Iterator[Mutant]:
             yield Mutant(file.relative_to(ROOT), node.lineno, ast.unparse(node), after, changed)
 
 
-def survives(mutant: Mutant, place: Path, tests: list[str], seconds: float) -> bool:
-    """Runs the tests on the copy in `place` with the mutant in it, and puts the file right again."""
+def drawn(files: Sequence[Path], count: int, seed: int) -> tuple[list[Mutant], int]:
+    """Return `count` mutants of the files (0: all) and how many there are; each holds the text of its file."""
+    every = sum(1 for file in files for _ in mutants(file))
+    taken = range(every) if not count else {*random.Random(seed).sample(range(every), min(count, every))}
+    numbered = enumerate(mutant for file in files for mutant in mutants(file))
+    return [mutant for number, mutant in numbered if number in taken], every
+
+
+def survives(mutant: Mutant, place: Path, tests: Sequence[str], seconds: float) -> bool:
+    """Run the tests on the copy in `place` with the mutant in it, and restore the file."""
     file = place / mutant.file
     right = file.read_text(encoding="utf-8")
     file.write_text(mutant.text, encoding="utf-8")
@@ -112,7 +129,7 @@ def survives(mutant: Mutant, place: Path, tests: list[str], seconds: float) -> b
     environment = os.environ | {"PYTHONPATH": f"{place / 'src'}:{place}", "PYTHONDONTWRITEBYTECODE": "1"}
     try:
         ran = subprocess.run(command, cwd=place, env=environment, capture_output=True, timeout=seconds, check=False)
-        return ran.returncode == 0
+        return ran.returncode not in (FAILED, NOT_COLLECTED)
     except subprocess.TimeoutExpired:
         return False
     finally:
@@ -129,43 +146,90 @@ def copied(place: Path) -> Path:
     return place
 
 
+def related_tests(file: Path) -> tuple[str, ...]:
+    """Return the tests of the file's room that name its module or are called after it; else the room's folder."""
+    room, module = file.parts[2], ".".join(file.with_suffix("").parts[1:]).removesuffix(".__init__")
+    folder = ROOT / "tests" / room
+    if not folder.is_dir():  # a module that is a room of its own
+        return tuple(str(path.relative_to(ROOT)) for path in (ROOT / "tests").glob(f"test_{file.stem}*.py"))
+    parent, _, name = module.rpartition(".")
+    named = re.compile(rf"\b{re.escape(module)}\b|from {re.escape(parent)} import .*\b{name}\b")
+    tests = sorted(folder.rglob("test_*.py"))
+    found = [
+        path for path in tests if path.stem == f"test_{file.stem}" or named.search(path.read_text(encoding="utf-8"))
+    ]
+    return tuple(str(path.relative_to(ROOT)) for path in found) or (str(folder.relative_to(ROOT)),)
+
+
+def judged(
+    chosen: Sequence[Mutant], tests_of: Callable[[Mutant], Sequence[str]], jobs: int, seconds: float
+) -> list[bool | None]:
+    """Return True for each mutant that survives, None if its tests fail without a change."""
+    unchanged: dict[tuple[str, ...], bool] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        free: SimpleQueue[Path] = SimpleQueue()
+        for job in range(jobs):
+            (Path(folder) / str(job)).mkdir()
+            free.put(copied(Path(folder) / str(job)))
+
+        def judge(mutant: Mutant) -> bool | None:
+            tests = tuple(tests_of(mutant))
+            place = free.get()
+            try:
+                if not tests or survives(mutant, place, tests, seconds):
+                    return True
+                if tests not in unchanged:
+                    text = (ROOT / mutant.file).read_text(encoding="utf-8")
+                    unchanged[tests] = survives(replace(mutant, text=text), place, tests, seconds)
+                return False if unchanged[tests] else None
+            finally:
+                free.put(place)
+
+        with ThreadPoolExecutor(jobs) as pool:
+            return list(pool.map(judge, chosen))
+
+
+def print_rooms(chosen: Sequence[Mutant], results: Sequence[bool | None]) -> None:
+    """Print the killed share of each room and of all."""
+    rooms: dict[str, list[bool | None]] = {}
+    for mutant, lives in zip(chosen, results, strict=True):
+        rooms.setdefault(mutant.file.parts[2].removesuffix(".py"), []).append(lives)
+    for room, found in [*sorted(rooms.items()), ("all", list(results))]:
+        known = [lives for lives in found if lives is not None]
+        unknown = f", {len(found) - len(known)} not judged: tests fail unchanged" if len(known) < len(found) else ""
+        share = f"{100.0 * known.count(False) / len(known):.0f} %" if known else "-"
+        sys.stdout.write(f"{room:12} {known.count(False):4} of {len(known):4} killed  {share}{unknown}\n")
+
+
 def main() -> int:
-    """Prints what survived and the score; 1 where something survived, 2 where the tests fail without a change."""
+    """Print survivors and score; return 1 if one survived, 2 if the tests fail without a change."""
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("source", type=Path)
-    arguments.add_argument("tests", nargs="+")
+    arguments.add_argument("source", type=Path, nargs="?")
+    arguments.add_argument("tests", nargs="*")
+    arguments.add_argument("--draw", type=int, default=0, metavar="N", help="N mutants over all rooms, by room")
     arguments.add_argument("--sample", type=int, default=0, help="so many, chosen at random; 0: all")
     arguments.add_argument("--seed", type=int, default=1)
     arguments.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     arguments.add_argument("--seconds", type=float, default=300.0, help="longest run of the tests")
     options = arguments.parse_args()
-    source = options.source.resolve()
+    if bool(options.draw) == bool(options.tests):
+        arguments.error("give SOURCE and TESTS, or --draw N")
+    source = (ROOT / "src" / "twodof") if options.draw else options.source.resolve()
     files = sorted(source.rglob("*.py")) if source.is_dir() else [source]
-    found = [mutant for file in files for mutant in mutants(file)]
-    chosen = random.Random(options.seed).sample(found, options.sample) if options.sample else found
-    with tempfile.TemporaryDirectory() as folder:
-        free: SimpleQueue[Path] = SimpleQueue()
-        for job in range(options.jobs):
-            (Path(folder) / str(job)).mkdir()
-            free.put(copied(Path(folder) / str(job)))
-
-        def left(mutant: Mutant) -> bool:
-            place = free.get()
-            try:
-                return survives(mutant, place, options.tests, options.seconds)
-            finally:
-                free.put(place)
-
-        same = Mutant(files[0].relative_to(ROOT), 1, "", "", files[0].read_text(encoding="utf-8"))
-        if not left(same):
-            sys.stderr.write(f"the tests fail without a change: {' '.join(options.tests)}\n")
-            return 2
-        with ThreadPoolExecutor(options.jobs) as pool:
-            alive = [mutant for mutant, lives in zip(chosen, pool.map(left, chosen), strict=True) if lives]
-    for mutant in alive:
-        sys.stdout.write(f"{mutant.file}:{mutant.line}: {mutant.before}  ->  {mutant.after}\n")
-    sys.stdout.write(f"{len(chosen) - len(alive)} of {len(chosen)} killed ({len(found)} there are)\n")
-    return 1 if alive else 0
+    chosen, every = drawn(files, options.draw or options.sample, options.seed)
+    tests_of = (lambda mutant: related_tests(mutant.file)) if options.draw else (lambda _: options.tests)
+    results = judged(chosen, tests_of, options.jobs, options.seconds)
+    if None in results and not options.draw:
+        sys.stderr.write(f"the tests fail without a change: {' '.join(options.tests)}\n")
+        return 2
+    for mutant, lives in zip(chosen, results, strict=True):
+        if lives:
+            sys.stdout.write(f"{mutant.file}:{mutant.line}: {mutant.before}  ->  {mutant.after}\n")
+    if options.draw:
+        print_rooms(chosen, results)
+    else:
+        sys.stdout.write(f"{results.count(False)} of {len(chosen)} killed ({every} there are)\n")
+    return 1 if True in results else 0
 
 
 if __name__ == "__main__":
