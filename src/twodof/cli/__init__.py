@@ -20,6 +20,6 @@ def main() -> None:
         status = importlib.import_module("twodof.cli.app").run(sys.argv[1:])
     except KeyboardInterrupt:
         status = interrupts.INTERRUPTED
-        interrupts.said()
+        interrupts.print_interrupted()
     interrupts.end()
     sys.exit(status)

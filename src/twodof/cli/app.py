@@ -47,21 +47,21 @@ class LazyGroup(TyperGroup):
     """A group whose commands are imported on demand: a command's module brings in whole rooms of the package."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The names, in the order of the table."""
+        """Return the names in the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """The command, imported now; None for a name that is none, which the caller reports."""
+        """Import and return a command; return None for an unknown name, which the caller reports."""
         if cmd_name not in COMMANDS:
             return None
         module, text = COMMANDS[cmd_name]
         command = typer.main.get_command(_app(getattr(importlib.import_module(f"twodof.cli.{module}"), cmd_name)))
         command.name, command.help = cmd_name, command.help or text
-        interrupts.works()
+        interrupts.raise_keyboard_interrupt()
         return command
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Usage and the table, without importing a command."""
+        """Write usage and the table, without importing a command."""
         width = max(map(len, COMMANDS)) + 2
         lines = [f"  {name:{width}}{text}" for name, (_, text) in COMMANDS.items()]
         sys.stdout.write(
@@ -76,7 +76,7 @@ class LazyGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
-            interrupts.said()
+            interrupts.print_interrupted()
             raise SystemExit(interrupts.INTERRUPTED) from None
 
 
@@ -90,7 +90,7 @@ def _app(made: typer.Typer | Callable[..., None]) -> typer.Typer:
 
 
 def status_of(error: TwodofError) -> int:
-    """Exit status: what was asked was well formed but did not work out, or it could never have worked."""
+    """Return the exit status: 1 if well-formed work did not succeed, 2 if the request was wrong."""
     return WENT_WRONG if isinstance(error, IdentificationError | CompileError | DownloadError) else CALLERS_MISTAKE
 
 
@@ -111,12 +111,12 @@ def twodof(version: bool = typer.Option(False, "--version", callback=_version, i
 
 
 def show_warning(message: Warning | str, *_: Any, **__: Any) -> None:
-    """A warning as a note, without the place in the code."""
+    """Print a warning as a note, without its place in the code."""
     say_line(f"note: {message}")
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run one command line; returns the exit status instead of ending the process.
+    """Run one command line and return its exit status; the process does not end.
 
     An error of ours is printed as what, where and remedy, without a traceback; with --json also on stdout as
     `{"error": {"kind", "what", "where", "remedy"}}`.

@@ -28,8 +28,8 @@ MIB = 1 << 20
 
 
 @dataclass(frozen=True)
-class _Asked:
-    """What the options say."""
+class _Options:
+    """Values of the options."""
 
     vehicle: str
     serve: tuple[Serve, ...]
@@ -39,7 +39,7 @@ class _Asked:
     json: bool
 
     def made(self) -> Companion:
-        """The companion that they ask for. Raises LinkError."""
+        """Return the companion that the options describe. Raises LinkError."""
         signing = None
         if self.key is not None:
             signing = Signing(read_key(self.key), Stamps(f"{self.key}.{self.system}.companion.stamps"), LINK_ID)
@@ -90,10 +90,10 @@ def route(
         *(Serve(url, "ground") for url in ground or ()),
     ]
     serve = tuple(chosen) or px4_links(index, open_)
-    asked = _Asked(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
-    context.obj = asked
+    options = _Options(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
+    context.obj = options
     if context.invoked_subcommand is None:
-        raise typer.Exit(asyncio.run(run_until_signal(_route(asked))) or 0)
+        raise typer.Exit(asyncio.run(run_until_signal(_route(options))) or 0)
 
 
 @companion.command()
@@ -113,21 +113,21 @@ def run(
     raise typer.Exit(asyncio.run(run_until_signal(_fly(context.obj, *supervised))) or 0)
 
 
-async def _route(asked: _Asked) -> int:
-    async with asked.made() as made:
-        _tell(asked, made)
+async def _route(options: _Options) -> int:
+    async with options.made() as made:
+        _print_links(options, made)
         await made.run()
     return 0
 
 
-async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: AppLimits) -> int:
-    """Route until the app has ended; its exit status as ours."""
-    asked = replace(asked, serve=(*asked.serve, APP_LINK))
-    async with asked.made() as made:
-        _tell(asked, made)
+async def _fly(options: _Options, program: Path, restarts: RestartPolicy, limits: AppLimits) -> int:
+    """Route until the app has ended; return its exit status."""
+    options = replace(options, serve=(*options.serve, APP_LINK))
+    async with options.made() as made:
+        _print_links(options, made)
         url = made.urls[-1][0].replace("tcpin:", "tcp:")
         command = [sys.executable, "-u", "-m", "twodof.gcs.app", str(program), "--url", url]
-        command += ["--key", str(asked.key)] if asked.key is not None else []
+        command += ["--key", str(options.key)] if options.key is not None else []
         supervised = asyncio.ensure_future(
             AppSupervisor(command, say_line, limits, restarts, killed=lambda: made.killed).run()
         )
@@ -144,12 +144,12 @@ async def _fly(asked: _Asked, program: Path, restarts: RestartPolicy, limits: Ap
     return status if status in (0, MISTAKE) else 1
 
 
-def _tell(asked: _Asked, made: Companion) -> None:
-    """Say where it may be reached, now that it may be."""
-    if asked.json:
+def _print_links(options: _Options, made: Companion) -> None:
+    """Print where clients can connect."""
+    if options.json:
         rows = [{"url": url, "rates": rates} for url, rates in made.urls]
-        print_json({"fcu": asked.vehicle, "system": asked.system, "serve": rows}, indent=None)
+        print_json({"fcu": options.vehicle, "system": options.system, "serve": rows}, indent=None)
     else:
-        sys.stdout.write(f"flight controller {asked.vehicle}, system {asked.system}\n")
+        sys.stdout.write(f"flight controller {options.vehicle}, system {options.system}\n")
         sys.stdout.writelines(f"listening on {url} ({rates} rates)\n" for url, rates in made.urls)
     sys.stdout.flush()

@@ -80,7 +80,7 @@ def demo(
 
 
 def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, CharacterisedMachine]:
-    """The paper's experiments on a drone of each rig, side by side, and what is identified from them."""
+    """Fly the paper's experiments on a drone of each rig, side by side, and identify the machines."""
     step("compile the flight code and the rigs")
     flights = {}
     for rig, name, seed, flight in fly_series(_RIGS, list(IDENTIFICATION), range(1, repetitions + 1)):
@@ -105,7 +105,7 @@ def _provenance(logs: list[str], repetitions: int) -> dict[str, str]:
 
 
 def _make_folder(path: Path) -> None:
-    """Before anything is flown: half a minute later is too late to learn that the report cannot be written."""
+    """Make the report's folder before anything is flown. Raises LogError."""
     if path != _REPORT:  # a folder that somebody names is there, as everywhere
         return
     try:

@@ -43,14 +43,14 @@ MAX_BYTES = 1 << 24
 
 
 class Method(StrEnum):
-    """What is designed."""
+    """Controller to design."""
 
     cascade = "cascade"
     lqg = "lqg"
 
 
 class AntiWindup(StrEnum):
-    """What the integral of the rate loop does while the motors are at their limits."""
+    """Integral of the rate loop while the motors are at their limits."""
 
     none = "none"
     clamping = "clamping"
@@ -197,7 +197,7 @@ def verdict(
 
 
 def read_family(source: str) -> PitchFamily:
-    """The family of a model's file, or of standard input. Raises ParameterError."""
+    """Return the family of a model's file, or of standard input. Raises ParameterError."""
     if source == "-":
         return PitchFamily.from_identified(_parsed(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input"), "-")
     return PitchFamily.from_identified(_document(Path(source)), source)
@@ -248,7 +248,7 @@ _SEARCH, _FLOWN = 0.8, 0.9  # shares of the work that end there
 
 
 class Loop(StrEnum):
-    """Which set-point steps."""
+    """Set-point that steps."""
 
     velocity = "velocity"
     position = "position"

@@ -48,7 +48,7 @@ Tick = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.
 
 
 class TimeDomain(StrEnum):
-    """Which linear model is wanted."""
+    """Kind of linear model."""
 
     AUTO = "auto"
     CONTINUOUS = "continuous"
@@ -105,7 +105,7 @@ def check(
 
 
 def _misfits(fit: TemplateFit, found: Findings) -> list[str]:
-    """What to change for a template, beside the problems that are listed already."""
+    """Return the changes that a template needs, without the problems listed already."""
     return [*fit.faults, *([str(fit.refusal)] if fit.refusal is not None and found.fine else [])]
 
 
@@ -196,11 +196,11 @@ def code(
 
 
 def _print_code(found: SourceMap, block: str | None) -> None:
-    """Three columns: path or role, line number, C. Helpers and structs are in the file, not here."""
+    """Print path or role, line number and C in three columns, without helpers and structs."""
     console = table_console()
     shared = f"{found.kinds[block]}." if block in found.kinds else "?"
     chosen = (line for line in found.lines if not block or line.block == block or line.part.startswith(shared))
-    lines = [line for line in chosen if block or _worth(line)]
+    lines = [line for line in chosen if block or _is_shown(line)]
     width = min(max((len(line.block or line.role) for line in lines), default=0), 44)
     before = ("", "")
     for line in lines:
@@ -214,7 +214,7 @@ def _print_code(found: SourceMap, block: str | None) -> None:
         console.print(f"\nleft out, as nobody needs them: {', '.join(found.left_out)}")
 
 
-def _worth(line: SourceLine) -> bool:
+def _is_shown(line: SourceLine) -> bool:
     return bool(line.part) and not line.part.rpartition(".")[2][0].isupper()
 
 
@@ -274,7 +274,7 @@ def linearize(
 
 
 def _at(text: str | None) -> dict[str, Any]:
-    """The object in `text`, or in the file that it names."""
+    """Return the JSON object in `text`, or in the file that `text` names. Raises DiagramError."""
     if text is None:
         return {}
     try:
@@ -320,7 +320,7 @@ def _print_model(found: LinearModel) -> None:
 
 
 def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
-    """The names that are left out for the same reason; of an array one name and how many there are."""
+    """Group the states that are left out by reason; an array is one name and its size."""
     groups: dict[tuple[str, str], list[str]] = {}
     for name, why in left_out.items():
         groups.setdefault((name.partition("[")[0], why), []).append(name)
@@ -340,7 +340,7 @@ def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> T
 
 
 def _pole(pole: complex, dt: float | None) -> str:
-    """A pole and, unless it is 0 in the z plane, its frequency and damping."""
+    """Return a pole as text, with frequency and damping unless it is 0 in the z plane."""
     text = f"{pole.real:.6g}" + (f" {'+' if pole.imag > 0 else '-'} {abs(pole.imag):.6g}j" if pole.imag else "")
     s = pole if dt is None else complex(np.log(pole)) / dt if pole else 0j
     if dt is not None and not pole:

@@ -87,7 +87,7 @@ def fcu(
 
 
 async def serve(drone: VirtualDrone, urls: list[str], json: bool) -> None:
-    """Runs the drone, reached at `urls`, until it is cancelled; says where it listens."""
+    """Run the drone until cancelled, and print the addresses at which it listens."""
     async with drone:
         opened = [await drone.listen(url) for url in urls]
         what = drone.flown

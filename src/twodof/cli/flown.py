@@ -1,4 +1,4 @@
-"""What commands do with a flight: write its log, draw it, say how good its data are."""
+"""Output of a flight that several commands share: its log, its picture, the checks of its data."""
 
 import importlib
 from collections.abc import Iterable
@@ -22,7 +22,7 @@ Plot = Annotated[
 
 
 def check_places(out: Path | None, plot: Path | None, force: bool) -> None:
-    """Before anything moves: a flight is not flown for nothing. Raises LogError for a place that cannot be written."""
+    """Raise LogError for a place that cannot be written; to be called before the flight."""
     if out is not None:
         check_place(out, force)
     if plot is not None:
@@ -30,7 +30,7 @@ def check_places(out: Path | None, plot: Path | None, force: bool) -> None:
 
 
 def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: bool) -> dict[str, Any]:
-    """Writes and draws what is asked for; returns what --json says of any flight."""
+    """Write and draw the flight as the options ask; return its part of --json."""
     name = flight.experiment.name
     if out is not None:
         write_log(flight.log, out, overwrite=force)
@@ -49,7 +49,7 @@ def keep(flight: Flight, rig: str, out: Path | None, plot: Path | None, force: b
 
 
 def print_checks(flight: Flight, *written: Path | None) -> None:
-    """How good its data are, and which files were written."""
+    """Print the checks of a flight's data and the files that were written."""
     console = table_console()
     for check in flight.checks:
         console.print(f"  {'ok    ' if check.passed else 'FAILED'} {check.name}: {check.seen}")
@@ -65,7 +65,7 @@ def draw(
     title: str = "",
     force: bool = False,
 ) -> tuple[str, ...]:
-    """Draws a log, and returns what the picture leaves out.
+    """Draw a log and return notes on what the picture leaves out.
 
     Raises LogError, as `flight_view` and `write_plot`.
     """
@@ -75,5 +75,5 @@ def draw(
 
 
 def write_view(view: FlightView, path: Path, force: bool = False) -> None:
-    """Draws a view; what draws is loaded here and not before. Raises LogError as `write_plot`."""
+    """Draw a view, importing matplotlib only now. Raises LogError as `write_plot`."""
     importlib.import_module("twodof.report.plots.flight_plot").write_plot(view, path, force)

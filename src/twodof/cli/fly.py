@@ -108,7 +108,7 @@ def fly(
 
 @contextmanager
 def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]:
-    """The drone at `url`. At the end a lost link is not reported again: the flight has said so."""
+    """Connect to the drone at `url`; on leaving, ignore a lost link, which the flight has reported."""
     drone = connect(url, key=key, drone=system)
     try:
         yield drone
@@ -120,7 +120,7 @@ def connected(url: str, key: Path | None, system: int | None) -> Iterator[Drone]
 IN_WORDS: Mapping[str, str] = MappingProxyType(
     {"arm": "arms", "hold": "holds still", "excite": "is excited", "disarm": "disarms"}
 )
-"""What a flight reports as done, in words for people."""
+"""Step of a flight -> its words on the progress bar."""
 
 _SHOWN = (
     ("theta", "estimate.theta", degrees(1.0), "+5.1f", " deg"),
@@ -130,7 +130,7 @@ _SHOWN = (
 
 
 class FlightValues:
-    """The latest values of `drone`, in a line; "" before there is one."""
+    """Latest values of `drone` in a line; "" before it is connected."""
 
     def __init__(self) -> None:
         self.drone: Drone | None = None

@@ -34,14 +34,14 @@ _KNOWN = (*KINDS, *FLOWN_AS)
 
 
 class FitMethod(StrEnum):
-    """How to identify."""
+    """Method of identification."""
 
     greybox = "grey-box"
     simple = "simple"
 
 
 class NoiseModel(StrEnum):
-    """What disturbs the flight, for the grey-box method (`fit(disturbance=...)`)."""
+    """Noise model of the grey-box method (`fit(disturbance=...)`)."""
 
     auto = "auto"
     white = "white"
@@ -162,7 +162,7 @@ def identify(
             for paths in (files, validate or ())
         )
         _check_several(method, [""] * len(files), files, validate)
-        records = _told_apart(records, files)
+        records = _distinctly_named(records, files)
         own: Estimate | Repeated
         if len(records) > 1:
             own = repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance.value)
@@ -193,7 +193,7 @@ def identify(
     if window is not None:
         for log in logs:
             _check_window(log, window)
-    records = _told_apart([cut(log, kind, window) for log in logs], files)
+    records = _distinctly_named([cut(log, kind, window) for log in logs], files)
     checks = [read_log(path) for path in validate or []]
     others = [cut(log, kind) for log in checks]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
@@ -244,15 +244,15 @@ def _end(converged: bool) -> None:
         raise typer.Exit(1)
 
 
-def _told_apart(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
-    """Records with names of their own: run-1/doublet.mat and run-2/doublet.mat are called alike."""
+def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
+    """Return the records with distinct names: run-1/doublet.mat and run-2/doublet.mat would share one."""
     if len({record.name for record in records}) == len(records):
         return list(records)
     return [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
 
 
 def _check_plot(plot: Path, method: FitMethod, files: Sequence[Path], force: bool) -> None:
-    """Raises ParameterError for what is not drawn, LogError for a place that cannot be written."""
+    """Check the plot: raise ParameterError for a fit without one, LogError for a place that cannot be written."""
     if method is FitMethod.simple:
         raise ParameterError("by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out")
     if len(files) > 1:
@@ -276,7 +276,7 @@ def _draw(
 def _check_own(
     structure: str | None, experiment: str | None, method: FitMethod, model: Model, impulse: Path | None
 ) -> None:
-    """Raises ParameterError for options that go with the paper's experiments only, and for a missing structure."""
+    """Raise ParameterError for options of the paper's experiments only, and for a missing structure."""
     given = {
         "--experiment": experiment is not None,
         "--method simple": method is FitMethod.simple,
@@ -296,7 +296,7 @@ def _check_own(
 
 
 def _experiment(name: str | None, log: FlightLog) -> str:
-    """The experiment that is asked for, else the one that the log names, else the one that is found in it.
+    """Return the experiment that the option names, else the log's own name, else the one found in its signals.
 
     Raises ParameterError for an experiment that is not ours, LogError for a log in which none is found.
     """
@@ -321,7 +321,7 @@ def _check_options(
     impulse: Path | None,
     disturbance: NoiseModel,
 ) -> None:
-    """Raises ParameterError for an option that the method or the experiment has no use for: it would do nothing."""
+    """Raise ParameterError for an option without effect on this method or experiment."""
     if method is FitMethod.simple:
         given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
         given["--disturbance"] = disturbance is not NoiseModel.auto
@@ -342,7 +342,7 @@ def _check_options(
 def _check_several(
     method: FitMethod, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
 ) -> None:
-    """Raises ParameterError for several logs that are not repetitions of one experiment, or cannot be treated so."""
+    """Raise ParameterError for several logs that are not repetitions of one experiment."""
     if len(kinds) == 1:
         return
     where = " ".join(map(str, files))[:200]
@@ -363,14 +363,14 @@ def _check_several(
 
 
 def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
-    """Raises LogError for a window that is none, or that holds nothing of the log."""
+    """Raise LogError for a window that is not finite or holds no samples."""
     if not all(map(math.isfinite, window)):
         raise LogError(f"window {window[0]:g} to {window[1]:g} s", log.source, "give finite times, in seconds")
     log.slice(*window)
 
 
 def _check_by_hand(experiment: str, free: Record | None) -> None:
-    """Raises ParameterError for an experiment that the simple method reads nothing from, BadParameter without poles."""
+    """Raise ParameterError for an experiment that is not identified by hand, BadParameter without poles."""
     if experiment == "impulse":
         raise ParameterError(
             "by hand, the impulse gives only the poles",
@@ -386,7 +386,7 @@ def _check_by_hand(experiment: str, free: Record | None) -> None:
 def _check_request(
     structure: Structure, experiment: str, model: Model, estimate: Sequence[str], values: dict[str, float]
 ) -> None:
-    """Raises ParameterError for a model of another experiment, a wrong unknown, or a value out of its bounds."""
+    """Raise ParameterError for a model of another experiment, a wrong unknown, or a value out of bounds."""
     kind = KINDS[experiment]
     if not set(structure.inputs) <= set(kind.inputs):
         raise ParameterError(
@@ -398,7 +398,7 @@ def _check_request(
 
 
 def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:
-    """Raises ParameterError for a wrong unknown, or a value out of its bounds."""
+    """Raise ParameterError for a wrong unknown or a value out of bounds."""
     unknowns = structure.unknowns
     for option, names in (("--estimate", estimate), ("--value", values)):
         for name in names:

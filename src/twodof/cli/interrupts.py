@@ -18,27 +18,27 @@ LINE = "interrupted; no file was left half written\n"
 
 
 def begin() -> None:
-    """From now on Ctrl-C ends the process at once, unless who started it wants it ignored."""
+    """Let Ctrl-C end the process at once, unless its parent ignores Ctrl-C."""
     if _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler:
         _signal.signal(_signal.SIGINT, _leave)
-        sys.unraisablehook = _again
+        sys.unraisablehook = _raise_again
 
 
-def works() -> None:
-    """What is needed has been imported: from now on Ctrl-C raises KeyboardInterrupt."""
+def raise_keyboard_interrupt() -> None:
+    """Let Ctrl-C raise KeyboardInterrupt; for the time after all imports."""
     if _signal.getsignal(_signal.SIGINT) is _leave:
         _signal.signal(_signal.SIGINT, _signal.default_int_handler)
 
 
-def said() -> None:
-    """Says in a line that it was interrupted; what comes after that changes nothing any more."""
+def print_interrupted() -> None:
+    """Print that the command was interrupted, and ignore further Ctrl-C."""
     end()
     sys.stderr.write(LINE)
 
 
 def end() -> None:
-    """The status is settled: a Ctrl-C that comes now, or once more, changes nothing of it."""
-    if sys.unraisablehook is _again:  # what `begin` began
+    """Ignore further Ctrl-C, since the exit status is settled."""
+    if sys.unraisablehook is _raise_again:  # what `begin` began
         _signal.signal(_signal.SIGINT, _signal.SIG_IGN)
 
 
@@ -47,8 +47,8 @@ def _leave(*_: object) -> None:
     os._exit(INTERRUPTED)
 
 
-def _again(unraisable: sys.UnraisableHookArgs) -> None:
-    """An interrupt that came where Python can raise nothing (a destructor, a callback of C) comes again behind it."""
+def _raise_again(unraisable: sys.UnraisableHookArgs) -> None:
+    """Raise an interrupt again that came where Python cannot raise (a destructor, a callback of C)."""
     if unraisable.exc_type is KeyboardInterrupt:
         _thread.start_new_thread(_thread.interrupt_main, ())  # from here it would come within this very hook
     else:

@@ -39,7 +39,7 @@ def info(
     file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
-    """What a log holds: channels and rates, gaps, events, the likely experiment, and what failsafe and drone said."""
+    """List a log's channels and rates, gaps, events, likely experiment, failsafe actions and the drone's words."""
     log = read_log(file)
     found = describe(log)
     found["failsafe"] = [asdict(band) for band in failsafe_bands(log)]
@@ -70,7 +70,7 @@ def info(
         )
     if len(found["events"]) > _ROWS:
         console.print(f"... and {len(found['events']) - _ROWS} more events")
-    said = [*_said(log)]
+    said = [*_status_texts(log)]
     for line in said[:_ROWS]:
         console.print(line, soft_wrap=True)
     if len(said) > _ROWS:
@@ -78,7 +78,7 @@ def info(
 
 
 def _flown(log: FlightLog) -> Iterator[str]:
-    """What flew, and why it was broken off, as far as the log's maker has noted it."""
+    """Yield the controller and the reason of a broken-off flight, as far as the log has them."""
     flown, drone = (log.provenance.get(name) for name in ("flown", "drone"))
     flown, drone = (found if isinstance(found, dict) else {} for found in (flown, drone))
     controller = flown.get("controller") or drone.get("controller")
@@ -88,8 +88,8 @@ def _flown(log: FlightLog) -> Iterator[str]:
         yield f"broken off: {one_line(flown['reason'])}"
 
 
-def _said(log: FlightLog) -> Iterator[str]:
-    """What the drone said, as our own logs have it; of another's what is laid out so."""
+def _status_texts(log: FlightLog) -> Iterator[str]:
+    """Yield the drone's status texts; rows of another form are left out."""
     texts = log.provenance.get("texts")
     for row in texts if isinstance(texts, list) else ():
         match row:
@@ -191,7 +191,7 @@ def _compare(
 
 
 def _names(files: Sequence[Path]) -> list[str]:
-    """What tells the files apart: their stems, or their paths where two stems are the same."""
+    """Return distinct names of the files: stems, or paths if two stems are equal."""
     stems = [file.stem for file in files]
     return stems if len(set(stems)) == len(files) else [str(file) for file in files]
 

@@ -81,7 +81,7 @@ def margins(
 
 
 def print_margins(console: Console, found: Mapping[str, LoopMargins]) -> None:
-    """A row for each loop, and below them what an unstable one does."""
+    """Print a row for each loop, then the motion of each unstable loop."""
     table = Table(box=None, pad_edge=False)
     table.add_column("loop")
     for title in (
@@ -117,13 +117,13 @@ def _cells(m: LoopMargins) -> tuple[str, ...]:
 
 
 def _gains(m: LoopMargins) -> str:
-    """Up, and down where less gain makes it unstable too."""
+    """Return the gain margin; a conditionally stable loop has a lower one, too."""
     up = _decibels(m.increase.factor) if m.increase else "-"
     return up if m.decrease is None else f"{_decibels(m.decrease.factor)}, {up}"
 
 
 def _cure(m: LoopMargins) -> str:
-    """What less gain would do to it."""
+    """Return the gain at which an unstable loop would be on the border, as a remark."""
     if m.decrease is not None and m.motion is not None and m.motion.omega > 0.0:
         return f" (with {m.decrease.factor:.2g} times the gain it would be on the border)"
     return ""

@@ -1,4 +1,4 @@
-"""What commands print: JSON for machines on stdout, tables for people on stdout, progress and errors on stderr."""
+"""Output of commands: JSON for machines on stdout, tables for people on stdout, progress and errors on stderr."""
 
 import json
 import math
@@ -21,9 +21,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and 
 
 
 def print_json(document: Any, indent: int | None = 2) -> None:
-    """One JSON document on stdout; a number that JSON lacks (NaN, infinity) becomes null.
+    """Print one JSON document; a number that JSON lacks (NaN, infinity) becomes null.
 
-    `indent` None writes it as one line, for who reads it while the program goes on.
+    `indent` None writes one line, for a reader that follows the running program.
     """
     try:
         sys.stdout.write(json.dumps(_plain(document), indent=indent, allow_nan=False) + "\n")
@@ -33,13 +33,13 @@ def print_json(document: Any, indent: int | None = 2) -> None:
 
 
 def say_line(text: object) -> None:
-    """A line on stderr; its words may come from a drone or a file."""
+    """Print a line on stderr; its words may come from a drone or a file."""
     sys.stderr.write(f"{printable(text)}\n")
     sys.stderr.flush()
 
 
 def one_line(text: object) -> str:
-    """What somebody else's file says, on one line."""
+    """Return a text from a file or a drone on one line, without control characters."""
     return " ".join(printable(text).splitlines())
 
 
@@ -54,7 +54,7 @@ def broken_output() -> str | None:
 
 
 def reader_has_left() -> None:
-    """Whoever read stdout has left (`twodof ... | head`): what else is printed goes nowhere."""
+    """Discard further output, since the reader of stdout has left (`twodof ... | head`)."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
@@ -68,7 +68,7 @@ class _PlainConsole(Console):
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """What print and tables make of a string."""
+        """Return a printable text from a string of a print or a table."""
         return super().render_str(printable(text), **options)
 
 
@@ -91,7 +91,7 @@ def _plain(value: Any) -> Any:
 
 
 def print_error(error: TwodofError) -> None:
-    """What went wrong, where, and what to do about it, on stderr; to a terminal in colour."""
+    """Print an error on stderr: what, where and remedy; in colour on a terminal."""
     console = _PlainConsole(stderr=True, soft_wrap=True)
     console.print("error:", style="bold red", end=" ")
     console.print(error.what)
@@ -102,17 +102,16 @@ def print_error(error: TwodofError) -> None:
 
 
 def table_console() -> Console:
-    """The console for tables: as wide as the terminal, or wide enough for any table where there is none."""
+    """Return the console for tables: as wide as the terminal, or wide enough for any table without one."""
     width = None if sys.stdout.isatty() else 1000
     return _TableConsole(soft_wrap=True, width=width)
 
 
 @contextmanager
 def progress(values: Callable[[], str] | None = None) -> Iterator[Callable[[str, float], None]]:
-    """A progress bar on stderr; the function given is called with what is being done and the share done, 0 to 1.
+    """Show a progress bar on stderr and yield a function that takes the current step and the share done, 0 to 1.
 
-    "" is what was done before. `values`, asked at each call, is what stands behind the bar. Without a terminal nothing
-    is drawn.
+    "" keeps the earlier step. The text of `values` stands behind the bar. Without a terminal nothing is drawn.
     """
     narrow = values is not None
     bar = Progress(
@@ -152,7 +151,7 @@ IN_SHELL = MappingProxyType(
 
 
 def remedy_in_shell(remedy: str) -> str:
-    """The remedy, with options and commands in place of calls."""
+    """Return the remedy with options and commands in place of calls."""
     for call, words in IN_SHELL.items():
         remedy = remedy.replace(call, words)
     return remedy.strip()

@@ -20,7 +20,7 @@ _LOCAL = ("_0", "_trim", "_bias")
 
 
 def read_structure(source: str, estimate: Sequence[str] = ()) -> Structure:
-    """The structure that `source` names: FILE.py:NAME, whose code is run, or a diagram in JSON, of which none is.
+    """Return the structure that `source` names: FILE.py:NAME, whose code is run, or a diagram in JSON.
 
     NAME is a `Structure`, a `Diagram`, or a function without arguments that gives one; it may be left out where the
     file has one structure. Of a diagram all real parameters are estimated, or those in `estimate`; names that end in
@@ -44,7 +44,7 @@ def own_record(
     window: tuple[float, float] | None,
     hold: Sequence[str] = (),
 ) -> Record:
-    """The record of a table or log: `inputs` and `outputs` are NAME=COLUMN, or a name that both share.
+    """Return the record of a table or log: `inputs` and `outputs` are NAME=COLUMN, or a name that both share.
 
     The inputs that are not named are the structure's own; so are the outputs, as far as the table has them. Raises
     ParameterError for a name that the structure lacks, LogError for a column that the table lacks.
@@ -74,7 +74,7 @@ def own_record(
 
 
 def with_reference(record: Record, path: Path, time: str | None, column: str) -> Record:
-    """The record with one more input, `column` of the log or table that it was cut from, held from step to step.
+    """Return the record with one more input, `column` of its log or table, held from step to step.
 
     Raises LogError for a column that is not there, or has no sample when the record begins.
     """
@@ -92,7 +92,7 @@ def with_reference(record: Record, path: Path, time: str | None, column: str) ->
 
 
 def _span(log: FlightLog, columns: Sequence[str]) -> tuple[float, float]:
-    """Where all of the columns have begun and none has ended."""
+    """Return the time span that all columns cover. Raises LogError."""
     times = [log[column].time for column in columns]
     if not all(time.size for time in times):
         raise LogError("a column is empty", log.source, f"of {', '.join(columns)}; name others")

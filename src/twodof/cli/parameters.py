@@ -48,7 +48,7 @@ def parameters(
     gains of a drone that another program flies are tuned in flight, unless that program withholds it. If the drone
     refuses a value or does not know a name: exit status 2, and nothing was changed.
     """
-    names, changes = _asked(wanted or ())
+    names, changes = _parsed(wanted or ())
     if save is not None:
         check_folder(save, force)
     file = None if load is None else _read(load)
@@ -57,7 +57,7 @@ def parameters(
         if file is not None:
             differs, missing = file.against(there.parameters.all())
             names, changes = [*names, *(name for name in differs if name not in changes)], {**differs, **changes}
-            _say_loaded(len(differs), missing)
+            _print_loaded(len(differs), missing)
         rows = _rows(there, names, changes, described) if names or file is None else []
         if save is not None:
             entries = there.parameters.all().values()
@@ -85,7 +85,7 @@ def parameters(
 
 
 def _read(path: Path) -> ParameterFile:
-    """Raises ParameterError."""
+    """Read a file of parameters. Raises ParameterError."""
     try:
         with path.open("rb") as file:
             return ParameterFile.read(file.read(MAX_BYTES + 1), str(path))
@@ -93,14 +93,14 @@ def _read(path: Path) -> ParameterFile:
         raise ParameterError(f"cannot be read: {reason.strerror}", str(path), "check the name and the rights") from None
 
 
-def _say_loaded(differs: int, missing: Sequence[str]) -> None:
-    """On stderr, so that stdout stays what was asked for."""
+def _print_loaded(differs: int, missing: Sequence[str]) -> None:
+    """Print on stderr how many values differ, so that stdout has the table or JSON alone."""
     lacks = f"; the drone does not have {len(missing)}: {', '.join(missing[:5])}" if missing else ""
     typer.echo(f"{differs} differ on the drone and are set{lacks}", err=True)
 
 
-def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
-    """The names to show and what to set. Raises ParameterError for a value that is not a number."""
+def _parsed(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
+    """Return the names to show and the values to set. Raises ParameterError for a value that is not a number."""
     names: list[str] = []
     changes: dict[str, float] = {}
     for one in wanted:
@@ -117,7 +117,7 @@ def _asked(wanted: Iterable[str]) -> tuple[list[str], dict[str, float]]:
 def _rows(
     drone: Drone, names: Iterable[str], changes: Mapping[str, float], described: Mapping[str, ParameterDescription]
 ) -> list[dict[str, Any]]:
-    """Sets the `changes`, and says how those of `names`, or all, stand then."""
+    """Set the `changes`, then return the rows of `names`, or of all parameters."""
     if changes:
         drone.parameters.change(changes)
     if not names:
@@ -132,7 +132,7 @@ def _listed(entry: ParameterEntry, described: Mapping[str, ParameterDescription]
 
 
 def _row(name: str, value: float, row: Parameter | None) -> dict[str, Any]:
-    """What --json shows of one; null for what is not known of it."""
+    """Return a parameter's row for --json; unknown values are None."""
     return {
         "name": name,
         "value": value,

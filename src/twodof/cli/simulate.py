@@ -104,7 +104,7 @@ def simulate(
 
 
 def _registered(log: FlightLog) -> PublicLog | None:
-    """The public log that this is, by checksum and not by name; None for any other."""
+    """Return the public log with this log's checksum, or None."""
     seen = log.provenance.get("file", {}).get("sha256")
     return next((row for row in PUBLIC_LOGS.values() if row.sha256 == seen), None)
 
@@ -154,7 +154,7 @@ def _fly_like(
 
 
 def _controllers(named: list[str]) -> list[Diagram]:
-    """The diagrams that the options name."""
+    """Return the diagrams that the options name. Raises ParameterError."""
     found: list[Diagram] = []
     for text in named:
         if text != "flashed":
@@ -173,7 +173,7 @@ def _controllers(named: list[str]) -> list[Diagram]:
 
 
 def _tuning(texts: list[str]) -> dict[str, Any]:
-    """Values by path: a number, true or false, or several numbers between commas."""
+    """Return values by path: a number, true or false, or several numbers between commas."""
     return dict(map(_setting, texts))
 
 
@@ -214,7 +214,7 @@ def _fly(
 
 
 def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> None:
-    """What --tune can set in a controller, with value, bounds and unit where it is described; the rest is counted."""
+    """Print a controller's described parameters with value, bounds and unit, and count the others."""
     everything = laboratory.loop.controller_parameters()
     rows = {path: row for path, row in everything.items() if path.startswith(f"{kind}.")}
     shown = {path: row for path, row in rows.items() if row[0].text}

@@ -110,7 +110,7 @@ def up(
 def _served(
     places: list[LocalDrone], key: Path | None, host: str, port: int, token: bool
 ) -> tuple[LocalPage, LabSettings]:
-    """The server of the page of these drones, and what it is told. The tokens go there by its environment."""
+    """Return the server of the drones' page and its settings; its environment carries the tokens."""
     tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
     settings = LabSettings(data_folder(), host, port, (), key, tokens.command, tokens.watch, token_always=token)
     urls = [str(place.described(False)["drone"]) for place in places]
@@ -122,7 +122,7 @@ def _served(
 
 @asynccontextmanager
 async def _serving(served: tuple[LocalPage, LabSettings] | None) -> AsyncIterator[None]:
-    """Meanwhile the page is served, if it is to be."""
+    """Serve the page, if there is one, inside the block."""
     if served is None:
         yield
         return
@@ -131,7 +131,7 @@ async def _serving(served: tuple[LocalPage, LabSettings] | None) -> AsyncIterato
 
 
 async def _links(served: tuple[LocalPage, LabSettings] | None) -> dict[str, str] | None:
-    """Where the page is, once it is served; None where it is not."""
+    """Return the page's links once it is served; None without a page."""
     if served is None or not await served[0].listens():
         return None
     return links(served[1], served[1].port)
@@ -145,7 +145,7 @@ async def _run(
     served: tuple[LocalPage, LabSettings] | None = None,
     open_page: bool = False,
 ) -> int:
-    """The exit status, once all have ended."""
+    """Run all programs; return the exit status once all have ended."""
     all_up = False
 
     async def keep() -> int:
@@ -187,7 +187,7 @@ def print_places(
     page: Mapping[str, str] | None = None,
     who: str = "",
 ) -> None:
-    """Say where the drones are, where their `page` is and `who` gets in there: to people, or as one line of JSON."""
+    """Print the addresses of the drones and their `page`, and `who` may open it: as text or one line of JSON."""
     rows = [place.described(lockstep) | flown.get(place.index, ControllerReport())._asdict() for place in places]
     if json:
         print_json({"drones": rows, "lockstep": lockstep, "page": page}, indent=None)
@@ -260,7 +260,7 @@ def lab(
 
 
 def print_links(settings: LabSettings, port: int, json: bool) -> None:
-    """Say the links: to people, or as one line of JSON."""
+    """Print the links as text or as one line of JSON."""
     found = links(settings, port)
     if json:
         print_json({"port": port, "page": found}, indent=None)

@@ -71,7 +71,7 @@ class _Item:
 
 
 def layout(boxes: Sequence[Box], nets: Sequence[Net], border: bool = False) -> GraphLayout:
-    """Places `boxes` and draws `nets`; the same arguments give the same layout.
+    """Place `boxes` and route `nets`; the same arguments give the same layout.
 
     With `border` all terminals stand at the left and right edge, as the frame of a sub-diagram needs them.
     """
@@ -226,7 +226,7 @@ class _Layered:
         self.columns = best
 
     def _order_by_wish(self) -> None:
-        """The author's heights; a box without one stands by its neighbours."""
+        """Order columns by the author's heights; a box without one takes its neighbours'."""
         wish = dict(self.author)
         links = [link for c in range(len(self.columns)) for link in self._links(c)]
         for _ in range(len(self.columns) + 1):
@@ -392,7 +392,7 @@ def _median(wanted: list[tuple[float, float]]) -> float:
 
 
 def _crossings(links: Sequence[Sequence[tuple[_Item, float, _Item, float, int]]], place: dict[_Item, float]) -> int:
-    """The number of pairs of wires that cross between columns."""
+    """Return the number of pairs of wires that cross between columns."""
     total = 0
     for column in links:
         seen: list[tuple[float, float]] = []

@@ -1,4 +1,4 @@
-"""How wide a text is: the letters' widths of Helvetica and of the fonts made to its measure (Arial, Liberation)."""
+"""Width of texts by the letters' widths of Helvetica and of the fonts made to its measure (Arial, Liberation)."""
 
 import unicodedata
 
@@ -31,7 +31,7 @@ _BOLD = 1.08
 
 
 def text_width(text: str, size: float, bold: bool = False) -> float:
-    """The width of `text` in units of `size`; letters without known width count as broad ones."""
+    """Return the width of `text` at font size `size`; unknown letters count as broad ones."""
     total = 0
     for letter in text:
         if unicodedata.combining(letter):
@@ -44,7 +44,7 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
 
 
 def shortened(text: str, size: float, most: float, bold: bool = False) -> str:
-    """`text`, cut with an ellipsis if it is wider than `most`."""
+    """Return `text`, cut with an ellipsis if it is wider than `most`."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text[:1000]).split())
     if text_width(plain, size, bold) <= most:
         return plain

@@ -41,7 +41,7 @@ class WireChannel:
     tracks: int = 0
 
     def route(self) -> None:
-        """A track for every net that changes its height here."""
+        """Assign a track to each net that changes its height here."""
         nets = sorted({p.net for p in (*self.left, *self.right)})
         waiting = []
         for net in nets:
@@ -85,13 +85,13 @@ class WireChannel:
         waiting += [_Trunk(trunk.net, trunk.left, [via]), _Trunk(trunk.net, [via], trunk.right)]
 
     def width(self, outer: bool) -> float:
-        """The channel's width, 0 for one at the rim that nothing passes."""
+        """Return the channel's width; 0 for an outer channel without wires."""
         if outer and not self.tracks and not self.straight:
             return 0.0
         return 2.0 * EDGE + TRACK * max(self.tracks - 1, 0)
 
     def segments(self) -> dict[int, list[Segment]]:
-        """The pieces of each net."""
+        """Return the pieces of each net."""
         found: dict[int, list[Segment]] = {}
         start, end = self.x, self.x + self.width(outer=True)
         sides = {p.net for p in self.left} & {p.net for p in self.right}
@@ -112,7 +112,7 @@ class WireChannel:
         return found
 
     def joints(self) -> list[tuple[float, float]]:
-        """The points where a wire branches."""
+        """Return the points at which wires branch."""
         found = []
         for t in self.trunks:
             for y in sorted({*t.left, *t.right}):
