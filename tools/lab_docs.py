@@ -10,17 +10,12 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from twodof.lab.access.declared import MOST_BODY, most_body, watchers_may
-from twodof.lab.access.gate import SAFE
-from twodof.lab.access.route_table import RouteRow, RouteTable
-from twodof.lab.refusals import DESCRIPTIONS
+from twodof.lab.access import MOST_BODY, LabRoute, lab_routes
+from twodof.lab.answers import DESCRIPTIONS
 from twodof.lab.server import ROUTERS, create_app
 from twodof.lab.settings import LabSettings
-from twodof.lab.telemetry.audience import MOST_UNANSWERED
-from twodof.lab.telemetry.client import ALIVE_S, MOST_CLIENTS, MOST_STREAMS
-from twodof.lab.telemetry.outbox import MOST_BYTES
-from twodof.lab.telemetry.request import LONGEST, MOST_COLUMNS
-from twodof.lab.telemetry.tick_rows import COLUMNS
+from twodof.lab.telemetry_client import ALIVE_S, LONGEST, MOST_CLIENTS, MOST_COLUMNS, MOST_STREAMS
+from twodof.lab.telemetry_rows import COLUMNS, MOST_BYTES, MOST_UNANSWERED
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "lab-routes.md"
 
@@ -121,14 +116,13 @@ def render() -> str:
     statuses = "\n".join(f"| {status} | {text} |" for status, text in DESCRIPTIONS.items())
     lines = [INTRODUCTION.replace("{statuses}", statuses)]
     tag = ""
-    for row in RouteTable(ROUTERS).rows():
-        if row.method == "WEBSOCKET":
-            continue
-        told = described["paths"][_plain(row.path)][row.method.lower()]
+    rows = [(route, method) for route in lab_routes(ROUTERS) for method in sorted(route.methods or ())]
+    for route, method in rows:
+        told = described["paths"][_plain(route.path)][method.lower()]
         if told["tags"][0] != tag:
             tag = told["tags"][0]
             lines += [f"## {tag}", ""]
-        lines += _route(row, told, described["components"]["schemas"])
+        lines += _route(route, method, told, described["components"]["schemas"])
     lines.append(WEB_SOCKET.replace("{columns}", ", ".join(f"`{name}`" for name in COLUMNS)))
     return "\n".join(lines)
 
@@ -138,14 +132,11 @@ def _plain(path: str) -> str:
     return re.sub(r":\w+\}", "}", path)
 
 
-def _route(row: RouteRow, told: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
-    """A route's heading, who may call it, its text, and the tables of what it takes."""
-    watch = row.method in SAFE or watchers_may(row.endpoint)
-    who = "watch" if watch else "command"
-    large = most_body(row.endpoint)
-    size = f"; a request of up to {large / 2**20:.0f} MiB" if large != MOST_BODY else ""
-    yield from (f"### {row.method} {_plain(row.path)}", "", f"Who: `{who}`{size}.", "")
-    yield from (inspect.cleandoc(row.endpoint.__doc__ or ""), "")
+def _route(route: LabRoute, method: str, told: Mapping[str, Any], schemas: Mapping[str, Any]) -> Iterator[str]:
+    who = "watch" if route.for_watchers else "command"
+    size = f"; a request of up to {route.most_body / 2**20:.0f} MiB" if route.most_body != MOST_BODY else ""
+    yield from (f"### {method} {_plain(route.path)}", "", f"Who: `{who}`{size}.", "")
+    yield from (inspect.cleandoc(route.endpoint.__doc__ or ""), "")
     fields = [*_parameters(told), *_body(told, schemas)]
     if fields:
         yield from ("| field | | |", "|---|---|---|", *fields, "")

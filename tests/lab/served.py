@@ -22,7 +22,7 @@ from tests.patience import PATIENCE_S
 from twodof.errors import LogError
 from twodof.flightlog.recovery import recover
 from twodof.gcs.loop_thread import LoopThread
-from twodof.lab.serve import serve
+from twodof.lab.server import serve
 from twodof.lab.settings import LabSettings
 
 COMMAND, WATCH = "command-token-of-a-test", "watch-token-of-a-test"

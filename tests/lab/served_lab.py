@@ -15,7 +15,7 @@ from typing import Any
 
 from tests.patience import PATIENCE_S, patiently
 from twodof.fleet.virtual_drone import virtual_drone
-from twodof.lab.serve import serve
+from twodof.lab.server import serve
 from twodof.lab.settings import LabSettings
 
 

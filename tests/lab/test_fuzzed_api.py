@@ -17,15 +17,15 @@ from hypothesis import strategies as st
 from tests.gcs.virtual import on_board
 from tests.lab.served import Served, served, wait_for_drone
 from tests.patience import PATIENCE_S
-from twodof.lab.access.route_table import RouteTable
+from twodof.lab.access import lab_routes
 from twodof.lab.server import ROUTERS
-from twodof.lab.telemetry.request import MalformedRequest, Subscribe, Unsubscribe, read_request
+from twodof.lab.telemetry_client import MalformedRequest, Subscribe, Unsubscribe, read_request
 
 pytestmark = pytest.mark.slow
 
 QUICK, LONG = 4, 100
 """Requests of each kind, right ones and wrong ones, for each route."""
-ROUTES = [(row.method, row.path) for row in RouteTable(ROUTERS).rows() if row.method != "WEBSOCKET"]
+ROUTES = [(method, route.path) for route in lab_routes(ROUTERS) for method in sorted(route.methods)]
 # What is malformed is drawn too: it is to be refused, not to be believed.
 MODES = [schemathesis.GenerationMode.POSITIVE, schemathesis.GenerationMode.NEGATIVE]
 

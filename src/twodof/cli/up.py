@@ -24,9 +24,17 @@ from twodof.fleet.local_page import LocalPage
 from twodof.fleet.local_page import page_port as page_port_of
 from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
 from twodof.flight.controller_store import data_folder
-from twodof.lab.links import drawn_tokens, links, who_gets_in
-from twodof.lab.serve import serve
-from twodof.lab.settings import COMMAND_TOKEN, LOOPBACK, PORT, WATCH_TOKEN, LabSettings
+from twodof.lab.server import serve
+from twodof.lab.settings import (
+    COMMAND_TOKEN,
+    LOOPBACK,
+    PORT,
+    WATCH_TOKEN,
+    LabSettings,
+    drawn_tokens,
+    links,
+    who_gets_in,
+)
 from twodof.link.signing import read_key
 
 NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})

@@ -9,7 +9,7 @@ from typing import Any
 from twodof.blocks.schema.json_form import MAX_BYTES
 from twodof.errors import DiagramError, Rejected
 from twodof.flightlog.atomic import atomic_write, make_folder
-from twodof.lab.refusals import NotThere
+from twodof.lab.answers import NotThere
 
 MOST = 1000
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. -]{0,79}")

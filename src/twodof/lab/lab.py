@@ -1,21 +1,21 @@
-"""Lab: what one server holds: its drones, its jobs, and the events that its clients are told."""
+"""Laboratory of one server: its drones, its processes, its logs and its clients."""
 
 from __future__ import annotations
 
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Self
+from typing import Annotated, Self
+
+from fastapi import Depends
+from fastapi.requests import HTTPConnection
 
 from twodof.errors import LogError, Rejected
-from twodof.lab.drones.drones import LabDrones
-from twodof.lab.jobs.jobs import Jobs
-from twodof.lab.logbook.log_folder import LogShelf
-from twodof.lab.logbook.summary_cache import SummaryCache
-from twodof.lab.models.model_folder import ModelFolder
-from twodof.lab.models.tuning_guard import TuningGuard
+from twodof.lab.drones.lab_drone import LabDrones
+from twodof.lab.log_folder import LogShelf, SummaryCache
+from twodof.lab.models import ModelFolder, TuningGuard
+from twodof.lab.processes import Jobs, Workbench
 from twodof.lab.settings import LabSettings
-from twodof.lab.telemetry.audience import Audience
-from twodof.lab.workbench.workbench import Workbench
+from twodof.lab.telemetry_rows import Audience
 
 
 class Lab:
@@ -54,3 +54,13 @@ class Lab:
         await self.workbench.close()
         await self.log_bench.close()
         await self.drones.close()
+
+
+def current_lab(connection: HTTPConnection) -> Lab:
+    """The laboratory of the server that serves this request."""
+    lab = connection.app.state.lab
+    assert isinstance(lab, Lab)
+    return lab
+
+
+CurrentLab = Annotated[Lab, Depends(current_lab)]

@@ -1,61 +1,100 @@
-"""The server: create_app puts routes, access and page together; `serve` runs it until it is told to end."""
+"""Server: the application of routes, access and page behind uvicorn, on a socket that is opened here."""
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import asyncio
+import errno
+import os
+import socket
+from collections.abc import AsyncIterator, Callable, Iterator
+from contextlib import asynccontextmanager, closing, contextmanager
+from pathlib import Path
 
+import uvicorn
 from fastapi import APIRouter, FastAPI
+from fastapi.responses import HTMLResponse, Response
+from starlette.exceptions import HTTPException
+from starlette.routing import Match
+from starlette.staticfiles import StaticFiles
+from starlette.types import Receive, Scope, Send
 
 from twodof import __version__
-from twodof.lab import refusals
-from twodof.lab.access.gate import Gate
-from twodof.lab.access.route_table import RouteTable
-from twodof.lab.finite_json import FiniteJSON
+from twodof.errors import LinkError
+from twodof.lab import answers
+from twodof.lab.access import API, Gate, lab_routes
 from twodof.lab.lab import Lab
-from twodof.lab.page import serve_page
-from twodof.lab.routes import (
-    commands,
-    diagram_jobs,
-    diagrams,
-    drones,
-    excitations,
-    export,
-    identification,
-    jobs,
-    logs,
-    models,
-    parameter_files,
-    parameters,
-    session,
-    telemetry,
-    tuning,
-)
+from twodof.lab.routes import commands, diagrams, identification, logs, parameters, session
 from twodof.lab.settings import LabSettings
+from twodof.lab.telemetry_client import LONGEST
+
+_MISSING = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><title>twodof: the page is not built</title>
+<body style="font: 1rem/1.5 system-ui; max-width: 40rem; margin: 3rem auto; padding: 0 1rem">
+<h1>The page is not built</h1>
+<p>The server runs, and its API answers; <a href="api/openapi.json">this</a> describes it.
+What is missing is the page in front of it.</p>
+<p>Run <code>make web</code> in the folder of twodof, then load this page again.</p>
+</body></html>
+"""
+READS = ("GET", "HEAD")
+_FOR_EVER = "public, max-age=31536000, immutable"
+
+
+class PageFiles(StaticFiles):
+    """Built files of the page; the browser keeps those whose names hold a hash of their content."""
+
+    async def get_response(self, path: str, scope: Scope) -> Response:
+        """Return the answer for a path; the browser asks for the page itself each time."""
+        if scope["method"] not in READS:
+            raise HTTPException(405, headers={"Allow": ", ".join(READS)})
+        answer = await super().get_response(path, scope)
+        answer.headers["cache-control"] = _FOR_EVER if path.startswith("assets/") else "no-cache"
+        return answer
+
+
+def serve_page(app: FastAPI, folder: Path) -> None:
+    """Serve the page in `folder` at every path that is not the API's; it may be built meanwhile.
+
+    A path of the API comes here with a method that no route takes: the answer names the methods that it does take.
+    """
+    files = PageFiles(directory=folder, html=True, check_dir=False)
+
+    async def page(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and scope["path"].startswith(API):
+            routes = [one for one in lab_routes(ROUTERS) if one.matches(scope)[0] is not Match.NONE]
+            methods = sorted({method for route in routes for method in route.methods or ()})
+            raise HTTPException(405, headers={"Allow": ", ".join(methods)}) if methods else HTTPException(404)
+        if scope["type"] == "http" and not (folder / "index.html").is_file():
+            await HTMLResponse(_MISSING, 503 if scope["path"] == "/" else 404)(scope, receive, send)
+            return
+        await files(scope, receive, send)
+
+    app.mount("/", page)
+
 
 ROUTERS: tuple[APIRouter, ...] = (
     session.router,
-    drones.router,
+    session.drones_router,
     commands.router,
-    excitations.router,
-    export.router,
-    parameter_files.router,
+    commands.excitations_router,
+    session.export_router,
+    parameters.files_router,
     parameters.router,
     diagrams.router,
-    diagram_jobs.router,
-    tuning.router,
-    models.router,
+    diagrams.jobs_router,
+    parameters.tuning_router,
+    identification.models_router,
     identification.router,
-    jobs.router,
+    session.jobs_router,
     logs.router,
-    telemetry.router,
+    session.telemetry_router,
 )
-"""A line a subject."""
+"""Routers of the API, one for each subject."""
 _ABOUT = "The API of the laboratory in the browser. All quantities are in SI units and radians."
 
 
 def create_app(settings: LabSettings) -> FastAPI:
-    """The application: the API under /api, the page elsewhere. It connects to the drones while it runs."""
+    """Return the application: the API under /api, the page elsewhere. It connects to the drones while it runs."""
     lab = Lab(settings)
 
     @asynccontextmanager
@@ -71,16 +110,88 @@ def create_app(settings: LabSettings) -> FastAPI:
         openapi_url="/api/openapi.json",
         docs_url=None,
         redoc_url=None,
-        default_response_class=FiniteJSON,
+        default_response_class=answers.FiniteJSON,
         responses={
-            status: {"model": refusals.Refusal, "description": text} for status, text in refusals.DESCRIPTIONS.items()
+            status: {"model": answers.Refusal, "description": text} for status, text in answers.DESCRIPTIONS.items()
         },
     )
     app.state.lab = lab
     for router in ROUTERS:
         app.include_router(router)
-    refusals.install(app)
-    routes = RouteTable(ROUTERS)
-    serve_page(app, settings.page, routes)
-    app.add_middleware(Gate, settings=settings, routes=routes)
+    answers.install(app)
+    serve_page(app, settings.page)
+    app.add_middleware(Gate, settings=settings)
     return app
+
+
+BACKLOG = 128
+SEND_BUFFER = 128 * 1024
+"""Bytes that the kernel keeps for one client."""
+END_S = 5
+"""What requests have to end when the server is told to [s]."""
+
+
+async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
+    """Serve until cancelled; `ready` is called with the port once it listens. Raises LinkError where it cannot."""
+    # For the processes of jobs: matrices are small, and two fits at once would have four threads wait for each other.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    with closing(_listening(settings)) as listening:
+        port = int(listening.getsockname()[1])
+        config = uvicorn.Config(
+            create_app(settings),
+            log_config=None,
+            access_log=False,  # the link holds a token
+            server_header=False,
+            lifespan="on",
+            ws="websockets-sansio",
+            ws_max_size=4 * LONGEST,
+            ws_per_message_deflate=False,  # rows hardly shrink, and it would cost more than all else
+            ws_ping_interval=10.0,
+            ws_ping_timeout=20.0,
+            timeout_graceful_shutdown=END_S,
+            timeout_keep_alive=30,
+            h11_max_incomplete_event_size=16 * 1024,
+            limit_concurrency=400,
+        )
+        server = _Server(config)
+        serving = asyncio.create_task(server.serve(sockets=[listening]))
+        try:
+            while not server.started and not serving.done():
+                await asyncio.sleep(0.01)
+            if server.started:
+                ready(port)
+            await asyncio.shield(serving)
+        finally:
+            server.should_exit = True
+            await asyncio.wait([serving], timeout=4 * END_S)
+
+
+class _Server(uvicorn.Server):
+    """Uvicorn's server, whose signals are its caller's."""
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """No signal is captured."""
+        yield
+
+
+def _listening(settings: LabSettings) -> socket.socket:
+    """A socket that listens. Raises LinkError with the remedy where it cannot be had."""
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    where = f"http://{settings.host}:{settings.port}"
+    made = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        # What the kernel holds back for a client that is slow is stale: its share is small.
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        made.bind((settings.host, settings.port))
+        made.listen(BACKLOG)
+        os.set_inheritable(made.fileno(), False)
+    except OSError as error:
+        made.close()
+        what = f"cannot listen: {error.strerror or error}"
+        taken = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        other = "give another --port, or --port 0 for a free one"
+        remedy = other if taken else "give --host an address of this computer, such as 127.0.0.1 or 0.0.0.0"
+        raise LinkError(what, where, remedy) from error
+    return made

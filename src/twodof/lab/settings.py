@@ -1,10 +1,13 @@
-"""LabSettings: where the server listens, what it connects to, where it keeps what it keeps, who may come in."""
+"""Settings of a server, its tokens, and the links that it prints."""
 
 from __future__ import annotations
 
 import ipaddress
+import secrets
+import socket
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from twodof.errors import LinkError
 
@@ -62,3 +65,38 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+_ANYWHERE = ("0.0.0.0", "::")
+
+
+class Tokens(NamedTuple):
+    """What lets a client command, and what lets one watch; "" where there is none."""
+
+    command: str
+    watch: str
+
+
+def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = False) -> Tokens:
+    """The tokens of a server at `host`: one to watch, and where it is needed, or `always`, one to command.
+
+    Those that are not given are drawn anew; they are stored nowhere.
+    """
+    needed = secrets.token_urlsafe(24) if always or not is_loopback(host) else ""
+    return Tokens(command or needed, watch or secrets.token_urlsafe(24))
+
+
+def links(settings: LabSettings, port: int) -> dict[str, str]:
+    """The links of a server that listens at `port`: to command, and to watch only. They hold the tokens."""
+    host = socket.gethostname() if settings.host in _ANYWHERE else settings.host
+    base = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+    command = f"?token={settings.command_token}" if settings.command_token else ""
+    return {"command": base + command, "watch": f"{base}?token={settings.watch_token}" if settings.watch_token else ""}
+
+
+def who_gets_in(settings: LabSettings) -> str:
+    """What who starts a server is to know of its links, a line; "" where they guard nothing."""
+    if not settings.needs_token:
+        return ""
+    over = " It goes over the network as plain text." if settings.reached else ""
+    return f"Nobody gets in without a link. Whoever has the first one flies the drones.{over}\n"

@@ -14,17 +14,17 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from tests.lab.served import COMMAND, WATCH, Served, served
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError
-from twodof.lab.access.declared import only_computes, only_stops
-from twodof.lab.access.route_table import RouteRow, RouteTable
+from twodof.lab.access import LabRoute, lab_routes
 from twodof.lab.server import ROUTERS
 from twodof.lab.settings import LabSettings
 
 pytestmark = pytest.mark.slow
 
-ROWS = [*RouteTable(ROUTERS).rows()]
+ROWS = [(method, route) for route in lab_routes(ROUTERS) for method in sorted(route.methods)]
 READS = {"GET", "HEAD"}
-# What only computes, as the routes declare it: to let viewers call one more is a decision, and this list repeats it.
-COMPUTES = {
+# What clients that only watch may call, beside reading: to let them call one more is a decision, which this list says.
+# These compute and change nothing, or stop the motors.
+FOR_WATCHERS = {
     "/api/diagrams/check",
     "/api/diagrams/code",
     "/api/diagrams/compile",
@@ -39,9 +39,8 @@ COMPUTES = {
     "/api/identification/plan",
     "/api/tuning/{number}/measured",
     "/api/tuning/{number}/preview",
+    "/api/drones/{number}/kill",
 }
-# What stops motors: who watches beside the rig may do that.
-STOPS = {"/api/drones/{number}/kill"}
 
 
 @pytest.fixture(scope="module")
@@ -50,41 +49,34 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
         yield found
 
 
-def path_of(row: RouteRow) -> str:
+def path_of(route: LabRoute) -> str:
     """A path of the route, with parameters that name nothing."""
-    return re.sub(r"\{(number|drone)(:\w+)?\}", "77", re.sub(r"\{(?!number|drone)\w+(:\w+)?\}", "nothing", row.path))
+    return re.sub(r"\{(number|drone)(:\w+)?\}", "77", re.sub(r"\{(?!number|drone)\w+(:\w+)?\}", "nothing", route.path))
 
 
-def ids(row: RouteRow) -> str:
-    return f"{row.method} {row.path}"
-
-
-@pytest.mark.parametrize("row", [row for row in ROWS if row.method != "WEBSOCKET"], ids=ids)
-def test_what_a_watcher_may_do_is_to_read_to_compute_and_to_stop(server: Served, row: RouteRow) -> None:
-    computes = only_computes(row.endpoint)
-    assert computes == (row.method == "POST" and row.path in COMPUTES)
-    stops = only_stops(row.endpoint)
-    assert stops == (row.method == "POST" and row.path in STOPS)
-    allowed = row.method in READS or computes or stops
-    answer = server.ask(row.method, path_of(row), {}, token=WATCH)
+@pytest.mark.parametrize(("method", "route"), ROWS, ids=[f"{method} {route.path}" for method, route in ROWS])
+def test_watchers_read_compute_and_stop_only(server: Served, method: str, route: LabRoute) -> None:
+    allowed = method in READS or (method == "POST" and route.path in FOR_WATCHERS)
+    assert route.for_watchers == allowed
+    answer = server.ask(method, path_of(route), {}, token=WATCH)
     refused = answer.status == 403
     assert refused != allowed, (answer.status, answer.content[:300])
     if refused:
         assert answer.json["what"] == "this link is for watching only"
     else:
         assert answer.status < 500 or answer.status == 504
-    with_none = server.ask(row.method, path_of(row), {}, token="not-a-token")
+    with_none = server.ask(method, path_of(route), {}, token="not-a-token")
     assert with_none.status == 401
     assert "token" in with_none.json["what"]
-    from_elsewhere = server.ask(row.method, path_of(row), {}, {"Origin": "http://evil.example"}, token=COMMAND)
-    if row.method not in READS:
+    from_elsewhere = server.ask(method, path_of(route), {}, {"Origin": "http://evil.example"}, token=COMMAND)
+    if method not in READS:
         assert from_elsewhere.status == 403
         assert "another site" in from_elsewhere.json["what"]
 
 
 def test_every_route_is_under_the_gate_and_in_the_description(server: Served) -> None:
     described = server.ask("GET", "/api/openapi.json", token=WATCH).json["paths"]
-    routes = {(row.method.lower(), re.sub(r":\w+\}", "}", row.path)) for row in ROWS if row.method != "WEBSOCKET"}
+    routes = {(method.lower(), re.sub(r":\w+\}", "}", route.path)) for method, route in ROWS}
     assert {(method, path) for path, methods in described.items() for method in methods} == routes
     assert all(path.startswith("/api/") for _, path in routes)
     assert server.ask("GET", "/api/openapi.json", token="x").status == 401

@@ -12,7 +12,7 @@ from tests.gcs.peer import Peer
 from twodof.flightlog import read_log
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.lab.drones.flight_recorder import FlightRecorder
+from twodof.lab.drones.pilot import FlightRecorder
 
 pytestmark = pytest.mark.slow
 

@@ -18,8 +18,8 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT
 from twodof.gcs.drone import Drone
 from twodof.gcs.recording import seconds
+from twodof.lab import telemetry_client
 from twodof.lab.drones import pilot
-from twodof.lab.telemetry import client as telemetry_client
 
 pytestmark = pytest.mark.slow
 

@@ -13,12 +13,9 @@ import pytest
 from tests.patience import PATIENCE_S
 from tests.processes import alive
 from twodof.errors import IdentificationError, Rejected
-from twodof.lab.access.lab_client import LabClient
-from twodof.lab.access.role import Role
-from twodof.lab.jobs.job import Job
-from twodof.lab.jobs.jobs import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Jobs
-from twodof.lab.jobs.worker import Progress, in_real_time
-from twodof.lab.refusals import NotThere
+from twodof.lab.access import LabClient, Role
+from twodof.lab.answers import NotThere
+from twodof.lab.processes import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress, in_real_time
 
 
 def counts(progress: Progress, number: int) -> dict[str, object]:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from twodof.lab.telemetry.decimation import Decimation
+from twodof.lab.telemetry_rows import Decimation
 
 RATES = st.sampled_from([0.5, 1.0, 7.0, 20.0, 50.0, 60.0, 125.0, 200.0, 249.0])
 VALUES = st.lists(

@@ -12,7 +12,7 @@ import pytest
 
 from tests.gcs.virtual import on_board
 from tests.lab.served import Client, Served, served, wait_for_drone
-from twodof.lab.telemetry.client import MOST_STREAMS
+from twodof.lab.telemetry_client import MOST_STREAMS
 
 pytestmark = pytest.mark.slow
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
-from twodof.lab.telemetry.outbox import MOST_BYTES, MOST_EVENTS, Outbox, Rows, StreamState
+from twodof.lab.telemetry_rows import MOST_BYTES, MOST_EVENTS, Outbox, Rows, StreamState
 
 
 def test_a_slow_client_loses_the_oldest_rows_and_is_told_how_many() -> None:

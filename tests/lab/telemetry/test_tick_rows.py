@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from twodof.lab.telemetry.tick_rows import COLUMNS, ONBOARD, PATIENCE_TICKS, PLACES, TickRows
+from twodof.lab.telemetry_rows import COLUMNS, ONBOARD, PATIENCE_TICKS, PLACES, TickRows
 
 _ALL = np.arange(len(ONBOARD), dtype=np.intp)
 

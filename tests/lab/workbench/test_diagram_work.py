@@ -3,7 +3,7 @@
 import pytest
 
 from twodof.compile.toolchain import compilers
-from twodof.lab.workbench import diagram_work
+from twodof.lab import diagram_work
 
 
 def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,8 +18,8 @@ from twodof.blocks.library import Gain, UnitDelay
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import DiagramError, Rejected, Timeout
 from twodof.flight.starters import starter
-from twodof.lab.workbench import diagram_work
-from twodof.lab.workbench.workbench import Workbench
+from twodof.lab import diagram_work
+from twodof.lab.processes import Workbench
 
 
 def on_a_bench(use: Callable[[Workbench], Coroutine[Any, Any, Any]]) -> Any:

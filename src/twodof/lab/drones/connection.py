@@ -1,23 +1,121 @@
-"""DroneConnection: all that goes on with a drone while it is connected: rows, records, parameters, its pilot."""
+"""Connection to a drone: its telemetry, its reports, its parameters and its pilot while it lasts."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Callable, Coroutine, Iterable, Mapping
+from contextlib import AsyncExitStack, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.telemetry import columns_of
 from twodof.lab.drones.drone_report import report
-from twodof.lab.drones.flight_recorder import FlightRecorder
 from twodof.lab.drones.parameter_table import ParameterTable
-from twodof.lab.drones.pilot import Pilot
-from twodof.lab.drones.telemetry_source import TelemetrySource
-from twodof.lab.side_by_side import until_one_ends
-from twodof.lab.telemetry.feeds import Feeds
+from twodof.lab.drones.pilot import FlightRecorder, Pilot
+from twodof.lab.telemetry_rows import ONBOARD, PLACES, Feeds, TickRows
+from twodof.link.mavlink.messages import batch_rows, channel_mask
 from twodof.link.mavlink.rates import RATES
+
+
+async def until_one_ends(work: Iterable[Coroutine[Any, Any, Any]]) -> None:
+    """Run all; when one ends the others are cancelled and waited for. Raises what that one raised."""
+    tasks = [asyncio.create_task(one) for one in work]
+    try:
+        done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        for task in done:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+
+TOGETHER_S = 0.016
+"""Rows that come within this time [s] are sent together: a screen shows no more pictures."""
+LOOK_S = 0.05
+LINGER_S = 3.0
+"""So long it is sent on after nobody wants it: a page that is loaded again asks for the same."""
+_ALL = channel_mask(ONBOARD)
+
+
+class TelemetrySource:
+    """Rows of one connected drone for `feeds`; its `work` goes on until it is cancelled or the drone is lost."""
+
+    def __init__(self, drone: AsyncDrone, feeds: Feeds) -> None:
+        self._drone, self._feeds = drone, feeds
+        self._rows = TickRows()
+        self._flushing: asyncio.TimerHandle | None = None
+
+    def work(self) -> list[Coroutine[Any, Any, None]]:
+        """What is to be run side by side: it subscribes while somebody wants rows. Each raises LinkLost."""
+        return [
+            self._subscribed(self._onboard, lambda: self._feeds.wanted),
+            self._subscribed(self._truth, lambda: self._feeds.truth_wanted),
+        ]
+
+    async def _onboard(self, stack: AsyncExitStack) -> None:
+        await stack.enter_async_context(self._drone.batches.to(self._take_batch, _ALL))
+
+    async def _truth(self, stack: AsyncExitStack) -> None:
+        if self._drone.state.rig.virtual:  # nobody knows that of a real one
+            await stack.enter_async_context(self._drone.rig_truth.to(self._take_truth))
+
+    async def _subscribed(self, subscribe: Callable[[AsyncExitStack], Any], wanted: Callable[[], bool]) -> None:
+        while True:
+            while not wanted():
+                await self._look()
+            with suppress(Timeout, Rejected):  # it is asked again while it is wanted
+                async with AsyncExitStack() as stack:
+                    await subscribe(stack)
+                    await self._unwanted(wanted)
+
+    async def _unwanted(self, wanted: Callable[[], bool]) -> None:
+        """Until it is not wanted for a while."""
+        session = self._drone.session
+        since = session.now
+        while session.now - since < LINGER_S:
+            if wanted():
+                since = session.now
+            await self._look()
+
+    async def _look(self) -> None:
+        session = self._drone.session
+        session.check(session.now)
+        await asyncio.sleep(LOOK_S)
+
+    def _take_batch(self, got: Any) -> None:
+        ticks, values = batch_rows(got)
+        if len(ticks):
+            self._rows.onboard(ticks, values, _places(got.channels))
+            self._soon()
+
+    def _take_truth(self, got: Any) -> None:
+        self._rows.truth(got.step, (got.theta, got.q, got.x, got.v))
+        self._soon()
+
+    def _soon(self) -> None:
+        if self._flushing is None:
+            self._flushing = asyncio.get_running_loop().call_later(TOGETHER_S, self._flush)
+
+    def _flush(self) -> None:
+        self._flushing = None
+        taken = self._rows.take()
+        if taken is not None:
+            self._feeds.give(*taken)
+
+
+@lru_cache(maxsize=64)
+def _places(mask: int) -> NDArray[np.intp]:
+    """Places in COLUMNS of a batch's columns."""
+    columns = columns_of(mask)
+    return np.array([PLACES[name] for name in sorted(columns, key=columns.__getitem__)], dtype=np.intp)
+
 
 REPORT_S = 0.1
 REPORT_ANYWAY_S = 1.0

@@ -1,4 +1,4 @@
-"""LabDrone: one drone as the server has it: kept connected, also where it restarts, watched, commanded for clients."""
+"""Drones of the server: each is kept connected, also over its restarts, watched, and commanded for clients."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.clock import DroneRestarted
 from twodof.gcs.drone_state import StatusText
 from twodof.gcs.recording import seconds
+from twodof.lab.answers import NotThere
 from twodof.lab.drones.connection import DroneConnection
 from twodof.lab.drones.drone_report import lost_report
 from twodof.lab.settings import LabSettings
-from twodof.lab.telemetry.audience import Audience
-from twodof.lab.telemetry.feeds import Feeds
+from twodof.lab.telemetry_rows import Audience, Feeds
+from twodof.link.transport import ports
 
 CONNECT_S = 5.0
 AGAIN_S, AGAIN_MOST_S = 0.3, 2.0
@@ -141,3 +142,52 @@ class LabDrone:
     def tell_log(self, name: str) -> None:
         """Tell all clients of a flight that was recorded."""
         self._audience.tell({"event": "log", "name": name})
+
+
+MOST_DRONES = 8
+CLOSE_S = 8.0
+"""What leaving all drones may take: each is disarmed if it was ours."""
+
+
+class LabDrones:
+    """The drones at the URLs of the settings; none given: those that run on this computer, as they come."""
+
+    def __init__(self, settings: LabSettings, audience: Audience) -> None:
+        places = [f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
+        self._always = bool(settings.connect)
+        self._drones = [LabDrone(url, settings, audience) for url in settings.connect or places]
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def __getitem__(self, number: int) -> LabDrone:
+        """The drone of that MAVLink system. Raises NotThere."""
+        for one in self._drones:
+            if one.number == number:
+                return one
+        known = [str(one.number) for one in self._drones if one.number]
+        raise NotThere("there is no such drone", f"drone {number}", f"there are: {', '.join(known) or 'none yet'}")
+
+    @property
+    def all(self) -> list[LabDrone]:
+        """Those that were heard."""
+        return sorted((one for one in self._drones if one.number), key=lambda one: one.number)
+
+    @property
+    def states(self) -> list[dict[str, Any]]:
+        """How they stand."""
+        return [one.state for one in self.all]
+
+    @property
+    def recordings(self) -> frozenset[str]:
+        """Names of the logs that are being recorded: they cannot be read yet."""
+        return frozenset(str(state.get("recording") or "") for state in self.states) - {""}
+
+    def start(self) -> None:
+        """Begin to connect."""
+        self._tasks = [asyncio.create_task(one.run()) for one in self._drones]
+
+    async def close(self) -> None:
+        """Leave all: those that were ours stand disarmed."""
+        for task in self._tasks:
+            task.cancel()
+        if self._tasks:
+            await asyncio.wait(self._tasks, timeout=CLOSE_S)

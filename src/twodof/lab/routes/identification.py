@@ -1,28 +1,27 @@
-"""Identification: experiments to choose, what they will tell, flying them, and the fit of what was flown."""
+"""Identification: experiments, their flights and fits, the models that are kept, and controllers designed for them."""
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 from contextlib import ExitStack
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Path
+from fastapi import Path, Response
 from pydantic import Field
 
 from twodof.errors import ParameterError, Rejected, listed, shown
 from twodof.identify.experiments import KINDS
 from twodof.identify.from_flight.ready_made import AUTO, STRUCTURES
-from twodof.lab.access import computes
-from twodof.lab.access.lab_client import CurrentClient
-from twodof.lab.current_lab import CurrentLab
+from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
+from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
-from twodof.lab.flights.asked_experiment import AskedExperiment, offered
-from twodof.lab.flights.flying import fly_experiment
-from twodof.lab.flights.identifying import identify, plan
-from twodof.lab.jobs.job import Job
-from twodof.lab.request_body import Finite, RequestBody
+from twodof.lab.flights import AskedExperiment, design, fly_experiment, identify, offered, plan
+from twodof.lab.lab import CurrentLab
+from twodof.lab.models import MAX_BYTES
+from twodof.lab.processes import Job
 
-router = APIRouter(prefix="/api/identification", tags=["identification"])
+router = lab_router("/api/identification", "identification")
 LogName = Annotated[str, Field(min_length=1, max_length=160)]
 Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
@@ -69,8 +68,7 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
     return {**offered(), "structures": [AUTO, *STRUCTURES], "flights": logs}
 
 
-@router.post("/plan", status_code=202)
-@computes
+@router.post("/plan", status_code=202, dependencies=[WATCHERS_MAY])
 async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> dict[str, Any]:
     """What an experiment will tell, and how far it will move the drone; answers the job. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
@@ -111,8 +109,7 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
     return found.told()
 
 
-@router.post("/fit", status_code=202)
-@computes
+@router.post("/fit", status_code=202, dependencies=[WATCHERS_MAY])
 async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dict[str, Any]:
     """Identify from a log, by output error and by hand; answers the job, whose result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
@@ -138,3 +135,75 @@ def _values(document: dict[str, Any]) -> dict[str, float]:
     given = {name: row.get("value") for name, row in rows.items() if isinstance(row, dict)}
     given |= fixed if isinstance(fixed, dict) else {}
     return {name: float(value) for name, value in given.items() if isinstance(value, int | float)}
+
+
+models_router = lab_router("/api/models", "models")
+ModelName = Annotated[str, Path(min_length=1, max_length=60, description="What the model was called when it was kept.")]
+Name = Annotated[str, Field(min_length=1, max_length=60)]
+
+
+class AskedKeeping(RequestBody):
+    """The job of a fit whose model is kept, and what it is to be called."""
+
+    job: Annotated[str, Field(max_length=40)]
+    name: Name
+    overwrite: bool = False
+
+
+class AskedController(RequestBody):
+    """What is designed: crossover of the rate loop [rad/s], its phase margin [rad], the method; the diagram's name."""
+
+    name: Name
+    crossover: Annotated[float, Field(ge=1.0, le=120.0, allow_inf_nan=False)] = 20.0
+    phase_margin: Annotated[float, Field(gt=0.0, lt=math.pi / 2, allow_inf_nan=False)] | None = None
+    method: Literal["cascade", "lqg"] = "cascade"
+    overwrite: bool = False
+
+
+@models_router.get("")
+async def models(lab: CurrentLab) -> list[dict[str, Any]]:
+    """The models that are kept; `pitch` tells whether tuning and design can use one, else `why` not."""
+    return [lab.models.row(name) for name in lab.models.names()]
+
+
+@models_router.get("/{name}")
+async def model(lab: CurrentLab, name: ModelName) -> dict[str, Any]:
+    """A model's document, as `twodof identify --out` writes it."""
+    return lab.models.read(name)
+
+
+@models_router.post("", status_code=201)
+async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
+    """Keep the model that a job of /api/identification/fit has found."""
+    job = lab.jobs[asked.job]
+    document = job.result.get("model") if isinstance(job.result, dict) else None
+    if not isinstance(document, dict):
+        raise Rejected("this job has found no model", f"job {asked.job}", "keep that of a fit that is done")
+    lab.models.save(asked.name, document, asked.overwrite)
+    return lab.models.row(asked.name)
+
+
+@models_router.put("/{name}", status_code=201, dependencies=[takes(MAX_BYTES)])
+async def bring(lab: CurrentLab, name: ModelName, document: dict[str, Any]) -> dict[str, Any]:
+    """Keep a model's document from elsewhere: what `twodof identify --out` wrote. 409 where the name is taken."""
+    lab.models.save(name, document)
+    return lab.models.row(name)
+
+
+@models_router.delete("/{name}", status_code=204)
+async def delete(lab: CurrentLab, name: ModelName) -> Response:
+    """Delete a model."""
+    lab.models.delete(name)
+    return Response(status_code=204)
+
+
+@models_router.post("/{name}/controller", status_code=202)
+async def controller(lab: CurrentLab, name: ModelName, asked: AskedController) -> dict[str, Any]:
+    """Design a controller for a model, and promise its flight, as `twodof design controller`; answers the job.
+
+    Its result has the diagram's `file` among the user's diagrams. What does not keep the family stable is not written.
+    """
+    family = lab.models.family(name)
+    place = lab.settings.folder / "diagrams"
+    given = (asked.name, asked.crossover, asked.phase_margin, asked.method, asked.overwrite)
+    return lab.jobs.start("controller", design, family.to_json(), str(place), *given).told()

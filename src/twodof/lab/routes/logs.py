@@ -12,24 +12,22 @@ from math import isfinite
 from pathlib import Path as FilePath
 from typing import Annotated, Any, Literal, get_args
 
-from fastapi import APIRouter, Path, Query, Request
+from fastapi import Path, Query, Request
 from fastapi.responses import FileResponse, Response
 from pydantic import Field
 from starlette.background import BackgroundTask
 
 from twodof.errors import LogError, RecordingError, Rejected, TwodofError
 from twodof.flightlog.provenance import MAX_FILE_BYTES
-from twodof.lab.access import takes
-from twodof.lab.current_lab import CurrentLab
-from twodof.lab.lab import Lab
-from twodof.lab.logbook import log_work
-from twodof.lab.logbook.log_folder import MOST_NOTES
-from twodof.lab.logbook.log_summary import summary as log_summary
-from twodof.lab.logbook.log_trash import KEPT_DAYS
-from twodof.lab.request_body import RequestBody
+from twodof.lab import log_work
+from twodof.lab.access import lab_router, takes
+from twodof.lab.answers import RequestBody
+from twodof.lab.lab import CurrentLab, Lab
+from twodof.lab.log_folder import KEPT_DAYS, MOST_NOTES
+from twodof.lab.log_work import summary as log_summary
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
 
-router = APIRouter(prefix="/api/logs", tags=["logs"])
+router = lab_router("/api/logs", "logs")
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 READ_S, CONVERT_S = 30.0, 90.0
 Name = Annotated[str, Path(min_length=1, max_length=260, description="Of a log, as the list tells it.")]
@@ -176,8 +174,7 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
     return lab.logs.trash.put(path)
 
 
-@router.post("/{name}", openapi_extra=_RAW)
-@takes(MOST_UPLOADED)
+@router.post("/{name}", openapi_extra=_RAW, dependencies=[takes(MOST_UPLOADED)])
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
     """Take a log in: the file's bytes as they are. It is read first; what cannot be read is refused and not kept."""
     lab.logs.check_new(name)

@@ -1,18 +1,26 @@
-"""Parameters of a drone: listed with unit, bounds, default and help, changed together, undone."""
+"""Parameters of a drone: listed, changed and undone, kept in files and snapshots, and tried on a model before."""
 
 from __future__ import annotations
 
+import math
+from datetime import datetime
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Body, Query
+from fastapi import Body, Path, Query, Request, Response
 from pydantic import Field
 
+from twodof import __version__
+from twodof.errors import DiagramError, LogError, Rejected, Timeout
+from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile, Snapshots
 from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, SentChange, same_as
-from twodof.lab.current_lab import CurrentLab
-from twodof.lab.request_body import Finite
-from twodof.lab.routes.drones import Number
+from twodof.lab.access import WATCHERS_MAY, lab_router, takes
+from twodof.lab.answers import Finite, NotThere, RequestBody
+from twodof.lab.lab import CurrentLab
+from twodof.lab.models import measured_steps
+from twodof.lab.routes.session import Number
 
-router = APIRouter(prefix="/api/drones/{number}/parameters", tags=["parameters"])
+router = lab_router("/api/drones/{number}/parameters", "parameters")
 Changes = Annotated[
     dict[Annotated[str, Field(max_length=200)], Finite],
     Body(min_length=1, max_length=200, description="New values by name, in the unit of each."),
@@ -69,3 +77,192 @@ def _row(entry: ParameterEntry) -> dict[str, Any]:
     tuning = row.tuning or (entry.name in BY_NAME and BY_NAME[entry.name].tuning)
     described = {"default": row.default, "low": row.low, "high": row.high, "unit": row.unit, "text": row.text}
     return {**told, **described, "path": row.path, "tuning": tuning}
+
+
+files_router = lab_router("/api/drones/{number}/parameters", "parameters")
+SnapshotName = Annotated[str, Path(min_length=1, max_length=60, description="What the snapshot is called.")]
+TEXT = "text/plain; charset=utf-8"
+
+
+class AskedSnapshot(RequestBody):
+    """What a snapshot is to be called."""
+
+    name: Annotated[str, Field(min_length=1, max_length=60)]
+    note: Annotated[str, Field(max_length=200)] = ""
+    overwrite: bool = False
+
+
+@files_router.get("/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+async def file(lab: CurrentLab, number: Number) -> Response:
+    """All parameters as a file that QGroundControl loads (Vehicle Configuration, Parameters, Tools)."""
+    text = (await _now(lab.drones[number].drone)).text()
+    headers = {"content-disposition": f'attachment; filename="drone-{number}.params"'}
+    return Response(text, media_type=TEXT, headers=headers)
+
+
+@files_router.post("/file", dependencies=[WATCHERS_MAY, takes(MAX_BYTES)])
+async def compared(lab: CurrentLab, number: Number, request: Request) -> dict[str, Any]:
+    """What a file of QGroundControl, the request's body, would change; nothing is changed yet."""
+    drone = lab.drones[number].drone
+    return await _against(drone, ParameterFile.read(await request.body(), "the file"))
+
+
+@files_router.get("/snapshots")
+async def snapshots(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
+    """The snapshots that are kept, of all drones, the newest first; `kept` is in s of Unix time."""
+    lab.drones[number]
+    kept = _kept(lab)
+    return sorted(({"name": name, "kept": kept.kept(name)} for name in kept), key=lambda row: -float(row["kept"]))
+
+
+@files_router.post("/snapshots", status_code=201)
+async def keep(lab: CurrentLab, number: Number, asked: AskedSnapshot) -> dict[str, Any]:
+    """Keep all parameters of the drone, as they are now, under a name."""
+    kept = _kept(lab)
+    kept.save(asked.name, await _now(lab.drones[number].drone, asked.note), asked.overwrite)
+    return {"name": asked.name, "kept": kept.kept(asked.name)}
+
+
+@files_router.get("/snapshots/{name}")
+async def snapshot(lab: CurrentLab, number: Number, name: SnapshotName, other: str = "") -> dict[str, Any]:
+    """What a snapshot would change on the drone; with `other` what differs from that snapshot."""
+    kept = _of(lab, name)
+    if other:
+        theirs = _of(lab, other[:60]).values
+        names = sorted({*kept.values, *theirs})
+        rows = [{"name": n, "before": theirs.get(n), "value": kept.values.get(n)} for n in names]
+        return {"changes": [row for row in rows if row["before"] != row["value"]], "missing": [], "about": kept.about}
+    return await _against(lab.drones[number].drone, kept)
+
+
+@files_router.get("/snapshots/{name}/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
+async def snapshot_file(lab: CurrentLab, number: Number, name: SnapshotName) -> Response:
+    """A snapshot as a file that QGroundControl loads."""
+    lab.drones[number]
+    headers = {"content-disposition": f'attachment; filename="{name}.params"'}
+    return Response(_of(lab, name).text(), media_type=TEXT, headers=headers)
+
+
+@files_router.delete("/snapshots/{name}", status_code=204)
+async def delete(lab: CurrentLab, number: Number, name: SnapshotName) -> Response:
+    """Delete a snapshot."""
+    lab.drones[number]
+    _of(lab, name)
+    _kept(lab).delete(name)
+    return Response(status_code=204)
+
+
+def _kept(lab: CurrentLab) -> Snapshots:
+    return Snapshots(lab.settings.folder / "snapshots")
+
+
+def _of(lab: CurrentLab, name: str) -> ParameterFile:
+    try:
+        return _kept(lab)[name]
+    except KeyError:
+        raise NotThere("there is no such snapshot", f"snapshot {name[:60]}", "take one that the list shows") from None
+
+
+async def _now(drone: AsyncDrone, note: str = "") -> ParameterFile:
+    about = {
+        "Stack": "twodof" if drone.ours else drone.state.autopilot,
+        "Vehicle": drone.state.rig.name or f"drone {drone.session.system}",
+        "Version": __version__,
+        "Kept": datetime.now().astimezone().isoformat(timespec="seconds"),
+        **({"Note": note} if note else {}),
+    }
+    return ParameterFile.of((await drone.parameters.all()).values(), drone.session.system, about=about)
+
+
+async def _against(drone: AsyncDrone, found: ParameterFile) -> dict[str, Any]:
+    known = await drone.parameters.all()
+    changes, missing = found.against(known)
+    rows = [
+        {"name": name, "before": known[name].value, "value": value, "unit": _unit(known[name])}
+        for name, value in changes.items()
+    ]
+    return {"changes": rows, "missing": list(missing), "about": dict(found.about)}
+
+
+def _unit(entry: ParameterEntry) -> str:
+    return "" if entry.row is None else entry.row.unit
+
+
+tuning_router = lab_router("/api/tuning", "tuning")
+READING_S = 30.0
+"""What reading a log may take."""
+ModelName = Annotated[str, Field(min_length=1, max_length=60)]
+
+StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
+USUAL_STEP = math.radians(10.0)
+
+
+class AskedModel(RequestBody):
+    """A model by its name; null for none."""
+
+    model: ModelName | None
+
+
+class AskedChanges(RequestBody):
+    """Changed parameters by name, and the step of theta [rad] to be shown. `model` left out: the one that guards."""
+
+    changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
+    goal: StepSize = USUAL_STEP
+    model: ModelName | None = None
+
+
+@tuning_router.get("/{number}")
+async def guarded(lab: CurrentLab, number: Number) -> dict[str, Any]:
+    """The model that guards the drone's gains, null for none, and whose law of the pitch flies ("": the stock one)."""
+    return {"model": lab.models.chosen(number), "controller": lab.drones[number].state["controller"]}
+
+
+@tuning_router.put("/{number}/model")
+async def choose(lab: CurrentLab, number: Number, asked: AskedModel) -> dict[str, Any]:
+    """Let a model guard the drone's gains: what its uncertainty does not keep stable then needs confirming."""
+    lab.drones[number]
+    lab.models.choose(number, asked.model)
+    return await guarded(lab, number)
+
+
+@tuning_router.post("/{number}/preview", dependencies=[WATCHERS_MAY])
+async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[str, Any]:
+    """Margins, the band of step responses, figures and the verdict of the law as it would be with `changes`.
+
+    `touches` tells whether they change the law of the pitch at all, `parameters` what does. `confirm` is the token
+    that a change takes which is not kept stable. `why` says why there is nothing of that, "" where there is: the law
+    that flies may have no linear model.
+    """
+    name = asked.model or lab.models.chosen(number)
+    if name is None:
+        raise NotThere("no model guards this drone", f"drone {number}", "identify one, or choose one")
+    try:
+        told = await lab.guard.judge(lab.drones[number], asked.changes, name, asked.goal)
+    except DiagramError as reason:
+        return {"why": f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what, "model": name}
+    return {
+        "why": "",
+        **told["preview"],
+        "model": name,
+        **{key: told[key] for key in ("controller", "touches", "parameters", "unstable")},
+        "confirm": lab.guard.token(name, told),
+    }
+
+
+@tuning_router.post("/{number}/measured", dependencies=[WATCHERS_MAY])
+async def measured(
+    lab: CurrentLab,
+    number: Number,
+    log: Annotated[str, Body(min_length=1, max_length=200)],
+    goal: Annotated[StepSize, Body()] = USUAL_STEP,
+) -> dict[str, Any]:
+    """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
+
+    `unclear` says why there are none in a log that tells no modes, cannot be read, or was deleted meanwhile.
+    """
+    lab.drones[number]
+    try:
+        found = await lab.log_bench.do(measured_steps, str(lab.whole_log(log)), goal, seconds=READING_S)
+    except (LogError, NotThere, Rejected, Timeout) as reason:
+        found = {"steps": [], "unclear": reason.what}
+    return {"log": log, **found}

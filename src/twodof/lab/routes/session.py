@@ -1,15 +1,26 @@
-"""Who a client is to the server: its role, and the link with which others may watch."""
+"""The session of a client, the drones that were heard, the jobs, the web socket, and plots saved as files."""
 
-from typing import Any
+from __future__ import annotations
 
-from fastapi import APIRouter
+import asyncio
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path as FilePath
+from tempfile import TemporaryDirectory
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Path, Query, Request, Response, WebSocket
+from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
-from twodof.lab.access.lab_client import CurrentClient
-from twodof.lab.access.role import Role
-from twodof.lab.current_lab import CurrentLab
+from twodof.flightlog.files import write_log
+from twodof.flightlog.provenance import versions
+from twodof.flightlog.seen import log_of_rows
+from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, takes
+from twodof.lab.lab import CurrentLab
+from twodof.lab.telemetry_client import MalformedRequest, MostClients, TelemetryClient
 
-router = APIRouter(prefix="/api/session", tags=["session"])
+router = lab_router("/api/session", "session")
 
 
 @router.get("")
@@ -25,3 +36,97 @@ async def session(lab: CurrentLab, client: CurrentClient) -> dict[str, Any]:
         "watch_link": f"/?token={token}" if token else "",
         "clients": len(lab.audience),
     }
+
+
+drones_router = lab_router("/api/drones", "drones")
+Number = Annotated[int, Path(ge=1, le=255, description="MAVLink system of the drone: 1 for the first virtual one.")]
+
+
+@drones_router.get("")
+async def drones(lab: CurrentLab) -> list[dict[str, Any]]:
+    """The drones that were heard, each as the event `drone` of the web socket tells it; angles in rad, times in s."""
+    return lab.drones.states
+
+
+@drones_router.get("/{number}")
+async def drone(lab: CurrentLab, number: Number) -> dict[str, Any]:
+    """How one drone stands. 404 where none of that number was heard."""
+    return lab.drones[number].state
+
+
+@drones_router.get("/{number}/texts")
+async def texts(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
+    """What the drone said in words, the oldest first, the last 200 lines; `time` is the drone's [s]."""
+    return [*lab.drones[number].texts]
+
+
+jobs_router = lab_router("/api/jobs", "jobs")
+JobId = Annotated[str, Path(max_length=40, description="The id that the route told which started it.")]
+
+
+@jobs_router.get("")
+async def jobs(lab: CurrentLab) -> list[dict[str, Any]]:
+    """The jobs that run and those that ended lately, the oldest first, without their results."""
+    return [job.told(with_result=False) for job in lab.jobs.all]
+
+
+@jobs_router.get("/{job}")
+async def job(lab: CurrentLab, job: JobId) -> dict[str, Any]:
+    """One job: state, fraction 0 to 1, what it does now, at its end its result or its error."""
+    return lab.jobs[job].told()
+
+
+@jobs_router.delete("/{job}")
+async def cancel(lab: CurrentLab, job: JobId) -> dict[str, Any]:
+    """End a job; its process ends with it. One that is over stays as it is."""
+    return (await lab.jobs.cancel(job)).told()
+
+
+export_router = lab_router("/api/export", "export")
+MOST = 64 << 20
+"""Bytes: a quarter of an hour of fifteen columns."""
+_BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
+Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
+
+
+@export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
+async def mat(request: Request, columns: Columns) -> Response:
+    """The rows of a plot as a .mat file with the channels of the drone's own logs.
+
+    The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 where it is not.
+    """
+    data = await request.body()
+    content = await asyncio.to_thread(_mat, data, columns.split(","))
+    return Response(content, media_type="application/octet-stream")
+
+
+def _mat(data: bytes, columns: list[str]) -> bytes:
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    log = log_of_rows(data, columns, {"seen": {"saved": now}, "versions": versions()})
+    with TemporaryDirectory(prefix="twodof-") as folder:
+        path = FilePath(folder) / "seen.mat"
+        write_log(log, path)
+        return path.read_bytes()
+
+
+telemetry_router = APIRouter(tags=["telemetry"])
+MALFORMED, TRY_LATER = 1007, 1013
+
+
+@telemetry_router.websocket("/api/telemetry")
+async def telemetry(websocket: WebSocket, lab: CurrentLab) -> None:
+    """Telemetry and events, see docs/reference/lab-routes.md."""
+    role = websocket.state.role
+    assert isinstance(role, Role)
+    await websocket.accept()
+    client = TelemetryClient(websocket, role, lab)
+    try:
+        async with client:
+            await client.serve()
+    except MalformedRequest as mistake:
+        with suppress(RuntimeError, WebSocketDisconnect):
+            await websocket.close(MALFORMED, str(mistake)[:120])
+    except MostClients as full:
+        await websocket.close(TRY_LATER, str(full))
+    except (WebSocketDisconnect, TimeoutError):
+        pass

@@ -1,22 +1,80 @@
-"""TelemetryClient: one web socket: what it subscribed to, and what it is still to be sent."""
+"""Clients of the web socket: their requests, their outboxes, and the events that all of them hear."""
 
 from __future__ import annotations
 
 import asyncio
-from typing import Self
+import json
+from typing import Annotated, Any, Literal, Self
 
 from fastapi import WebSocket
+from pydantic import Field, TypeAdapter, ValidationError
 from starlette.websockets import WebSocketDisconnect
 
-from twodof.errors import TwodofError
-from twodof.lab.access.role import Role
-from twodof.lab.finite_json import dumps
+from twodof.errors import LogError, TwodofError, listed, nearest
+from twodof.lab.access import Role
+from twodof.lab.answers import RequestBody, dumps
+from twodof.lab.drones.connection import until_one_ends
 from twodof.lab.lab import Lab
-from twodof.lab.side_by_side import until_one_ends
-from twodof.lab.telemetry.feeds import FeedKey
-from twodof.lab.telemetry.frame import header
-from twodof.lab.telemetry.outbox import Outbox, StreamState
-from twodof.lab.telemetry.request import Here, MalformedRequest, Subscribe, Unsubscribe, read_request
+from twodof.lab.telemetry_rows import COLUMNS, FeedKey, Outbox, StreamState, header
+
+LONGEST = 8192
+"""Characters of a message of a client."""
+MOST_COLUMNS = 64
+
+
+class MalformedRequest(Exception):
+    """What a client sent is not a message: it is not JSON, too long, or not of a known form."""
+
+
+class Subscribe(RequestBody):
+    """Rows of these columns of a drone, at most `rate` a second; `id` names them in the binary messages."""
+
+    do: Literal["subscribe"]
+    id: int = Field(ge=0, lt=2**16)
+    drone: int = Field(ge=1, le=255)
+    columns: list[Annotated[str, Field(max_length=64)]] = Field(min_length=1, max_length=MOST_COLUMNS)
+    rate: float = Field(default=250.0, ge=0.1, le=250.0, allow_inf_nan=False)
+
+    def known_columns(self) -> tuple[str, ...]:
+        """The columns. Raises LogError for one that there is not."""
+        unknown = [name for name in self.columns if name not in COLUMNS]
+        if unknown:
+            raise LogError("no such column", listed(unknown, 3), f"there are {nearest(unknown[0], COLUMNS)}")
+        return tuple(self.columns)
+
+
+class Unsubscribe(RequestBody):
+    """No more rows of that `id`."""
+
+    do: Literal["unsubscribe"]
+    id: int = Field(ge=0, lt=2**16)
+
+
+class Here(RequestBody):
+    """The answer to `alive`: its program runs, not only its socket."""
+
+    do: Literal["here"]
+
+
+Asked = Subscribe | Unsubscribe | Here
+_ADAPTER: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="do")])
+
+
+def read_request(text: str) -> Asked:
+    """The request of a message. Raises MalformedRequest."""
+    if len(text) > LONGEST:
+        raise MalformedRequest(f"longer than {LONGEST} characters")
+    try:
+        found: Any = json.loads(text)
+    except (ValueError, RecursionError):
+        raise MalformedRequest("is not JSON") from None
+    try:
+        return _ADAPTER.validate_python(found)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        place = ".".join(str(part)[:40] for part in first["loc"])
+        raise MalformedRequest(f"{place or 'message'}: {first['msg']}"[:200]) from None
+
 
 MOST_CLIENTS = 100
 MOST_STREAMS = 32

@@ -1,16 +1,19 @@
-"""Errors as answers: what went wrong, where, and what to do, with the HTTP status that says whose matter it is."""
+"""Answers in JSON: values without NaN, errors with the remedy and their HTTP status, the bodies of requests."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from math import isfinite
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
+import numpy as np
 from fastapi import FastAPI
 from fastapi.exceptions import RequestValidationError
 from fastapi.requests import Request
-from fastapi.responses import Response
-from pydantic import BaseModel
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException
 
 from twodof.errors import (
@@ -23,7 +26,48 @@ from twodof.errors import (
     TwodofError,
     shown,
 )
-from twodof.lab.finite_json import FiniteJSON
+
+
+def finite(value: Any) -> Any:
+    """The value with null for each NaN and infinity, and with lists for arrays of numpy."""
+    if isinstance(value, float):  # numpy's float64 is one
+        return float(value) if isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    if isinstance(value, np.ndarray):
+        return finite(value.tolist())
+    if isinstance(value, np.generic):
+        return finite(value.item())
+    return value
+
+
+def dumps(value: Any) -> str:
+    """The text of a value, see `finite`. Raises TypeError for what JSON has no form of."""
+    return json.dumps(finite(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+
+
+class FiniteJSON(JSONResponse):
+    """An answer of JSON without NaN."""
+
+    def render(self, content: Any) -> bytes:
+        """The bytes of the answer."""
+        return dumps(content).encode("utf-8", "replace")
+
+
+class RequestBody(BaseModel):
+    """A request of known fields, nothing of which is read into something else.
+
+    A pitch of `false` is a mistake and not 0 rad, and so is a gain of `true` or of "1".
+    """
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+"""A number: not a truth value, a text, NaN or infinity."""
+
 
 REFUSED, NOT_THERE, MALFORMED, TOO_LATE = 409, 404, 422, 504
 _MOST_MISTAKES = 3
@@ -61,7 +105,15 @@ DESCRIPTIONS: Mapping[int, str] = MappingProxyType(
 
 
 class NotThere(TwodofError):
-    """What a request names does not exist: a drone, a log, a job."""
+    """Error for a drone, a log or a job that does not exist."""
+
+
+class Refused(HTTPException):
+    """Refusal of a request because of who sends it or how it is sent, with its remedy; the connection is closed."""
+
+    def __init__(self, status: int, what: str, remedy: str, headers: Mapping[str, str] = MappingProxyType({})) -> None:
+        super().__init__(status, what, {"connection": "close", **headers})
+        self.what, self.remedy = what, remedy
 
 
 class Refusal(BaseModel):
@@ -110,6 +162,8 @@ def install(app: FastAPI) -> None:
     async def http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
         what, remedy = _WORDS.get(error.status_code, (str(error.detail), ""))
+        if isinstance(error, Refused):
+            what, remedy = error.what, error.remedy
         said = {"what": what, "where": request.url.path[:200], "remedy": remedy}
         # The framework alone answers 400, for a body that it cannot decode; one that it can and that is wrong is 422.
         status = MALFORMED if error.status_code == 400 else error.status_code

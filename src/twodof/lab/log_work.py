@@ -1,8 +1,10 @@
-"""What a process of its own computes of logs, as plain data: views and comparisons, replays and conversions."""
+"""Work on logs in a process of its own, as plain data: summaries, views, comparisons, replays, conversions."""
 
 from __future__ import annotations
 
 import base64
+from collections import OrderedDict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,15 +12,117 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import LogError
-from twodof.flightlog.files import write_log
+from twodof.flightlog.contents import excitations
+from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 from twodof.flightlog.thinning import thinned
 from twodof.flightlog.ulog_writer import write_ulg
-from twodof.lab.logbook.log_summary import summary
-from twodof.lab.logbook.read_logs import kept_log
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view
 from twodof.report.step_responses import step_responses
+from twodof.signals import BY_MAT
+
+MOST_BYTES = 96 << 20
+"""Of the files whose logs are kept; in memory a log is 5 to 12 times its file."""
+
+_KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
+
+
+def named_log(path: str) -> FlightLog:
+    """The log in a file. Raises LogError, which names the file alone: in which folder it is, is the server's matter."""
+    name = Path(path).name
+    try:
+        return read_log(path)
+    except LogError as reason:
+        said = (text.replace(path, name) for text in (reason.what, reason.where, reason.remedy))
+        raise LogError(*said) from reason
+
+
+def kept_log(path: str) -> FlightLog:
+    """The log in a file, read anew where the file has changed. Raises LogError."""
+    try:
+        found = Path(path).stat()
+    except OSError as reason:  # deleted since it was asked for
+        raise LogError("is not there any more", Path(path).name, "choose one of the list") from reason
+    key = (path, found.st_mtime_ns, found.st_size)
+    if key in _KEPT:
+        _KEPT.move_to_end(key)
+        return _KEPT[key]
+    while _KEPT and sum(size for *_, size in _KEPT) + found.st_size > MOST_BYTES:
+        _KEPT.popitem(last=False)
+    log = named_log(path)
+    if found.st_size <= MOST_BYTES:
+        _KEPT[key] = log
+    return log
+
+
+COLUMNS = 96
+_SPARKS = ("theta", "x", "q", "M")
+_MOST_TEXT = 200
+
+
+def summary(path: str) -> dict[str, Any]:
+    """The summary of the log in a file, as plain data; what it does not tell is None. Raises LogError."""
+    log = kept_log(path)
+    start, end = log.span
+    told = log.provenance
+    flown, drone, recorded = (_table(told, name) for name in ("flown", "drone", "recorded"))
+    return {
+        "span": [start, end],
+        "duration": end - start,
+        "began": _short_text(recorded.get("began")),
+        "experiment": _short_text(told.get("experiment")) or _likely(log),
+        "rig": _short_text(told.get("rig")) or _short_text(drone.get("rig")),
+        "virtual": _flag(flown.get("virtual"), drone.get("virtual")),
+        "drone": drone.get("system") if isinstance(drone.get("system"), int) else None,
+        "controller": _short_text(flown.get("controller")) or _short_text(drone.get("controller")),
+        "seed": told["seed"] if isinstance(told.get("seed"), int) else None,
+        "reason": _short_text(flown.get("reason")),
+        "channels": len(log.channels),
+        "spark": _spark(log),
+    }
+
+
+def _table(told: dict[str, Any], name: str) -> dict[str, Any]:
+    found = told.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _short_text(value: object) -> str | None:
+    return value[:_MOST_TEXT] if isinstance(value, str) and value else None
+
+
+def _flag(*values: object) -> bool | None:
+    return next((value for value in values if isinstance(value, bool)), None)
+
+
+def _likely(log: FlightLog) -> str | None:
+    try:
+        found = excitations(log)
+    except LogError:  # a log of others that lacks what tells it
+        return None
+    return max(found, key=lambda one: one.duration).name if found else None
+
+
+def _spark(log: FlightLog) -> dict[str, Any] | None:
+    """Lowest and highest value of each of `COLUMNS` parts of the flight; None for a part without a sample."""
+    known = [name for name in (*_SPARKS, *log) if name in log and len(log[name]) > 1 and log[name].value.ndim == 1]
+    if not known:
+        return None
+    channel = log[known[0]]
+    start, end = log.span
+    edges = np.searchsorted(channel.time, np.linspace(start, end, COLUMNS + 1))
+    edges[-1] = len(channel)
+    parts = [channel.value[first:last] for first, last in pairwise(edges.tolist())]
+    row = BY_MAT.get(known[0])
+    return {
+        "channel": known[0],
+        "text": row.text if row else known[0],
+        "unit": channel.unit,
+        "low": [float(part.min()) if part.size else None for part in parts],
+        "high": [float(part.max()) if part.size else None for part in parts],
+    }
+
 
 MOST_POINTS = 4000
 MOST_SAID = 2000

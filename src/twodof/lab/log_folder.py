@@ -1,18 +1,129 @@
-"""LogShelf: the logs that the page shows: recorded flights, logs that were dropped on it, folders that were named."""
+"""Folder of logs: their names, the notes beside them, the deleted ones, and the summaries that are known."""
 
 from __future__ import annotations
 
+import re
+import secrets
 import time
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from twodof.errors import LogError, Rejected
 from twodof.flightlog.atomic import atomic_write, make_folder, numbered
-from twodof.lab.logbook.log_trash import NOTES, LogTrash
-from twodof.lab.logbook.names import is_log, new_name
-from twodof.lab.refusals import NotThere
+from twodof.lab.answers import NotThere
+
+SUFFIXES = (".mcap", ".mat", ".parquet", ".csv", ".ulg")
+"""Of logs that are read."""
+LONGEST = 120
+_NEW = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. +-]*")
+
+
+def is_log(name: str) -> bool:
+    """Whether a file of that name is shown: a suffix of a log, not hidden, of letters that can be printed."""
+    return (
+        len(name) <= 2 * LONGEST
+        and not name.startswith(".")
+        and name.isprintable()
+        and not set(name) & {"/", "\\"}
+        and Path(name).suffix.lower() in SUFFIXES
+    )
+
+
+def new_name(name: str) -> str:
+    """A name under which a log is taken in. Raises LogError with what is wrong with it."""
+    if Path(name).suffix.lower() not in SUFFIXES:
+        what = f"no log format has the suffix {Path(name).suffix[:20]!r}"
+        raise LogError(what, name[:80], f"use {', '.join(SUFFIXES)}")
+    if len(name) > LONGEST or not _NEW.fullmatch(name) or ".." in name:
+        remedy = f"use letters, digits, spaces, _ . + and -, at most {LONGEST} of them"
+        raise LogError("is not a name for a log", name[:80], remedy)
+    return name
+
+
+MOST_SUMMARIES = 4000
+
+Key = tuple[str, int, int]
+"""Path, time of the last change [ns], bytes."""
+
+
+class SummaryCache:
+    """The last `MOST_SUMMARIES` summaries."""
+
+    def __init__(self) -> None:
+        self._kept: OrderedDict[Key, dict[str, Any]] = OrderedDict()
+
+    async def get(self, key: Key, make: Callable[[], Awaitable[dict[str, Any]]]) -> dict[str, Any]:
+        """The summary, by `make` where it is not known yet. Raises what that raises."""
+        if key not in self._kept:
+            self._kept[key] = await make()
+            while len(self._kept) > MOST_SUMMARIES:
+                self._kept.popitem(last=False)
+        return self._kept[key]
+
+
+KEPT_DAYS = 7
+"""How long a deleted log can be brought back."""
+_DAY_S = 86_400.0
+_ENTRY = re.compile(r"(\d{1,12})-([0-9a-f]{8})-(.+)")
+NOTES = ".notes.txt"
+
+
+class LogTrash:
+    """The folder ".trash" in that of the logs; an entry is named by the time of its deletion and the log's name."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._logs = folder / ".trash", folder
+
+    def put(self, path: Path) -> dict[str, Any]:
+        """Move a log here, its notes with it; returns its entry."""
+        make_folder(self.folder)
+        entry = f"{int(time.time())}-{secrets.token_hex(4)}-{path.name}"
+        notes = path.with_name(path.name + NOTES)
+        path.rename(self.folder / entry)
+        if notes.is_file():
+            notes.rename(self.folder / (entry + NOTES))
+        return self._row(entry)
+
+    def restore(self, entry: str) -> str:
+        """Bring a log back, its notes with it; returns its name, another one where that is taken meanwhile.
+
+        Raises NotThere.
+        """
+        match = _ENTRY.fullmatch(entry)
+        if match is None or entry not in self._entries():
+            raise NotThere("there is no such deleted log", entry[:40], "it may have been removed for good")
+        path = numbered(self._logs / match[3])
+        (self.folder / entry).rename(path)
+        notes = self.folder / (entry + NOTES)
+        if notes.is_file():
+            notes.rename(path.with_name(path.name + NOTES))
+        return path.name
+
+    def listed(self) -> list[dict[str, Any]]:
+        """Entry, name, and until when it is kept [s, unix], the latest first; what is older is removed for good."""
+        now = time.time()
+        rows = [self._row(entry) for entry in self._entries()]
+        for row in rows:
+            if row["until"] < now:
+                for name in (row["entry"], row["entry"] + NOTES):
+                    (self.folder / name).unlink(missing_ok=True)
+        return sorted((row for row in rows if row["until"] >= now), key=lambda row: -float(row["until"]))
+
+    def _entries(self) -> list[str]:
+        if not self.folder.is_dir():
+            return []
+        names = [path.name for path in self.folder.iterdir()]
+        return [name for name in names if (match := _ENTRY.fullmatch(name)) and is_log(match[3])]
+
+    def _row(self, entry: str) -> dict[str, Any]:
+        match = _ENTRY.fullmatch(entry)
+        if match is None:
+            raise Rejected("is not the name of a deleted log", entry[:40])
+        return {"entry": entry, "name": match[3], "until": int(match[1]) + KEPT_DAYS * _DAY_S}
+
 
 MOST = 2000
 """Logs that are listed, the latest of each folder."""

@@ -1,0 +1,302 @@
+"""Access to the server: tokens and roles, the origin of requests, and how large a request may be.
+
+`Gate` looks at every request before its route is found: host, origin, token. `LabRoute` looks at it before its body is
+read: role and size. A route says in `dependencies` whether clients that only watch may call it, and its largest body.
+
+A page of another site can have its reader's browser send requests to this computer. It cannot forge `Origin`. With a
+name of its own that points to this computer (DNS rebinding) it would be its own origin; it cannot forge `Host`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import ipaddress
+import socket
+from collections.abc import Callable, Coroutine, Mapping, Sequence
+from contextlib import suppress
+from enum import StrEnum
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Annotated, Any, NamedTuple
+from urllib.parse import parse_qs, urlsplit
+
+from fastapi import APIRouter, Depends
+from fastapi.requests import HTTPConnection, Request
+from fastapi.responses import Response
+from fastapi.routing import APIRoute
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from twodof.lab.answers import FiniteJSON, Refused
+from twodof.lab.settings import LabSettings
+
+API = "/api/"
+SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+MOST_BODY = 1 << 20
+"""Largest body of a request, in bytes, where the route does not say otherwise."""
+MOST_DISCARDED, DISCARD_S = 64 << 20, 5.0
+"""Bytes of a refused request that are read before it is answered, and the longest time [s]."""
+_BEARER = "bearer "
+_LONGEST_TOKEN = 200
+_CSP = (
+    "default-src 'self'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self'; object-src 'none'; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+HEADERS: Mapping[str, str] = MappingProxyType(
+    {
+        "content-security-policy": _CSP,
+        "x-content-type-options": "nosniff",
+        "x-frame-options": "DENY",
+        "referrer-policy": "no-referrer",
+        "cross-origin-opener-policy": "same-origin",
+        "cross-origin-resource-policy": "same-origin",
+        "permissions-policy": "camera=(), microphone=(), geolocation=(), payment=()",
+    }
+)
+"""Headers of every answer: the page runs its own scripts only, loads nothing from elsewhere, and is not framed."""
+_RAW_HEADERS = tuple((name.encode(), value.encode()) for name, value in HEADERS.items())
+
+
+class Role(StrEnum):
+    """Right of a client: to command, or only to watch."""
+
+    COMMAND = "command"
+    WATCH = "watch"
+
+
+class LabClient(NamedTuple):
+    """Role and address of a client. The address is that of a proxy or a tunnel where one is in front."""
+
+    role: Role
+    address: str
+
+    def __str__(self) -> str:
+        who = "who commands" if self.role is Role.COMMAND else "who watches"
+        return f"{who} at {self.address}"
+
+
+def current_client(request: Request) -> LabClient:
+    """Return the client that sends a request."""
+    role = request.state.role
+    assert isinstance(role, Role)
+    return LabClient(role, "an unknown place" if request.client is None else request.client.host)
+
+
+CurrentClient = Annotated[LabClient, Depends(current_client)]
+
+
+def _watchers_may() -> None:
+    """Mark a route; it does nothing."""
+
+
+WATCHERS_MAY = Depends(_watchers_may)
+"""In a route's `dependencies`: it changes nothing, or stops motors, so clients that only watch may call it too."""
+
+
+class _Takes:
+    def __init__(self, most: int) -> None:
+        self.most = most
+
+    def __call__(self) -> None:
+        """Mark a route; it does nothing."""
+
+
+def takes(most: int) -> Any:
+    """Return a mark for a route's `dependencies`: it takes bodies of up to `most` bytes, a log for instance."""
+    return Depends(_Takes(most))
+
+
+class LabRoute(APIRoute):
+    """Route that checks the client's role and the size of the request before its body is read."""
+
+    @property
+    def for_watchers(self) -> bool:
+        """Whether clients that only watch may call it."""
+        marked = any(one.dependency is _watchers_may for one in self.dependencies)
+        return marked or (self.methods or set()) <= SAFE
+
+    @property
+    def most_body(self) -> int:
+        """Largest body [bytes]."""
+        return next((one.dependency.most for one in self.dependencies if isinstance(one.dependency, _Takes)), MOST_BODY)
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """Return the function that serves a request."""
+        handle = super().get_route_handler()
+
+        async def checked(request: Request) -> Response:
+            refusal = self._refusal(request)
+            if refusal is not None:
+                await _discard(request.receive)
+                raise refusal
+            return await handle(Request(request.scope, _bounded(request.receive, self.most_body)))
+
+        return checked
+
+    def _refusal(self, request: Request) -> Refused | None:
+        if current_client(request).role is Role.WATCH and not self.for_watchers:
+            return Refused(403, "this link is for watching only", "ask for the link that commands")
+        if int(request.headers.get("content-length", "0") or 0) > self.most_body:
+            return _too_large(self.most_body)
+        return None
+
+
+def lab_router(prefix: str, tag: str) -> APIRouter:
+    """Return a router for routes of one subject."""
+    return APIRouter(prefix=prefix, tags=[tag], route_class=LabRoute)
+
+
+def lab_routes(routers: Sequence[APIRouter]) -> list[LabRoute]:
+    """Return the routes of routers, web sockets left out."""
+    return [route for router in routers for route in router.routes if isinstance(route, LabRoute)]
+
+
+class Gate:
+    """Middleware that checks host, origin and token of every request and web socket, in this order."""
+
+    def __init__(self, app: ASGIApp, settings: LabSettings) -> None:
+        self._app, self._settings = app, settings
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request, web socket or the server's life span."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        refusal = self._refusal(HTTPConnection(scope))
+        if scope["type"] == "http":
+            send = _with_headers(send, scope["path"])
+        if refusal is None:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.close", "code": 1008, "reason": refusal.what})
+        else:
+            await _discard(receive)
+            said = {"what": refusal.what, "where": scope["path"][:200], "remedy": refusal.remedy}
+            await FiniteJSON(said, refusal.status_code, headers=refusal.headers)(scope, receive, send)
+
+    def _refusal(self, connection: HTTPConnection) -> Refused | None:
+        scope = connection.scope
+        host = connection.headers.get("host", "")
+        if not host_is_ours(host, self._settings):
+            return Refused(421, "the request is for another host", "open the link that the server printed")
+        changes = scope["type"] == "websocket" or scope["method"] not in SAFE
+        if changes and not origin_is_ours(connection.headers.get("origin"), host):
+            return Refused(403, "the request comes from a page of another site", "use the server's own page")
+        if not scope["path"].startswith(API):
+            return None  # the page itself is the same for everybody, and holds nothing
+        length = connection.headers.get("content-length", "0")
+        if not length.isascii() or not length.isdigit():
+            return Refused(400, "its length is not a number", "send a request that is whole")
+        role = role_of(token_of(connection), self._settings)
+        if role is None:
+            what = "the token is missing or is not one of this server's"
+            return Refused(401, what, "open the link that the server printed", {"www-authenticate": "Bearer"})
+        scope.setdefault("state", {})["role"] = role
+        return None
+
+
+def token_of(connection: HTTPConnection) -> str:
+    """Return the token of a request, from its header; of a web socket, whose browser sends none, from `?token=`."""
+    header = connection.headers.get("authorization", "")
+    if header[: len(_BEARER)].lower() == _BEARER:
+        return str(header[len(_BEARER) :].strip())
+    if connection.scope["type"] == "websocket":
+        query = connection.scope.get("query_string", b"")[:4096].decode("latin-1")
+        return str(parse_qs(query).get("token", [""])[0])
+    return ""
+
+
+def role_of(token: str, settings: LabSettings) -> Role | None:
+    """Return the role that a token gives; None for a token that gives none."""
+    if not token:
+        return None if settings.needs_token else Role.COMMAND
+    given = token[:_LONGEST_TOKEN].encode()
+    for known, role in ((settings.command_token, Role.COMMAND), (settings.watch_token, Role.WATCH)):
+        if known and hmac.compare_digest(given, known.encode()):
+            return role
+    return None
+
+
+def host_is_ours(host: str, settings: LabSettings) -> bool:
+    """Return True if `Host` names this server by a number or a name that no other site can let point here.
+
+    On the loopback that is a number of the loopback or `localhost`; else any number, or this computer's own name.
+    """
+    try:
+        name = (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    except ValueError:
+        return False
+    if name == "localhost":
+        return True
+    try:
+        address = ipaddress.ip_address(name)
+    except ValueError:
+        return settings.reached and name in {*_own_names(), settings.host.lower()}
+    return settings.reached or address.is_loopback
+
+
+def origin_is_ours(origin: str | None, host: str) -> bool:
+    """Return True if a request comes from our own page: its `Origin` is its `Host`. A program sends none."""
+    if origin is None:
+        return True
+    try:
+        found = urlsplit(origin)
+    except ValueError:
+        return False
+    return found.scheme in ("http", "https") and bool(host) and found.netloc.lower() == host.lower()
+
+
+@lru_cache(maxsize=1)
+def _own_names() -> frozenset[str]:
+    name = socket.gethostname().lower()
+    return frozenset({name, f"{name}.local"} - {""})
+
+
+def _too_large(most: int) -> Refused:
+    return Refused(413, f"the request is larger than the {most} bytes that are taken here", "send less")
+
+
+async def _discard(receive: Receive) -> None:
+    """Read the rest of a request and keep nothing: a client that is still sending would not hear the refusal."""
+    got = 0
+    with suppress(TimeoutError):
+        async with asyncio.timeout(DISCARD_S):
+            while got < MOST_DISCARDED:
+                message = await receive()
+                got += len(message.get("body", b""))
+                if message["type"] != "http.request" or not message.get("more_body", False):
+                    return
+
+
+def _bounded(receive: Receive, most: int) -> Receive:
+    """Return `receive` with a bound on the body, which may come in pieces and without a length."""
+    got = 0
+
+    async def bounded() -> Message:
+        nonlocal got
+        message = await receive()
+        if message["type"] == "http.request":
+            got += len(message.get("body", b""))
+            if got > most:
+                if message.get("more_body", False):
+                    await _discard(receive)
+                raise _too_large(most)
+        return message
+
+    return bounded
+
+
+def _with_headers(send: Send, path: str) -> Send:
+    """Return `send` with the headers that guard the page; answers of the API are not cached."""
+
+    async def sender(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            present = {name.lower() for name, _ in message.get("headers", ())}
+            added = [row for row in _RAW_HEADERS if row[0] not in present]
+            if path.startswith(API) and b"cache-control" not in present:
+                added.append((b"cache-control", b"no-store"))
+            message["headers"] = [*message.get("headers", ()), *added]
+        await send(message)
+
+    return sender

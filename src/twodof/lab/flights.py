@@ -1,0 +1,254 @@
+"""Long work of jobs: flying an experiment, identifying from logs, designing a controller."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import fields, replace
+from datetime import datetime
+from multiprocessing.synchronize import Event
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from twodof.design.designed_controller import design_controller
+from twodof.design.pitch_family import PitchFamily
+from twodof.errors import (
+    ExperimentError,
+    IdentificationError,
+    LinkLost,
+    LogError,
+    ParameterError,
+    Rejected,
+    Timeout,
+    shown,
+)
+from twodof.excitation import KINDS, LIMITS
+from twodof.experiment.expected_accuracy import expected_accuracy
+from twodof.experiment.experiments import EXPERIMENTS, UNIT, Experiment, experiment
+from twodof.experiment.flight import Flight, Laboratory
+from twodof.experiment.fly import fly
+from twodof.flight.starters import save_diagram
+from twodof.flightlog.atomic import check_free, numbered
+from twodof.flightlog.files import write_log
+from twodof.gcs.drone import Drone
+from twodof.identify.experiments import KINDS as IDENTIFIED
+from twodof.identify.from_flight.identified_flight import identify_flight
+from twodof.identify.from_flight.ready_made import FLOWN_AS
+from twodof.lab.answers import RequestBody
+from twodof.lab.log_work import named_log
+from twodof.lab.processes import in_real_time
+from twodof.lab.routes.commands import excitation_of
+from twodof.rig.parameters import NAMES
+
+Seconds = Annotated[float, Field(ge=0.0, le=600.0, allow_inf_nan=False)]
+
+
+class AskedExperiment(RequestBody):
+    """The ready-made experiment that is flown; what is given beside its name takes the place of its own.
+
+    `excitation` is as the reference describes it, in the unit of the experiment's loop. `thrust` is 0 to 1; times [s].
+    """
+
+    name: Annotated[str, Field(max_length=60)]
+    excitation: dict[str, Any] | None = None
+    thrust: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None = None
+    hold: Seconds | None = None
+    rest: Seconds | None = None
+
+    def experiment(self) -> Experiment:
+        """The experiment itself. Raises ExperimentError for a name or value that cannot be."""
+        given = {key: value for key in ("thrust", "hold", "rest") if (value := getattr(self, key)) is not None}
+        made = experiment(self.name)
+        if self.excitation is not None:
+            given["excitation"] = excitation_of(self.excitation)
+        return replace(made, **given) if given else made
+
+
+def offered() -> dict[str, Any]:
+    """What can be asked for: the experiments, the kinds of excitation with their numbers, and what is identified."""
+    return {
+        "experiments": [_row(one) for one in EXPERIMENTS.values()],
+        "excitations": {
+            name: [one.name for one in fields(kind) if one.name not in ("unit", "lead", "settle", "pause", "repeat")]
+            for name, kind in KINDS.items()
+        },
+        "limits": dict(LIMITS),
+        "kinds": [{"name": one.name, "text": one.text} for one in IDENTIFIED.values()],
+    }
+
+
+def _row(one: Experiment) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "text": one.text,
+        "mode": one.mode,
+        "unit": UNIT[one.mode],
+        "rings": one.rings,
+        "thrust": one.thrust,
+        "hold": one.hold,
+        "rest": one.rest,
+        "duration": one.duration,
+        "excitation": one.excitation.to_dict(),
+        "kind": FLOWN_AS.get(one.name, one.name if one.name in IDENTIFIED else None),
+    }
+
+
+@in_real_time
+def fly_experiment(
+    progress: Callable[[float, str], None],
+    stop: Event,
+    url: str,
+    system: int,
+    key: str | None,
+    experiment: Experiment,
+    seed: int,
+    folder: str,
+) -> dict[str, Any]:
+    """Fly, write the log into `folder`, tell how good the data are. When `stop` is set the drone is disarmed at once.
+
+    What was flown until then is kept as well. A virtual drone is put to its start again with its rings as they were,
+    but for one that was stopped: that is for a person to release.
+    """
+    doing = "connect"
+    stopped: list[Flight] = []
+
+    def say(text: str, share: float) -> None:
+        nonlocal doing
+        doing = text or doing
+        progress(share, doing)
+        if stop.is_set():
+            raise KeyboardInterrupt  # the way in which a flight is ended by hand: it disarms and keeps what there is
+
+    progress(0.0, doing)
+    with Drone.connect(url, key=key, drone=system) as drone:
+        before = drone.state.rig
+        try:
+            flight = fly(experiment, drone, seed=seed, progress=say, interrupted=stopped.append)
+        except KeyboardInterrupt:
+            if not stopped:
+                raise ExperimentError("it was stopped before it had begun", experiment.name) from None
+            flight = stopped[0]
+        put_back = False
+        if before.virtual and not drone.state.killed:
+            with suppress(Rejected, Timeout, LinkLost):  # the log is kept all the same
+                drone.reset(seed=before.seed, rings=before.rings_locked)
+                put_back = True
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    path = numbered(place / f"{datetime.now():%Y-%m-%d-%H-%M-%S}-{experiment.name}.mcap")
+    write_log(flight.log, path)
+    return {
+        "log": path.name,
+        "experiment": experiment.name,
+        "rig": before.name,
+        "rings_locked": before.rings_locked if put_back else experiment.rings,
+        "put_back": put_back,
+        "seed": flight.seed,
+        "x_start": flight.x_start,
+        "good": flight.good,
+        "reason": flight.reason,
+        "checks": [{"name": one.name, "passed": one.passed, "seen": one.seen} for one in flight.checks],
+    }
+
+
+def plan(
+    progress: Callable[[float, str], None],
+    asked: Experiment,
+    rig: str,
+    values: Mapping[str, float],
+    rehearse: bool,
+) -> dict[str, Any]:
+    """What the experiment will tell on the virtual rig that is most like the drone's; the motion it will make.
+
+    With `rehearse` it is flown there with all its noise and gusts too, and identified: what a real flight may give.
+    """
+    name = rig if rig in NAMES else "lab"
+    progress(0.05, "flying it without noise")
+    told = expected_accuracy(asked, Laboratory(name, noise=0.0), values).to_json()
+    told["rig"] = name
+    told["rehearsed"] = None
+    if rehearse and told["unknowns"]:
+        progress(0.2, "rehearsing it with noise and gusts")
+        laboratory = Laboratory(name)
+        impulse = laboratory.fly(experiment("impulse")).log if told["kind"] == "doublet" else None
+        flown = laboratory.fly(asked)
+        progress(0.4, "identifying the rehearsal")
+        try:
+            found = identify_flight(flown.log, told["kind"], impulse=impulse)
+        except (IdentificationError, LogError) as reason:
+            told["rehearsed"] = {"estimates": [], "informative": {"enough": False, "text": str(reason)}}
+        else:
+            view = found.view()
+            told["rehearsed"] = {key: view[key] for key in ("estimates", "informative", "remarks")}
+    return told
+
+
+def identify(
+    progress: Callable[[float, str], None],
+    path: str,
+    kind: str | None,
+    structure: str,
+    impulse: str | None,
+    others: list[str],
+    window: tuple[float, float] | None,
+    disturbance: Any,
+) -> dict[str, Any]:
+    """The `view` of a log's fit, and the `model` that can be kept."""
+    progress(0.05, "reading the log")
+    log = named_log(path)
+    free = None if impulse is None else named_log(impulse)
+    checks = [named_log(other) for other in others]
+    progress(0.2, "searching the model")
+    found = identify_flight(
+        log, kind, structure=structure, impulse=free, others=checks, window=window, disturbance=disturbance
+    )
+    progress(0.9, "testing the residuals")
+    view = found.view()
+    return {"view": view, "model": {**found.model(), "informative": view["informative"]}}
+
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
+
+
+def design(
+    progress: Callable[[float, str], None],
+    family: dict[str, Any],
+    folder: str,
+    name: str,
+    crossover: float,
+    phase_margin: float | None,
+    method: str,
+    overwrite: bool,
+) -> dict[str, Any]:
+    """Design, promise, and write NAME.json into `folder`; `file` is None where the family is not kept stable."""
+    if not _NAME.fullmatch(name) or name.endswith(".json"):
+        remedy = "take letters, digits, space, . _ + -, at most 60, without .json"
+        raise ParameterError(f"{shown(name)} cannot be a diagram's name", "design", remedy)
+    place = Path(folder)
+    place.mkdir(parents=True, exist_ok=True)
+    path = place / f"{name}.json"
+    check_free(path, overwrite)
+    progress(0.02, "the gains")
+    made = design_controller(
+        PitchFamily.from_json(family),
+        crossover,
+        phase_margin,
+        method=method,
+        said=lambda text, share: progress(share, text),
+    )
+    if made.robustness.robust:
+        save_diagram(made.diagram, path, overwrite=overwrite)
+    told = made.to_json()
+    promised = told["promise"]
+    return {
+        "file": path.name if made.robustness.robust else None,
+        "name": made.diagram.name,
+        "method": made.method,
+        "design": told["design"],
+        "robustness": {**told["robustness"], "text": made.robustness.text},
+        **{key: promised[key] for key in ("figures", "goal", "level", "period")},
+        "bands": {key: promised["bands"][key] for key in ("theta", "M")},
+    }

@@ -1,0 +1,338 @@
+"""Rows of telemetry: put together by tick, decimated once for all clients that want the same, packed to be sent."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import ceil
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from twodof.flightlog.steps import BOOT
+from twodof.lab.access import Role
+from twodof.lab.answers import dumps
+from twodof.link.mavlink.messages import channel_bits
+from twodof.signals import PERIOD, TOPICS
+
+_SENT = frozenset(channel_bits())
+ONBOARD = tuple(column for row in TOPICS for column in row.columns if column.replace(".", "_").upper() in _SENT)
+TRUTH = tuple(column for row in TOPICS if not row.onboard for column in row.columns)
+COLUMNS = (*ONBOARD, *TRUTH)
+"""What may be subscribed to: every column that a drone sends at the full rate, and the truth of a virtual rig."""
+PLACES = MappingProxyType({column: place for place, column in enumerate(COLUMNS)})
+_TRUTH_PLACES = np.arange(len(ONBOARD), len(COLUMNS), dtype=np.intp)
+BACK_TICKS = 250
+"""A tick that is so much older than the newest is of a drone that began anew; of less it came too late."""
+PATIENCE_TICKS = 12
+"""So long a row waits for what comes in other messages, the truth for instance."""
+
+
+class TickRows:
+    """Rows that wait, by tick; `take` gives those that are whole. `late` counts what came after its row was given."""
+
+    def __init__(self) -> None:
+        self.late = 0
+        self._waiting: dict[int, NDArray[np.float32]] = {}
+        self._given = -1
+        self._newest = [-1, -1]  # tick on board, of the truth
+
+    def onboard(self, ticks: NDArray[np.uint32], values: NDArray[np.float32], places: NDArray[np.intp]) -> None:
+        """Rows of a batch, whose columns stand at `places` of COLUMNS."""
+        for tick, row in zip(ticks.tolist(), values, strict=True):
+            self._put(tick, places, row, 0)
+
+    def truth(self, tick: int, values: tuple[float, float, float, float]) -> None:
+        """The true state of a tick."""
+        self._put(tick, _TRUTH_PLACES, np.array(values, dtype=np.float32), 1)
+
+    def _put(self, tick: int, places: NDArray[np.intp], values: NDArray[np.float32], source: int) -> None:
+        if tick <= self._given:
+            if tick > self._given - BACK_TICKS:
+                self.late += source == 0
+                return
+            self._waiting.clear()
+            self._given, self._newest = tick - 1, [-1, -1]
+        self._newest[source] = max(self._newest[source], tick)
+        row = self._waiting.get(tick)
+        if row is None:
+            row = self._waiting[tick] = np.full(len(COLUMNS), np.nan, dtype=np.float32)
+        row[places] = values
+
+    def take(self) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
+        """Ticks (n,), rising, and values (n, COLUMNS) of the rows that are whole; None where there are none."""
+        newest = max(self._newest)
+        heard = [tick for tick in self._newest if tick > max(-1, newest - PATIENCE_TICKS)]
+        whole = sorted(tick for tick in self._waiting if tick <= min(heard, default=-1))
+        if not whole:
+            return None
+        values = np.stack([self._waiting.pop(tick) for tick in whole])
+        self._given = whole[-1]
+        return np.array(whole, dtype=np.int64), values
+
+
+FULL_RATE = round(1.0 / PERIOD)
+"""Rows a second at which nothing is left out."""
+
+
+class Decimation:
+    """Rows at no more than `rate` a second; a bucket gives two, in the order in which its extremes came.
+
+    A column of a bucket in which it has no sample is NaN. A peak of one tick is in the picture at any rate.
+    """
+
+    def __init__(self, rate: float) -> None:
+        self.ticks = 1 if rate >= FULL_RATE else max(2, ceil(2 * FULL_RATE / rate))
+        self._times: list[NDArray[np.float64]] = []
+        self._values: list[NDArray[np.float32]] = []
+        self._bucket = -1
+
+    def take(
+        self, ticks: NDArray[np.int64], values: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+        """Further rows, ticks rising; returns what is whole by now: times (n,) [s] and values (n, columns).
+
+        The times are those of the drone's logs: what is seen in flight is found there at the same second.
+        """
+        times: NDArray[np.float64] = np.asarray(BOOT + ticks * PERIOD, dtype=np.float64)
+        if self.ticks == 1:
+            return times, values
+        buckets = ticks // self.ticks
+        given_times: list[float] = []
+        given: list[NDArray[np.float32]] = []
+        edges = [0, *(np.flatnonzero(np.diff(buckets)) + 1).tolist(), len(ticks)]
+        for start, end in pairwise(edges):
+            if end == start:
+                continue
+            if self._values and int(buckets[start]) != self._bucket:
+                self._close(given_times, given)
+            self._bucket = int(buckets[start])
+            self._times.append(times[start:end])
+            self._values.append(values[start:end])
+        width = values.shape[1]
+        rows = np.array(given, dtype=np.float32).reshape(len(given_times), width)
+        return np.array(given_times, dtype=np.float64), rows
+
+    def _close(self, given_times: list[float], given: list[NDArray[np.float32]]) -> None:
+        """Put the extremes of the bucket that is whole behind what is given."""
+        times, values = np.concatenate(self._times), np.concatenate(self._values)
+        self._times, self._values = [], []
+        absent = np.isnan(values)
+        columns = np.arange(values.shape[1])
+        least = np.where(absent, np.inf, values).argmin(axis=0)
+        most = np.where(absent, -np.inf, values).argmax(axis=0)
+        first, last = np.minimum(least, most), np.maximum(least, most)
+        given_times += [float(times[0]), float(times[-1])]
+        given += [values[first, columns], values[last, columns]]
+
+
+ROWS = 1
+"""The first byte: rows of a subscription. Others may come, and are to be passed over."""
+_HEADER = struct.Struct("<BBHIIId")
+
+
+def header(number: int, count: int, dropped: int) -> bytes:
+    """What stands before the rows: kind, 0, subscription, rows, rows dropped so far, 0, the server's unix time [s].
+
+    It has 24 bytes, so that the times behind it are aligned.
+    """
+    return _HEADER.pack(ROWS, 0, number, count, dropped & 0xFFFFFFFF, 0, time.time())
+
+
+def body(times: NDArray[np.float64], values: NDArray[np.float32]) -> bytes:
+    """The drone's times (n,) [s] and the values (n, columns), column by column."""
+    columns = np.ascontiguousarray(values.T, dtype="<f4")
+    return np.asarray(times, dtype="<f8").tobytes() + columns.tobytes()
+
+
+MOST_BYTES = 128 * 1024
+"""Of rows that wait for one client: 7 s of 15 columns at the full rate."""
+MOST_EVENTS = 500
+
+
+@dataclass(eq=False)
+class StreamState:
+    """One subscription of one client: its number, and how many rows it lost so far."""
+
+    number: int
+    dropped: int = 0
+    ended: bool = False
+
+
+@dataclass
+class Rows:
+    """Rows of one subscription that wait: `body` as it is sent, `count` of them."""
+
+    stream: StreamState
+    body: bytes
+    count: int
+
+
+@dataclass(eq=False)
+class Outbox:
+    """Rows and events that wait for one client, the oldest first. Events that do not fit are counted in `missed`."""
+
+    missed: int = 0
+    _rows: deque[Rows] = field(default_factory=deque)
+    _bytes: int = 0
+    _events: deque[str] = field(default_factory=deque)
+    _filled: asyncio.Event = field(default_factory=asyncio.Event)
+
+    @property
+    def waiting(self) -> int:
+        """Bytes of rows that wait."""
+        return self._bytes
+
+    def put(self, rows: Rows) -> None:
+        """Rows to send; where too much waits the oldest are dropped, whosever they are."""
+        self._rows.append(rows)
+        self._bytes += len(rows.body)
+        while self._bytes > MOST_BYTES and len(self._rows) > 1:
+            oldest = self._rows.popleft()
+            self._bytes -= len(oldest.body)
+            oldest.stream.dropped += oldest.count
+        self._filled.set()
+
+    def tell(self, text: str) -> None:
+        """An event to send."""
+        if len(self._events) >= MOST_EVENTS:
+            self._events.popleft()
+            self.missed += 1
+        self._events.append(text)
+        self._filled.set()
+
+    async def next(self) -> str | Rows:
+        """What to send next, events first; waits until there is something."""
+        while True:
+            if self._events:
+                return self._events.popleft()
+            if self._rows:
+                rows = self._rows.popleft()
+                self._bytes -= len(rows.body)
+                if not rows.stream.ended:
+                    return rows
+                continue
+            self._filled.clear()
+            await self._filled.wait()
+
+
+class FeedKey(NamedTuple):
+    """What is wanted: columns, rows a second."""
+
+    columns: tuple[str, ...]
+    rate: float
+
+    @property
+    def truth(self) -> bool:
+        """Whether it wants the truth of a virtual rig."""
+        return any(column in TRUTH for column in self.columns)
+
+
+class _Feed:
+    def __init__(self, key: FeedKey) -> None:
+        self.places = np.array([PLACES[column] for column in key.columns], dtype=np.intp)
+        self.decimation = Decimation(key.rate)
+        self.to: dict[StreamState, Outbox] = {}
+
+
+class Feeds:
+    """The feeds of one drone, by what they give."""
+
+    def __init__(self) -> None:
+        self._feeds: dict[FeedKey, _Feed] = {}
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody wants anything."""
+        return bool(self._feeds)
+
+    @property
+    def truth_wanted(self) -> bool:
+        """Whether anybody wants the truth."""
+        return any(key.truth for key in self._feeds)
+
+    def add(self, key: FeedKey, stream: StreamState, outbox: Outbox) -> None:
+        """Give it to one more; the full rate is one, whatever larger number was asked for."""
+        key = key._replace(rate=min(key.rate, float(FULL_RATE)))
+        if key not in self._feeds:
+            self._feeds[key] = _Feed(key)
+        self._feeds[key].to[stream] = outbox
+
+    def remove(self, stream: StreamState) -> None:
+        """Give it to one less."""
+        for key, feed in [*self._feeds.items()]:
+            if feed.to.pop(stream, None) is not None and not feed.to:
+                del self._feeds[key]
+
+    def give(self, ticks: NDArray[np.int64], values: NDArray[np.float32]) -> None:
+        """Further rows: (n,) and (n, COLUMNS)."""
+        for feed in self._feeds.values():
+            times, rows = feed.decimation.take(ticks, values[:, feed.places])
+            if len(times):
+                packed = body(times, rows)
+                for stream, outbox in feed.to.items():
+                    outbox.put(Rows(stream, packed, len(times)))
+
+
+MOST_UNANSWERED = 2
+"""A client that leaves more `alive` unanswered stands still: a tab that is frozen, whose browser keeps the socket."""
+
+
+@dataclass
+class _Listener:
+    """What a client's token lets it do, whether it ever answered, and how often it has not since."""
+
+    role: Role
+    answers: bool = False
+    unanswered: int = 0
+
+
+class Audience:
+    """Every client's outbox, with what its token lets it do and whether it is there."""
+
+    def __init__(self) -> None:
+        self._listeners: dict[Outbox, _Listener] = {}
+
+    def __len__(self) -> int:
+        return len(self._listeners)
+
+    @property
+    def commanding(self) -> int:
+        """How many clients are connected that may command, without those that stand still.
+
+        A program that never answers counts for as long as its socket is open: that closes when the program ends.
+        """
+        there = (one for one in self._listeners.values() if one.unanswered <= MOST_UNANSWERED)
+        return sum(one.role is Role.COMMAND for one in there)
+
+    def join(self, outbox: Outbox, role: Role) -> None:
+        """One more."""
+        self._listeners[outbox] = _Listener(role)
+
+    def leave(self, outbox: Outbox) -> None:
+        """One less."""
+        self._listeners.pop(outbox, None)
+
+    def asked(self, outbox: Outbox) -> None:
+        """A client is asked whether it is there."""
+        listener = self._listeners[outbox]
+        listener.unanswered += listener.answers
+
+    def answered(self, outbox: Outbox) -> None:
+        """A client has said that it is there."""
+        listener = self._listeners[outbox]
+        listener.answers, listener.unanswered = True, 0
+
+    def tell(self, event: Mapping[str, Any]) -> None:
+        """Tell all an event, see docs/reference."""
+        if self._listeners:
+            text = dumps(event)
+            for outbox in self._listeners:
+                outbox.tell(text)
