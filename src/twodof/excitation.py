@@ -20,6 +20,7 @@ from typing import Any, ClassVar, Literal, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from twodof.blocks.enumeration import plain_data
 from twodof.blocks.library.waveform_laws import (
     LAWS,
     MAX_HARMONIC,
@@ -28,7 +29,6 @@ from twodof.blocks.library.waveform_laws import (
     TAPS,
     shifted,
 )
-from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})

@@ -11,8 +11,8 @@ from tests.compile.random_machines import machine_block, random_table
 from tests.compile.random_matrices import FilledMatrix, RandomMatrices
 from twodof.blocks import Block, Bus, Diagram, Enumeration, Port
 from twodof.blocks import library as lib
-from twodof.blocks.conditions import EDGES
-from twodof.blocks.datatypes.bus import grouped
+from twodof.blocks.block import EDGES
+from twodof.blocks.bus import grouped
 from twodof.blocks.declarations import mismatch
 from twodof.blocks.expressions.conversions import OVERFLOW
 from twodof.blocks.library import Constant, FractionalDelay, ZeroOrderHold

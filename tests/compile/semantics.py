@@ -15,7 +15,7 @@ import numpy as np
 from tests.compile.differential import DT, Case
 from twodof.blocks import Block, Diagram, Port, State
 from twodof.blocks.action_group import action_group, resettable_integrator
-from twodof.blocks.conditions import EDGES
+from twodof.blocks.block import EDGES
 from twodof.blocks.library import (
     CompareToConstant,
     Constant,

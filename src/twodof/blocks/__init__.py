@@ -1,9 +1,7 @@
 """The block language: write a block once, interpret it, compile it. See docs/explanation/language.md."""
 
 from twodof.blocks.block import Block as Block
-from twodof.blocks.datatypes.bus import Bus as Bus
-from twodof.blocks.datatypes.enumeration import Enumeration as Enumeration
-from twodof.blocks.datatypes.enumeration import to_enumeration as to_enumeration
+from twodof.blocks.bus import Bus as Bus
 from twodof.blocks.declarations import Param as Param
 from twodof.blocks.declarations import Port as Port
 from twodof.blocks.declarations import State as State
@@ -26,6 +24,8 @@ from twodof.blocks.elementary.functions import sin as sin
 from twodof.blocks.elementary.functions import tan as tan
 from twodof.blocks.elementary.functions import tanh as tanh
 from twodof.blocks.elementary.functions import trunc as trunc
+from twodof.blocks.enumeration import Enumeration as Enumeration
+from twodof.blocks.enumeration import to_enumeration as to_enumeration
 from twodof.blocks.expressions.arrays import array_of as array_of
 from twodof.blocks.expressions.arrays import fold as fold
 from twodof.blocks.expressions.arrays import store as store

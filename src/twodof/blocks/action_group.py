@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from twodof.blocks.datatypes.bus import grouped
+from twodof.blocks.bus import grouped
 from twodof.blocks.declarations import Port, alike, shape
 from twodof.blocks.diagram import Diagram, carried_fields
 from twodof.blocks.library.continuous import ResetIntegrator, ResetLatch

@@ -6,15 +6,17 @@ import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import reduce
+from operator import and_
 from typing import Any, ClassVar
 
-from twodof.blocks.datatypes.bus import expanded
+from twodof.blocks.bus import expanded
 from twodof.blocks.declarations import Param, Port, State, as_bus, located
+from twodof.blocks.enumeration import plain_data
 from twodof.blocks.expressions.expr import Expr, fault
 from twodof.blocks.expressions.graph import free_bounds, walk
 from twodof.blocks.mistakes import HIDDEN, is_users, place
 from twodof.blocks.namespaces import Clock as Clock
-from twodof.blocks.plain_data import plain_data
 from twodof.blocks.trace import Trace, by_method, clock_leaves, leaves_of, trace_of
 from twodof.errors import DiagramError, listed
 
@@ -202,3 +204,51 @@ def _check_own(block: Block, method: str, roots: Sequence[Expr], own: Mapping[in
             raise DiagramError(
                 f"{method} uses a variable of a loop outside that loop", "", "return what a loop computes from its body"
             )
+
+
+EDGES = ("rising", "falling", "either")
+
+
+def edge_of(edge: str, before: Any, now: Any) -> Any:
+    """Return True if a bool that was `before` and is `now` has an edge of this kind, one of EDGES."""
+    if edge == "either":
+        return now ^ before
+    return now & ~before if edge == "rising" else ~now & before
+
+
+class EnabledAgain(Block):
+    """y is true in the sample in which all of the bools e0, e1, ... hold and did not hold in the sample before.
+
+    The start is not such a sample: the states are initial then anyway, or what was set.
+    """
+
+    crossing = True
+
+    def __init__(self, enables: int) -> None:
+        self.inputs = [Port(f"e{i}", "bool") for i in range(enables)]
+        self.outputs = [Port("y", "bool")]
+        self.states = [State("x", True, "bool")]
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return reduce(and_, (u[port.name] for port in self.inputs))
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.update(u, x, p, t) & ~x.x
+
+
+class TriggerEdge(Block):
+    """y is true in the sample in which u has an edge. The first sample does not: what u was before is not known."""
+
+    crossing = True
+
+    def __init__(self, edge: str) -> None:
+        self.edge = edge
+        self.inputs = [Port("u", "bool")]
+        self.outputs = [Port("y", "bool")]
+        self.states = [State("before", False, "bool"), State("begun", False, "bool")]
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return x.begun & edge_of(self.edge, x.before, u.u)
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return {"before": u.u, "begun": True}

@@ -9,13 +9,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from twodof.blocks.datatypes.bus import MAX_FIELDS, MAX_LEVELS, Bus
-from twodof.blocks.datatypes.enumeration import enumeration_of
+from twodof.blocks.bus import MAX_FIELDS, MAX_LEVELS, Bus
+from twodof.blocks.enumeration import enumeration_of, plain_data
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.kinds import BY_NAME, INTEGERS, KINDS
 from twodof.blocks.expressions.matrix import Matrix, shape_text
 from twodof.blocks.expressions.numbers import Integer, Vector
-from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")

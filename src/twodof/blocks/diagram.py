@@ -6,12 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from twodof.blocks.block import Block
-from twodof.blocks.conditions import EDGES
-from twodof.blocks.datatypes.bus import leaves_of
-from twodof.blocks.datatypes.enumeration import Enumeration, Kind
+from twodof.blocks.block import EDGES, Block
+from twodof.blocks.bus import leaves_of
 from twodof.blocks.declarations import Param, Port, check_lists, check_name, check_path, located, unknown_name
-from twodof.blocks.plain_data import plain_data
+from twodof.blocks.enumeration import Enumeration, Kind, plain_data
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_DIVIDER = 2**31 - 1

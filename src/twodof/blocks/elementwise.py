@@ -6,8 +6,8 @@ from functools import partial
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.datatypes.enumeration import Kind, enumeration_of
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
+from twodof.blocks.enumeration import Kind, enumeration_of
 from twodof.blocks.expressions.arrays import array_of, fold
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
 from twodof.blocks.expressions.kinds import NUMERIC, STORED

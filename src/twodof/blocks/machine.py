@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.datatypes.bus import fields_given
+from twodof.blocks.bus import fields_given
 from twodof.blocks.declarations import (
     Param,
     Port,
@@ -19,9 +19,9 @@ from twodof.blocks.declarations import (
     unknown_name,
     unknown_parameter,
 )
+from twodof.blocks.enumeration import plain_data
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.kinds import FLOATS, INTEGERS
-from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, ParameterError
 
 _ACCEPTED = dict.fromkeys(FLOATS, "fiu") | dict.fromkeys(INTEGERS, "iu") | {"bool": "b"}

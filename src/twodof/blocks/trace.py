@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from itertools import chain
 from typing import Any, TypeVar
 
-from twodof.blocks.datatypes.bus import check_paths, fields_given
-from twodof.blocks.datatypes.enumeration import Enumeration, comparing, stays_within
+from twodof.blocks.bus import check_paths, fields_given
 from twodof.blocks.declarations import Declared, Param, Port, State, alike, check_lists, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
+from twodof.blocks.enumeration import Enumeration, comparing, stays_within
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, tracing
 from twodof.blocks.expressions.graph import Sight, evaluate, walk

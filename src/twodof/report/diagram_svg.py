@@ -9,7 +9,7 @@ from importlib import resources
 from string import Template
 
 from twodof.blocks.block import Block
-from twodof.blocks.datatypes.bus import Bus, grouped
+from twodof.blocks.bus import Bus, grouped
 from twodof.blocks.declarations import Port, shape, unknown_name
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part, carried_fields
 from twodof.drawing.layered_layout import Box, GraphLayout, Net, layout

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from twodof.blocks.block import Block
-from twodof.blocks.datatypes.bus import Bus, grouped
+from twodof.blocks.bus import Bus, grouped
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part, bus_paths
 from twodof.blocks.expressions.kinds import INTEGERS

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import settings
 
 from twodof.blocks.block import Block
-from twodof.blocks.datatypes.bus import grouped
+from twodof.blocks.bus import grouped
 from twodof.blocks.declarations import numeric
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers

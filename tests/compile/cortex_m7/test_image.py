@@ -1,4 +1,4 @@
-"""Images: both compilers, the cache, what does not fit, what is missing; object files read as binutils read them."""
+"""Images: both compilers, the cache, what does not fit, what is missing; sizes as binutils read them."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, HEAD, STEP, image, steps
+from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, STEP, image, steps
 from tests.patience import PATIENCE_S
 from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import build
 from twodof.compile.cortex_m7.image import find_cross_compiler
 from twodof.compile.cortex_m7.processor import Processor
-from twodof.compile.cortex_m7.usage import image_sizes, read_elf
+from twodof.compile.cortex_m7.usage import image_sizes
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 
@@ -101,30 +101,3 @@ def test_the_sizes_are_those_that_binutils_read(tmp_path: Path) -> None:
     assert (ours.data, ours.bss) == (theirs[".data"], theirs[".bss"])
     assert ours.data >= 12
     assert ours.bss >= 100
-
-
-@pytest.mark.parametrize("name", COMPILERS)
-def test_the_symbols_are_those_of_the_source(name: str) -> None:
-    if name == "gcc":
-        need("arm-none-eabi-gcc")
-    file = read_elf(image(ADD, name).objects[0])
-    functions = {f"hand_{f}" for f in ("defaults", "prepare", "init", "step")}
-    assert functions <= set(file.globals())
-    sections = [file.sections[file.globals()[f]] for f in functions]
-    assert {s.use for s in sections} == {"text"}
-    assert len({id(s) for s in sections}) == 4
-    assert file.sections[file.globals()["hand_sizes"]].size == 20
-
-
-@pytest.mark.parametrize("data", [b"", b"\x7fELF", b"\x7fELF\x02\x01" + bytes(100), HEAD.encode()])
-def test_what_is_no_object_file_is_refused(data: bytes) -> None:
-    with pytest.raises(CompileError, match="no readable ELF file"):
-        read_elf(data)
-
-
-def test_a_truncated_object_file_is_refused() -> None:
-    need("arm-none-eabi-gcc")
-    whole = image(ADD).objects[0]
-    for length in range(0, len(whole), 97):
-        with pytest.raises(CompileError):
-            read_elf(whole[:length])

@@ -24,7 +24,7 @@ from twodof.compile.cortex_m7 import processor as board
 from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.cortex_m7.usage import read_elf
+from twodof.compile.cortex_m7.usage import ObjectFile
 from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 
@@ -40,7 +40,7 @@ def tools() -> None:
 
 def symbol(made: Image, name: str) -> int:
     """The address of a function."""
-    (found,) = [s.value & ~1 for s in read_elf(made.elf).symbols if s.name == name]
+    (found,) = [s["st_value"] & ~1 for s in ObjectFile(made.elf).symbols if s.name == name]
     return found
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import NAME, Param, Port
+from twodof.blocks.enumeration import plain_data
 from twodof.blocks.expressions.numbers import Integer, kind_of
-from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, shown
 
 __all__ = ["FunctionBlock", "function_block"]

@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.conditions import EDGES, edge_of
+from twodof.blocks.block import EDGES, Block, Clock, edge_of, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import array_of, fold, store, vector

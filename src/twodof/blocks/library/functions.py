@@ -4,7 +4,6 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from twodof.blocks.block import library_block
-from twodof.blocks.datatypes.enumeration import Kind, enumeration_of, to_enumeration
 from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import (
     FUNCTIONS,
@@ -20,6 +19,7 @@ from twodof.blocks.elementary.functions import (
     trunc,
 )
 from twodof.blocks.elementwise import Pointwise, one_of
+from twodof.blocks.enumeration import Kind, enumeration_of, to_enumeration
 from twodof.blocks.expressions.conversions import OVERFLOW, may_overflow, to_stored
 from twodof.blocks.expressions.expr import convert, sqrt, where
 from twodof.blocks.expressions.kinds import FLOATS, KINDS, NUMERIC, STORED

@@ -5,11 +5,10 @@ from collections.abc import Callable, Mapping
 from functools import reduce
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.conditions import EDGES, edge_of
-from twodof.blocks.datatypes.enumeration import Kind
+from twodof.blocks.block import EDGES, Block, Clock, edge_of, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import Pointwise, comparable, one_of, port_series
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.expressions.kinds import INTEGERS, WORDS
 

@@ -7,10 +7,10 @@ from operator import and_, or_
 from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.datatypes.bus import Bus, expanded
-from twodof.blocks.datatypes.enumeration import Kind
+from twodof.blocks.bus import Bus, expanded
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.expressions.matrix import flat_of, shaped

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from typing import Any, ClassVar
 
 from twodof.blocks.block import Block, Clock, library_block
-from twodof.blocks.datatypes.enumeration import Kind
 from twodof.blocks.declarations import Param, Port
 from twodof.blocks.elementwise import count
+from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.library.waveform_laws import PATTERNS

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-from twodof.blocks.block import Block, steady_trace
-from twodof.blocks.conditions import EnabledAgain, TriggerEdge
+from twodof.blocks.block import Block, EnabledAgain, TriggerEdge, steady_trace
 from twodof.blocks.declarations import (
     Param,
     Port,

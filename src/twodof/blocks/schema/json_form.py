@@ -15,9 +15,9 @@ from typing import Any
 
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block, steady_trace
-from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import CONDITIONS, Diagram, Part
+from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Integer
 from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, POSITIONS, Loader, member, only

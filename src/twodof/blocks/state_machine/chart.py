@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.declarations import check_name
+from twodof.blocks.enumeration import plain_data
 from twodof.blocks.namespaces import Clock
-from twodof.blocks.plain_data import plain_data
 from twodof.errors import DiagramError, nearest, shown
 
 ACTIONS = ("entry", "during", "exit")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from twodof.blocks.datatypes.enumeration import Enumeration, comparing
 from twodof.blocks.declarations import Declared, Port, State
+from twodof.blocks.enumeration import Enumeration, comparing
 from twodof.blocks.expressions.expr import Expr, as_expr, leaf, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.mistakes import mistake

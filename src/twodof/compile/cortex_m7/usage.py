@@ -1,118 +1,59 @@
 """Usage of functions: bytes of flash and RAM, and the worst-case depth of the stack."""
 
 import re
-import struct
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
+from typing import Any
+
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
 
 from twodof.compile.cortex_m7.image import Image
 from twodof.errors import CompileError
 
-# System V ABI, chapter 4, "Object Files"; 32 bits, little-endian.
-_HEADER = struct.Struct("<16sHHIIIIIHHHHHH")
-_SECTION = struct.Struct("<10I")
-_SYMBOL = struct.Struct("<IIIBBH")
-_RELOCATION = struct.Struct("<II")
-SYMTAB, RELA, NOBITS, REL = 2, 4, 8, 9
-WRITE, ALLOC, EXECUTE = 1, 2, 4
-FUNCTION = 2
 CALL = 10  # R_ARM_THM_CALL
-_FIRST_RESERVED = 0xFF00
-_ARM = 40
-
-
-@dataclass
-class ElfSection:
-    """`refers` has the indices of the symbols that its relocations name, `calls` those of them that it calls."""
-
-    name: str
-    kind: int
-    flags: int
-    data: bytes
-    size: int
-    link: int
-    refers: set[int] = field(default_factory=set)
-    calls: set[int] = field(default_factory=set)
-
-    @property
-    def loaded(self) -> bool:
-        """True if the section takes memory of the target."""
-        return bool(self.flags & ALLOC) and self.size > 0
-
-    @property
-    def use(self) -> str:
-        """Which memory: "text", "rodata", "data" (in flash and RAM) or "bss" (in RAM)."""
-        if self.kind == NOBITS:
-            return "bss"
-        if self.flags & EXECUTE:
-            return "text"
-        return "data" if self.flags & WRITE else "rodata"
-
-
-@dataclass(frozen=True)
-class ElfSymbol:
-    """`section` is the index of the section that has it, 0 if another file has it, or 0xff00 and more."""
-
-    name: str
-    value: int
-    kind: int
-    local: bool
-    section: int
-
-
-@dataclass(frozen=True)
-class Elf:
-    """The sections and symbols of a file, by index."""
-
-    sections: list[ElfSection]
-    symbols: list[ElfSymbol]
-
-    def globals(self) -> dict[str, int]:
-        """Return the sections of the symbols that other files can name."""
-        return {s.name: s.section for s in self.symbols if not s.local and 0 < s.section < _FIRST_RESERVED}
-
-
-def read_elf(data: bytes, where: str = "object file") -> Elf:
-    """Read the object file with the bytes `data`. Raises CompileError if it is not an ELF file for Arm."""
-    try:
-        return _read(data)
-    except (struct.error, IndexError, ValueError) as error:
-        raise CompileError(f"no readable ELF file: {error}", where, "check that the compiler works") from error
-
-
-def _read(data: bytes) -> Elf:
-    ident, _, machine, _, _, _, start, _, _, _, _, entry, count, names = _HEADER.unpack_from(data)
-    if ident[:6] != b"\x7fELF\x01\x01" or machine != _ARM or entry != _SECTION.size:
-        raise ValueError("another kind of file")
-    rows = [_SECTION.unpack_from(data, start + entry * i) for i in range(count)]
-
-    def content(row: tuple[int, ...]) -> bytes:
-        return b"" if row[1] == NOBITS else data[row[4] : row[4] + row[5]]
-
-    titles = content(rows[names])
-    sections = [ElfSection(_text(titles, r[0]), r[1], r[2], content(r), r[5], r[6]) for r in rows]
-    symbols: list[ElfSymbol] = []
-    for section in sections:
-        if section.kind == SYMTAB:
-            strings = sections[section.link].data
-            for name, value, _, info, _, index in _SYMBOL.iter_unpack(section.data):
-                symbols.append(ElfSymbol(_text(strings, name), value, info & 15, info >> 4 == 0, index))
-    for row, section in zip(rows, sections, strict=True):
-        if section.kind == REL:
-            named = [(info >> 8, info & 255) for _, info in _RELOCATION.iter_unpack(section.data)]
-            sections[row[7]].refers |= {symbol for symbol, _ in named}
-            sections[row[7]].calls |= {symbol for symbol, kind in named if kind == CALL}
-        elif section.kind == RELA:
-            raise ValueError("relocations with addends")
-    return Elf(sections, symbols)
-
-
-def _text(strings: bytes, at: int) -> str:
-    return strings[at : strings.index(b"\0", at)].decode("utf-8", "replace")
-
 
 Place = tuple[int, int]  # object file, section: each function and each constant has a section of its own
+
+
+class ObjectFile:
+    """Sections and symbols of an object file, and the symbols that each section refers to, by index."""
+
+    def __init__(self, data: bytes) -> None:
+        self.sections: list[Any] = list(ELFFile(BytesIO(data)).iter_sections())
+        self.symbols: list[Any] = []
+        self.refers: dict[int, set[int]] = {}
+        self.calls: dict[int, set[int]] = {}
+        for section in self.sections:
+            if section["sh_type"] == "SHT_SYMTAB":
+                self.symbols += section.iter_symbols()
+            if section["sh_type"] == "SHT_REL":
+                for relocation in section.iter_relocations():
+                    symbol, place = relocation["r_info_sym"], section["sh_info"]
+                    self.refers.setdefault(place, set()).add(symbol)
+                    if relocation["r_info_type"] == CALL:
+                        self.calls.setdefault(place, set()).add(symbol)
+
+    def section_of(self, symbol: int) -> int | None:
+        """Return the section that has a symbol, None for a symbol of another file or of no section."""
+        index = self.symbols[symbol]["st_shndx"]
+        return index if isinstance(index, int) else None
+
+
+def _loaded(section: Any) -> bool:
+    """Return True if a section takes memory of the target."""
+    return bool(section["sh_flags"] & SH_FLAGS.SHF_ALLOC) and section["sh_size"] > 0
+
+
+def _use(section: Any) -> str:
+    """Return the memory of a section: "text", "rodata", "data" (in flash and RAM) or "bss" (in RAM)."""
+    if section["sh_type"] == "SHT_NOBITS":
+        return "bss"
+    if section["sh_flags"] & SH_FLAGS.SHF_EXECINSTR:
+        return "text"
+    return "data" if section["sh_flags"] & SH_FLAGS.SHF_WRITE else "rodata"
 
 
 @dataclass(frozen=True)
@@ -137,7 +78,7 @@ class SectionSizes:
 
 def image_sizes(image: Image) -> SectionSizes:
     """Return the sizes of the whole image (programs, server, start-up) without the stacks."""
-    return _summed(s for s in read_elf(image.elf).sections if s.loaded and s.name != ".stacks")
+    return _summed(s for s in ObjectFile(image.elf).sections if _loaded(s) and s.name != ".stacks")
 
 
 class Usage:
@@ -145,11 +86,13 @@ class Usage:
 
     def __init__(self, image: Image) -> None:
         self.image = image
-        self.files: list[Elf] = [read_elf(data) for data in image.objects]
+        self.files = [ObjectFile(data) for data in image.objects]
         self._defined: dict[str, Place] = {}
         for i, file in enumerate(self.files):
-            for name, section in file.globals().items():
-                self._defined.setdefault(name, (i, section))
+            for k, symbol in enumerate(file.symbols):
+                section = file.section_of(k)
+                if section is not None and symbol["st_info"]["bind"] != "STB_LOCAL":
+                    self._defined.setdefault(symbol.name, (i, section))
 
     def sizes(self, functions: Sequence[str]) -> SectionSizes:
         """Return the sizes of the functions with all that they call and the constants that they read."""
@@ -188,31 +131,28 @@ class Usage:
     def _referred(self, place: Place) -> list[Place]:
         i, j = place
         file, found = self.files[i], []
-        for k in file.sections[j].refers:
-            symbol = file.symbols[k]
-            if symbol.section == 0:
-                found += [self._defined[symbol.name]] if symbol.name in self._defined else []
-            elif symbol.section < len(file.sections) and file.sections[symbol.section].loaded:
-                if symbol.section != j or k in file.sections[j].calls:
-                    found.append((i, symbol.section))
+        for k in file.refers.get(j, ()):
+            section = file.section_of(k)
+            if section is None:
+                found += [self._defined[name]] if (name := file.symbols[k].name) in self._defined else []
+            elif _loaded(file.sections[section]) and (section != j or k in file.calls.get(j, ())):
+                found.append((i, section))
         return found
 
     def _frame(self, place: Place) -> int | None:
         i, j = place
-        section = self.files[i].sections[j]
-        if section.use != "text":
+        file = self.files[i]
+        if _use(file.sections[j]) != "text":
             return 0
-        if any(self._elsewhere(self.files[i].symbols[k]) for k in section.refers if k):
+        unknown = (k for k in file.refers.get(j, ()) if k and file.section_of(k) is None)
+        if any(file.symbols[k].name not in self._defined for k in unknown):
             return None
         if place in self._clang_frames:
             return self._clang_frames[place]
-        named = [s.name for s in self.files[i].symbols if s.section == j and s.kind == FUNCTION]
-        frames = [0 if name.endswith(".cold") else self._gcc_frame(name) for name in named]
+        own = (s for s in file.symbols if s["st_shndx"] == j and s["st_info"]["type"] == "STT_FUNC")
+        frames = [0 if s.name.endswith(".cold") else self._gcc_frame(s.name) for s in own]
         bounded = [f for f in frames if f is not None]
         return max(bounded) if bounded and len(bounded) == len(frames) else None
-
-    def _elsewhere(self, symbol: ElfSymbol) -> bool:
-        return symbol.section == 0 and symbol.name not in self._defined
 
     def _gcc_frame(self, name: str) -> int | None:
         while name not in self._gcc_frames and "." in name:  # a clone goes by the name of its function
@@ -238,7 +178,7 @@ class Usage:
         for i, file in enumerate(self.files):
             for section in file.sections:
                 if section.name == ".stack_sizes":
-                    found[i, section.link] = max(_stack_sizes(section.data))
+                    found[i, section["sh_link"]] = max(_stack_sizes(section.data()))
         return found
 
 
@@ -252,8 +192,8 @@ def _stack_sizes(data: bytes) -> list[int]:
     return sizes
 
 
-def _summed(sections: Iterable[ElfSection]) -> SectionSizes:
+def _summed(sections: Iterable[Any]) -> SectionSizes:
     bytes_of = {"text": 0, "rodata": 0, "data": 0, "bss": 0}
     for section in sections:
-        bytes_of[section.use] += section.size
+        bytes_of[_use(section)] += section["sh_size"]
     return SectionSizes(**bytes_of)

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.block import Block
-from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram, carried
+from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS
 from twodof.blocks.machine import Machine, axes
 from twodof.blocks.reference.interpreter import Reference

@@ -12,8 +12,8 @@ from typing import Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.elementary.functions import sin
+from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.compile.diagram_test.assertions import Assertion, Judgement, first_tick, first_violation
 from twodof.errors import DiagramError, listed, nearest, shown

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.block import Block
-from twodof.blocks.datatypes.enumeration import Enumeration
 from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
+from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.namespaces import Clock, Parameters

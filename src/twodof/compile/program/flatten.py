@@ -6,8 +6,7 @@ import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 
-from twodof.blocks.block import Block, steady_trace
-from twodof.blocks.conditions import EnabledAgain, TriggerEdge
+from twodof.blocks.block import Block, EnabledAgain, TriggerEdge, steady_trace
 from twodof.blocks.declarations import Param, Port, alike, check_initial, located, mismatch, narrowed, unknown_name
 from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate, told_values, two_values
 from twodof.blocks.expressions.graph import leaves

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.compile.typed_signals import RATES, STATE, Mode, bused
 from twodof.blocks import Block, Bus, Diagram, Param, Port, State
 from twodof.blocks.action_group import action_group
-from twodof.blocks.datatypes.bus import MAX_LEVELS, expanded, grouped
+from twodof.blocks.bus import MAX_LEVELS, expanded, grouped
 from twodof.blocks.library import BusAssign, BusCreate, BusSelect, Constant, Gain, Merge, UnitDelay, ZeroOrderHold
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json

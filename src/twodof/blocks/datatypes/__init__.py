@@ -1,1 +1,0 @@
-"""Types that a user names: enumerations and buses."""
