@@ -17,9 +17,8 @@ from scipy.stats import truncnorm
 from tools.coverage_bound import pitch_information, rail_information
 from twodof.errors import IdentificationError
 from twodof.excitation import Multisine, ThreeTwoOneOne
-from twodof.experiment.experiments import Experiment, experiment
+from twodof.experiment.experiments import Experiment, experiment, script
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.experiment.script import script
 from twodof.identify.disturbance.search import LONG
 from twodof.identify.experiments import KINDS
 from twodof.identify.from_flight.closed_loop import FRICTION_BEFORE, POLES_BEFORE

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 
-from twodof.experiment.rig_noise import gyro_covariance, pushed_rate, rail_covariance
+from twodof.experiment.expected_accuracy import gyro_covariance, pushed_rate, rail_covariance
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record
 from twodof.models.structure import Structure

@@ -27,7 +27,7 @@ from websockets.exceptions import ConnectionClosed
 from bench.measure import Figure
 from bench.stack.flight_stack import start_pair
 from bench.stack.programs import START_S, Running, running
-from twodof.fleet.local_page import NICENESS
+from twodof.fleet.local_fleet import NICENESS
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.settings import WATCH_TOKEN
 from twodof.signals import TOPICS

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from twodof.experiment.checks import STOP_MARGIN
-from twodof.experiment.experiments import experiment
-from twodof.experiment.flight import Laboratory
-from twodof.experiment.script import script
+from twodof.experiment.experiments import experiment, script
+from twodof.experiment.flight import STOP_MARGIN, Laboratory
 
 
 @pytest.mark.parametrize("seed", [43, 148])

@@ -10,9 +10,8 @@ from tools.coverage_bound import pitch_information
 from twodof.errors import ExperimentError
 from twodof.excitation import Doublet
 from twodof.experiment.expected_accuracy import expected_accuracy
-from twodof.experiment.experiments import experiment
+from twodof.experiment.experiments import experiment, script
 from twodof.experiment.flight import Laboratory, flight_log
-from twodof.experiment.script import script
 from twodof.identify.experiments import cut
 from twodof.identify.from_flight.identified_flight import identify_flight
 from twodof.identify.from_flight.ready_made import structure_for

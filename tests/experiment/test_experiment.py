@@ -8,9 +8,8 @@ import pytest
 
 from twodof.errors import ExperimentError, ParameterError
 from twodof.excitation import Doublet
-from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
+from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment, script
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.script import script
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log

@@ -8,8 +8,8 @@ import pytest
 from twodof.errors import ExperimentError
 from twodof.excitation import Doublet, Excitation, Impulse, Steps
 from twodof.experiment import Experiment, Laboratory
+from twodof.experiment.experiments import script
 from twodof.experiment.prediction import predict, predicted
-from twodof.experiment.script import script
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import PERIOD
 

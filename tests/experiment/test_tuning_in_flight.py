@@ -14,10 +14,9 @@ import pytest
 
 from tests.experiment.drones import drone_thread
 from tests.experiment.test_fly import Signals, differing
-from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import EXPERIMENTS, Script, script
 from twodof.experiment.flight import Laboratory
 from twodof.experiment.fly import fly
-from twodof.experiment.script import Script, script
 from twodof.fcu.control.flight_code import OUTPUTS, FlightCode
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.parameters.parameter_store import ParameterStore

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from tests.patience import patiently
-from twodof.fleet.local_ports import MOST_DRONES, port_in_use
+from twodof.fleet.local_drone import MOST_DRONES, port_in_use
 
 
 @contextmanager

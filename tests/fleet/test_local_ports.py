@@ -12,7 +12,7 @@ import pytest
 from tests.fleet.drone_numbers import free_numbers
 from twodof.cli.app import run
 from twodof.errors import LinkError
-from twodof.fleet.local_ports import port_owner, with_port_owner
+from twodof.fleet.local_drone import port_owner, with_port_owner
 from twodof.link.transport import ports
 
 

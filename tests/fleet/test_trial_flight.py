@@ -9,8 +9,8 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.cli.app import run
-from twodof.fleet import trial_flight as module
-from twodof.fleet.trial_flight import trial_flight
+from twodof.fleet import flash as module
+from twodof.fleet.flash import trial_flight
 from twodof.flight.controller_store import simulator_controllers
 from twodof.flight.starters import save_diagram, starter
 

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from tests.flight.failsafe.expr_arrays import tell
 from tests.sim.faulty_loop import PERIOD_MS, FaultyLoop, first
 from twodof.compile import build
-from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.script import script
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, named_causes
 from twodof.flight.failsafe.diagram import failsafe
 from twodof.flight.starters import load_diagram

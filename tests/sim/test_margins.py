@@ -14,9 +14,8 @@ from tests.flight.failsafe.expr_arrays import tell
 from twodof.compile.builder import build
 from twodof.compile.instances import Instances
 from twodof.compile.machine import CompiledProgram
-from twodof.experiment.experiments import EXPERIMENTS
+from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.experiment.flight import Laboratory
-from twodof.experiment.script import script
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
 from twodof.sim.closed_loop import closed_loop

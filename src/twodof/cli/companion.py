@@ -14,7 +14,7 @@ from twodof.cli.output import Json, print_json, say_line
 from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.companion.companion import Companion
 from twodof.companion.links import Serve, px4_links
-from twodof.fleet.local_ports import MOST_DRONES
+from twodof.fleet.local_drone import MOST_DRONES
 from twodof.link.mavlink.enums import COMPANION
 from twodof.link.signing import Signing, Stamps, read_key
 from twodof.link.transport.ports import FLIGHT_CONTROLLER

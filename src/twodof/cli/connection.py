@@ -13,8 +13,7 @@ from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
 from twodof.errors import LinkError, Refusal, Rejected
-from twodof.fleet.local_drone import controller_in_words
-from twodof.fleet.local_ports import with_port_owner
+from twodof.fleet.local_drone import controller_in_words, with_port_owner
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.discovery import LOOPBACK, discover
 from twodof.gcs.drone import Drone

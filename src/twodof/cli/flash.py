@@ -15,9 +15,8 @@ from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.checkout import check as check_module
 from twodof.compile.px4.export import airframe_id
-from twodof.fleet.flash import FCU, FORCE, PX4, SIM, ControllerCosts
+from twodof.fleet.flash import FCU, FORCE, PX4, SIM, ControllerCosts, TrialFlight
 from twodof.fleet.flash import flash as flash_controller
-from twodof.fleet.trial_flight import TrialFlight
 from twodof.flight.controller_store import STOCK
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, starter
 from twodof.gcs.async_drone import DEFAULT_URL

@@ -18,11 +18,9 @@ from twodof.cli import options
 from twodof.cli.connection import run_until_signal
 from twodof.cli.interrupts import INTERRUPTED
 from twodof.cli.output import Json, print_json, say_line
-from twodof.fleet.local_drone import ControllerReport, LocalDrone, controller_in_words
-from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet
-from twodof.fleet.local_page import LocalPage
-from twodof.fleet.local_page import page_port as page_port_of
-from twodof.fleet.local_ports import MOST_DRONES, check_ports_free
+from twodof.fleet.local_drone import MOST_DRONES, ControllerReport, LocalDrone, check_ports_free, controller_in_words
+from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet, LocalPage
+from twodof.fleet.local_fleet import page_port as page_port_of
 from twodof.flight.controller_store import data_folder
 from twodof.lab.server import serve
 from twodof.lab.settings import (

@@ -1,8 +1,7 @@
 """Experiments: protocols that excite a rig whose flight controller runs a diagram, and the flights they make."""
 
-from twodof.experiment.checks import FlightCheck
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
-from twodof.experiment.flight import Flight, Laboratory, simulate
+from twodof.experiment.flight import Flight, FlightCheck, Laboratory, simulate
 from twodof.experiment.fly import fly
 from twodof.experiment.prediction import PredictedMotion, predict
 

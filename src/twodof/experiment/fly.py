@@ -8,11 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
-from twodof.experiment.checks import FlightCheck, data_checks, not_judged, received
-from twodof.experiment.experiments import Experiment
-from twodof.experiment.flight import MARGIN, PITCH_MARGIN, Flight, Laboratory, ready
+from twodof.experiment.experiments import Experiment, Script, on_wire, script
+from twodof.experiment.flight import (
+    MARGIN,
+    PITCH_MARGIN,
+    Flight,
+    FlightCheck,
+    Laboratory,
+    data_checks,
+    not_judged,
+    ready,
+    received,
+)
 from twodof.experiment.received import COLUMNS, ReceivedSamples, safety_in
-from twodof.experiment.script import Script, on_wire, script
 from twodof.flight.failsafe.causes_and_actions import CAUSES
 from twodof.flightlog.provenance import versions
 from twodof.gcs.active_controller import ActiveController, ParameterChanges
@@ -64,7 +72,7 @@ def fly(
     """Flies `experiment` (or the ready-made one of that name) with `drone`: arm, hold, excite on board, disarm.
 
     A virtual drone is put to its start first, with the noise of `seed` times `noise`. In lockstep the flight then has
-    the bits of `Laboratory.fly`, as `experiment.script` is followed to the tick. In real time it begins as soon as the
+    the bits of `Laboratory.fly`, as `experiments.script` is followed to the tick. In real time it begins as soon as the
     drone is there. A real drone must have its rings set as the experiment wants them; with the cart free it flies to
     its start during the hold.
 

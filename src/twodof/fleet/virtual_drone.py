@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import IO
 
 from twodof.errors import LinkError
-from twodof.fleet.child_output import child_error
+from twodof.fleet.children import child_error
 
 START_S = 120.0
 """How long it may take until all listen [s]: the first time it compiles flight code and rig."""

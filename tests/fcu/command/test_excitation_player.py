@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed
 from twodof.errors import ExperimentError
 from twodof.excitation import KINDS, Doublet, Excitation, Impulse, Multisine, Prbs, Steps, Sweep, ThreeTwoOneOne
-from twodof.experiment.experiments import EXPERIMENTS
-from twodof.experiment.script import script
+from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.fcu.command import excitation_player
 from twodof.fcu.command.excitation_player import (
     DONE,

@@ -95,7 +95,7 @@ def _plain(value: Any) -> bool:
 def written_out(excitation: Excitation) -> SampledExcitation:
     """An excitation at 250 Hz, from its start to the end of the rest after it.
 
-    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.script` flies. Raises
+    The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.experiments.script` flies. Raises
     ExperimentError for one whose values are not all finite (a sweep over more octaves than a float has).
     """
     steps = int(np.ceil(excitation.duration / PERIOD - 1e-6))

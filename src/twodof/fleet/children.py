@@ -1,6 +1,9 @@
-"""What a program of ours said before it ended, told once: its own error where it named one, else its last lines."""
+"""Child processes of twodof: their last words, told once, and a lower priority for programs beside a flight."""
 
+import os
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
 
 from twodof.errors import LinkError
 
@@ -32,3 +35,22 @@ def child_error(said: Sequence[str], name: str, status: int | None = None) -> Li
         elif line.strip() and not remedy:
             what.append(line.rstrip())
     return LinkError("\n".join(what), f"{name}, {where}" if where else name, remedy)
+
+
+_LOWEST = 19
+
+
+def lower_priority(process: int, by: int) -> None:
+    """Let the process, and what it starts, come after the others; what the system does not allow is left.
+
+    By default Linux shares out its processors to sessions first (autogroup), and looks at the niceness of a process
+    only within its own. A process that is to be told so has a session of its own.
+    """
+    with suppress(OSError):  # it has ended already
+        niceness = min(_LOWEST, os.getpriority(os.PRIO_PROCESS, process) + by)
+        os.setpriority(os.PRIO_PROCESS, process, niceness)
+    with suppress(OSError):  # no such kernel
+        group = Path(f"/proc/{process}/autogroup")
+        if os.getsid(process) == process:
+            now = int(group.read_text(encoding="ascii").rpartition(" ")[2])
+            group.write_text(str(min(_LOWEST, now + by)), encoding="ascii")
