@@ -159,24 +159,24 @@ def test_ctrl_c_while_the_package_loads_exits_130_too() -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_it_starts_quickly() -> None:
-    """Help in half a second of processor time, which others on the machine add little to: 0.07 s alone."""
-    command = [str(Path(sys.executable).with_name("twodof")), "--help"]
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def processor_s(code: str) -> float:
+    """Return the processor time of a Python that runs `code` [s]: that process alone, whatever else runs here."""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     late = threading.Timer(PATIENCE_S, process.kill)
     late.start()
-    _, status, used = os.wait4(process.pid, 0)  # of it alone, whatever other tests have left to be waited for
+    _, status, used = os.wait4(process.pid, 0)
     late.cancel()
     process.returncode = os.waitstatus_to_exitcode(status)
     assert process.returncode == 0
-    assert used.ru_utime + used.ru_stime < 0.5
+    return used.ru_utime + used.ru_stime
 
 
-def test_the_package_itself_is_light() -> None:
-    """`import twodof` in 0.3 s (the promise of the README), in processor time by the interpreter's own clock."""
-    code = "import time; t = time.process_time(); import twodof; print(time.process_time() - t)"
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert float(done.stdout) < 0.3
+def test_help_and_the_package_start_quickly() -> None:
+    """Measured against numpy on the same machine, which a slow or busy one slows as much."""
+    numpy = min(processor_s("import numpy") for _ in range(3))
+    ask = "import sys; sys.argv[1:] = ['--help']; from twodof.cli import main; main()"
+    assert min(processor_s(ask) for _ in range(3)) < 3.0 * numpy
+    assert min(processor_s("import twodof") for _ in range(3)) < 1.5 * numpy
 
 
 def commands(group: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
