@@ -29,7 +29,7 @@ def colours() -> Mapping[str, Shades]:
 
 @functools.cache
 def style() -> str:
-    """The colours as CSS that every browser reads: `light-dark()`, which tokens.css has, is not known to older ones."""
+    """Return the colours as CSS without `light-dark()`, which tokens.css has and older browsers lack."""
 
     def rows(dark: bool) -> str:
         return " ".join(f"--{name}: {shades[dark]};" for name, shades in colours().items())

@@ -55,7 +55,7 @@ class Drawing:
 
 
 def draw(diagram: Diagram, depth: int = 0) -> Drawing:
-    """Lays out `diagram`; sub-diagrams down to `depth` are opened in place.
+    """Lay out `diagram`, with sub-diagrams down to `depth` opened in place.
 
     Raises DiagramError for one that has a connection to nowhere, or more than 5000 parts.
     """
@@ -63,7 +63,7 @@ def draw(diagram: Diagram, depth: int = 0) -> Drawing:
 
 
 def find(diagram: Diagram, path: str) -> Diagram:
-    """The sub-diagram at `path`, "part.sub". Raises DiagramError if there is none."""
+    """Return the sub-diagram at `path`, "part.sub". Raises DiagramError if there is none."""
     at = diagram
     for name in path.split(".") if path else []:
         part = at.parts.get(name)
@@ -75,7 +75,7 @@ def find(diagram: Diagram, path: str) -> Diagram:
 
 
 def to_svg(diagram: Diagram, depth: int = 0) -> str:
-    """The picture as text; the same diagram gives the same bytes. Raises DiagramError as `draw` does."""
+    """Return the picture as text; the same diagram gives the same bytes. Raises DiagramError as `draw` does."""
     drawing = draw(diagram, depth)
     about = shortened(diagram.text, 12.0, 700.0)
     title_width = max(text_width(diagram.name, 17.0, True), text_width(about, 12.0)) + 32.0
@@ -97,7 +97,7 @@ def to_svg(diagram: Diagram, depth: int = 0) -> str:
 
 
 def to_inline_svg(diagram: Diagram, title: str) -> str:
-    """The picture without a heading as an element of a page, whose style sheet gives it the page's colours.
+    """Return the picture without a heading as an element of a page, coloured by the page's style sheet.
 
     Raises DiagramError as `draw` does.
     """
@@ -108,7 +108,7 @@ def to_inline_svg(diagram: Diagram, title: str) -> str:
 
 
 def _legend(drawing: Drawing) -> list[str]:
-    """What the kinds of wires mean, where there are others than of single reals."""
+    """Return the legend of wire styles; empty if all wires carry single reals."""
     found: set[str] = set()
     stack = [drawing]
     while stack:
@@ -174,7 +174,7 @@ def _remark(port: Port) -> str:
 def _nets(
     diagram: Diagram, place: dict[tuple[str | None, str], int]
 ) -> tuple[list[Net], list[tuple[str, Port | None]]]:
-    """What drives what: one net for each pin that drives anything."""
+    """Return a net for each pin that drives others, and each net's name and port."""
     given = {port.name: port for port in grouped(diagram.inputs.values())}
     sinks: dict[tuple[int, int], list[tuple[int, int]]] = {}
     about: dict[tuple[int, int], tuple[str, Port | None]] = {}
@@ -207,7 +207,7 @@ def _nets(
 
 
 def _frame(part: Part, diagram: Diagram, shown: Drawing, pins: Sequence[str]) -> BlockSymbol:
-    """An opened sub-diagram: a frame around its own drawing, with pins where its terminals stand."""
+    """Return the frame around an opened sub-diagram's drawing, with pins at its terminals."""
     name = shortened(part.name, 13.0, 300.0, True)
     header = HEADER
     width = float(round(max(shown.placed.width, text_width(name, 13.0, True) + 20.0)))
@@ -240,7 +240,7 @@ def _flips(
     parts: list[Part],
     place: dict[tuple[str | None, str], int],
 ) -> set[str]:
-    """The sums whose second input comes from above."""
+    """Return the sums whose second input comes from above."""
     fed = {sink: net.source for net in nets for sink in net.sinks}
     found = set()
     for part in parts:
@@ -279,7 +279,7 @@ def _written(drawing: Drawing) -> list[str]:
 
 
 def text_element(t: SymbolText) -> str:
-    """A text as SVG, as wide as it was measured whatever font there is."""
+    """Return a text as SVG, stretched to its measured width in any font."""
     style = f' class="{t.style}"' if t.style else ""
     left, _, right, _ = t.extent
     fit = f' textLength="{right - left:.1f}" lengthAdjust="spacingAndGlyphs"' if len(t.text) > 1 else ""
@@ -297,7 +297,7 @@ def _path(wire: list[Segment]) -> str:
 
 
 def _joined(wire: list[Segment]) -> list[Segment]:
-    """The pieces, with those that continue each other made one, without those of no length."""
+    """Return the pieces without empty ones, with adjoining pieces joined."""
     rows: dict[tuple[bool, float], list[tuple[float, float]]] = {}
     for x1, y1, x2, y2 in wire:
         if (x1, y1) != (x2, y2):

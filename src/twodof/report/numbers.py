@@ -35,7 +35,7 @@ def deviation(estimate: Uncertain, truth: float) -> str:
 
 
 def power_of_ten(value: float) -> str:
-    """A small number as `4.9·10⁻⁸`."""
+    """Return a small number as `4.9·10⁻⁸`."""
     if not math.isfinite(value) or value == 0.0:
         return plain(value)
     mantissa, _, exponent = f"{value:.1e}".partition("e")

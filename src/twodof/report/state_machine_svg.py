@@ -42,7 +42,7 @@ class ModeBox:
     head: float = 0.0  # of a frame: the height above its inner modes
 
     def end(self, number: int, leaves: bool) -> float:
-        """The height at which a transition ends here."""
+        """Return the height at which a transition ends here."""
         slot = self.leaving.index(number) if leaves else len(self.leaving) + self.arriving.index(number)
         return self.y + PAD + SLOT * (slot + 0.5)
 
@@ -73,7 +73,7 @@ class MachineDrawing:
 
 
 def machine_at(diagram: Diagram, path: str) -> StateMachine | None:
-    """The state machine at `path`, "part.machine"; None if there is none."""
+    """Return the state machine at `path`, "part.machine", or None."""
     above, _, name = path.rpartition(".")
     part = find(diagram, above).parts.get(name)
     return part.item if part is not None and isinstance(part.item, StateMachine) else None
@@ -110,7 +110,7 @@ def draw_machine(machine: StateMachine) -> MachineDrawing:
 
 
 def machine_svg(machine: StateMachine, name: str) -> str:
-    """The picture as text; the same machine gives the same bytes. Raises DiagramError as `draw_machine` does."""
+    """Return the picture as text; the same machine gives the same bytes. Raises DiagramError as `draw_machine` does."""
     drawing = draw_machine(machine)
     about = shortened((cleandoc(machine.__doc__ or "") if not machine.label else "").partition("\n")[0], 12.0, 700.0)
     head = 50.0 if about else 34.0
@@ -146,7 +146,7 @@ def _right(box: ModeBox) -> float:
 
 
 def _lanes(spans: list[tuple[float, float]]) -> list[int]:
-    """A lane for each transition: the short ones near, none over another."""
+    """Return a lane for each transition: short ones near, no two overlapping."""
     taken: list[list[tuple[float, float]]] = []
     found = [0] * len(spans)
     for k in sorted(range(len(spans)), key=lambda k: (abs(spans[k][0] - spans[k][1]), k)):
@@ -160,7 +160,7 @@ def _lanes(spans: list[tuple[float, float]]) -> list[int]:
 
 
 def _action_lines(machine: StateMachine, mode: Mode) -> list[str]:
-    """What a mode does, a value a line."""
+    """Return the actions of a mode, a line for each value."""
     lines = []
     for action in ACTIONS:
         given = machine.graph.action(mode.name, action)
@@ -169,7 +169,7 @@ def _action_lines(machine: StateMachine, mode: Mode) -> list[str]:
 
 
 def _label(order: int, guard: Expr, does: Mapping[str, Expr]) -> str:
-    """A transition's order among those of its mode, its guard, and what it does."""
+    """Return a transition's label: its order in its mode, guard and actions."""
     test = "always" if guard.op == "const" else machine_text(guard)
     doing = "; ".join(f"{name} = {machine_text(e)}" for name, e in does.items())
     return shortened(f"{order}: {test}" + (f" / {doing}" if doing else ""), SMALL, WIDEST)
@@ -202,12 +202,12 @@ def _box(box: ModeBox) -> list[str]:
 
 
 def _title(mode: Mode) -> str:
-    """The name of a mode; of one with history with an H, as is usual."""
+    """Return the name of a mode, with the usual H for history."""
     return f"{mode.name} (H)" if mode.history else mode.name
 
 
 def _start(box: ModeBox) -> list[str]:
-    """The dot and the arrow at the mode in which a machine, or an outer mode, starts."""
+    """Return the dot and arrow of the initial mode."""
     y, x = box.y + PAD + 7.0, box.x - 20.0
     return [
         f'<circle class="joint" cx="{x:g}" cy="{y:g}" r="4"/>',

@@ -61,7 +61,7 @@ class BlockSymbol:
 
 
 def terminal(name: str, side: str, remark: str) -> BlockSymbol:
-    """An input or output of the diagram."""
+    """Return the symbol of an input or output of the diagram."""
     label = shortened(name, NAME, MOST, True)
     small = shortened(remark, SMALL, MOST)
     inner = text_width(label, NAME, True) + (text_width(small, SMALL) + 6.0 if small else 0.0)
@@ -76,7 +76,7 @@ def terminal(name: str, side: str, remark: str) -> BlockSymbol:
 
 
 def symbol(part: Part, pins: Sequence[str], flip: bool = False) -> BlockSymbol:
-    """The drawing of a part with the inputs `pins`. `flip` lets the second input of a sum come from above."""
+    """Return the symbol of a part with the inputs `pins`. `flip` lets the second input of a sum come from above."""
     item = part.item
     if isinstance(item, Block):
         fields = any("." in name for name in pins)
@@ -88,7 +88,7 @@ def symbol(part: Part, pins: Sequence[str], flip: bool = False) -> BlockSymbol:
 
 
 def input_names(part: Part, diagram: Diagram) -> list[str]:
-    """The pins on a part's left side: its inputs, then what decides over it. `diagram` is the one around it.
+    """Return the pins on a part's left side: inputs, then conditions. `diagram` is the one around it.
 
     A bus is one pin, or one for each field that is connected by itself.
     """
@@ -103,7 +103,7 @@ def input_names(part: Part, diagram: Diagram) -> list[str]:
 
 
 def value_text(part: Part, block: Block, name: str) -> str:
-    """A parameter's default, or the name of the parameter to which it is bound."""
+    """Return a parameter's default, or the name of the parameter to which it is bound."""
     if name in part.params:
         return part.params[name]
     value = next(p.value for p in block.params if p.name == name)
@@ -119,7 +119,7 @@ def _number(value: Any) -> str:
 
 
 def _block(part: Part, block: Block, pins: Sequence[str]) -> BlockSymbol:
-    """A rectangle with name, type, parameters and named ports."""
+    """Return a rectangle with name, type, parameters and named ports."""
     kind = getattr(block, "label", "") or type(block).__name__
     lines = []
     if 0 < len(block.params) <= MANY_PARAMETERS:
@@ -200,7 +200,7 @@ def _rate(part: Part) -> list[str]:
 
 
 def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
-    """An empty symbol of this width with its name below; pins at half its height."""
+    """Return an empty symbol of this width with its name below and pins at half its height."""
     unit = _unit(block)
     label = part.name + (f" [{unit}]" if unit else "") + "".join(f" · {r}" for r in _rate(part))
     label = shortened(label, SMALL, MOST)
@@ -220,7 +220,7 @@ def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
 
 
 def wire_class(port: Port | None) -> str:
-    """The style of a wire that carries what `port` does."""
+    """Return the CSS classes of a wire that carries the signal of `port`."""
     if port is None:
         return "wire"
     if isinstance(port.kind, Bus):
@@ -266,13 +266,13 @@ def _sum(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
 
 
 def arrow(x: float, y: float, dx: int, dy: int) -> str:
-    """An arrow's head with its point at x, y that looks along (dx, dy)."""
+    """Return an arrow's head with its point at x, y that points along (dx, dy)."""
     a, b = (x - 7 * dx - 3.5 * dy, y - 7 * dy - 3.5 * dx), (x - 7 * dx + 3.5 * dy, y - 7 * dy + 3.5 * dx)
     return f'<path class="head" d="M{x:g} {y:g}L{a[0]:g} {a[1]:g}L{b[0]:g} {b[1]:g}Z"/>'
 
 
 def _special(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    """The field's symbol of a block; None where it has none, or the block does not fit into it."""
+    """Return the usual symbol of a block; None if it has none or does not fit."""
     kind = type(block).type_name
     if kind == "sum":
         return _sum(part, block, flip)
@@ -298,7 +298,7 @@ def _gain(part: Part, block: Any) -> BlockSymbol:
 
 
 def _framed(part: Part, block: Block, lines: Sequence[str], fraction: bool = False) -> BlockSymbol | None:
-    """A box with a formula: one line, or two, as a `fraction` or below each other."""
+    """Return a box with a formula of one line, or two, as a `fraction` or below each other."""
     inner = max(text_width(t, VALUE) for t in lines)
     if inner > MOST:
         return None
@@ -314,7 +314,7 @@ def _framed(part: Part, block: Block, lines: Sequence[str], fraction: bool = Fal
 
 
 def _boxed(part: Part, block: Block, width: float) -> tuple[BlockSymbol, float]:
-    """An empty box of this width with its name below, and where it begins."""
+    """Return an empty box of this width with its name below, and its left edge."""
     made = _labelled(part, block, width)
     left = 0.5 * (made.box.width - width)
     made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{HIGH:g}" rx="3"/>')
@@ -322,7 +322,7 @@ def _boxed(part: Part, block: Block, width: float) -> tuple[BlockSymbol, float]:
 
 
 def _graph(part: Part, block: Block, path: str) -> BlockSymbol:
-    """A box with a small graph on axes, and the limits, if it has two, below and above."""
+    """Return a box with a small graph on axes, and two limits below and above, if it has them."""
     limits = ("low", "high") if type(block).type_name in _LIMITED else ()
     texts = [shortened(value_text(part, block, name), SMALL, 60.0) for name in limits]
     inner = max((text_width(t, SMALL) for t in texts), default=0.0)

@@ -22,7 +22,7 @@ _KEY = {
 
 
 def to_html(content: Content) -> str:
-    """The whole page as text; the same content gives the same bytes."""
+    """Return the whole page as text; the same content gives the same bytes."""
     sections = [
         ("table-1", "Table 1", "".join(_table_section(content.subjects))),
         *_figure_sections(content.subjects),
@@ -72,7 +72,7 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
 
 
 def _table(heads: Sequence[str], body: str, style: str = "") -> str:
-    """A table with these heads, as wide as it needs to be; `style` is its class."""
+    """Return a table with these heads; `style` is its class."""
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     named = f' class="{style}"' if style else ""
     return f'<div class="scroll"><table{named}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'

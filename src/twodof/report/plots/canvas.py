@@ -28,14 +28,14 @@ STAND_IN: Colours = MappingProxyType({name: f"#0a0b{i:02x}" for i, name in enume
 
 
 def page(title: str, lead: str, main: str, findings: str = "") -> str:
-    """A page without script or network: the title as text, all else as HTML."""
+    """Return a page without script or network: the title as text, all else as HTML."""
     return fill(
         "page.html", title=escape(title), lead=lead, findings=findings, main=main, style=style() + text("style.css")
     )
 
 
 def on_paper() -> Colours:
-    """The light colours, for figures that stand alone."""
+    """Return the light colours, for figures that stand alone."""
     light = {name: shades.light for name, shades in design_colours().items()}
     return light | {"paper": light["truth"]}
 
@@ -75,7 +75,7 @@ def quiet(ax: Axes) -> None:
 
 
 def svg(canvas: Canvas, title: str) -> str:
-    """The canvas, drawn in `STAND_IN`, as an SVG element for inline use: same bytes for the same data."""
+    """Return the canvas, drawn in `STAND_IN`, as an SVG element for inline use: same bytes for the same data."""
     with matplotlib.rc_context({"svg.hashsalt": title}):
         out = io.StringIO()
         FigureCanvasSVG(canvas)

@@ -115,7 +115,7 @@ def _curve(
 
 
 def _figures(name: str, steps: Sequence[FlownStep]) -> str:
-    """The medians over a flight's steps, in a line."""
+    """Return the medians over a flight's steps, in a line."""
     rise, settling, over = (
         _median([getattr(step.figures, figure) for step in steps])
         for figure in ("rise_time", "settling_time", "overshoot")
@@ -136,7 +136,7 @@ def _said(value: float, unit: str) -> str:
 
 
 def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]:
-    """A table of all steps: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|, as text."""
+    """Return all steps as text: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|."""
     rows: list[tuple[str, ...]] = []
     for name, found in steps.items():
         for step in found:
