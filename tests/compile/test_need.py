@@ -8,9 +8,10 @@ import pytest
 
 from tests.compile.differential import Case, emitted, same
 from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, where
-from twodof.blocks.library import Trigonometry, ZeroOrderHold
+from twodof.blocks.library import Constant, Gain, Trigonometry, ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram
+from twodof.compile.c.emitter import emit
 from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
 
@@ -59,25 +60,19 @@ class FastChoice(Choice):
     crossing = True
 
 
-def selecting(form: int = 0) -> Diagram:
-    d = Diagram("selecting")
-    for name, kind in (("u", "real"), ("mode", "int32"), ("on", "bool")):
-        d.input(name, kind)
-    d.add("dear", Dear(), u="u")
-    d.add("choice", Choice(form), mode="mode", on="on", a="dear.a", b="dear.b")
-    d.output("y", "choice.y")
-    d.output("z", "choice.z")
-    return d
+def step_of(d: Diagram, **options: Any) -> str:
+    """Return the C of the step."""
+    source = emit([lower(d, DT, **options)])[0].source
+    return source[source.index(f"td_inline void {d.name}_advance(") :]
 
 
-def left_out(d: Diagram, **options: Any) -> set[str]:
-    """The blocks that do not run at every tick because nobody reads what they give."""
-    return {a.node.path for group in lower(d, DT, **options).tick if group.needs for a in group.actions}
+def within(step: str, call: str) -> bool:
+    """Return True if the call stands under a condition."""
+    (line,) = (line for line in step.splitlines() if call in line)
+    return line.startswith(" " * 8)
 
 
 def test_a_block_runs_only_where_the_selected_signal_needs_it() -> None:
-    d = selecting(form=2)
-    assert left_out(d) == set()  # a is read where `on` holds, b where it does not
     d = Diagram("d")
     for name, kind in (("u", "real"), ("mode", "int32"), ("on", "bool")):
         d.input(name, kind)
@@ -85,9 +80,30 @@ def test_a_block_runs_only_where_the_selected_signal_needs_it() -> None:
     d.add("dear", Dear(), u="before")
     d.add("choice", Choice(2), mode="mode", on="on", a="dear.a", b="u")
     d.output("y", "choice.y")
-    assert left_out(d) == {"before", "dear"}
-    assert left_out(d, log=["dear.b"]) == set()
-    assert left_out(d, log=["before.y"]) == {"dear"}
+    assert within(step_of(d), "td_sin(")
+    assert within(step_of(d), "td_atan(")
+    assert not within(step_of(d, log=["dear.b"]), "td_sin(")
+    step = step_of(d, log=["before.y"])
+    assert not within(step, "td_sin(")
+    assert within(step, "td_atan(")
+
+
+def test_a_cheap_block_in_between_does_not_hide_the_selection() -> None:
+    d = Diagram("d")
+    d.input("u")
+    d.input("on", "bool")
+    last = "u"
+    for k in range(8):
+        d.add(f"sine{k}", Trigonometry("sin"), u=last)
+        last = f"sine{k}"
+    d.add("gain", Gain(2.0), u=last)
+    d.add("choice", Choice(2), on="on", a="gain", b="u")
+    d.add("mode", Constant(4, "int32"))
+    d.connect("mode", "choice.mode")
+    d.output("y", "choice.y")
+    lines = [line for line in step_of(d).splitlines() if "td_sin(" in line]
+    assert lines
+    assert all(line.startswith(" " * 8) for line in lines)
 
 
 class Counter(Block):
@@ -190,13 +206,10 @@ def test_what_is_left_out_changes_no_bit(first: int, count: int) -> None:
     cases = [Case(random_selection(seed), [], rows(seed), {}) for seed in range(first, first + count)]
     programs = emitted(cases, precision, "rk4")  # all in one file: a compiler takes long to start
     backends = Native(None, "-O1").compile(programs)
-    chosen = 0
     for case, program, backend in zip(cases, programs, backends, strict=True):
-        chosen += len(left_out(case.diagram))
         ours = CompiledProgram(program, backend).machine()
         judge = Reference(case.diagram, DT, precision).machine()
         for k, row in enumerate(case.rows):
             wanted, found = judge.step(row), ours.step(row)
             for name, value in wanted.items():
                 assert same(np.atleast_1d(value), np.atleast_1d(found[name])).all(), (case.diagram.name, k, name)
-    assert chosen >= count / 2

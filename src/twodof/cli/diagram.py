@@ -170,7 +170,7 @@ def code(
         check_folder(path, force)
     shown = load_diagram(diagram)
     emitted = emit_program(shown, dt, precision.value)
-    found = source_map(emitted.flat, emitted.source, emitted.layout)
+    found = source_map(emitted)
     if block is not None and block not in found.blocks:
         raise unknown_name("block", block, sorted(found.blocks), shown.name)
     if out is not None:
@@ -198,8 +198,7 @@ def code(
 def _print_code(found: SourceMap, block: str | None) -> None:
     """Print path or role, line number and C in three columns, without helpers and structs."""
     console = table_console()
-    shared = f"{found.kinds[block]}." if block in found.kinds else "?"
-    chosen = (line for line in found.lines if not block or line.block == block or line.part.startswith(shared))
+    chosen = (line for line in found.lines if not block or line.block == block)
     lines = [line for line in chosen if block or _is_shown(line)]
     width = min(max((len(line.block or line.role) for line in lines), default=0), 44)
     before = ("", "")

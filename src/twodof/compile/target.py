@@ -8,18 +8,23 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.compile.c.functions import Mark
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import MemoryLayout
 
 
 @dataclass(frozen=True)
 class EmittedProgram:
-    """A program's C, and what it was made from. `source` may hold other programs too."""
+    """A program's C, and the flattened diagram that it was made from.
+
+    `source` may hold other programs too; `marks` has the block of each of its lines.
+    """
 
     flat: FlatProgram
     source: str
     layout: MemoryLayout
     precision: str
+    marks: Sequence[Mark] = ()
 
     @property
     def name(self) -> str:

@@ -110,10 +110,9 @@ def _told(error: TwodofError) -> dict[str, Any]:
 def code(text: str, precision: str) -> dict[str, Any]:
     """The C of a diagram at 250 Hz, line by line with the block that each belongs to."""
     emitted = emit_program(from_json(text), PERIOD, precision)
-    found = source_map(emitted.flat, emitted.source, emitted.layout)
+    found = source_map(emitted)
     return {
         "lines": [[line.text, line.block, line.part] for line in found.lines],
-        "kinds": found.kinds,
         "left_out": list(found.left_out),
     }
 

@@ -63,7 +63,7 @@ def test_each_mode_is_a_case_and_each_transition_an_if_in_its_order() -> None:
 
 def test_the_lines_of_a_machine_are_its_own() -> None:
     emitted = emit_program(door(), 0.01, "float64")
-    found = source_map(emitted.flat, emitted.source, emitted.layout)
+    found = source_map(emitted)
     ((first, last),) = found.of("door")["step"]
     lines = [line.text for line in found.lines[first - 1 : last]]
     assert lines[0].strip() == "/* door: Door */"

@@ -10,7 +10,8 @@ from tests.compile.random_diagrams import Maker
 from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.compile.builder import EmittedProgram, emit_program
-from twodof.compile.c_files.source_map import ROLES, SourceMap, source_map
+from twodof.compile.c.functions import COMMENTS
+from twodof.compile.c_files.source_map import SourceMap, source_map
 from twodof.compile.program.check import compiled
 from twodof.flight.core import core
 from twodof.rig.rig import rig
@@ -19,12 +20,12 @@ from twodof.sim.closed_loop import closed_loop
 pytestmark = pytest.mark.slow
 
 BODIES = ("step", "derivative")
-STATED = {*ROLES.values(), "condition", "head", "one step", "unused argument"}
+STATED = {*COMMENTS, "condition", "head", "one step", "unused argument"}
 
 
 def mapped(diagram: Diagram, dt: float, precision: str = "float64") -> tuple[SourceMap, EmittedProgram]:
     emitted = emit_program(diagram, dt, precision)
-    return source_map(emitted.flat, emitted.source, emitted.layout), emitted
+    return source_map(emitted), emitted
 
 
 def conditional() -> Diagram:

@@ -8,12 +8,12 @@ between two values. Expressions have no effect, so both give the same bits.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
 from twodof.blocks.expressions.cost import CALL
-from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr
+from twodof.blocks.expressions.expr import LOOPS, Expr, node
 from twodof.blocks.expressions.graph import walk
 from twodof.blocks.expressions.kinds import FLOATS
 
@@ -37,15 +37,19 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """An `if`: the steps of each side, after which the values of all `chosen` are known."""
+    """An `if`: the steps of each side, after which the values of all `chosen` are known, by their `choices`."""
 
     condition: Expr
     chosen: tuple[Expr, ...]
+    choices: tuple[Choice, ...]
     then: tuple[Step, ...]
     otherwise: tuple[Step, ...]
 
 
 Step = Expr | Branch
+Conditions = frozenset[tuple[int, bool]]
+NO_CONDITIONS: Conditions = frozenset()
+MOST_CONDITIONS = 8  # that are followed for one value
 Arguments = Callable[[Expr], Sequence[Expr]]
 
 
@@ -82,12 +86,23 @@ def _common(a: _Place | None, b: _Place | None) -> _Place | None:
     return a
 
 
-def steps(order: Sequence[Expr], args: Arguments, always: Iterable[Expr], in_loop: bool) -> Sequence[Step]:
-    """The nodes `order`, arguments before their users, as steps. Those `always` are computed in any case."""
+def steps(
+    order: Sequence[Expr],
+    args: Arguments,
+    always: Iterable[Expr],
+    hand: Container[int],
+    optional: Container[int],
+    in_loop: bool,
+) -> Sequence[Step]:
+    """Return the nodes `order`, arguments before their users, as steps.
+
+    Those `always` are computed in any case; those whose identity is in `hand` are there and cost nothing. The signals
+    `optional` may be 0 where a condition keeps all others from reading them.
+    """
     if not any(item.op in ("where", "and", "or") for item in order):
         return order
-    plan = _Plan([item for item in order if item.op not in LEAVES], args, always, in_loop)
-    at_hand = [item for item in order if item.op in LEAVES]
+    plan = _Plan([item for item in order if id(item) not in hand], args, always, hand, optional, in_loop)
+    at_hand = [item for item in order if id(item) in hand]
     for _ in range(MOST_ROUNDS):
         if not plan.worth:
             return order
@@ -103,8 +118,17 @@ def steps(order: Sequence[Expr], args: Arguments, always: Iterable[Expr], in_loo
 class _Plan:
     """Which node is computed where, and in which order."""
 
-    def __init__(self, order: Sequence[Expr], args: Arguments, always: Iterable[Expr], in_loop: bool) -> None:
+    def __init__(
+        self,
+        order: Sequence[Expr],
+        args: Arguments,
+        always: Iterable[Expr],
+        hand: Container[int],
+        optional: Container[int],
+        in_loop: bool,
+    ) -> None:
         self.order = order
+        self.hand = hand
         self.args: dict[int, tuple[Expr, ...]] = {}
         self.decisions: dict[int, Choice] = {}
         self.known: set[int] = set()  # what is at hand
@@ -116,18 +140,61 @@ class _Plan:
             found = decision(item, below) if below else None
             if found is not None:
                 self.decisions[id(item)] = found
-            self.args[id(item)] = tuple(a for a in below if a.op not in LEAVES)
+            self.args[id(item)] = tuple(a for a in below if id(a) not in hand)
             flags = (self.flags.get(id(a), a.kind not in FLOATS) for a in below)
             self.flags[id(item)] = item.kind not in FLOATS and item.width is None and all(flags)
         self.always = {id(item) for item in always}
         self.rank = {id(item): i for i, item in enumerate(order)}
+        self._kept: list[Expr] = []
         self.raised: set[int] = set()  # what two branches on one condition share: it is computed before both
         self.clashes: set[int] = set()
         self.clashing: set[int] = set()  # conditions of such branches
+        self._leave_out(optional)
         self.worth = {id(d.condition) for d in self.decisions.values()}
         self.outermost: dict[tuple[int, bool], _Place] = {}
         self._place()
         self.worth = self._worthwhile(in_loop)
+
+    def _leave_out(self, optional: Container[int]) -> None:
+        """Decide over signals that several branches read, all under one condition."""
+        needs: dict[int, Conditions] = dict.fromkeys(self.always, NO_CONDITIONS)
+        known = {id(item): item for item in self.order}
+        for item in reversed(self.order):
+            own = needs.get(id(item), NO_CONDITIONS)
+            found = self.decisions.get(id(item))
+            sides = {} if found is None else {id(found.then): True, id(found.otherwise): False}
+            for a in self.args[id(item)]:
+                here = own
+                if found is not None and a is not found.condition and len(own) < MOST_CONDITIONS and len(sides) == 2:
+                    here = own | self._meaning(found.condition, sides[id(a)])
+                needs[id(a)] = needs[id(a)] & here if id(a) in needs else here
+            before = [(self.rank[c], c, holds) for c, holds in own if c in known and self.rank[c] < self.rank[id(item)]]
+            if before and id(item) in optional and found is None:
+                _, condition, holds = min(before)
+                (root,) = self.args[id(item)] or (None,)
+                zero = node("const", item.kind, (), 0.0 if item.kind in FLOATS else item.kind != "bool" and 0)
+                if root is not None:
+                    self._kept.append(zero)
+                    choice = (root, zero) if holds else (zero, root)
+                    self.decisions[id(item)] = Choice(known[condition], *choice)
+
+    def _meaning(self, condition: Expr, holds: bool) -> Conditions:
+        """Return the conditions that must all hold, or not hold, for one."""
+        found: set[tuple[int, bool]] = set()
+        stack = [(condition, holds)]
+        while stack and len(found) < MOST_CONDITIONS:
+            item, wanted = stack.pop()
+            if item.op == "not":
+                stack.append((item.args[0], not wanted))
+                continue
+            if (id(item), wanted) in found:
+                continue
+            found.add((id(item), wanted))
+            if item.op == ("and" if wanted else "or") and item.kind == "bool":
+                stack += [(a, wanted) for a in item.args]
+            elif item.op == "input":
+                stack += [(a, wanted) for a in self.args.get(id(item), ())]
+        return frozenset(found)
 
     def _place(self) -> None:
         """Find of each node the innermost place in which all stand that read it."""
@@ -146,10 +213,10 @@ class _Plan:
         if found is None or id(found.condition) not in self.worth or not self._may_open(found.condition, own):
             yield from ((a, own) for a in self.args[id(item)])
             return
-        if found.condition.op not in LEAVES:
+        if id(found.condition) not in self.hand:
             yield found.condition, own
         for side, holds in ((found.then, True), (found.otherwise, False)):
-            if isinstance(side, Expr) and side.op not in LEAVES:
+            if isinstance(side, Expr) and id(side) in self.rank:
                 yield side, self._inside(own, found.condition, holds)
 
     def _may_open(self, condition: Expr, own: _Place | None) -> bool:
@@ -174,7 +241,7 @@ class _Plan:
         costs: dict[int, int] = {}
         self.costs: dict[int, int] = {}
         for item in self.order:
-            cost = 0 if id(item) in self.known else SLOW.get(item.op, 1)
+            cost = 0 if id(item) in self.known or item.op == "input" else SLOW.get(item.op, 1)
             if item.op in LOOPS and cost:
                 cost = item.data[0] * (1 + len(walk(item.bodies)))
             elif item.op == "vector" and cost:
@@ -214,7 +281,7 @@ class _Plan:
         if not self._may_open(found.condition, own):
             return None
         places = [
-            self.place[id(s)] for s in (found.then, found.otherwise) if isinstance(s, Expr) and s.op not in LEAVES
+            self.place[id(s)] for s in (found.then, found.otherwise) if isinstance(s, Expr) and id(s) in self.rank
         ]
         inside = [self._inside(own, found.condition, holds) for holds in (True, False)]
         return found.condition if any(p in inside for p in places) else None
@@ -259,7 +326,8 @@ class _Plan:
         self.done.update(map(id, chosen))
         lists = [self._level([n for n in nodes if self.place[id(n)] is side], side) for side in sides]
         chosen.sort(key=lambda item: self.rank[id(item)])
-        return (Branch(condition, tuple(chosen), tuple(lists[0]), tuple(lists[1])),)
+        choices = tuple(self.decisions[id(item)] for item in chosen)
+        return (Branch(condition, tuple(chosen), choices, tuple(lists[0]), tuple(lists[1])),)
 
     def _below(self, item: Expr, place: _Place | None, seen: set[int], strict: bool = False) -> dict[int, Expr] | None:
         """What must be computed inside a branch in `place` for a node; `strict`: None if more is missing before it."""

@@ -5,7 +5,7 @@ docs/explanation/language.md.
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from functools import cache
 
 from twodof.blocks.declarations import Port
@@ -13,19 +13,18 @@ from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
-from twodof.compile.c.ahead import AheadEmitter, foreseen
+from twodof.compile.c.expressions import Leaves, Renderer, Used
+from twodof.compile.c.functions import Function, Listing, Mark
 from twodof.compile.c.helpers import HELPERS
-from twodof.compile.c.names import STRAIGHT, CNames
-from twodof.compile.c.operators import ATOM
-from twodof.compile.c.shared import APART, SharedFunctions, SharingTick
-from twodof.compile.c.states.integration import IntegrationEmitter
-from twodof.compile.c.style import SCALAR, CStyle
-from twodof.compile.c.text.pieces import in_pieces
-from twodof.compile.c.text.unused import with_idle_parameters, without_unused
-from twodof.compile.c.tick import INTEGRATION, NEXT_TICK, RETURNED, Scope, TickEmitter, describe
-from twodof.compile.c.writer import CWriter
+from twodof.compile.c.integration import IntegrationEmitter
+from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c.pieces import APART, in_pieces
+from twodof.compile.c.scope import Scope
+from twodof.compile.c.statements import Assign, Call, Statement, Text, every
+from twodof.compile.c.step import StepEmitter
 from twodof.compile.c_files.interface import CInterface, comment, indented
-from twodof.compile.program.block_kinds import block_kinds
+from twodof.compile.program.derived import in_doubles
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram
@@ -62,51 +61,39 @@ MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual
 
 
 def emit(
-    programs: Sequence[FlatProgram],
-    precision: str = "float64",
-    lean: bool = False,
-    style: CStyle = SCALAR,
-    header: str = "",
+    programs: Sequence[FlatProgram], precision: str = "float64", lean: bool = False, header: str = ""
 ) -> list[EmittedProgram]:
-    """`programs`, whose names must differ, each with the one C file that has the functions of all.
+    """Return `programs`, whose names must differ, each with the one C file that has the functions of all.
 
     `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
-    compiler warns (-Wfloat-equal). `style` says whether a value is one instance's or several lanes'. A `header` is the
-    name of a file that has the `CInterface` of each program; by default the C file itself has it.
+    compiler warns (-Wfloat-equal). A `header` is the name of a file that has the `CInterface` of each program; by
+    default the C file itself has it.
     """
-    helpers: set[str] = set()
-    functions: set[str] = set()
-    layouts = [MemoryLayout(program, block_kinds(program) if style.shares else ()) for program in programs]
-    bodies = []
-    named = CNames({program.name for program in programs})
-    for program, layout in zip(programs, layouts, strict=True):
-        for k in layout.block_kinds:
-            k.prefix = named.new(k.prefix)
-        emitter = _Emitter(program, layout, precision, lean, style, not header)
-        bodies.append(emitter.text())
-        helpers |= emitter.helpers
-        functions |= emitter.functions
-    elementary, more = _elementary(functions, precision, lean, style)
-    prelude, needs = style.prelude("".join([*elementary, *bodies]))
-    helpers |= more | needs
+    emitters = [_Emitter(p, MemoryLayout(p), precision, lean, not header) for p in programs]
+    helpers = set[str]().union(*(e.scope.used.helpers for e in emitters))
+    elementary, more = _elementary(set[str]().union(*(e.scope.used.functions for e in emitters)), precision, lean)
+    helpers |= more
+    listing = Listing()
     parts = [
         f'#include "{header}"\n\n' if header else "",
         "#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n\n",
         GUARDS,
-        APART if any("td_apart" in body or "td_shared" in body for body in bodies) else "",
+        APART if any(e.apart for e in emitters) else "",
         f"\ntypedef {'float' if precision == 'float32' else 'double'} real;\n\n",
         *(f"{text}\n" for name, text in HELPERS[precision].items() if name in helpers),
-        prelude,
         INSTRUCTIONS_THERE if any("td_instructions" in text for text in elementary) else "",
         *elementary,
-        *bodies,
     ]
-    text = "".join(parts)
-    return [EmittedProgram(p, text, layout, precision) for p, layout in zip(programs, layouts, strict=True)]
+    listing.add("".join(parts))
+    for emitter in emitters:
+        listing.lines += emitter.listing.lines
+        listing.marks += emitter.listing.marks
+    text = listing.text()
+    return [EmittedProgram(e.program, text, e.layout, precision, listing.marks) for e in emitters]
 
 
-def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle) -> tuple[list[str], set[str]]:
-    """The definitions of the elementary functions `names` and of those they call, callees first; and their helpers."""
+def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[str], set[str]]:
+    """Return the definitions of the elementary functions `names` and of those they call, callees first; and helpers."""
     needed: dict[str, None] = {}
     stack = [(n, False) for n in sorted(names)]
     while stack:
@@ -115,16 +102,14 @@ def _elementary(names: Iterable[str], precision: str, lean: bool, style: CStyle)
             needed[name] = None
         elif name not in needed:
             stack.append((name, True))
-            stack += [(n, False) for n in sorted(_function(name, precision, lean, style)[1])]
-    helpers = frozenset[str]().union(*(_function(n, precision, lean, style)[2] for n in needed))
-    return [_function(n, precision, lean, style)[0] for n in needed], set(helpers)
+            stack += [(n, False) for n in sorted(_function(name, precision, lean)[1])]
+    helpers = frozenset[str]().union(*(_function(n, precision, lean)[2] for n in needed))
+    return [_function(n, precision, lean)[0] for n in needed], set(helpers)
 
 
 @cache
-def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str, frozenset[str], frozenset[str]]:
-    """An elementary function in C, the functions it calls, and its helpers; "sin_float32" is the sine of that kind."""
-    called, straight = name, name.startswith(STRAIGHT)
-    name = name.removeprefix(STRAIGHT)
+def _function(name: str, precision: str, lean: bool) -> tuple[str, frozenset[str], frozenset[str]]:
+    """Return an elementary function in C, what it calls, and its helpers; "sin_float32" is the sine of that kind."""
     own, _, last = name.rpartition("_")
     base, kind = (own, last) if last in FLOATS else (name, "real")
     precision = dtype_of(kind, precision).name
@@ -132,156 +117,122 @@ def _function(name: str, precision: str, lean: bool, style: CStyle) -> tuple[str
     with tracing(name):
         recorded = DEFINITIONS[base][precision](*(leaf("input", a, "real") for a in arguments))
         (result,) = of_kinds([recorded], {"real": kind})
-    style = style.straight if straight else style.inner
-    writer, real = style.writer(lean=lean), style.types[kind]
-    renderer = style.renderer(writer, CNames({*arguments, "td"}), precision, lambda e: (e.data, ATOM), "td")
-    writer.line(f"return {renderer.text(result)};")
-    head = f"{style.function} {real} td_{called}({', '.join(f'{real} {a}' for a in arguments)})\n{{\n"
-    body = "\n".join(writer.lines) + "\n"
-    if base in INSTRUCTIONS and (style is SCALAR or straight) and not lean:
+    used, real = Used(), C_TYPES[kind]
+    leaves = Leaves(lambda e: Text(e.data, reads=frozenset((e.data,))), stem="t")
+    renderer = Renderer(CNames({*arguments, "td"}), precision, lean, used, leaves)
+    value = renderer.text(result)
+    body = [*renderer.out, Call(f"return {value.text};", reads=value.reads)]
+    listing = Listing()
+    listing.function(Function(f"static {real}", f"td_{name}", tuple(f"{real} {a}" for a in arguments), body, ""))
+    text = listing.text()
+    if base in INSTRUCTIONS and not lean:
         builtin = f"__builtin_{base}{'f' if precision == 'float32' else ''}({', '.join(arguments)})"
-        body = f"#if defined(td_instructions)\n    return {builtin};\n#else\n{body}#endif\n"
-    text = f"{head}{body}}}\n\n"
-    return text, frozenset(writer.functions), frozenset(writer.helpers)
+        head, _, rest = text.partition("{\n")
+        rest = rest.removesuffix("}\n\n")
+        text = f"{head}{{\n#if defined(td_instructions)\n    return {builtin};\n#else\n{rest}#endif\n}}\n\n"
+    return text, frozenset(used.functions), frozenset(used.helpers)
 
 
 class _Emitter:
     """One program's C."""
 
-    def __init__(
-        self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool, style: CStyle, whole: bool
-    ) -> None:
+    def __init__(self, program: FlatProgram, layout: MemoryLayout, precision: str, lean: bool, whole: bool) -> None:
         self.program = program
         self.layout = layout
         self.precision = precision
         self.lean = lean
-        self.prefix = program.name
-        self.whole = whole
-        self.scope = Scope(program, layout, precision, style)
-        self.helpers: set[str] = set()
-        self.functions: set[str] = set()
-        self.shared = SharedFunctions(self.scope, lean, self._written)
-        self.copied = {n.parameters[name] for k in layout.block_kinds for n in k.kind.nodes for name in k.kind.own}
-        self.continuous = sum(m.width or 1 for m in layout.x.members)
-        known = [] if lean else foreseen(self.scope)
-        self.ahead = AheadEmitter(self.scope, known, program.name) if known else None
-
-    def text(self) -> str:
-        """Structs, functions and tables."""
-        p = self.prefix
-        stage = IntegrationEmitter(self.scope, p) if self.program.integrated else None
-        functions = [self._written(write) for write in (self._defaults, self._prepare, self._init)]
+        self.prefix = p = program.name
+        self.scope = Scope(program, layout, precision, lean)
+        self.listing = Listing()
+        self.apart = False
+        stage = IntegrationEmitter(self.scope) if program.integrated else None
+        moving = [stage.derivative(), *stage.integrate()] if stage else []
+        step = self._step(stage)
+        remark = f" {comment(program.text)}" if program.text else ""
+        self.listing.add(f"/* {p}: one step is {program.dt:.9g} s.{remark} */")
+        if whole:
+            CInterface(program, layout, not lean, not lean).list(self.listing)
         if stage:
-            functions += [self._written(stage.derivative), self._written(stage.integrate)]
-        if self.ahead:
-            functions += [self.ahead.struct(), self._written(self.ahead.look)]
-        functions.append(self._written(lambda writer: self._step(writer, stage)))
-        if not self.lean:
-            functions.append(self._step_and_run())
-        remark = f" {comment(self.program.text)}" if self.program.text else ""
-        parts = [f"/* {p}: one step is {self.program.dt:.9g} s.{remark} */\n"]
-        if self.whole:
-            parts.append(self._interface().text())
-        if stage:
-            parts.append(
-                f"typedef struct {{ /* what does not change inside a step */\n"
-                f"{indented(stage.declarations())}}} {p}_Held;\n\n"
-            )
-        return "".join(parts + self.shared.texts + functions) + ("" if self.lean else self._tables() + self._sizes())
+            declared = indented(stage.declarations())
+            text = f"typedef struct {{ /* what does not change inside a step */\n{declared}}} {p}_Held;\n\n"
+            self.listing.add(text, Mark("Held", "", "declaration"))
+        self._list(self._defaults(), "default parameters")
+        self._list(self._prepare(), "derived parameters")
+        self._list(self._init(), "initial states")
+        for function in moving:
+            self._list(function, "integration")
+        self._list(step, "one step")
+        if not lean:
+            self.listing.add(self._step_and_run(), Mark("run", "", "many steps"))
+            self.listing.add(self._tables() + self._sizes())
 
-    def _written(self, write: Callable[[CWriter], None]) -> str:
-        writer = self.scope.style.writer(lean=self.lean)
-        write(writer)
-        text, gone = without_unused("\n".join(writer.lines) + "\n")
-        handed = 0
-        if not self.program.edged:  # whose times stand in variables of a kind that cannot be handed on
-            text, handed = in_pieces(text)
-        if (writer.elements + handed + 6 * self.continuous) * self.scope.style.copies > MOST_ON_STACK:
+    def _list(self, function: Function, role: str) -> None:
+        elements = sum(s.size or 0 for s in every(function.body) if isinstance(s, Assign))
+        # With edges, times stand in variables that cannot be handed on.
+        struct, functions, handed = ("", [function], 0) if self.program.edged else in_pieces(function)
+        self.apart |= len(functions) > 1
+        if elements + handed + 6 * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
             raise DiagramError(
                 f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
                 self.prefix,
                 "make them shorter, or states, which do not stand on the stack",
             )
-        self.helpers |= writer.helpers - gone
-        self.functions |= {name for name in writer.functions if f"td_{name}" not in gone}
-        return with_idle_parameters(text)
+        self.listing.add(struct, Mark("Work", "", "declaration"))
+        for each in functions:
+            self.listing.function(each, role)
 
-    def _interface(self) -> CInterface:
-        style = self.scope.style
-        return CInterface(self.program, self.layout, not self.lean, style.tables and not self.lean, style.types)
+    def _defaults(self) -> Function:
+        body: list[Statement] = []
+        owners = {q: n for n in self.program.nodes for q in n.parameters.values() if q.path.startswith(f"{n.path}.")}
+        for parameter, member in self.layout.parameters.items():
+            d = parameter.declared
+            body += self.scope.fill(f"p->{member.name}", _listed(d.value), d, owners.get(parameter))
+        return Function("void", f"{self.prefix}_defaults", (f"{self.prefix}_P *p",), body, "defaults")
 
-    def _defaults(self, writer: CWriter) -> None:
-        with writer.function(f"void {self.prefix}_defaults({self.prefix}_P *p)"):
-            for parameter, member in self.layout.parameters.items():
-                if parameter not in self.copied:
-                    d = parameter.declared
-                    self.scope.fill(writer, f"p->{member.name}", _listed(d.value), d)
-            self.shared.defaults(writer)
-
-    def _prepare(self, writer: CWriter) -> None:
+    def _prepare(self) -> Function:
         names = self.scope.names("p")
-        with writer.function(f"void {self.prefix}_prepare({self.prefix}_P *p)"):
-            for node in self.program.nodes:
-                if not node.block.derived or node in self.layout.of:
-                    continue
-                writer.line(describe(node))
-                self.scope.prepare(writer, names, node)
-            self.shared.prepare(writer)
+        text = self.scope.leaf(lambda s: s.path, lambda node, name: name)
+        renderer = self.scope.renderer(names, Leaves(text, owner=self.scope.graph.owner))
+        for node in self.program.nodes:
+            exprs = in_doubles(node.trace.prepare) if self.precision == "float32" else node.trace.prepare
+            renderer.owner = node
+            renderer.assign([(self.scope.given(node, n), self.scope.graph.of(node, e)) for n, e in exprs.items()])
+        return Function("void", f"{self.prefix}_prepare", (f"{self.prefix}_P *p",), renderer.out, "prepare")
 
-    def _init(self, writer: CWriter) -> None:
-        with writer.function(f"void {self.prefix}_init(const {self.prefix}_P *p, {self.prefix}_S *s)"):
-            writer.line("(void)memset(s, 0, sizeof *s);")
-            for node in self.program.nodes:
-                if node in self.layout.of:
-                    continue
-                if node.block.states:
-                    writer.line(describe(node))
-                for state in node.block.states:
-                    self.scope.initial(writer, node, state, self.scope.state(node, state))
-            self.shared.init(writer)
-            for signal, member in self.layout.stored.items():
-                if signal.initial is not None:
-                    writer.line(f"/* {signal.path} */")
-                    declared = Port("held", signal.kind, signal.width)
-                    self.scope.fill(writer, f"s->{member.name}", signal.initial, declared)
-
-    def _step(self, writer: CWriter, stage: IntegrationEmitter | None) -> None:
-        names = self.scope.names("p", "s", "u", "y", "ahead")
-        copies = bool(self.layout.block_kinds)
-        tick = SharingTick(self.scope, writer, names, self.shared) if copies else TickEmitter(self.scope, writer, names)
-        head = f"void {self.prefix}_step" if self.lean else f"td_inline void {self.prefix}_advance"
-        arguments = self._arguments()
-        if self.ahead:
-            arguments += f", {self.ahead.argument}"
-            for f in self.ahead.found:
-                tick.stored.setdefault(f.node, {})[f.value] = f.text
-        with writer.function(f"{head}({arguments})"):
-            tick.due()
-            tick.outputs()
-            if self.program.outputs:
-                writer.line(RETURNED)
-                tick.returned()
-            if stage:
-                writer.line(INTEGRATION)
-                stage.within_step(tick)
-            tick.updates()
-            if stage:
-                stage.commit(tick)
-            else:
-                writer.line(NEXT_TICK)
-            writer.line("s->tick += 1u;")
-            tick.write_due()
-
-    def _arguments(self) -> str:
+    def _init(self) -> Function:
+        body: list[Statement] = [Call("(void)memset(s, 0, sizeof *s);", reads=frozenset(("s",)))]
+        for node in self.program.nodes:
+            body += self.scope.initial(node, zeroed=True)
+        for signal, member in self.layout.stored.items():
+            if signal.initial is not None:
+                declared = Port("held", signal.kind, signal.width)
+                body += self.scope.fill(f"s->{member.name}", signal.initial, declared, signal.node, zeroed=True)
         p = self.prefix
-        return f"const {p}_P *restrict p, {p}_S *restrict s, const {p}_U *restrict u, {p}_Y *restrict y"
+        return Function("void", f"{p}_init", (f"const {p}_P *p", f"{p}_S *s"), body, "init")
+
+    def _step(self, stage: IntegrationEmitter | None) -> Function:
+        step = StepEmitter(self.scope, self.scope.names("p", "s", "u", "y", "ahead"))
+        step.outputs()
+        step.returned()
+        if stage:
+            stage.within_step(step)
+        step.updates()
+        if stage:
+            stage.commit(step)
+        out = step.renderer.out
+        out.append(Call("s->tick += 1u;", role="next tick", reads=frozenset(("s",))))
+        name = f"{self.prefix}_step" if self.lean else f"{self.prefix}_advance"
+        result = "void" if self.lean else "td_inline void"
+        return Function(result, name, self._parameters(), [*step.due(), *out], "step")
+
+    def _parameters(self) -> tuple[str, ...]:
+        p = self.prefix
+        return f"const {p}_P *restrict p", f"{p}_S *restrict s", f"const {p}_U *restrict u", f"{p}_Y *restrict y"
 
     def _step_and_run(self) -> str:
-        """What calls `advance`, which is one step. Its machine code stands in one of the two, in place."""
-        p, one = self.prefix, self._arguments()
+        """Return what calls `advance`, which is one step. Its machine code stands in one of the two, in place."""
+        p, one = self.prefix, ", ".join(self._parameters())
         strided = one.replace(" u,", " u, size_t u_stride,") + ", size_t y_stride, size_t n"
-        if self.ahead:
-            return self.ahead.step_and_run(one, strided)
         run = f"""void {p}_run({strided})
 {{
     for (size_t k = 0; k < n; k++) {{
@@ -307,8 +258,6 @@ void {p}_step({one})
 """
 
     def _tables(self) -> str:
-        if not self.scope.style.tables:
-            return ""
         p, layout = self.prefix, self.layout
         bounds = {m.name: (q.declared.low, q.declared.high) for q, m in layout.parameters.items()}
 
@@ -322,10 +271,10 @@ void {p}_step({one})
                 f"(uint32_t)offsetof({p}_{struct}, {place}), {bound(low)}, {bound(high)}}},"
             )
 
-        states = [("S", m, m.name) for m in layout.members("S") if m.path and m.remark != "work"]
+        states = [("S", m, m.name) for m in layout.s.members if m.path and m.remark != "work"]
         states += [("S", m, f"x.{m.name}") for m in layout.x.members]
         signals = [("U", m, m.name) for m in layout.u.members] + [("Y", m, m.name) for m in layout.y.members] + states
-        parameters = [("P", m, m.name) for m in layout.members("P")]
+        parameters = [("P", m, m.name) for m in layout.p.members]
         none = "{0, 0, 0, 0, 0u, 0u, 0.0, 0.0},"
         text = ""
         for name, rows in (("parameters", parameters), ("signals", signals)):

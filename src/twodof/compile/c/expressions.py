@@ -1,8 +1,7 @@
-"""Expressions as C99: one `Renderer` for one block in one C scope."""
+"""Renderer: expressions as statements of one C function."""
 
 import math
-import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,54 +9,62 @@ from typing import Any
 import numpy as np
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
-from twodof.blocks.expressions.graph import ordered, unchanging, walk
+from twodof.blocks.expressions.graph import KEPT, ordered
 from twodof.blocks.expressions.kinds import FLOATS, INTEGERS, dtype_of
 from twodof.blocks.expressions.numbers import Integer
+from twodof.compile.c.branches import Branch as Decided
+from twodof.compile.c.branches import Choice, Step, steps
 from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, Operator, row
-from twodof.compile.c.writer import CWriter
+from twodof.compile.c.statements import EMPTY, NOTHING, Assign, Branch, Copy, Loop, Names, Statement, Text, name_of
+from twodof.compile.program.flat_program import FlatSignal, Node
 
-_CALL = re.compile(r"\w+\(.*\)")  # or what looks like it, which does no harm
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
 
-NOBODY = 0  # no node's identity
-
-Text = tuple[str, int]
-
 
 def constant(value: Any, kind: str, precision: str) -> Text:
-    """A C literal of the final type, real numbers in hexadecimal with their decimal value beside."""
+    """Return a C literal of the final type; a real number is decimal if that reads back to the same bits."""
     value = value.value if isinstance(value, Integer) else value
     if kind == "bool":
-        return ("true" if value else "false"), ATOM
+        return Text("true" if value else "false")
     if kind == "int32":
         if value == -(2**31):
-            return "INT32_MIN", ATOM
-        return str(value), ATOM if value >= 0 else SIGNED
+            return Text("INT32_MIN")
+        return Text(str(value), ATOM if value >= 0 else SIGNED)
     if kind == "uint32":
-        return f"{value}u", ATOM
+        return Text(f"{value}u")
     if kind in INTEGERS:
-        return f"{value}", ATOM if value >= 0 else SIGNED
-    precision = dtype_of(kind, precision).name
+        return Text(f"{value}", ATOM if value >= 0 else SIGNED)
+    return _real(value, dtype_of(kind, precision).name)
+
+
+def _real(value: float, precision: str) -> Text:
+    single = precision == "float32"
+    suffix = "f" if single else ""
     with np.errstate(over="ignore"):
-        rounded = float(np.float32(value)) if precision == "float32" else float(value)
-    suffix = "f" if precision == "float32" else ""
-    if math.isnan(rounded):
-        return f'__builtin_nan{suffix}("")', ATOM
+        rounded: Any = np.float32(value) if single else np.float64(value)
+    if np.isnan(rounded):
+        return Text(f'__builtin_nan{suffix}("")')
     sign, binding = ("-", SIGNED) if math.copysign(1.0, rounded) < 0 else ("", ATOM)
-    if math.isinf(rounded):
-        return f"{sign}__builtin_inf{suffix}()", binding
-    digits, _, exponent = abs(rounded).hex().partition("p")
+    if np.isinf(rounded):
+        return Text(f"{sign}__builtin_inf{suffix}()", binding)
+    size = abs(rounded)
+    decimal = str(size)
+    normal = size == 0 or size >= np.finfo(precision).smallest_normal
+    # A compiler may read a float as a double first.
+    exact = normal and (not single or np.float32(float(decimal)) == size)
+    if exact:
+        return Text(f"{sign}{decimal}{suffix}", binding)
+    digits, _, exponent = float(size).hex().partition("p")
     mantissa = digits.rstrip("0").rstrip(".") if "." in digits else digits
-    mantissa = "0x0" if mantissa == "0x" else mantissa
-    return f"{sign}{mantissa}p{exponent}{suffix} /* {rounded:.9g} */", binding
+    return Text(f"{sign}{mantissa}p{exponent}{suffix}", binding)
 
 
 def _paren(item: Text, loosest: int) -> str:
-    return item[0] if item[1] <= loosest else f"({item[0]})"
+    return item.text if item.binding <= loosest else f"({item.text})"
 
 
 def _loop_key(item: Expr) -> tuple[Any, ...]:
@@ -66,7 +73,7 @@ def _loop_key(item: Expr) -> tuple[Any, ...]:
 
 
 def _stores(array: Expr) -> int:
-    """How many stores in a row made `array`, counted to one more than MOST_CHOICES."""
+    """Return how many stores in a row made `array`, counted to one more than MOST_CHOICES."""
     found = 0
     while array.op == "store" and found <= MOST_CHOICES:
         array = array.args[0]
@@ -78,65 +85,73 @@ def _stores(array: Expr) -> int:
 class Batch:
     """Expressions that are written together, with the `texts` that are known so far.
 
-    `uses`: how often each node is read. `before`: what loops need before them. `always`: what is read later too.
-    `whole`: the roots that stand by themselves in what asked for them. `given`: the variable that a branch within
-    another one gives its value to.
+    `uses`: how often each node is read. `before`: nodes that loops need before them. `whole`: the roots that stand by
+    themselves in the statement that asked for them. `given`: the lvalue to which a branch gives a node's value.
     """
 
     uses: dict[int, int]
     before: set[int]
-    always: list[Expr]
     whole: set[int] = field(default_factory=set)
     texts: dict[int, Text] = field(default_factory=dict)
     given: dict[int, str] = field(default_factory=dict)
 
 
-class Renderer:
-    """Writes the expressions of one block into a C scope.
+@dataclass
+class Used:
+    """The helpers and elementary functions that a program's C calls."""
 
-    `leaf` gives the C text of an input, state, parameter, tick or dt; `known` that of whole expressions that
-    are already at hand; `stem` names temporaries.
+    helpers: set[str] = field(default_factory=set)
+    functions: set[str] = field(default_factory=set)
+
+
+@dataclass(frozen=True)
+class Leaves:
+    """Where a renderer finds values.
+
+    `text` gives the C of a leaf that is at hand. `driver` gives the expression of a signal that is computed where it is
+    first needed, or None; `place` the lvalue of such a signal, "" for a new variable; `shown` the signal that shows the
+    value of an expression, or None. `owner` is a node's block.
     """
 
-    types: Mapping[str, str] = C_TYPES
-    way = ""  # how the names of the elementary functions that it calls begin
-    operators: Mapping[str, Operator] = OPERATORS
-    kinds: Mapping[str, str] = {kind: kind for kind in C_TYPES}  # the kind whose functions and types each has
+    text: Callable[[Expr], Text]
+    driver: Callable[[Expr], Expr | None] = lambda item: None
+    place: Callable[[FlatSignal], str] = lambda signal: ""
+    shown: Callable[[Expr], Expr | None] = lambda item: None
+    owner: Callable[[Expr], Node | None] = lambda item: None
+    stem: str = "t"
 
-    def __init__(
-        self,
-        writer: CWriter,
-        names: CNames,
-        precision: str,
-        leaf: Callable[[Expr], Text],
-        stem: str,
-        known: Mapping[Expr, str] | None = None,
-    ) -> None:
-        self.writer = writer
+
+class Renderer:
+    """Writes expressions as statements into the list `out`."""
+
+    def __init__(self, names: CNames, precision: str, lean: bool, used: Used, leaves: Leaves) -> None:
         self.names = names
         self.precision = precision
-        self.leaf = leaf
-        self.stem = stem
+        self.lean = lean
+        self.used = used
+        self.leaves = leaves
+        self.out: list[Statement] = []
+        self.owner: Node | None = None  # of statements that belong to no expression
         self.named: dict[int, Text] = {}
-        self._turning: dict[int, int] = {}  # of what is named in loops: those on which it depends, see Expr.loops
-        self._undo: list[tuple[int, Text | None]] = []  # what the names were before the innermost loop
+        self._turning: dict[int, int] = {}  # of names in loops: the loops on which they depend, see Expr.loops
+        self._undo: list[tuple[int, Text | None]] = []  # what the names were before the innermost block
         self.bound: dict[tuple[int, int], Text] = {}
         self.limits: dict[tuple[int, int], int] = {}  # loop counters: one more than the largest value
         self.targets: dict[int, str] = {}
+        self._hints: dict[int, str] = {}  # names or places of signals for the expressions that give them
+        self._reserved: dict[FlatSignal, str] = {}
+        self._places: dict[int, str] = {}  # lvalues of signals that a branch may give
+        self._pointers: set[str] = set()
         self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
         self._resolved: dict[int, Expr] = {}
-        self._before: dict[int, list[Expr]] = {}  # of each loop: what it does not change
+        self._before: dict[int, list[Expr]] = {}  # of each loop: nodes that it does not change
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
-        self.learn(known or {})
-        self._later: dict[int, list[int]] = {}  # of expressions that are needed later, what there reads them
 
-    def learn(self, known: Mapping[Expr, str]) -> None:
-        """More expressions that are already at hand."""
-        for e, text in known.items():
-            self._name(e, self._local(text) if e.width is None else (text, ATOM))
+    def know(self, item: Expr, text: Text) -> None:
+        """Take a node's value as at hand."""
+        self._name(item, text)
 
     def _name(self, item: Expr, text: Text) -> Text:
-        """Remember the name under which a node's value is at hand."""
         self._undo.append((id(item), self.named.get(id(item))))
         self.named[id(item)] = text
         if item.loops:
@@ -144,57 +159,62 @@ class Renderer:
         self._kept.append(item)
         return text
 
-    def _local(self, name: str) -> Text:
-        """The text of a number that stands in a variable or a struct's member."""
-        return name, ATOM
+    @contextmanager
+    def within(self) -> Iterator[list[Statement]]:
+        """Collect statements in a list of their own; names that are declared inside are forgotten at the end."""
+        with self._scope(), self.collecting() as body:
+            yield body
 
-    def _stored(self, text: str, kind: str) -> str:
-        """A number's text as it is assigned."""
-        return text
+    @contextmanager
+    def collecting(self) -> Iterator[list[Statement]]:
+        """Collect statements in a list of their own."""
+        outer, self.out = self.out, []
+        yield self.out
+        self.out = outer
 
-    def expect(self, roots: Iterable[Expr]) -> None:
-        """Expressions that will be asked for later: what they share with others before them becomes a temporary."""
-        for root in roots:
-            self._later.setdefault(id(root), []).append(NOBODY)
-        for item in walk(roots):
-            self._kept.append(item)
-            for a in item.outside:
-                self._later.setdefault(id(a), []).append(id(item))
+    def texts(self, roots: Iterable[Expr]) -> list[Text]:
+        """Return the C texts of `roots`, after the statements that they need. An array's text is a name."""
+        self._resolved, self._before = {}, {}  # what was being made may be at hand now
+        return self._texts([self._shown(self._resolve(r)) for r in roots])
 
-    def prepare(self, roots: Iterable[Expr]) -> None:
-        """Write what several numbers that will be asked for one by one share, so that it is found once for all."""
-        numbers = [self._resolve(r) for r in roots if r.width is None]
-        if len(numbers) > 1:
-            self._texts(numbers)
+    def text(self, root: Expr) -> Text:
+        """Return the C text of one expression."""
+        return self.texts([root])[0]
 
-    def scalars(self, roots: Sequence[Expr]) -> list[Text]:
-        """The C texts of `roots`, after the lines that they need. An array's text is a name."""
-        resolved = [self._resolve(r) for r in roots]
-        texts = zip(resolved, self._texts(resolved), strict=True)
-        return [(self._stored(text, r.kind) if r.width is None else text, binding) for r, (text, binding) in texts]
+    def index(self, text: Text, root: Expr, width: int) -> Text:
+        """Return the C of an array index, clamped unless it cannot be outside."""
+        return Text(self._index(self._resolve(root), text, width), ATOM, text.reads)
 
-    def text(self, root: Expr) -> str:
-        """The C text of one expression."""
-        return self.scalars([root])[0][0]
+    def put(self, target: str, value: Text, more: Names = NOTHING, owner: Node | None = None) -> None:
+        """Add a statement that stores a value in an lvalue; `more` are variables that the lvalue reads."""
+        base = name_of(target)
+        reads = value.reads | more | ({base} if base in self._pointers else NOTHING)
+        self.out.append(Assign(target, value.text, owner=owner or self.owner, reads=reads))
 
-    def index(self, root: Expr, width: int) -> str:
-        """The C text of an array index, clamped unless it cannot be outside."""
-        resolved = self._resolve(root)
-        return self._index(resolved, self._texts([resolved])[0], width)
+    def copy(self, target: str, source: Text, width: int, kind: str, owner: Node | None = None) -> None:
+        """Add a statement that copies an array."""
+        base = name_of(target)
+        reads = source.reads | ({base} if base in self._pointers else NOTHING)
+        self.out.append(Copy(target, source.text, width, C_TYPES[kind], owner=owner or self.owner, reads=reads))
+
+    def declare(self, name: str, kind: str, value: Text = EMPTY, fixed: bool = False, width: int | None = None) -> None:
+        """Add the declaration of a variable, which does not change if it is `fixed`."""
+        declared = f"{'const ' if fixed else ''}{C_TYPES[kind]}"
+        self.out.append(Assign(name, value.text, declared, width, owner=self.owner, reads=value.reads))
 
     def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
-        """Lines that store each expression in its lvalue, which no expression may read."""
+        """Store each expression in its lvalue, which no expression may read."""
+        self._resolved, self._before = {}, {}
         roots = [self._resolve(e) for _, e in targets]
         for (target, _), root in zip(targets, roots, strict=True):
-            direct = root.op in ("vector", "build", "store") and not self.writer.masked
-            if direct and id(root) not in self.named:
+            if root.op in ("vector", "build", "store") and id(root) not in self.named:
                 self.targets.setdefault(id(root), target)
         texts = self._texts(roots)
-        for (target, _), root, (text, _) in zip(targets, roots, texts, strict=True):
+        for (target, _), root, text in zip(targets, roots, texts, strict=True):
             if root.width is None:
-                self.writer.assign(target, self._stored(text, root.kind), root.kind)
-            elif text != target:
-                self.writer.copy(target, text, root.width, root.kind)
+                self.put(target, text)
+            elif text.text != target:
+                self.copy(target, text, root.width, root.kind)
 
     def _texts(self, roots: Sequence[Expr]) -> list[Text]:
         order = ordered(roots, self._args)
@@ -202,46 +222,197 @@ class Renderer:
         for item in order:
             for a in self._args(item):
                 uses[id(a)] = uses.get(id(a), 0) + 1
-        batch = Batch(uses, {id(e) for item in order if item.op in LOOPS for e in self._unchanging(item)}, list(roots))
         for r in roots:
             uses[id(r)] = uses.get(id(r), 0) + 1
-        asked = {id(r) for r in roots}
-        for item in order:
-            more = [reader for reader in self._later.get(id(item), ()) if reader not in uses]
-            later = sum(1 for reader in more if reader != NOBODY or id(item) not in asked)
-            if later:
-                uses[id(item)] += later
-                batch.always.append(item)
+        before = {id(e) for item in order if item.op in LOOPS for e in self._unchanging(item)}
+        batch = Batch(uses, before, {id(r) for r in roots if uses[id(r)] == 1})
+        hand, optional = set(), set()
         for item in order:
             if item.op == "fold":
                 self._wanted.setdefault(_loop_key(item), set()).add(item.data[2])
-        batch.whole.update(id(r) for r in roots if uses[id(r)] == 1)
-        self._write(batch, order)
+            driver = self._driver(item)
+            if driver is not None:
+                self._hint(item.data, driver)
+                if item.width is None and not self.leaves.place(item.data):
+                    optional.add(id(item))
+            elif item.op in LEAVES or id(item) in self.named:
+                hand.add(id(item))
+        found = steps(order, self._args, roots, hand, optional, bool(self.bound))
+        self._count(batch, found)
+        self._steps(batch, found)
         return [batch.texts[id(r)] for r in roots]
 
-    def _write(self, batch: Batch, order: Sequence[Expr]) -> None:
-        """Find the texts of nodes, arguments before their users."""
-        for item in order:
-            self._step(batch, item)
+    def _driver(self, item: Expr) -> Expr | None:
+        """Return the expression of a signal that is not computed yet."""
+        if item.op != "input" or id(item) in self.named:
+            return None
+        driver = self.leaves.driver(item)
+        return None if driver is None else self._resolve(driver)
+
+    def _hint(self, signal: FlatSignal, root: Expr) -> None:
+        """Let an expression be computed where its signal stands."""
+        if root.op in LEAVES or any(id(root) in known for known in (self.named, self._hints, self.targets)):
+            return
+        place = self.leaves.place(signal)
+        if not place:
+            if signal not in self._reserved:
+                self._reserved[signal] = self._hints[id(root)] = self.names.new(signal.path)
+        elif root.width is not None and root.op in ("vector", "build", "store"):
+            self.targets[id(root)] = place
+        elif root.width is None:
+            self._places[id(root)] = place
+
+    def _count(self, batch: Batch, found: Iterable[Step]) -> None:
+        """Count a condition once for all values that one branch decides."""
+        for step in found:
+            if isinstance(step, Decided):
+                batch.uses[id(step.condition)] += 1 - sum(1 for item in step.chosen if item.op != "input")
+                self._count(batch, step.then)
+                self._count(batch, step.otherwise)
+
+    def _steps(self, batch: Batch, found: Iterable[Step]) -> None:
+        for step in found:
+            if isinstance(step, Decided):
+                self._branch(batch, step)
+            else:
+                self._step(batch, step)
 
     def _step(self, batch: Batch, item: Expr) -> None:
-        """Find a node's text, after the lines that it needs."""
+        """Find a node's text, after the statements that it needs."""
         if id(item) in self.named:
             batch.texts[id(item)] = self.named[id(item)]
             return
+        outer = self.owner
+        self.owner = self.leaves.owner(item) or outer
+        batch.texts[id(item)] = self._found(batch, item)
+        self.owner = outer
+
+    def _found(self, batch: Batch, item: Expr) -> Text:
+        driver = self._driver(item)
+        if driver is not None:
+            return self._signal(item, driver, batch.texts[id(driver)])
         args = [batch.texts[id(a)] for a in self._args(item)][: len(item.outside)]
-        made = self._statement(item, args) if item.op in ("vector", "build", "store", "fold") else None
-        if made is None:
-            made = self._expression(item, args)
-            trivial = item.op in LEAVES or (item.op == "select" and "(" not in made[0]) or self._counts(item)
-            shared = batch.uses[id(item)] > 1 or id(item) in batch.before
-            if not trivial and (shared or (len(made[0]) > WIDEST_LINE and id(item) not in batch.whole)):
-                name = self.names.numbered(f"{self.stem}_t")
-                self.writer.line(f"const {self.types[item.kind]} {name} = {self._stored(made[0], item.kind)};")
-                made = self._name(item, self._local(name))
+        if item.op in ("vector", "build", "store", "fold"):
+            return self._name(item, self._statement(item, args))
+        made = self._expression(item, args)
+        trivial = item.op in LEAVES or (item.op == "select" and "(" not in made.text) or self._counts(item)
+        shared = batch.uses[id(item)] > 1 or id(item) in batch.before
+        if trivial or not (shared or (len(made.text) > WIDEST_LINE and id(item) not in batch.whole)):
+            return made
+        return self._variable(item, made)
+
+    def _variable(self, item: Expr, value: Text) -> Text:
+        """Keep a number in a variable."""
+        name = self._hints.pop(id(item), "") or self._numbered()
+        self.declare(name, item.kind, value, fixed=True)
+        return self._name(item, Text(name, ATOM, frozenset((name,))))
+
+    def _numbered(self) -> str:
+        owner = self.owner.path if self.owner is not None else self.leaves.stem
+        return self.names.numbered(f"{owner}_t" if owner != "t" else owner)
+
+    def _signal(self, item: Expr, root: Expr, text: Text) -> Text:
+        """Store a signal's value where it stands, or in a variable of its own."""
+        signal: FlatSignal = item.data
+        place = self.leaves.place(signal)
+        if place:
+            if text.text != place:
+                if item.width is None:
+                    self.put(place, text)
+                else:
+                    self.copy(place, text, item.width, item.kind)
+            found = Text(place, ATOM, frozenset((name_of(place),)))
         else:
-            self._name(item, made)
-        batch.texts[id(item)] = made
+            name = self._reserved.get(signal, "")
+            if not name or (text.text != name and self._hints.pop(id(root), "") != name):
+                name = self.names.new(signal.path)
+            if text.text != name:
+                self._own_variable(name, item, root, text)
+            found = Text(name, ATOM, frozenset((name,)))
+        if root.op not in LEAVES and root.width is None:
+            self._name(root, found)
+        return self._name(item, found)
+
+    def _own_variable(self, name: str, item: Expr, root: Expr, text: Text) -> None:
+        """Declare a signal's variable; an array that does not change is pointed to."""
+        if item.width is None:
+            self.declare(name, item.kind, text, fixed=True)
+        elif root.op == "state":
+            self.declare(name, item.kind, width=item.width)
+            self.copy(name, text, item.width, item.kind)
+        else:
+            declared = f"const {C_TYPES[item.kind]} *const"
+            self.out.append(Assign(name, text.text, declared, owner=self.owner, reads=text.reads))
+
+    def _branch(self, batch: Batch, branch: Decided) -> None:
+        """Add an `if` that gives variables their values."""
+        decided = list(zip(branch.chosen, branch.choices, strict=True))
+        for choice in branch.choices:
+            for side in (choice.then, choice.otherwise):
+                if isinstance(side, Expr) and side.op == "const" and id(side) not in batch.texts:
+                    batch.texts[id(side)] = constant(side.data, side.kind, self.precision)
+        outer = self.owner
+        self.owner = self.leaves.owner(branch.chosen[0]) or outer
+        given = [batch.given.pop(id(item), "") or self._places.pop(id(item), "") for item, _ in decided]
+        names = [
+            place or self._variable_name(item, choice) for place, (item, choice) in zip(given, decided, strict=True)
+        ]
+        test = batch.texts[id(branch.condition)]
+        # Where one side gives only what is at hand, the variables have it before the `if`, which has no `else` then.
+        first = None
+        if not any(given):
+            if not branch.otherwise and not any(_loaded(d.otherwise) for _, d in decided):
+                first = False
+            elif not branch.then and not any(_loaded(d.then) for _, d in decided):
+                first = True
+        for (item, d), name, known in zip(decided, names, given, strict=True):
+            if not known:
+                value = Text("") if first is None else self._side_value(batch, d.then if first else d.otherwise)
+                self.declare(name, item.kind, value)
+        sides: list[list[Statement]] = [[], []]
+        if first is not True:
+            sides[0] = self._side(batch, branch.then, [(n, d.then) for n, (_, d) in zip(names, decided, strict=True)])
+        if first is not False:
+            rows = [(n, d.otherwise) for n, (_, d) in zip(names, decided, strict=True)]
+            sides[1] = self._side(batch, branch.otherwise, rows)
+        text = test.text
+        if first:
+            text, sides = (f"!{text}" if test.binding == ATOM else f"!({text})"), sides[::-1]
+        self.out.append(Branch(text, *sides, owner=self.owner, reads=test.reads))
+        self.owner = outer
+        for (item, _), name in zip(decided, names, strict=True):
+            batch.texts[id(item)] = self._name(item, Text(name, ATOM, frozenset((name_of(name),))))
+
+    def _variable_name(self, item: Expr, choice: Choice) -> str:
+        """Return the name of a variable to which a branch gives a node's value."""
+        if item.op != "input":
+            return self._hints.pop(id(item), "") or self._numbered()
+        for side in (choice.then, choice.otherwise):
+            name = self._hints.pop(id(side), "")
+            if name and name == self._reserved.get(item.data):
+                return name
+            if name:
+                self._hints[id(side)] = name
+        return self.names.new(item.data.path)
+
+    def _side_value(self, batch: Batch, side: Expr | bool) -> Text:
+        if isinstance(side, bool):
+            return Text("true" if side else "false")
+        return batch.texts[id(side)]
+
+    def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr | bool]]) -> list[Statement]:
+        """Return one side of a branch, which gives each variable its value."""
+        chosen = {id(item) for step in found if isinstance(step, Decided) for item in step.chosen}
+        for name, side in rows:
+            if isinstance(side, Expr) and id(side) in chosen and batch.uses[id(side)] == 1:
+                batch.given[id(side)] = name
+        with self.within() as body:
+            self._steps(batch, found)
+            for name, side in rows:
+                value = self._side_value(batch, side)
+                if value.text != name:
+                    self.put(name, value)
+        return body
 
     def _counts(self, item: Expr) -> bool:
         """Whether it is an index of loop counters: it stands where it is used, as by hand."""
@@ -250,35 +421,64 @@ class Renderer:
     def _args(self, item: Expr) -> tuple[Expr, ...]:
         if id(item) in self.named:
             return ()
+        driver = self._driver(item)
+        if driver is not None:
+            return (driver,)
         args = (*item.outside, *(self._unchanging(item) if item.op in LOOPS else ()))
-        return tuple(self._resolve(a) for a in args)
+        return tuple(self._shown(self._resolve(a)) for a in args)
+
+    def _shown(self, item: Expr) -> Expr:
+        """Return the signal that shows a value, so that all read the same; without one, the value."""
+        if id(item) in self.named or self.bound:
+            return item
+        signal = self.leaves.shown(item)
+        there = signal is not None and (id(signal) in self.named or self.leaves.driver(signal) is not None)
+        return signal if signal is not None and there else item
 
     def _unchanging(self, loop: Expr) -> list[Expr]:
-        """What is computed before a loop in this scope."""
+        """Return what is computed before a loop: arrays, loops and calls that it does not change, and signals."""
         if id(loop) in self.named:
             return []
         if id(loop) not in self._before:
-            self._before[id(loop)] = unchanging(loop, self._resolve, self._bodies)
+            self._before[id(loop)] = self._found_before(loop)
             self._kept.append(loop)
         return self._before[id(loop)]
 
+    def _found_before(self, loop: Expr) -> list[Expr]:
+        found: dict[int, Expr] = {}
+        stack = [(self._resolve(body), 1 << loop.data[1]) for body in self._bodies(loop)]
+        seen: set[tuple[int, int]] = set()
+        while stack:
+            item, around = stack.pop()
+            if (id(item), around) in seen:
+                continue
+            seen.add((id(item), around))
+            if (item.op in KEPT and not item.loops & around) or self._driver(item) is not None:
+                found[id(item)] = item
+                continue
+            if item.op in LOOPS:
+                stack.extend((self._resolve(body), around | 1 << item.data[1]) for body in self._bodies(item))
+            stack.extend((self._resolve(a), around) for a in item.outside)
+        return list(found.values())[::-1]
+
     def _bodies(self, loop: Expr) -> Sequence[Expr]:
-        """What a loop must evaluate for the one result that its node stands for."""
+        """Return what a loop must evaluate for the one result that its node stands for."""
         if loop.op == "build":
             return loop.bodies
         _, depth, which = loop.data
         return [loop.bodies[j] for j in self._carried(loop.bodies, depth, {which})]
 
     def _resolve(self, item: Expr) -> Expr:
-        """`item`, or for an element of an array that is just being made, that element."""
+        """Return `item`, or for an element of an array that is just being made, that element."""
         start = item
         found = self._resolved.get(id(start))
         if found is not None:
             return found
         while item.op == "select" and id(item) not in self.named:
             array, index = item.args
-            if array.op == "vector" and index.op == "const":
-                item = array.args[min(max(index.data, 0), len(array.args) - 1)]
+            made = self._made(array)
+            if made.op == "vector" and index.op == "const":
+                item = made.args[min(max(index.data, 0), len(made.args) - 1)]
             elif array.width is not None and array.width > SMALL_ARRAY and 0 < _stores(array) <= MOST_CHOICES:
                 base, where, value = array.args
                 same = self._keep("eq", "bool", (self._clamped(index, array.width), self._clamped(where, array.width)))
@@ -289,6 +489,15 @@ class Renderer:
         self._resolved[id(start)] = item
         self._kept.append(start)
         return item
+
+    def _made(self, array: Expr) -> Expr:
+        """Return the expression of an array that is still to be computed."""
+        while array.op == "input" and id(array) not in self.named:
+            driver = self.leaves.driver(array)
+            if driver is None:
+                break
+            array = driver
+        return array
 
     def _keep(self, op: str, kind: str, args: tuple[Expr, ...], data: Any = None) -> Expr:
         made = node(op, kind, args, data)
@@ -302,154 +511,152 @@ class Renderer:
         upper = self._keep("where", "int32", (self._keep("lt", "bool", (index, last)), index, last))
         return self._keep("where", "int32", (self._keep("lt", "bool", (upper, zero)), zero, upper))
 
-    def _use(self, helper: str) -> str:
-        self.writer.helpers.add(helper)
-        return helper
-
     def _index(self, index: Expr, text: Text, width: int) -> str:
         if index.op == "const":
             return str(min(max(index.data, 0), width - 1))
         span = index_range(index, self.limits)
         if span is not None and span[0] >= 0 and span[1] < width:
-            return text[0]
-        return f"{self._use('clamp_index')}({text[0]}, {width - 1})"
+            return text.text
+        return f"{self._use('clamp_index')}({text.text}, {width - 1})"
+
+    def _use(self, helper: str) -> str:
+        self.used.helpers.add(helper)
+        return helper
 
     def _expression(self, item: Expr, args: Sequence[Text]) -> Text:
-        if item.op in LEAVES:
-            return self._leaf(item)
-        if item.op == "select":
-            return self._element(item, args[0][0], args[1])
-        if item.op == "call":
-            kind = self.kinds[item.kind]
-            name = f"{self.way}{item.data}{'' if kind == 'real' else f'_{kind}'}"
-            self.writer.functions.add(name)
-            return f"td_{name}({', '.join(a for a, _ in args)})", ATOM
-        operand = self._resolve(item.args[0]).kind
-        return self._special(item, args, operand) or self._operation(row(item, operand), args)
-
-    def _leaf(self, item: Expr) -> Text:
         if item.op == "const":
             return constant(item.data, item.kind, self.precision)
-        return self.bound[item.data] if item.op == "bound" else self.leaf(item)
+        if item.op == "bound":
+            return self.bound[item.data]
+        if item.op in LEAVES:
+            return self.leaves.text(item)
+        reads = NOTHING.union(*(a.reads for a in args))
+        if item.op == "select":
+            return Text(self._element(item, args[0].text, args[1]), ATOM, reads)
+        if item.op == "call":
+            name = f"{item.data}{'' if item.kind == 'real' else f'_{item.kind}'}"
+            self.used.functions.add(name)
+            return Text(f"td_{name}({', '.join(a.text for a in args)})", ATOM, reads)
+        operand = self._resolve(item.args[0]).kind
+        text, binding = self._special(item, args, operand) or self._applied(OPERATORS[row(item, operand)], args)
+        return Text(text, binding, NOTHING if text in ("true", "false") else reads)
 
-    def _operation(self, name: str, args: Sequence[Text]) -> Text:
-        """What the operator of a row says."""
-        return self._applied(self.operators[name], args)
-
-    def _applied(self, operator: Operator, args: Sequence[Text]) -> Text:
+    def _applied(self, operator: Operator, args: Sequence[Text]) -> tuple[str, int]:
+        """Return what an operator's row says."""
         if operator.helper:
             self._use(operator.helper)
         operands = [_paren(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
         return operator.text.format(*operands, f="f" if self.precision == "float32" else ""), operator.binding
 
-    def _element(self, item: Expr, name: str, index: Text) -> Text:
-        """An array's element."""
-        array = self._resolve(item.args[0])
+    def _element(self, item: Expr, name: str, index: Text) -> str:
+        """Return an array's element."""
+        array = item.args[0]
         if array.width is None:
             raise ValueError("select on a scalar")
-        return f"{name}[{self._index(self._resolve(item.args[1]), index, array.width)}]", ATOM
+        return f"{name}[{self._index(self._resolve(item.args[1]), index, array.width)}]"
 
-    def _special(self, item: Expr, args: Sequence[Text], operand: str) -> Text | None:
-        """What is written in a simpler way than the operator's row, or in one without warnings."""
-        op, lean = item.op, self.writer.lean
+    def _special(self, item: Expr, args: Sequence[Text], operand: str) -> tuple[str, int] | None:
+        """Return what is simpler than the operator's row, or free of a compiler's warnings."""
+        op, kind = item.op, item.kind
+        same = len(args) > 1 and args[0].text == args[1].text  # one value, or one signal at two inputs
         if op in COMPARISONS:
-            same = args[0][0] == args[1][0]  # one value, or one signal at two inputs
             if same and operand not in FLOATS:  # compilers warn about these; a float may be NaN
                 return ("true" if op in ("le", "eq") else "false"), ATOM
-            if lean and op in ("eq", "ne") and operand in FLOATS:
-                equal = f"{self._use(f'{operand}_equal')}({args[0][0]}, {args[1][0]})"
+            if self.lean and op in ("eq", "ne") and operand in FLOATS:
+                equal = f"{self._use(f'{operand}_equal')}({args[0].text}, {args[1].text})"
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
-        elif op == "convert" and lean and operand not in FLOATS and _CALL.fullmatch(args[0][0]):
-            return f"{self._use(f'{operand}_to_{item.kind}')}({args[0][0]})", ATOM
-        elif op == "xor" and operand == "bool" and args[0][0] == args[1][0]:
+        elif op == "convert" and self.lean and operand not in FLOATS and item.args[0].op == "call":
+            return f"{self._use(f'{operand}_to_{kind}')}({args[0].text})", ATOM
+        elif op == "xor" and operand == "bool" and same:
             return "false", ATOM
         elif op in PLAIN and index_range(item, self.limits) is not None:
-            return self._operation(PLAIN[op], args)
-        elif item.kind == "uint32" and op == "abs":
-            return args[0]
-        elif item.kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
+            return self._applied(OPERATORS[PLAIN[op]], args)
+        elif kind == "uint32" and op == "abs":
+            return args[0].text, args[0].binding
+        elif kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
             second = self._resolve(item.args[1])
             if second.op == "const" and op in ("shl", "shr"):
                 return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {second.data & 31}", LOOSE
             if second.op == "const" and second.data:
-                return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1][0]}", LOOSE
+                return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1].text}", LOOSE
         return None
 
     def _statement(self, item: Expr, args: Sequence[Text]) -> Text:
-        """Write the lines that make an array or run a loop; the name of the result."""
+        """Add the statements that make an array or run a loop; return the name of the result."""
         if item.op == "fold":
             return self._fold(item, args)
-        target = self.targets.get(id(item))
-        ctype, width = self.types[item.kind], item.width
+        target, width = self.targets.get(id(item)), item.width
         if width is None:
             raise ValueError("an array without a width")
-        name = target or self.names.new(f"{self.stem}_array")
-        self.writer.elements += 0 if target else width
+        stem = self.owner.path if self.owner is not None else self.leaves.stem
+        name = target or self._hints.pop(id(item), "") or self.names.new(f"{stem}_array")
+        found = Text(name, ATOM, frozenset((name_of(name),)))
         if item.op == "vector":
-            elements = [self._stored(a, item.kind) for a, _ in args]
             if target is None:
-                self.writer.line(f"const {ctype} {name}[{width}] = {{{', '.join(elements)}}};")
-            else:
-                for i, a in enumerate(elements):
-                    self.writer.line(f"{name}[{i}] = {a};")
-            return name, ATOM
+                reads = NOTHING.union(*(a.reads for a in args))
+                self.declare(name, item.kind, Text(f"{{{', '.join(a.text for a in args)}}}", ATOM, reads), True, width)
+                return found
+            for i, a in enumerate(args):
+                self.put(f"{name}[{i}]", a)
+            return found
         if target is None:
-            self.writer.line(f"{ctype} {name}[{width}];")
+            self.declare(name, item.kind, width=width)
         if item.op == "store":
-            self.writer.copy(name, args[0][0], width, item.kind, target is None)
+            self.copy(name, args[0], width, item.kind)
             at = self._index(self._resolve(item.args[1]), args[1], width)
-            self.writer.put(name, at, self._stored(args[2][0], item.kind), item.kind, target is None)
-            return name, ATOM
+            self.put(f"{name}[{at}]", args[2], args[1].reads)
+            return found
         length, depth = item.data
         with self._loop(length, depth) as counter:
             body = self._resolve(item.bodies[0])
             if body.width is not None:
-                self._part(name, f"{counter} * {body.width}", body, target is None)
+                self._part(name, f"{counter} * {body.width}", body)
             else:
-                ((text, _),) = self._texts([body])
-                self.writer.line(f"{name}[{counter}] = {self._stored(text, item.kind)};")
-        return name, ATOM
+                (text,) = self._texts([body])
+                self.put(f"{name}[{counter}]", text)
+        return found
 
-    def _part(self, name: str, start: str, body: Expr, own: bool) -> None:
-        """Lines that store an array in the part of a longer one that begins at `start`."""
-        part = self.names.new(f"{self.stem}_part")
-        self.writer.line(f"{self.types[body.kind]} *const {part} = &{name}[{start}];")
+    def _part(self, name: str, start: str, body: Expr) -> None:
+        """Store an array in the part of a longer one that begins at `start`."""
+        part = self.names.new(f"{name}_part" if name.isidentifier() else "part")
+        self._pointers.add(part)
+        reads = frozenset((name_of(name),))
+        declared = f"{C_TYPES[body.kind]} *const"
+        self.out.append(Assign(part, f"&{name}[{start}]", declared, owner=self.owner, reads=reads))
         if body.op in ("vector", "build") and id(body) not in self.named:
             self.targets[id(body)] = part
-        ((text, _),) = self._texts([body])
-        if text != part:
-            self.writer.copy(part, text, body.width or 1, body.kind, own)
+        (text,) = self._texts([body])
+        if text.text != part:
+            self.copy(part, text, body.width or 1, body.kind)
         self.targets.pop(id(body), None)
 
     def _fold(self, item: Expr, args: Sequence[Text]) -> Text:
         length, depth, which = item.data
         bodies = item.bodies
         needed = self._carried(bodies, depth, {which} | self._wanted.get(_loop_key(item), set()))
-        names = {j: self.names.new(f"{self.stem}_sum") for j in needed}
+        stem = self.owner.path if self.owner is not None else self.leaves.stem
+        names = {j: self.names.new(f"{stem}_sum") for j in needed}
+        values = {j: Text(name, ATOM, frozenset((name,))) for j, name in names.items()}
         for j, name in names.items():
-            kind = bodies[j].kind
-            self.writer.line(f"{self.types[kind]} {name} = {self._stored(args[j][0], kind)};")
+            self.declare(name, bodies[j].kind, args[j])
         with self._loop(length, depth):
-            for j, name in names.items():
-                self.bound[depth, j + 1] = self._local(name)
+            for j, value in values.items():
+                self.bound[depth, j + 1] = value
             texts = self._texts([self._resolve(bodies[j]) for j in needed])
             if len(names) == 1:
-                (j,) = needed
-                self.writer.line(f"{names[j]} = {self._stored(texts[0][0], bodies[j].kind)};")
+                self.put(names[needed[0]], texts[0])
             else:
                 nexts = [self.names.new(f"{names[j]}_next") for j in needed]
-                for j, new, (text, _) in zip(needed, nexts, texts, strict=True):
-                    kind = bodies[j].kind
-                    self.writer.line(f"const {self.types[kind]} {new} = {self._stored(text, kind)};")
+                for j, new, text in zip(needed, nexts, texts, strict=True):
+                    self.declare(new, bodies[j].kind, text, fixed=True)
                 for j, new in zip(needed, nexts, strict=True):
-                    self.writer.line(f"{names[j]} = {new};")
-        for j, name in names.items():  # the loop's other results
-            twin = self._keep("fold", bodies[j].kind, item.args, (length, depth, j))
-            self._name(twin, self._local(name))
-        return self._local(names[which])
+                    self.put(names[j], Text(new, ATOM, frozenset((new,))))
+        for j, value in values.items():  # the loop's other results
+            self._name(self._keep("fold", bodies[j].kind, item.args, (length, depth, j)), value)
+        return values[which]
 
     def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
-        """The values that a fold must carry so that those `wanted` come out."""
+        """Return the values that a fold must carry so that those `wanted` come out."""
         found: set[int] = set()
         seen: set[int] = set()
         stack = list(wanted)
@@ -471,23 +678,22 @@ class Renderer:
 
     @contextmanager
     def _loop(self, length: int, depth: int) -> Iterator[str]:
-        """A C loop; inside, only those names are known that do not depend on a loop of this depth."""
+        """Add a loop; inside, only those names are known that do not depend on a loop of this depth."""
         counter = self.names.new("ijk"[depth] if depth < 3 else "i")
         outer = self.bound, self.limits, self._resolved, self._before
-        self.bound = {**self.bound, (depth, 0): (counter, ATOM)}
+        self.bound = {**self.bound, (depth, 0): Text(counter)}
         self.limits = {**self.limits, (depth, 0): length}
         self._resolved, self._before = {}, {}
         hidden = [key for key, loops in self._turning.items() if loops >> depth & 1]
-        with self._within(hidden), self.writer.block(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)"):
+        with self._scope(hidden), self.collecting() as body:
             yield counter
+        self.out.append(Loop(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)", body, owner=self.owner))
         self.names.taken.discard(counter)
         self.bound, self.limits, self._resolved, self._before = outer
 
     @contextmanager
-    def _within(self, hidden: Sequence[int] = ()) -> Iterator[None]:
-        """What is named inside is forgotten at the end, for it stands within brackets; the names `hidden` are not known
-        inside.
-        """
+    def _scope(self, hidden: Sequence[int] = ()) -> Iterator[None]:
+        """Forget at the end what is named inside, for it stands within brackets; do not know the names `hidden`."""
         outer = self._undo
         self._undo = [(key, self.named.pop(key)) for key in hidden if key in self.named]
         yield
@@ -498,3 +704,7 @@ class Renderer:
             else:
                 self.named[key] = text
         self._undo = outer
+
+
+def _loaded(side: Expr | bool) -> bool:
+    return isinstance(side, Expr) and side.op in ("input", "state", "param")

@@ -21,11 +21,8 @@ FOREIGN = """
 """
 KEYWORDS = frozenset((RESERVED + FOREIGN).split())
 # What the included headers and the emitted file itself define beside those: macros, types, helpers, a header's guard.
-DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|td_apart|td_shared|\w+_INCLUDED")
-STRAIGHT = "straight_"  # how the name begins of an elementary function without branches
-FUNCTIONS = HELPERS | {
-    f"td_{way}{name}{kind}" for way in ("", STRAIGHT) for name in ARGUMENTS for kind in ("", "_float32", "_float64")
-}
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|td_apart|\w+_INCLUDED")
+FUNCTIONS = HELPERS | {f"td_{name}{kind}" for name in ARGUMENTS for kind in ("", "_float32", "_float64")}
 
 
 @dataclass

@@ -1,7 +1,8 @@
 """What a program's C shows to its callers: the structs P, S, U and Y, prototypes, and what is in the tables."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
+from twodof.compile.c.functions import Listing, Mark
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatProgram
@@ -35,21 +36,24 @@ class CInterface:
         self.notes = notes
 
     def text(self) -> str:
-        """Constants of enumerations, structs, prototypes, and the declarations of the tables."""
+        """Return constants of enumerations, structs, prototypes, and the declarations of the tables."""
+        listing = Listing()
+        self.list(listing)
+        return listing.text()
+
+    def list(self, listing: Listing) -> None:
+        """Add the text to a listing, in which each member of a struct belongs to its block."""
         layout, moving = self.layout, bool(self.program.integrated)
-        structs = [
-            *self._copies(),
-            self._struct("P", "parameters; `prepare` computes the derived ones", layout.p.members),
-        ]
+        self._owners = owners(self.program, layout)
+        listing.add(self._enumerations())
+        self._struct(listing, "P", "parameters; `prepare` computes the derived ones", layout.p.members)
         if moving:
-            structs.append(self._struct("X", "continuous states", layout.x.members))
-        structs += [
-            self._struct("S", "discrete and continuous states, held signals", layout.s.members, moving),
-            self._struct("U", "inputs", layout.u.members),
-            self._struct("Y", "outputs and logged signals", layout.y.members),
-        ]
-        more = (self._tables() if self.tables else "") + (self._sizes() if self.run else "")
-        return self._enumerations() + "".join(structs) + self._prototypes() + more
+            self._struct(listing, "X", "continuous states", layout.x.members)
+        self._struct(listing, "S", "discrete and continuous states, held signals", layout.s.members, moving)
+        self._struct(listing, "U", "inputs", layout.u.members)
+        self._struct(listing, "Y", "outputs and logged signals", layout.y.members)
+        listing.add(self._prototypes())
+        listing.add((self._tables() if self.tables else "") + (self._sizes() if self.run else ""))
 
     def _enumerations(self) -> str:
         """The members of enumerations as constants, for programs around this one."""
@@ -63,23 +67,19 @@ class CInterface:
             lines.append(f"enum {{ {members} }};\n")
         return "".join([*lines, "\n"] if lines else [])
 
-    def _copies(self) -> Iterator[str]:
-        """The structs of one copy of each kind of block that exists many times."""
-        for k in self.layout.block_kinds:
-            for which, struct in k.structs():
-                lines = indented(m.declaration(self.types) + self._remark(which, m) for m in struct.members)
-                remark = f"of one of {len(k.kind.nodes)}: {k.kind.name}"
-                yield f"typedef struct {{ /* {remark} */\n{lines}}} {k.prefix}_{which};\n\n"
-
-    def _struct(self, name: str, remark: str, members: Sequence[Member], nested: bool = False) -> str:
-        lines = [m.declaration(self.types) + self._remark(name, m) for m in members]
-        for k in self.layout.block_kinds:
-            count = len(k.kind.nodes)
-            lines += [f"{k.prefix}_{name} {k.name}[{count}];" for which, _ in k.structs() if which == name]
-        if nested:
-            lines.append(f"{self.program.name}_X x;")
-        lines = lines or ["unsigned char none;"]
-        return f"typedef struct {{ /* {remark} */\n{indented(lines)}}} {self.program.name}_{name};\n\n"
+    def _struct(
+        self, listing: Listing, name: str, remark: str, members: Sequence[Member], nested: bool = False
+    ) -> None:
+        declaration = Mark(name, "", "declaration")
+        listing.add(f"typedef struct {{ /* {remark} */", declaration)
+        for m in members:
+            block = self._owners.get((name, m.name), "")
+            mark = Mark(name, block) if block else declaration
+            listing.add(indented([m.declaration(self.types) + self._remark(name, m)]), mark)
+        more = [f"{self.program.name}_X x;"] if nested else []
+        if not members and not more:
+            more = ["unsigned char none;"]
+        listing.add(f"{indented(more)}}} {self.program.name}_{name};\n\n", declaration)
 
     def _remark(self, struct: str, m: Member) -> str:
         words = [m.path] if m.path and m.path != m.name else []
@@ -154,3 +154,20 @@ def comment(text: str) -> str:
     """User's text made harmless within a C comment."""
     plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
+
+
+def owners(program: FlatProgram, layout: MemoryLayout) -> dict[tuple[str, str], str]:
+    """Return the path of the block that each member belongs to, by struct and name."""
+    found: dict[tuple[str, str], str] = {}
+    for node in program.nodes:
+        for parameter in node.parameters.values():
+            if parameter.path.startswith(f"{node.path}."):
+                found["P", layout.parameters[parameter].name] = node.path
+        for o in node.block.derived:
+            found["P", layout.derived[node, o.name].name] = node.path
+        for s in node.block.states:
+            found["X" if s.continuous else "S", layout.states[node, s.name].name] = node.path
+        for signal in node.outputs.values():
+            if signal in layout.stored:
+                found["S", layout.stored[signal].name] = node.path
+    return found

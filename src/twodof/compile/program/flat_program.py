@@ -16,7 +16,6 @@ from twodof.blocks.declarations import Param, Port, State, numeric
 from twodof.blocks.diagram import Rate
 from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.namespaces import Clock, Parameters
 from twodof.blocks.trace import Trace, computed
 
@@ -173,28 +172,12 @@ class Action:
     start: Start | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Need:
-    """A condition of the block `node`, over its inputs and parameters, which must hold (or not) where a value is read.
-
-    `signals` are those that it reads; `meaning` is the condition over paths: one node for
-    conditions of several blocks that say the same.
-    """
-
-    node: Node
-    condition: Expr
-    holds: bool
-    signals: tuple[FlatSignal, ...]
-    meaning: Expr
-
-
 @dataclass(frozen=True)
 class Group:
-    """Actions that share one guard. Nobody reads what they compute unless all of `needs` hold."""
+    """Actions that share one guard."""
 
     guard: Guard
     actions: tuple[Action, ...]
-    needs: tuple[Need, ...] = ()
 
 
 @dataclass(eq=False)

@@ -3,15 +3,13 @@
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from graphlib import TopologicalSorter
-from types import MappingProxyType
 
 from twodof.blocks.declarations import check_tick
 from twodof.blocks.diagram import BASE, Diagram
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import leaves
-from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Need, Node, Start
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node, Start
 from twodof.compile.program.flatten import FlatDiagram, conditions_of, drivers_of, node_of, tick_needs
-from twodof.compile.program.need import needs
 from twodof.errors import DiagramError
 
 TWO_SIGNALS = "{!r} is both a field of an output of the diagram and the output of a part"
@@ -41,7 +39,6 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
     always = [*outputs.values(), *edged, *_read_inside(integrated, stage, moving)]
     live = _live(flat.nodes, always)
     chosen = [s for s in ordered if s in live]
-    needed = needs(flat.nodes, chosen, always)
     return FlatProgram(
         diagram.name,
         diagram.text,
@@ -52,7 +49,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
         flat.signals,
         flat.parameters,
         flat.nodes,
-        _grouped(chosen, flat.nodes, lambda s: tick_needs(s) + _deciding(needed.get(s, ())), needed),
+        _grouped(chosen, flat.nodes, tick_needs),
         _grouped(stage, (), lambda s: [d for d in drivers_of(s) if d in moving]),
         frozenset(moving),
         edged,
@@ -122,19 +119,10 @@ def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal
     return live
 
 
-def _deciding(needed: Iterable[Need]) -> list[FlatSignal]:
-    """The driven signals that conditions read."""
-    return [s for need in needed for s in need.signals if s.node is not None]
-
-
-_Key = tuple[Guard, tuple[Need, ...]]
-
-
 def _grouped(
     signals: Sequence[FlatSignal],
     nodes: Sequence[Node],
     before_it: Callable[[FlatSignal], list[FlatSignal]],
-    needed: Mapping[FlatSignal, tuple[Need, ...]] = MappingProxyType({}),
 ) -> list[Group]:
     """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
     chosen = set(signals)
@@ -152,19 +140,19 @@ def _grouped(
     rank = {thing: i for i, thing in enumerate(things)}
     sorter = TopologicalSorter(before)
     sorter.prepare()
-    queues: dict[_Key, list[int]] = {}
+    queues: dict[Guard, list[int]] = {}
     groups: list[Group] = []
-    at: _Key = Guard(BASE), ()
+    at = Guard(BASE)
     actions: list[Action] = []
     while sorter.is_active():
         for thing in sorter.get_ready():
-            key: _Key = (thing.guard, ()) if isinstance(thing, Start) else (node_of(thing).guard, needed.get(thing, ()))
+            key = thing.guard if isinstance(thing, Start) else node_of(thing).guard
             heapq.heappush(queues.setdefault(key, []), rank[thing])
         if not queues.get(at):
             if actions:
-                groups.append(Group(at[0], tuple(actions), at[1]))
+                groups.append(Group(at, tuple(actions)))
             # What always runs first, for it wakes what is guarded.
-            at = min((k for k, q in queues.items() if q), key=lambda k: (not k[0].always or bool(k[1]), queues[k][0]))
+            at = min((k for k, q in queues.items() if q), key=lambda k: (not k.always, queues[k][0]))
             actions = []
         thing = things[heapq.heappop(queues[at])]
         if isinstance(thing, Start):
@@ -175,7 +163,7 @@ def _grouped(
             actions.append(Action(node_of(thing), (thing,)))
         sorter.done(thing)
     if actions:
-        groups.append(Group(at[0], tuple(actions), at[1]))
+        groups.append(Group(at, tuple(actions)))
     return groups
 
 

@@ -1,0 +1,126 @@
+"""Commit: the statements that replace a block's states by their next values, all of which are made of the old ones."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions.graph import walk
+from twodof.compile.c.expressions import Renderer
+from twodof.compile.c.statements import Text, name_of
+from twodof.compile.program.flat_program import Node
+
+
+def changes(node: Node) -> bool:
+    """Return True if the discrete states of a block may change."""
+    return any(not _keeps(k, e) for k, e in node.trace.update.items())
+
+
+class Commit:
+    """Replaces the states of `node` by `values`.
+
+    `roots` are the numbers that the values are made of: they may be computed earlier, with what shares their terms.
+    """
+
+    def __init__(self, node: Node, values: Mapping[str, Expr], lvalue: Callable[[str], str]) -> None:
+        self.node = node
+        self.lvalue = lvalue
+        self.changed = {name: e for name, e in values.items() if not _keeps(name, e)}
+        self.roots: list[Expr] = []
+        for name, e in self.changed.items():
+            chain = _stores(name, e)
+            if chain:
+                self.roots += [x for pair in chain for x in pair]
+            elif e.op == "vector":
+                self.roots += e.args
+            elif e.width is None:
+                self.roots.append(e)
+
+    def write(self, renderer: Renderer, texts: Sequence[Text]) -> None:
+        """Add the statements; `texts` are those of the roots."""
+        outer, renderer.owner = renderer.owner, self.node
+        given = iter(texts)
+        reads = {name: _states(e) for name, e in self.changed.items()}
+        later: list[tuple[str, Text | None, Text]] = []
+        wide: list[tuple[str, Text]] = []
+        direct: list[tuple[str, Text | None, Text | None]] = []
+        for name, e in self.changed.items():
+            shared = any(name in read for other, read in reads.items() if other != name)
+            chain = _stores(name, e)
+            pairs = [(next(given), next(given)) for _ in chain]
+            indices = [renderer.index(i, x, e.width or 1) for (i, _), (x, _) in zip(pairs, chain, strict=True)]
+            if chain and (shared or len(chain) > 1):
+                for index, (_, value) in zip(indices, pairs, strict=True):
+                    later.append(
+                        (name, self._kept(renderer, "index", index, "int32"), self._next(renderer, name, value))
+                    )
+            elif chain:
+                direct.append((name, indices[0], pairs[0][1]))
+            elif e.width is not None:
+                for _ in e.args if e.op == "vector" else ():
+                    next(given)
+                if shared or name in reads[name]:
+                    wide.append((name, self._array(renderer, name, e)))
+                else:
+                    direct.append((name, None, None))
+            elif shared:
+                later.append((name, None, self._next(renderer, name, next(given))))
+            else:
+                direct.append((name, None, next(given)))
+        for name, at, new in direct:
+            if new is None:
+                renderer.assign([(self.lvalue(name), self.changed[name])])
+            else:
+                self._put(renderer, name, at, new)
+        for name, at, kept in later:
+            self._put(renderer, name, at, kept)
+        for name, source in wide:
+            renderer.copy(self.lvalue(name), source, self.changed[name].width or 1, self.changed[name].kind)
+        renderer.owner = outer
+
+    def _put(self, renderer: Renderer, name: str, at: Text | None, value: Text) -> None:
+        place = self.lvalue(name)
+        if at is not None:
+            renderer.put(f"{place}[{at.text}]", value, at.reads)
+        else:
+            renderer.put(place, value)
+
+    def _next(self, renderer: Renderer, name: str, value: Text) -> Text:
+        return self._kept(renderer, f"{name}_next", value, self.changed[name].kind)
+
+    def _kept(self, renderer: Renderer, name: str, value: Text, kind: str) -> Text:
+        """Keep a number in a variable."""
+        new = renderer.names.new(f"{self.node.path}.{name}")
+        renderer.declare(new, kind, value, fixed=True)
+        return Text(new, reads=frozenset((new,)))
+
+    def _array(self, renderer: Renderer, name: str, e: Expr) -> Text:
+        """Return an array beside the states."""
+        (source,) = renderer.texts([e])
+        if e.op != "state":
+            return source
+        new = renderer.names.new(f"{self.node.path}.{name}_next")
+        renderer.declare(new, e.kind, width=e.width)
+        renderer.copy(new, source, e.width or 1, e.kind)
+        return Text(new, reads=frozenset((name_of(new),)))
+
+
+def _own_name(item: Expr) -> str:
+    """Return the name of a state leaf, of a block's own expressions or of the program's."""
+    name: str = item.data if isinstance(item.data, str) else item.data[1]
+    return name
+
+
+def _states(e: Expr) -> set[str]:
+    return {_own_name(item) for item in walk([e]) if item.op == "state"}
+
+
+def _keeps(name: str, e: Expr) -> bool:
+    return e.op == "state" and _own_name(e) == name
+
+
+def _stores(name: str, e: Expr) -> list[tuple[Expr, Expr]]:
+    """Return (index, value) of each element that `e` replaces in the array state `name`, in order; else []."""
+    chain = []
+    while e.op == "store":
+        chain.append((e.args[1], e.args[2]))
+        e = e.args[0]
+    return chain[::-1] if _keeps(name, e) else []

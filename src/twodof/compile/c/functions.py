@@ -1,0 +1,171 @@
+"""Functions of C, and the listing that they become: each line with the block that it belongs to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from twodof.compile.c.statements import Branch, Loop, Statement, Switch, every, without_unread, written
+from twodof.compile.program.flat_program import Node
+
+COMMENTS = {
+    "rates": "/* which rates are due */",
+    "disabled outputs": "/* outputs of what is disabled */",
+    "returned signals": "/* what is returned */",
+    "integration": "/* the continuous states of the next tick */",
+    "disabled states": "/* what is disabled keeps its continuous states */",
+    "next tick": "/* the next tick */",
+    "pieces": "/* what it does, in pieces */",
+}
+"""The comments above statements of no single block, by their role."""
+
+
+def describe(node: Node) -> str:
+    """Return a block's path and type as a comment."""
+    kind = node.block.type_name or type(node.block).__name__
+    legend = "".join(f"; {e}" for e in node.enumerations)
+    named = kind.isascii() and kind.isidentifier()
+    return f"/* {node.path}: {kind}{legend} */" if named else f"/* {node.path}{legend} */"
+
+
+@dataclass(eq=False)
+class Function:
+    """A function: its result, name, parameters and body; `part` is its name in the source map."""
+
+    result: str
+    name: str
+    parameters: tuple[str, ...]
+    body: list[Statement]
+    part: str
+    remark: str = ""
+
+    @property
+    def head(self) -> str:
+        """The line before the body."""
+        return f"{self.result} {self.name}({', '.join(self.parameters) or 'void'})"
+
+    def arguments(self) -> list[str]:
+        """Return the names of the parameters."""
+        return [parameter.split()[-1].lstrip("*") for parameter in self.parameters]
+
+
+@dataclass(frozen=True)
+class Mark:
+    """Which function or struct a line stands in, and which block it belongs to, or its role."""
+
+    part: str = ""
+    block: str = ""
+    role: str = ""
+
+
+NO_MARK = Mark()
+
+
+@dataclass
+class Listing:
+    """Lines of C with their marks."""
+
+    lines: list[str] = field(default_factory=list)
+    marks: list[Mark] = field(default_factory=list)
+
+    def add(self, text: str, mark: Mark = NO_MARK) -> None:
+        """Add whole lines that have one mark."""
+        more = text.splitlines()
+        self.lines += more
+        self.marks += [mark] * len(more)
+
+    def function(self, function: Function, role: str = "", block: str = "") -> None:
+        """Add a function; lines of no block and no role of their own get `role`."""
+        without_unread(function.body)
+        used = {name for s in every(function.body) for name in (*s.reads, written(s))}
+        head = Mark(function.part, "", "head")
+        if function.remark:
+            self.add(f"/* {function.remark} */", head)
+        self.add(f"{function.head}\n{{", head)
+        pointers = [p for p, name in zip(function.parameters, function.arguments(), strict=True) if name not in used]
+        for idle in pointers:
+            if "*" in idle:
+                name = idle.split()[-1].lstrip("*")
+                self.add(f"    (void){name};", Mark(function.part, "", "unused argument"))
+        _Body(self, function.part, role).print(function.body, 1, ("", role))
+        self.add("}\n\n", head)
+
+    def text(self) -> str:
+        """Return the whole text."""
+        return "\n".join(self.lines) + "\n"
+
+
+class _Body:
+    """Prints statements; a comment stands above what belongs together."""
+
+    def __init__(self, listing: Listing, part: str, role: str) -> None:
+        self.listing = listing
+        self.part = part
+        self.role = role
+
+    def print(self, statements: Sequence[Statement], depth: int, around: tuple[str, str]) -> None:
+        """Add the lines of statements; `around` is the block or role that the last comment named."""
+        told = around
+        for statement in statements:
+            mine = self._named(statement)
+            if mine != told:
+                comment = self._comment(statement)
+                if comment:
+                    self._line(depth, comment, statement)
+                told = mine
+            self._statement(statement, depth, mine)
+            if isinstance(statement, Branch) and statement.role == "condition":
+                told = ("", "")
+
+    def _named(self, statement: Statement) -> tuple[str, str]:
+        if statement.owner is not None:
+            return statement.owner.path, ""
+        return "", statement.role or self.role
+
+    def _comment(self, statement: Statement) -> str:
+        if statement.owner is not None:
+            return describe(statement.owner)
+        return COMMENTS.get(statement.role, "")
+
+    def _line(self, depth: int, text: str, statement: Statement) -> None:
+        block, role = self._named(statement)
+        self.listing.add("    " * depth + text, Mark(self.part, block, role))
+
+    def _statement(self, statement: Statement, depth: int, mine: tuple[str, str]) -> None:
+        if isinstance(statement, Branch):
+            self._branch(statement, depth, mine)
+        elif isinstance(statement, Loop):
+            self._line(depth, f"{statement.head} {{".lstrip(), statement)
+            self.print(statement.body, depth + 1, mine)
+            self._line(depth, f"}} {statement.end}".rstrip(), statement)
+        elif isinstance(statement, Switch):
+            self._line(depth, f"switch ({statement.value}) {{", statement)
+            for case in statement.cases:
+                if not case.body and case.label == "default":
+                    self._line(depth, "default: break;", statement)
+                    continue
+                comment = f" /* {case.comment} */" if case.comment else ""
+                self._line(depth, f"{case.label}: {{{comment}", statement)
+                self.print(case.body, depth + 1, mine)
+                self._line(depth + 1, "break;", statement)
+                self._line(depth, "}", statement)
+            self._line(depth, "}", statement)
+        else:
+            self._line(depth, statement.text(), statement)
+
+    def _branch(self, branch: Branch, depth: int, mine: tuple[str, str]) -> None:
+        inside = ("", "") if branch.role == "condition" else mine
+        self._line(depth, f"if ({branch.test}) {{", branch)
+        while True:
+            self.print(branch.then, depth + 1, inside)
+            rest = branch.otherwise
+            if not rest:
+                break
+            if len(rest) == 1 and isinstance(rest[0], Branch):
+                branch = rest[0]
+                self._line(depth, f"}} else if ({branch.test}) {{", branch)
+                continue
+            self._line(depth, "} else {", branch)
+            self.print(rest, depth + 1, inside)
+            break
+        self._line(depth, "}", branch)

@@ -1,0 +1,214 @@
+"""MachineSwitch: a state machine as a `switch` over its modes that reads like the drawing.
+
+The first switch takes a transition, the second does what each mode does while it lasts. The variables stand in S and
+change in place, as the actions follow each other: only the machine reads them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
+
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.state_machine import Mode, StateMachine
+from twodof.blocks.state_machine.chart import Leaf, Route
+from twodof.blocks.state_machine.machine_graph import ELAPSED, MODE, OUTER_ELAPSED, last, owner_clock
+from twodof.blocks.state_machine.state_machine import LONGEST
+from twodof.compile.c.commit import Commit
+from twodof.compile.c.expressions import Leaves, Renderer, constant
+from twodof.compile.c.scope import Scope
+from twodof.compile.c.statements import Branch, Call, Case, Loop, Statement, Switch, Text, name_of
+from twodof.compile.program.flat_program import FlatSignal, Node
+
+
+class MachineSwitch:
+    """Writes one machine; `states` are the lvalues of its states, `targets` those of the outputs to write, by name."""
+
+    def __init__(
+        self,
+        scope: Scope,
+        outer: Renderer,
+        node: Node,
+        machine: StateMachine,
+        states: Mapping[str, str],
+        targets: Mapping[str, str],
+        signal: Callable[[FlatSignal], str],
+    ) -> None:
+        self.scope = scope
+        self.outer = outer
+        self.node = node
+        self.machine = machine
+        self.chart, self.graph = machine.chart, machine.graph
+        self.states = states
+        self.targets = targets
+        self.signal = signal
+        self.variables = {v.name for v in machine.variables}
+
+    def write(self) -> None:
+        """Add the tick: the transition, what the modes do, the outputs that show a variable."""
+        for clock in (ELAPSED, OUTER_ELAPSED):
+            if clock in self.states:
+                step: list[Statement] = [self._line(f"{self.states[clock]} += 1u;")]
+                self._add(Branch(f"{self.states[clock]} < {LONGEST}u", step, owner=self.node, reads=frozenset("s")))
+        cases = []
+        for leaf in self.chart.leaves:
+            with self._collecting() as body:
+                self._transitions(self.chart.routes[leaf.number])
+            cases.append(_case(leaf, body))
+        with self._collecting() as body:
+            if self.chart.leaves[0].outer is None:
+                self._set(OUTER_ELAPSED, "0u")
+            self._enter(self.chart.leaves[0], self.chart.leaves[0].outer)
+        cases.append(Case("default", "the start", body))
+        self._switch(cases)
+        self._during()
+        for port in self.machine.outputs:
+            if port.name in self.targets and port.name in self.states:
+                target, source = self.targets[port.name], self.states[port.name]
+                text = Text(source, reads=frozenset((name_of(source),)))
+                if port.width is None:
+                    self.outer.put(target, text)
+                else:
+                    self.outer.copy(target, text, port.width, port.kind)
+
+    def _collecting(self) -> AbstractContextManager[list[Statement]]:
+        return self.outer.collecting()
+
+    def _add(self, statement: Statement) -> None:
+        self.outer.out.append(statement)
+
+    def _line(self, text: str) -> Call:
+        return Call(text, owner=self.node, reads=frozenset("s"))
+
+    def _switch(self, cases: list[Case], mode: str = MODE) -> None:
+        self._add(Switch(self.states[mode], cases, owner=self.node, reads=frozenset("s")))
+
+    def _during(self) -> None:
+        leaves = self.chart.leaves
+        acting = [leaf for leaf in leaves if any(self._stays(leaf))]
+        if not acting:
+            return
+        cases = []
+        for leaf in acting:
+            with self._collecting() as body:
+                self._stay(leaf)
+            cases.append(_case(leaf, body))
+        if len(leaves) == 1:
+            self._add(Loop("", cases[0].body, owner=self.node))
+            return
+        if len(acting) == len(leaves):
+            cases[-1].label = "default"  # so that a compiler sees that each output is given
+        else:
+            cases.append(Case("default", "", []))
+        self._switch(cases)
+
+    def _stays(self, leaf: Leaf) -> Iterator[tuple[Mode, dict[str, Expr], dict[str, Expr]]]:
+        """Yield for each mode of a leaf what `during` gives: outputs that are wanted and stay, and variables."""
+        for k, mode in enumerate(leaf.path):
+            given = self.graph.action(mode.name, "during")
+            later = {name for m in leaf.path[k + 1 :] for name in self.graph.action(m.name, "during")}
+            outputs = {n: e for n, e in given.items() if n in self.targets and n not in self.variables | later}
+            variables = {n: e for n, e in given.items() if n in self.variables}
+            if outputs or variables:
+                yield mode, outputs, variables
+
+    def _stay(self, leaf: Leaf) -> None:
+        for mode, outputs, variables in self._stays(leaf):
+            renderer = self._renderer(mode)
+            commit = self._commit(variables)
+            texts = renderer.texts([*(e for e in outputs.values() if e.width is None), *commit.roots])
+            given = iter(texts)
+            for name, e in outputs.items():
+                if e.width is None:
+                    renderer.put(self.targets[name], next(given))
+                else:
+                    renderer.assign([(self.targets[name], e)])
+            commit.write(renderer, list(given))
+
+    def _transitions(self, routes: Sequence[Route]) -> None:
+        """Add the transitions out of a mode: if, else if, ..."""
+        renderers: dict[Mode, Renderer] = {}
+        outer = self.outer.out
+        for route in routes:
+            source = self._source(route)
+            renderer = renderers.setdefault(source, self._renderer(source))
+            renderer.out = self.outer.out
+            guard = self.graph.guards[route.number]
+            if guard.op == "const":  # it is the last one
+                self._take(route)
+                break
+            test = renderer.text(guard)
+            with self._collecting() as then:
+                self._take(route)
+            branch = Branch(test.text, then, owner=self.node, reads=test.reads)
+            self._add(branch)
+            self.outer.out = branch.otherwise
+        self.outer.out = outer
+
+    def _source(self, route: Route) -> Mode:
+        return self.chart.by_name[route.transition.source]
+
+    def _take(self, route: Route) -> None:
+        self._add(Call(f"/* {route.transition.text} */", owner=self.node))
+        for mode in route.left:
+            self._act(mode, self.graph.action(mode.name, "exit"))
+        self._act(self._source(route), self.graph.does[route.number])
+        if route.resumes is None:
+            self._enter(route.leaves[0], route.entered)
+            return
+        cases = []
+        for leaf in (*route.leaves[1:], route.leaves[0]):
+            with self._collecting() as body:
+                self._enter(leaf, route.entered)
+            cases.append(_case(leaf, body))
+        cases[-1].label = "default"
+        self._switch(cases, last(route.resumes.name))
+
+    def _enter(self, leaf: Leaf, outer: Mode | None) -> None:
+        self._set(MODE, str(leaf.number))
+        self._set(ELAPSED, "0u")
+        if outer is not None:
+            self._set(OUTER_ELAPSED, "0u")
+            self._act(outer, self.graph.action(outer.name, "entry"))
+        if leaf.outer is not None:
+            self._set(last(leaf.outer.name), str(leaf.number))
+        self._act(leaf.mode, self.graph.action(leaf.mode.name, "entry"))
+
+    def _set(self, state: str, text: str) -> None:
+        if state in self.states:
+            self._add(self._line(f"{self.states[state]} = {text};"))
+
+    def _act(self, mode: Mode, values: Mapping[str, Expr]) -> None:
+        if values:
+            renderer, commit = self._renderer(mode), self._commit(values)
+            commit.write(renderer, renderer.texts(commit.roots))
+
+    def _commit(self, values: Mapping[str, Expr]) -> Commit:
+        return Commit(self.node, values, self.states.__getitem__)
+
+    def _renderer(self, mode: Mode) -> Renderer:
+        """Return a fresh one for each action: what it names is another value once the variables have changed."""
+        clock = owner_clock(mode in self.chart.outers)
+
+        def leaf(item: Expr) -> Text:
+            if item.op == "input":
+                found = self.signal(self.node.drivers[item.data])
+            elif item.op == "state":
+                found = self.states[clock if item.data == ELAPSED else item.data]
+            elif item.op == "param":
+                found = self.scope.given(self.node, item.data)
+            elif item.op == "tick":
+                found = "s->tick"
+            else:
+                dt = self.scope.program.dt * (self.node.rate.divider if item.data == "dt" else 1)
+                return constant(dt, item.kind, self.scope.precision)
+            return Text(found, reads=frozenset((name_of(found),)))
+
+        made = self.scope.renderer(self.outer.names, Leaves(leaf, owner=lambda item: self.node))
+        made.out = self.outer.out
+        made.owner = self.node
+        return made
+
+
+def _case(leaf: Leaf, body: list[Statement]) -> Case:
+    return Case(f"case {leaf.number}", ".".join(mode.name for mode in leaf.path), body)

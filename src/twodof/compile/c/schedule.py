@@ -1,0 +1,145 @@
+"""Schedule: in which part of a tick each signal is computed and each block's states are replaced."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+
+from twodof.blocks.state_machine import StateMachine
+from twodof.compile.c.commit import changes
+from twodof.compile.program.flat_program import Action, FlatProgram, FlatSignal, Group, Guard, Node, Start
+from twodof.compile.program.layout import MemoryLayout
+from twodof.compile.program.lower import inputs_of
+
+
+@dataclass(eq=False)
+class Segment:
+    """Actions of one guard that are computed together, and one that stands behind them.
+
+    `behind` sets states to their initial values, or is the whole tick of a state machine. `updates` are the blocks
+    whose states are replaced at the end of the segment, before `behind`.
+    """
+
+    guard: Guard
+    actions: list[Action] = field(default_factory=list)
+    behind: Action | None = None
+    updates: list[Node] = field(default_factory=list)
+
+
+class Schedule:
+    """The segments of a tick, by groups of one guard; `last` are the blocks that are updated at its end.
+
+    A signal that is not `fixed` is computed where it is first needed.
+    """
+
+    def __init__(self, program: FlatProgram, layout: MemoryLayout) -> None:
+        self.live = {s for g in program.tick for a in g.actions for s in a.signals}
+        self.machines: set[Node] = set()
+        self.groups: list[list[Segment]] = []
+        self._at: dict[FlatSignal | Start, int] = {}  # the first segment in which a signal may be read
+        self.segments: list[Segment] = []
+        for group in program.tick:
+            self.groups.append(self._divided(group))
+        self.end = len(self.segments)
+        self.last: list[Node] = []
+        self._updated: dict[Node, int] = {}
+        for node in program.nodes:
+            if changes(node) and node not in self.machines:
+                at = self._updated[node] = self._update(node)
+                (self.segments[at].updates if at < self.end else self.last).append(node)
+        self.fixed = self._fixed(program, layout)
+
+    def _divided(self, group: Group) -> list[Segment]:
+        """Return a group's segments: one ends where states are set, or with a state machine."""
+        made = [Segment(group.guard)]
+        self.segments.append(made[0])
+        for action in group.actions:
+            here = len(self.segments) - 1
+            behind = action.start is not None or self._switches(action)
+            for s in action.signals:
+                self._at[s] = here + behind
+            if not behind:
+                made[-1].actions.append(action)
+                continue
+            made[-1].behind = action
+            if action.start is not None:
+                self._at[action.start] = here + 1
+            else:
+                self.machines.add(action.node)
+            made.append(Segment(group.guard))
+            self.segments.append(made[-1])
+        return made
+
+    def _switches(self, action: Action) -> bool:
+        """Return True if an action is the whole tick of a state machine, and all that it reads is there."""
+        node = action.node
+        if not isinstance(node.block, StateMachine):
+            return False
+        given = {s for s in node.outputs.values() if s in self.live}
+        return given == set(action.signals) and self.ready(node)
+
+    def ready(self, node: Node) -> bool:
+        """Return True if all signals that a state machine reads have been computed, and its starts."""
+        assert isinstance(node.block, StateMachine)
+        needed = [s for s in inputs_of(node, node.block.graph.expressions) if s.node is not None]
+        return all(s in self._at for s in (*needed, *node.starts))
+
+    def _update(self, node: Node) -> int:
+        """Return the segment at whose end a block's states may be replaced: nothing reads the old ones any more."""
+        if node.continuous:
+            return self.end
+        read = [s for s in inputs_of(node, node.trace.update.values()) if s in self.live]
+        own = [s for s in node.outputs.values() if s in self.live]
+        before: list[FlatSignal | Start] = [*read, *own, *node.starts]
+        first = max((self._at[x] for x in before), default=0)
+        found = (k for k in range(first, self.end) if self.segments[k].guard == node.guard)
+        return next(found, self.end)
+
+    def _fixed(self, program: FlatProgram, layout: MemoryLayout) -> set[FlatSignal]:
+        """Return the signals that are computed where they stand in the order: they are read in several places."""
+        sites: dict[FlatSignal, set[int]] = {s: set() for s in self.live}
+
+        def read(signals: Iterable[FlatSignal], at: int) -> None:
+            for s in signals:
+                if s in sites:
+                    sites[s].add(at)
+
+        read((*program.outputs.values(), *program.edged, *_integrated(program)), self.end)
+        for node in program.nodes:
+            read((s for c in node.conditions for s in c.signals), self.end)
+            if node in self._updated:
+                read(inputs_of(node, node.trace.update.values()), self._updated[node])
+            elif isinstance(node.block, StateMachine) and node not in self.machines:
+                read(node.drivers.values(), self.end)
+        fixed: set[FlatSignal] = set()
+        for k in reversed(range(self.end)):
+            segment = self.segments[k]
+            if segment.behind is not None:
+                read(segment.behind.node.drivers.values(), k)
+            for action in reversed(segment.actions):
+                for s in reversed(action.signals):
+                    home = self._home(s, k, sites[s], layout)
+                    if home is None:
+                        fixed.add(s)
+                    trace = action.node.trace
+                    roots = (trace.outputs[s.port], *trace.edges.get(s.port, ()))
+                    read(inputs_of(action.node, roots), k if home is None else home)
+        return fixed
+
+    def _home(self, s: FlatSignal, at: int, sites: set[int], layout: MemoryLayout) -> int | None:
+        """Return the one segment in which a signal is needed, or None if it is computed where it stands."""
+        if len(sites) != 1 or s in layout.stored:
+            return None
+        (home,) = sites
+        if home == at:
+            return home
+        updated = self._updated.get(s.node, self.end) if s.node is not None else self.end
+        return home if self.segments[at].guard.always and home < self.end and updated >= home else None
+
+
+def _integrated(program: FlatProgram) -> Iterator[FlatSignal]:
+    """Yield the signals that the integration reads."""
+    for node in program.integrated:
+        yield from inputs_of(node, (*node.trace.derivative.values(), *node.trace.project.values()))
+    for group in program.stage:
+        for action in group.actions:
+            yield from action.signals
+            yield from inputs_of(action.node, (action.node.trace.outputs[s.port] for s in action.signals))

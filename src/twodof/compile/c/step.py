@@ -1,0 +1,256 @@
+"""StepEmitter: the statements of one tick, apart from the integration."""
+
+from collections.abc import Iterable, Sequence
+
+from twodof.blocks.declarations import Port
+from twodof.blocks.diagram import Rate
+from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.state_machine import StateMachine
+from twodof.compile.c.commit import Commit
+from twodof.compile.c.expressions import Leaves
+from twodof.compile.c.graph import leaf
+from twodof.compile.c.machine_switch import MachineSwitch
+from twodof.compile.c.names import CNames
+from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c.schedule import Schedule, Segment
+from twodof.compile.c.scope import Scope
+from twodof.compile.c.statements import Assign, Branch, Copy, Statement, Text, name_of
+from twodof.compile.program.flat_program import Action, FlatSignal, Guard, Node
+
+TICKS = 2**32  # a tick is a uint32
+
+
+class StepEmitter:
+    """Writes the body of the step function.
+
+    `renderer` writes all expressions; `fractions` has, of a signal with an edge inside the step, the variables of the
+    edge's place in the step and of the value behind it.
+    """
+
+    def __init__(self, scope: Scope, names: CNames) -> None:
+        self.scope = scope
+        self.layout = scope.layout
+        self.program = scope.program
+        self.graph = scope.graph
+        self.schedule = Schedule(scope.program, scope.layout)
+        self.fractions: dict[FlatSignal, tuple[str, str]] = {}
+        self._variables: dict[FlatSignal, str] = {}  # that are declared before the statements that compute them
+        self._pending = set(self.schedule.live)
+        self._shown: dict[Expr, Expr] = {}
+        for s in self._pending:
+            if s.width is None and s not in self.layout.stored and s.node not in self.schedule.machines:
+                self._shown.setdefault(self.graph.output(s), leaf(s))
+        self._due: dict[Rate, str] = {}
+        self._asked: set[Rate] = set()
+        text = scope.leaf(self.signal, scope.state)
+        leaves = Leaves(text, self._driver, self._place, self._shown.get, self.graph.owner)
+        self.renderer = scope.renderer(names, leaves)
+        for rate in (n.rate for n in self.program.nodes):
+            if rate.divider > 1 and rate not in self._due:
+                self._due[rate] = names.new(f"due_{rate.divider}_{rate.offset}")
+
+    def signal(self, signal: FlatSignal) -> str:
+        """Return the C of a signal that has been computed, or is an input."""
+        if signal.node is None:
+            return f"u->{self.layout.inputs[signal].name}"
+        if signal in self.layout.stored:
+            return f"s->{self.layout.stored[signal].name}"
+        if signal in self._variables:
+            return self._variables[signal]
+        return self.renderer.named[id(leaf(signal))].text
+
+    def _driver(self, item: Expr) -> Expr | None:
+        signal: FlatSignal = item.data
+        return self.graph.output(signal) if signal in self._pending else None
+
+    def _place(self, signal: FlatSignal) -> str:
+        if signal in self.layout.stored:
+            return f"s->{self.layout.stored[signal].name}"
+        return self._variables.get(signal, "")
+
+    def due(self) -> list[Statement]:
+        """Return the statements that say of the rates that were asked for whether they are due."""
+        made: list[Statement] = []
+        for rate in (rate for rate in self._due if rate in self._asked):
+            due = f"s->tick % {rate.divider}u == {rate.offset}u"
+            if rate.divider >= TICKS:  # sub-diagrams multiply their rates
+                due = f"s->tick == {rate.offset}u" if rate.offset < TICKS else "false"
+            made.append(Assign(self._due[rate], due, "const bool", role="rates", reads=frozenset(("s",))))
+        return made
+
+    def tests(self, guard: Guard) -> list[Text]:
+        """Return the conditions under which a guard's blocks act."""
+        return [*self._rate(guard), *(self._text(e) for e in guard.enables)]
+
+    def _rate(self, guard: Guard) -> list[Text]:
+        self._asked.add(guard.rate)
+        due = self._due.get(guard.rate)
+        return [] if due is None else [Text(due, reads=frozenset((due,)))]
+
+    def _text(self, signal: FlatSignal) -> Text:
+        text = self.signal(signal)
+        return Text(text, reads=frozenset((name_of(text),)))
+
+    def guarded(self, tests: Sequence[Text], body: list[Statement]) -> None:
+        """Add statements under conditions."""
+        if body:
+            condition = all_of(tests)
+            self.renderer.out.append(Branch(condition.text, body, role="condition", reads=condition.reads))
+
+    def outputs(self) -> None:
+        """Add the outputs of all blocks, group by group, and the updates of states that may come early."""
+        for signal in self.program.edged:
+            self._declare_edge(signal)
+        for segments in self.schedule.groups:
+            guard = segments[0].guard
+            if guard.always:
+                for segment in segments:
+                    self._segment(segment)
+                continue
+            signals = [s for segment in segments for a in self._all(segment) for s in a.signals]
+            for s in signals:
+                if s in self.layout.passing and (s in self.schedule.fixed or s.node in self.schedule.machines):
+                    self._variable(s)
+            with self.renderer.within() as body:
+                for segment in segments:
+                    self._segment(segment)
+            self.guarded(self.tests(guard), body)
+            if guard.clears:
+                enabled = all_of([self._text(e) for e in guard.clears])
+                disabled = Text(f"!({enabled.text})", reads=enabled.reads)
+                held = [s for s in signals if s in self.layout.stored]
+                self.guarded([*self._rate(guard), disabled], self._cleared(held))
+
+    def _all(self, segment: Segment) -> list[Action]:
+        return [*segment.actions, *([segment.behind] if segment.behind is not None else [])]
+
+    def _variable(self, s: FlatSignal) -> None:
+        """Declare a variable that is computed under a condition and read behind it."""
+        name = self._variables[s] = self.renderer.names.new(s.path)
+        value = self.scope.constant(0, s.kind)
+        self.renderer.out.append(Assign(name, value, C_TYPES[s.kind], owner=s.node))
+
+    def _declare_edge(self, signal: FlatSignal) -> None:
+        new = self.renderer.names.new
+        self.fractions[signal] = names = new(f"{signal.path}.fraction"), new(f"{signal.path}.after")
+        if signal.node is not None and not signal.node.guard.always:
+            for name, value in zip(names, (1.0, 0.0), strict=True):
+                self.renderer.out.append(Assign(name, self.scope.constant(value, "real"), "real", owner=signal.node))
+
+    def _cleared(self, signals: Iterable[FlatSignal]) -> list[Statement]:
+        made: list[Statement] = []
+        for s in signals:
+            port = Port("y", s.kind, s.width, shape=s.shape)
+            made += self.scope.fill(self.signal(s), s.cleared, port, None, role="disabled outputs")
+        return made
+
+    def _segment(self, segment: Segment) -> None:
+        """Add the outputs of a segment, then the updates of states, then what stands behind them."""
+        fixed = [s for a in segment.actions for s in a.signals if s in self.schedule.fixed]
+        roots = [leaf(s) for s in fixed]
+        behind = segment.behind
+        if behind is not None and behind.start is None:
+            read = dict.fromkeys(behind.node.drivers.values())
+            roots += [leaf(s) for s in read if s.node is not None and s in self._pending]
+        edges = [s for s in fixed if s in self.fractions]
+        for s in edges:
+            roots += self._edge(s)
+        commits = [self.commit(node) for node in segment.updates]
+        texts = self.renderer.texts([*roots, *(r for c in commits for r in c.roots)])
+        given = iter(texts[len(roots) - 2 * len(edges) :])
+        for s in edges:
+            for name in self.fractions[s]:
+                self._set_edge(s, name, next(given))
+        self._write(commits, list(given))
+        self._pending.difference_update(fixed)
+        if behind is not None:
+            self._behind(segment, behind.node)
+
+    def _edge(self, signal: FlatSignal) -> Sequence[Expr]:
+        node = signal.node
+        assert node is not None
+        return [self.graph.of(node, e) for e in node.trace.edges[signal.port]]
+
+    def _set_edge(self, signal: FlatSignal, name: str, value: Text) -> None:
+        self.renderer.owner = signal.node
+        if signal.node is not None and signal.node.guard.always:
+            self.renderer.declare(name, "real", value, fixed=True)
+        else:
+            self.renderer.put(name, value)
+        self.renderer.owner = None
+
+    def _behind(self, segment: Segment, node: Node) -> None:
+        behind = segment.behind
+        assert behind is not None
+        if behind.start is None:
+            self._switch(node, behind.signals)
+            return
+        signals = [self.signal(r) for r in behind.start.signals]
+        reads = frozenset(map(name_of, signals))
+        self.renderer.out.append(Branch(" || ".join(signals), self.scope.initial(node), owner=node, reads=reads))
+
+    def commit(self, node: Node) -> Commit:
+        """Return the update of a block's states."""
+        values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
+        return Commit(node, values, lambda name: self.scope.state(node, name))
+
+    def _write(self, commits: Sequence[Commit], texts: Sequence[Text]) -> None:
+        at = 0
+        for commit in commits:
+            commit.write(self.renderer, texts[at : at + len(commit.roots)])
+            at += len(commit.roots)
+
+    def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
+        """Add a state machine as C that reads like its drawing."""
+        machine = node.block
+        assert isinstance(machine, StateMachine)
+        renderer, targets = self.renderer, {}
+        outer, renderer.owner = renderer.owner, node
+        for signal in signals:
+            if not self._place(signal):
+                name = self._variables[signal] = renderer.names.new(signal.path)
+                renderer.declare(name, signal.kind, width=signal.width)
+            targets[signal.port] = self.signal(signal)
+        states = {s.name: self.scope.state(node, s.name) for s in machine.states}
+        MachineSwitch(self.scope, renderer, node, machine, states, targets, self.signal).write()
+        self._pending.difference_update(signals)
+        renderer.owner = outer
+
+    def updates(self) -> None:
+        """Add the updates of states that had to wait. A block's own are the only ones that its update reads."""
+        by_guard: dict[Guard, list[Node]] = {}
+        for node in self.schedule.last:
+            by_guard.setdefault(node.guard, []).append(node)
+        for guard in sorted(by_guard, key=lambda g: not g.always):
+            if guard.always:
+                self._updates(by_guard[guard])
+            else:
+                with self.renderer.within() as body:
+                    self._updates(by_guard[guard])
+                self.guarded(self.tests(guard), body)
+
+    def _updates(self, nodes: Sequence[Node]) -> None:
+        commits = []
+        for node in nodes:
+            idle = not any(s in self.schedule.live for s in node.outputs.values())
+            if isinstance(node.block, StateMachine) and idle and self.schedule.ready(node):
+                self._switch(node, ())
+            else:
+                commits.append(self.commit(node))
+        self._write(commits, self.renderer.texts(r for c in commits for r in c.roots))
+
+    def returned(self) -> None:
+        """Add the outputs and logged signals."""
+        for path, signal in self.program.outputs.items():
+            target, text = f"y->{self.layout.outputs[path].name}", self.signal(signal)
+            reads = frozenset((name_of(text),))
+            if signal.width is None:
+                self.renderer.out.append(Assign(target, text, role="returned signals", reads=reads))
+            else:
+                kind = C_TYPES[signal.kind]
+                self.renderer.out.append(Copy(target, text, signal.width, kind, role="returned signals", reads=reads))
+
+
+def all_of(tests: Sequence[Text]) -> Text:
+    """Return the condition that all of `tests` hold."""
+    return Text(" && ".join(t.text for t in tests), reads=frozenset[str]().union(*(t.reads for t in tests)))
