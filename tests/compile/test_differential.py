@@ -96,11 +96,15 @@ def _swapped(self: expressions.Renderer, name: str, args: Any) -> Any:
 _EXPRESSION = expressions.Renderer._expression
 
 
+def with_reads(text: str, args: Sequence[expressions.Text]) -> expressions.Text:
+    return expressions.Text(text, expressions.ATOM, frozenset[str]().union(*(a.reads for a in args)))
+
+
 def _with_minimum_by(function: str) -> Any:
     def faulty(self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]) -> expressions.Text:
         compared = [id(a) for a in item.args[0].args] if item.args and item.args[0].op == "lt" else []
         if item.op == "where" and item.kind == "real" and compared == [id(a) for a in item.args[1:]]:
-            return f"{function}({args[1][0]}, {args[2][0]})", expressions.ATOM
+            return with_reads(f"{function}({args[1].text}, {args[2].text})", args)
         return _EXPRESSION(self, item, args)
 
     return faulty
@@ -110,13 +114,13 @@ def _with_plain_conversion(
     self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]
 ) -> expressions.Text:
     if item.op == "convert" and item.kind == "int32" and item.args[0].kind == "real":
-        return f"(int32_t)({args[0][0]})", expressions.ATOM
+        return with_reads(f"(int32_t)({args[0].text})", args)
     return _EXPRESSION(self, item, args)
 
 
 def _with_plain_quotient(self: expressions.Renderer, item: Expr, args: Sequence[expressions.Text]) -> expressions.Text:
     if item.op == "quot" and item.kind == "uint32":
-        return f"({args[0][0]}) / (({args[1][0]}) | ({args[1][0]} == 0u))", expressions.ATOM
+        return with_reads(f"(({args[0].text}) / (({args[1].text}) | ({args[1].text} == 0u)))", args)
     return _EXPRESSION(self, item, args)
 
 

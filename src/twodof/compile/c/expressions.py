@@ -16,7 +16,7 @@ from twodof.compile.c.branches import Branch as Decided
 from twodof.compile.c.branches import Choice, Step, steps
 from twodof.compile.c.index_range import index_range
 from twodof.compile.c.names import CNames
-from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, Operator, row
+from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, row
 from twodof.compile.c.statements import EMPTY, NOTHING, Assign, Branch, Copy, Loop, Names, Statement, Text, name_of
 from twodof.compile.program.flat_program import FlatSignal, Node
 
@@ -538,11 +538,12 @@ class Renderer:
             self.used.functions.add(name)
             return Text(f"td_{name}({', '.join(a.text for a in args)})", ATOM, reads)
         operand = self._resolve(item.args[0]).kind
-        text, binding = self._special(item, args, operand) or self._applied(OPERATORS[row(item, operand)], args)
+        text, binding = self._special(item, args, operand) or self._operation(row(item, operand), args)
         return Text(text, binding, NOTHING if text in ("true", "false") else reads)
 
-    def _applied(self, operator: Operator, args: Sequence[Text]) -> tuple[str, int]:
+    def _operation(self, name: str, args: Sequence[Text]) -> tuple[str, int]:
         """Return what an operator's row says."""
+        operator = OPERATORS[name]
         if operator.helper:
             self._use(operator.helper)
         operands = [_paren(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
@@ -570,7 +571,7 @@ class Renderer:
         elif op == "xor" and operand == "bool" and same:
             return "false", ATOM
         elif op in PLAIN and index_range(item, self.limits) is not None:
-            return self._applied(OPERATORS[PLAIN[op]], args)
+            return self._operation(PLAIN[op], args)
         elif kind == "uint32" and op == "abs":
             return args[0].text, args[0].binding
         elif kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
