@@ -19,11 +19,11 @@ from twodof.errors import IdentificationError
 from twodof.excitation import Multisine, ThreeTwoOneOne
 from twodof.experiment.experiments import Experiment, experiment, script
 from twodof.experiment.flight import Flight, Laboratory
-from twodof.identify.disturbance.search import LONG
+from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.experiments import KINDS
-from twodof.identify.from_flight.closed_loop import FRICTION_BEFORE, POLES_BEFORE
 from twodof.identify.greybox import fit
 from twodof.identify.information import predict
+from twodof.identify.ready_made import FRICTION_BEFORE, POLES_BEFORE
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail

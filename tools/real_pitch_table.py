@@ -15,13 +15,11 @@ import numpy as np
 from scipy.stats import chi2
 
 from twodof.flightlog.files import read_log
-from twodof.flightlog.log import FlightLog
-from twodof.identify.disturbance.search import LONG
+from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
-from twodof.identify.from_flight.closed_loop import BEND_BEFORE, FRICTION_BEFORE, machine_of
 from twodof.identify.greybox import fit
+from twodof.identify.ready_made import BEND_BEFORE, FRICTION_BEFORE, machine_of
 from twodof.identify.record import Record
-from twodof.identify.rotor_speed import SHORTEST, rotor_speeds
 from twodof.models.structures import pitch_on_cart, pitch_rate
 from twodof.rig.parameters import load_rig
 from twodof.rig.steady_state import model_parameters, moment_gain
@@ -50,7 +48,6 @@ HEADER = (
     "M_u, rad/(m s)",
     "noise",
     "largest M",
-    "rotors, turns/s",
 )
 
 UNKNOWNS = ("mu", "dead_time", "lag", "theta_0", "q_0")
@@ -64,8 +61,7 @@ class RealFlight:
     """The fits of a flight; `today` takes its noise for white and its delay for pure. `clipped` is a share.
 
     `plain` is `found` without the moment of the cart's speed and without what a large moment lacks. `hardest` is the
-    largest |M|, `thrust` the mean T in the window. `turns` is how fast the rotors turned there, at hover command [1/s];
-    NaN where the rotors ran for too short a time to tell.
+    largest |M|, `thrust` the mean T in the window.
     """
 
     name: str
@@ -75,7 +71,6 @@ class RealFlight:
     clipped: float
     hardest: float
     thrust: float
-    turns: float
 
 
 def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Iterator[RealFlight]:
@@ -100,7 +95,6 @@ def real_flights(folder: Path, names: Collection[str] = tuple(FLIGHTS)) -> Itera
             float(np.mean(np.abs(moment) > thrust)),
             float(np.abs(moment).max()),
             float(thrust.mean()),
-            rotors(log, start, stop),
         )
 
 
@@ -126,17 +120,6 @@ def agreement(values: np.ndarray, sigmas: np.ndarray) -> tuple[float, float, flo
     return mean, float(weights.sum() ** -0.5), square, float(chi2.sf(square, values.size - 1))
 
 
-def rotors(log: FlightLog, start: float, stop: float) -> float:
-    """How fast the rotors turned between these times, from all the time that they ran [1/s]; NaN if that is too short.
-
-    The speed of the first .3 s and of the last .1 s is still changing.
-    """
-    for begin, end in log.armed():
-        if begin <= start and stop <= end + 0.1 and end - begin > SHORTEST + 0.4:
-            return rotor_speeds(log, begin + 0.3, end - 0.1).mean(start, stop)
-    return math.nan
-
-
 def table(flights: Sequence[RealFlight]) -> Iterator[str]:
     """The rows, and below them how well the flights agree."""
     yield f"| {' | '.join(HEADER)} |"
@@ -152,7 +135,6 @@ def table(flights: Sequence[RealFlight]) -> Iterator[str]:
             shown(one.found, "M_u", ".1f"),
             f"x {loud:.1f}" if math.isfinite(loud) else "",
             f"{one.hardest:.2f}",
-            f"{one.turns:.1f}" if math.isfinite(one.turns) else "",
         ]
         yield f"| {one.name} | {' | '.join(cells)} |"
     yield ""
@@ -190,22 +172,11 @@ def remaining(flights: Sequence[RealFlight]) -> str:
     rig = load_rig("lab").snapshot()
     slope = np.array([moment_gain(rig, one.thrust) / moment_gain(rig, HOVER) for one in flights])
     level, steeper = agreement(values / slope, sigmas)[2], 100.0 * (slope.max() - 1.0)
-    told = np.array([math.isfinite(one.turns) for one in flights])
-    turns = np.array([one.turns for one in flights])[told]
-    # Thrust, and so the moment of a command, goes with the square of the speed.
-    supplied = (turns / turns.mean()) ** 2
-    as_they_are, at_one_speed = (
-        agreement(values[told] / factor, sigmas[told])[2] for factor in (slope[told], slope[told] * supplied)
-    )
     verdict = "So the flights agree within their intervals." if chance > _CHANCE else "So the flights do not agree."
     return (
         f"{verdict} The likeliest difference beyond their own doubt is {100.0 * between:.1f} % in mu. |M| exceeds T in "
         f"{clipped:.1f} % of the samples, so no pair is clipped. The thrust curve is steeper at the higher mean T of "
-        f"two flights, by {steeper:.1f} % at most: chi-square {level:.1f}. The battery's voltage is not "
-        f"in a log, but the rotors' speed is ([below](#how-fast-the-rotors-turned)). It puts the supply of the "
-        f"{told.sum()} flights that tell it within {100.0 * (supplied.min() - 1.0):+.1f} to "
-        f"{100.0 * (supplied.max() - 1.0):+.1f} % of their mean. Brought to one speed they have a chi-square of "
-        f"{at_one_speed:.1f}, and {as_they_are:.1f} without that."
+        f"two flights, by {steeper:.1f} % at most: chi-square {level:.1f}."
     )
 
 

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 
 from bench.measure import Figure, one_core, timed
 from twodof.identify import Record, fit
-from twodof.identify.simulate import program_of
+from twodof.identify.record_simulator import program_of
 from twodof.models import pitch_rate
 
 MILLISECONDS = 20.0

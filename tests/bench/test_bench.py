@@ -14,7 +14,7 @@ from bench.computing.mujoco_loop import MujocoLoop
 from bench.measure import Figure, timed
 from twodof.errors import ParameterError
 from twodof.identify import Record
-from twodof.identify.simulate import RecordSimulator
+from twodof.identify.record_simulator import RecordSimulator
 from twodof.models import pitch_rate
 from twodof.rig.parameters import lab
 

@@ -11,8 +11,8 @@ from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
+from twodof.identify import ready_made
 from twodof.identify.experiments import cut
-from twodof.identify.from_flight import ready_made
 from twodof.identify.greybox import fit
 from twodof.models.plant import PitchRate, Velocity
 from twodof.models.structures import pitch_rate

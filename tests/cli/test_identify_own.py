@@ -137,7 +137,7 @@ def test_the_measured_bode_of_a_closed_loop_comes_from_the_reference(folder: Pat
         assert run([*arguments, "--plot", str(folder / f"{name}.svg"), *more]) == 0
         drawn.append((folder / f"{name}.svg").read_text())
     assert "measured, 95 %" in drawn[1]
-    # All else is the same; the points differ, as tests/identify/frequency/test_conditioned.py says.
+    # All else is the same; the points differ, as tests/identify/test_frequency_response.py says.
     assert drawn[0] != drawn[1]
 
 

@@ -22,7 +22,7 @@ FAMILY = PitchFamily.of(
 @pytest.mark.parametrize("specification", [None, Specification(bandwidth=4.0)], ids=["rule", "specification"])
 def test_it_says_how_far_it_is(specification: Specification | None) -> None:
     seen: list[tuple[str, float]] = []
-    made = design_controller(FAMILY, specification=specification, members=60, said=lambda *one: seen.append(one))
+    made = design_controller(FAMILY, specification=specification, members=60, progress=lambda *one: seen.append(one))
     assert made.ready
     assert made.saturation.goal == made.promise.goal
     shares = [share for _, share in seen]

@@ -86,7 +86,7 @@ def test_it_can_be_ended_at_any_share() -> None:
         pass
 
     shares: list[float] = []
-    tuning_preview(FAMILY, STUDENT, members=40, said=shares.append)
+    tuning_preview(FAMILY, STUDENT, members=40, progress=shares.append)
     assert shares == sorted(shares)
     assert max(np.diff([0.0, *shares, 1.0])) < 0.15
 
@@ -95,7 +95,7 @@ def test_it_can_be_ended_at_any_share() -> None:
             raise Enough
 
     with pytest.raises(Enough):
-        tuning_preview(FAMILY, STUDENT, members=40, said=said)
+        tuning_preview(FAMILY, STUDENT, members=40, progress=said)
 
 
 @pytest.mark.parametrize("bad", [{"members": 3}, {"goal": math.nan}, {"members": True}])

@@ -13,8 +13,8 @@ from twodof.experiment.expected_accuracy import expected_accuracy
 from twodof.experiment.experiments import experiment, script
 from twodof.experiment.flight import Laboratory, flight_log
 from twodof.identify.experiments import cut
-from twodof.identify.from_flight.identified_flight import identify_flight
-from twodof.identify.from_flight.ready_made import structure_for
+from twodof.identify.identified_flight import identify_flight
+from twodof.identify.ready_made import structure_for
 
 pytestmark = pytest.mark.slow
 

@@ -14,7 +14,7 @@ from twodof.blocks.library import FirstOrder
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify import Record, fit, fit_percent
-from twodof.identify.simulate import program_of
+from twodof.identify.record_simulator import program_of
 from twodof.models import (
     PAPER_PITCH_RATE,
     PitchRate,

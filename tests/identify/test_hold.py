@@ -12,8 +12,8 @@ from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.library import FirstOrder, Gain, Sum
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit
-from twodof.identify.hold import HOLDS, ticks
-from twodof.identify.simulate import RecordSimulator
+from twodof.identify.record import HOLDS
+from twodof.identify.record_simulator import RecordSimulator, ticks
 from twodof.models import Structure, pitch_rate
 from twodof.models.plant import PitchRate
 

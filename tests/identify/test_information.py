@@ -21,8 +21,7 @@ from twodof.identify import (
     predict,
     three_two_one_ones,
 )
-from twodof.identify.best_excitation import Family
-from twodof.identify.information import simulate_planned
+from twodof.identify.information import Family, simulate_planned
 from twodof.models import PAPER_PITCH_RATE, Structure, pitch_and_velocity, pitch_rate, velocity
 from twodof.models.around_plant import Offset
 

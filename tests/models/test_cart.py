@@ -12,7 +12,7 @@ from twodof.experiment.flight import Laboratory
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.identify.simulation import simulate
-from twodof.models.cart import CartPush
+from twodof.models.dry_friction import CartPush
 from twodof.models.structure import Structure
 from twodof.models.structures import pitch_on_cart, pitch_rate, rail
 from twodof.rig.parameters import load_rig

@@ -7,13 +7,13 @@ from twodof.calibrate.calibration import (
     Calibration,
     CalibrationFlight,
     CalibrationProgress,
+    ChargeEstimate,
     calibrate,
+    estimate_charge,
     find_flights,
     to_rig,
 )
-from twodof.calibrate.ceiling import gust_ceiling, gust_fits
-from twodof.calibrate.charge import ChargeEstimate, estimate_charge
-from twodof.calibrate.gusts import HOLDS, GustEstimate, HoverHold, measure_gusts
+from twodof.calibrate.gusts import HOLDS, GustEstimate, HoverHold, gust_ceiling, gust_fits, measure_gusts
 
 __all__ = [
     "FLIGHTS",

@@ -17,18 +17,74 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.calibrate.ceiling import gust_ceiling
+from twodof.calibrate.gusts import gust_ceiling
 from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS
-from twodof.identify.search.least_squares import minimise
+from twodof.identify.least_squares import minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import lift
 from twodof.signals import GRAVITY, HOVER
 from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
+
+_CHARGE_TOLERANCE = 1e-3
+_CHARGE_STEP = 0.05
+_BLOCK = 250  # samples: about a second, as misfits are coloured
+
+
+@dataclass(frozen=True)
+class ChargeEstimate:
+    """The state of charge [0, 1] at the start of a flight's window, and its standard deviation.
+
+    `at_bound` says that the estimate is 0 or 1: the flight had less or more thrust than the rig's battery allows, and
+    the deviation says nothing.
+    """
+
+    charge: float
+    deviation: float
+    at_bound: bool
+
+
+def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, float]) -> ChargeEstimate:
+    """The charge with which the noise-free `rig` comes closest to the flight, each channel over its own spread.
+
+    It uses the estimates *inside* the window, so the FIT with it is not a prediction. The rig's charge 1 is the mean of
+    the flights that it was calibrated on. The deviation takes misfits of one second as one (as `calibrate` does).
+    Raises IdentificationError if the charge leaves no trace in the flight.
+    """
+    from scipy.optimize import minimize_scalar  # imported late: most commands start without it
+
+    spread = {name: float(np.linalg.norm(values - values.mean())) for name, values in flight.logged.items()}
+    moving = [
+        name for name in (("theta", "q", "x", "v") if flight.flown.rails else ("theta", "q")) if spread[name] > 0.0
+    ]
+
+    def misfit(charge: float) -> NDArray[np.float64]:
+        simulated = flight.simulate(loop, rig, {"charge_start": charge})
+        return np.concatenate([np.empty(0), *((flight.logged[n] - simulated[n]) / spread[n] for n in moving)])
+
+    found = minimize_scalar(
+        lambda charge: float(np.sum(misfit(charge) ** 2)),
+        bounds=(0.0, 1.0),
+        method="bounded",
+        options={"xatol": _CHARGE_TOLERANCE},
+    )
+    charge = float(found.x)
+    low, high = max(0.0, charge - _CHARGE_STEP), min(1.0, charge + _CHARGE_STEP)
+    slope, residual = (misfit(high) - misfit(low)) / (high - low), misfit(charge)
+    curvature = float(slope @ slope)
+    if not curvature > 0.0:
+        raise IdentificationError(
+            "the charge leaves no trace in it", "charge", "take a flight with thrust, on a rig whose battery sags"
+        )
+    blocks = range(0, len(residual), _BLOCK)
+    push = np.array([slope[k : k + _BLOCK] @ residual[k : k + _BLOCK] for k in blocks])
+    at_bound = min(charge, 1.0 - charge) < 2.0 * _CHARGE_TOLERANCE
+    return ChargeEstimate(round(charge, 4), float(np.sqrt(push @ push)) / curvature, at_bound)
+
 
 Array = NDArray[np.float64]
 CalibrationProgress = Callable[[str, float], None]
@@ -111,7 +167,6 @@ PRIOR_WEIGHT = 0.02
 _DIFFERENCE = 0.02  # of a prior's standard deviation: above the steps that sticking makes in the misfit
 _TOLERANCE = 1e-5
 _ITERATIONS = 30
-_BLOCK = 250  # samples: about a second
 
 
 def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
@@ -146,7 +201,7 @@ def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a calibration found.
+    """Result of a calibration.
 
     `rig` is the set; `estimate` and `deviation` the unknowns and their standard deviations (robust to misfits that are
     coloured over a second, as turbulence is); `fit[flight][channel]` [%] on all flights; `left_out[flight][channel]`
@@ -228,7 +283,7 @@ def _named(x: Array) -> dict[str, float]:
 
 
 def _untouched() -> dict[str, float]:
-    """What of the shipped `lab` set no flight's window shows: gusts."""
+    """Return the parameters of the shipped `lab` set that no flight's window shows: gusts."""
     lab = load_rig("lab")
     default = ParameterSet(table=TABLE)
     return {name: lab[name] for name in lab if name not in CALIBRATED and lab[name] != default[name]}

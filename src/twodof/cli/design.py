@@ -326,7 +326,7 @@ def rail(
             goal=step,
             members=members,
             seed=seed,
-            said=lambda share: report("flying the members", begun + (_FLOWN - begun) * share),
+            progress=lambda share: report("flying the members", begun + (_FLOWN - begun) * share),
         )
         report("the margins", _FLOWN)
         checked = () if asked is None else check_rail(asked, family, flown, diagrams, made)

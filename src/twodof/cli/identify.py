@@ -19,11 +19,9 @@ from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
-from twodof.identify.from_flight.closed_loop import machine_of
-from twodof.identify.from_flight.ready_made import AUTO, FLOWN_AS, NOT_BY_HAND, by_hand, by_output_error, structure_for
 from twodof.identify.greybox import fit
-from twodof.identify.hold import HOLDS
-from twodof.identify.record import Record
+from twodof.identify.ready_made import AUTO, FLOWN_AS, NOT_BY_HAND, by_hand, by_output_error, machine_of, structure_for
+from twodof.identify.record import HOLDS, Record
 from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity

@@ -203,7 +203,7 @@ def cascade_hinf(
     specification: Specification,
     kept: Gains = DEFAULT,
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> HinfCascade:
     """Minimise the largest of three weighted responses of the family's estimate, sampled as it flies:
 
@@ -221,7 +221,7 @@ def cascade_hinf(
         except ParameterError:
             continue
         starts.append(np.array([*gains.rate, gains.attitude]))
-    found = structured_hinf(closed, starts, PERIOD, LOW, HIGH, seed, said)
+    found = structured_hinf(closed, starts, PERIOD, LOW, HIGH, seed, progress)
     kp, ki, kd, attitude = (float(x) for x in found.gains)
     return HinfCascade(replace(kept, rate=(kp, ki, kd), attitude=attitude), found.norm, found.omega, found.norms)
 

@@ -22,7 +22,7 @@ _MOST_NODES = 250
 
 @dataclass(frozen=True)
 class Motion:
-    """What a pole does: it swings at `omega` [rad/s] (0: it does not swing) and grows as exp(`growth` t) [1/s]."""
+    """Motion of a pole: it swings at `omega` [rad/s] (0: it does not swing) and grows as exp(`growth` t) [1/s]."""
 
     omega: float
     growth: float
@@ -62,7 +62,7 @@ def feedback_gain(loop: LoopTransfer) -> float:
 
 
 def worst_motion(loop: LoopTransfer, poles: Complex) -> Motion | None:
-    """What the closed loop's least stable pole does, of those that the feedback moves; None where there is none.
+    """Return the motion of the least stable pole of those that the feedback moves; None if it moves none.
 
     A pole on the border of stability may be one of the open loop too. This loop does not move it: nothing in it sees
     or reaches that state. An example is an estimator's bias.

@@ -1,4 +1,4 @@
-"""DesignedController: from an identified family to a diagram that flies, with its proof and its promise."""
+"""DesignedController: from an identified family to a diagram that flies, with its robustness and its promise."""
 
 import math
 from collections.abc import Callable
@@ -45,7 +45,7 @@ class DesignedController:
 
     @property
     def ready(self) -> bool:
-        """Whether it keeps the family stable, and what was specified."""
+        """Return True if it is stable for all drones found, and meets the specification."""
         return self.robustness.robust and all(one.met for one in self.requirements)
 
     def to_json(self) -> dict[str, Any]:
@@ -71,14 +71,14 @@ def design_controller(
     goal: float = math.radians(10.0),
     members: int = MEMBERS,
     seed: int = 1,
-    said: Callable[[str, float], None] = lambda text, share: None,
+    progress: Callable[[str, float], None] = lambda text, share: None,
     anti_windup: str = "none",
 ) -> DesignedController:
     """Design by the course's rule for `crossover` [rad/s] and `phase_margin` [rad], or for a `specification`.
 
-    `goal` [rad] is the step of the pitch that is promised; a specification names its own. `said` is called with what is
-    done and the share that is. `anti_windup` is that of the cascade's PID (`pid_attitude`). Raises ParameterError for
-    numbers out of range and gains that the drone does not take.
+    `goal` [rad] is the step of the pitch that is promised; a specification names its own. `progress` is called with
+    the present task and the share done. `anti_windup` is that of the cascade's PID (`pid_attitude`). Raise
+    ParameterError for numbers out of range and gains that the drone does not take.
     """
     if method not in METHODS:
         raise ParameterError(f"no method {shown(method)}", "design", f"there are: {', '.join(METHODS)}")
@@ -92,11 +92,11 @@ def design_controller(
     if specification is None:
         made = cascade_design(plant, crossover, phase_margin=phase_margin, lag=v["lag"], separation=separation)
     else:
-        best = cascade_hinf(family, specification, seed=seed, said=lambda s: said("the best gains", 0.3 * s))
+        best = cascade_hinf(family, specification, seed=seed, progress=lambda s: progress("the best gains", 0.3 * s))
         made = cascade_loops_of(plant, best.gains, lag=v["lag"])
     diagram = pid_attitude(made.gains, anti_windup) if method == "cascade" else lqg_attitude(family)
     flown = SampledController.of(diagram)
-    sure = robustness(flown, family, seed=seed, said=lambda s: said("the worst member", 0.3 + 0.1 * s))
+    sure = robustness(flown, family, seed=seed, progress=lambda s: progress("the worst member", 0.3 + 0.1 * s))
     found = promise(
         flown,
         family,
@@ -104,9 +104,9 @@ def design_controller(
         members=members,
         seed=seed,
         name=diagram.name,
-        said=lambda s: said("flying the members", 0.4 + 0.5 * s),
+        progress=lambda s: progress("flying the members", 0.4 + 0.5 * s),
     )
-    limited = saturated_step(diagram, family, goal, said=lambda s: said("the motors' limits", 0.9 + 0.1 * s))
+    limited = saturated_step(diagram, family, goal, progress=lambda s: progress("the motors' limits", 0.9 + 0.1 * s))
     checked = () if specification is None else check(specification, flown, family, found)
     cascade = made if method == "cascade" else None
     return DesignedController(method, family, diagram, cascade, sure, limited, found, checked)

@@ -68,7 +68,7 @@ class LoopMargins:
 
     @property
     def stable(self) -> bool:
-        """Whether the closed loop is stable; a loop on the border is not."""
+        """Return True if the closed loop is stable; a loop on the border is not."""
         return self.motion is None or self.motion.growth < 0.0
 
     @property

@@ -224,7 +224,7 @@ class PitchFamily:
 
     @classmethod
     def from_json(cls, data: object, where: str = "family") -> Self:
-        """What `to_json` gave. Raises ParameterError for anything else."""
+        """Return the family of a `to_json`. Raise ParameterError for anything else."""
         try:
             if not isinstance(data, Mapping):
                 raise TypeError(shown(data))

@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 THETA, Q, ROTORS, GUST = range(4)
 NO_LAG = 1e-5
 """A lag [s] that stands for none: the matrices then have the same shape for all members."""
-_CHUNK = 64  # steps between two calls of `said`
+_CHUNK = 64  # steps between two calls of `progress`
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,13 +168,13 @@ class PitchLoop:
         seed: int = 1,
         gust: float = 0.0,
         q_noise: float = 0.0,
-        said: Callable[[float], None] = lambda share: None,
+        progress: Callable[[float], None] = lambda share: None,
     ) -> tuple[Array, Array, Array]:
         """The theta, q and M, each (steps, n), that follow the set-point `theta_0` (steps,) [rad].
 
         Flights start from rest, the gust as ever. `gust` [rad/s2] and `q_noise` [rad/s] are standard deviations; q has
-        its noise in it. `said` is called with the share done. Raises ParameterError for a set-point that is empty or
-        not finite.
+        its noise in it. `progress` is called with the share done. Raise ParameterError for a set-point that is empty
+        or not finite.
         """
         goal = np.asarray(theta_0, dtype=float)
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
@@ -189,7 +189,7 @@ class PitchLoop:
         given = np.empty((n, 2, 1))
         for k in range(steps):
             if k % _CHUNK == 0:
-                said(k / steps)
+                progress(k / steps)
             given[:, 0, 0] = goal[k]
             given[:, 1, 0] = q_noise * rng.standard_normal(n)
             out[k] = (c @ x + d @ given)[..., 0]

@@ -397,12 +397,12 @@ def promise(
     members: int = MEMBERS,
     seed: int = 1,
     name: str = "controller",
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Promise:
     """Fly `members` of the family under `controller`, with its gust and noise, and promise a step of the pitch.
 
     The step of theta is by `goal` [rad] and watched for `duration` [s]. The bands are as wide at each time as the
-    responses spread there, times one factor for the whole time. `said` is called with the share done. Raise
+    responses spread there, times one factor for the whole time. `progress` is called with the share done. Raise
     ParameterError for numbers out of range.
     """
     if not 1e-3 <= goal <= 0.8:
@@ -412,7 +412,7 @@ def promise(
     steps = round(duration / PERIOD) + 1
     setpoint = np.concatenate([np.zeros(_LEAD), np.full(steps, goal)])
     with np.errstate(over="ignore", invalid="ignore"):
-        theta, q, moment = loop.simulate(setpoint, seed, family.gust, family.q_noise, said)
+        theta, q, moment = loop.simulate(setpoint, seed, family.gust, family.q_noise, progress)
         moment = moment - moment[_LEAD - TRIM : _LEAD].mean(axis=0)
     flown = {"theta": theta[_LEAD:], "q": q[_LEAD:], "M": moment[_LEAD:]}
     unstable = float(np.mean(loop.radii() >= 1.0))

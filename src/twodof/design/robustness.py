@@ -100,13 +100,13 @@ def robustness(
     members: int = SAMPLES,
     region: float = REGION,
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Robustness:
     """Sample `members` drones of the family, and search the border of the confidence ellipsoid `region` for the worst.
 
     The search begins in many directions and goes on around the worst of them, ever nearer. It follows three measures:
     the largest magnitude of a pole, that of a pole that swings (which the slow pole of an integral would hide), and the
-    disk margin. `said` is called with the share done. Raise ParameterError for numbers out of range.
+    disk margin. `progress` is called with the share done. Raise ParameterError for numbers out of range.
     """
     if not 0.5 <= region < 1.0:
         raise ParameterError(f"a region of {region!r}", "robustness", "give 0.5 to 0.99999")
@@ -119,7 +119,7 @@ def robustness(
         directions = _unit(np.concatenate([rng.standard_normal((_DIRECTIONS, k)), np.eye(k), -np.eye(k)]))
         values = _measures(_on_border(family, region, directions), controller)
         for step in range(_ROUNDS):
-            said(step / _ROUNDS)
+            progress(step / _ROUNDS)
             top = directions[np.unique(np.argsort(-values, axis=1)[:, :_KEPT])]
             around = top[:, None] + 0.5**step * 0.7 * rng.standard_normal((len(top), _AROUND, k))
             directions = _unit(np.concatenate([top, around.reshape(-1, k)]))

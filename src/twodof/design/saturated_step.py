@@ -43,7 +43,7 @@ class SaturatedStep:
 
     @property
     def winds_up(self) -> bool:
-        """Whether the limits make the overshoot more: what the integral gathers meanwhile has to go again."""
+        """Return True if the limits add overshoot: the integral has grown while the motors were saturated."""
         return self.saturated > 0.0 and self.overshoot > self.linear_overshoot + WOUND_UP
 
     @property
@@ -55,8 +55,8 @@ class SaturatedStep:
                 f"{step} keeps the motors within their limits; from {math.degrees(self.largest):.3g} deg on it does not"
             )
         more = f"overshoot {100.0 * self.overshoot:.1f} %, {100.0 * self.linear_overshoot:.1f} % without the limits"
-        said = f"{step} saturates the motors for {1e3 * self.saturated:.0f} ms: {more}"
-        return f"{said}: the integral winds up" if self.winds_up else said
+        progress = f"{step} saturates the motors for {1e3 * self.saturated:.0f} ms: {more}"
+        return f"{progress}: the integral winds up" if self.winds_up else progress
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; an infinite time is null."""
@@ -65,7 +65,7 @@ class SaturatedStep:
 
 
 def acting_moment(moment: float, thrust: float = HOVER) -> float:
-    """What of M the two pairs of motors give at `thrust`: each is between 0 and 1."""
+    """Return the part of M that the two pairs of motors give at `thrust`: each is between 0 and 1."""
     return 0.5 * (min(max(thrust + moment, 0.0), 1.0) - min(max(thrust - moment, 0.0), 1.0))
 
 
@@ -74,7 +74,7 @@ def saturated_step(
     family: PitchFamily,
     goal: float = GOAL,
     duration: float = DURATION,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> SaturatedStep:
     """Fly a step of theta by `goal` [rad] from rest on the estimate of `family`, without gust and noise.
 
@@ -88,7 +88,7 @@ def saturated_step(
     loop = PitchLoop(family.nominal(), controller)
     steps = round(duration / PERIOD) + 1
     linear, _, moments = loop.simulate(np.full(steps, goal))
-    theta, clipped = _flown(diagram, loop, goal, steps, said)
+    theta, clipped = _flown(diagram, loop, goal, steps, progress)
     time = np.arange(steps) * PERIOD
     figures = [step_figures(time, y, 0.0, goal, SETTLED) for y in (theta, linear[:, 0])]
     settled = [math.inf if math.isnan(one.settling_time) else float(one.settling_time) for one in figures]
@@ -105,7 +105,7 @@ def saturated_step(
 
 
 def _flown(
-    diagram: Diagram, loop: PitchLoop, goal: float, steps: int, said: Callable[[float], None]
+    diagram: Diagram, loop: PitchLoop, goal: float, steps: int, progress: Callable[[float], None]
 ) -> tuple[Array, int]:
     """theta (steps,) under the diagram itself, and how many samples its moment was more than the motors give."""
     a, b = (part[0] for part in loop.plant)
@@ -114,7 +114,7 @@ def _flown(
     given = {"theta_0": goal, "q_0": 0.0, "FLAG_RESET_INT": False, "FLAG_ATTITUDE_ENABLED": True}
     for k in range(steps):
         if k % 50 == 0:
-            said(k / steps)
+            progress(k / steps)
         theta[k] = x[0]
         moment = float(machine.step({**given, "theta": float(x[-1]), "q": float(x[Q])})["M"])
         acting = acting_moment(moment)

@@ -53,13 +53,13 @@ def structured_hinf(
     low: Array | None = None,
     high: Array | None = None,
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> StructuredHinf:
     """The gains that minimise the H-infinity norm of `closed`, each between `low` and `high` (none: unbounded).
 
     The search is scaled by the first start's gains. `dt` [s] is the sample time of the loop, None a continuous one.
-    `said` is called with the share done. Raises ParameterError for starts that do not fit, and where no start leads to
-    a stable loop.
+    `progress` is called with the share done. Raise ParameterError for starts that do not fit, and if no start leads
+    to a stable loop.
     """
     points = [np.asarray(start, dtype=float) for start in starts]
     if not points or any(p.ndim != 1 or p.shape != points[0].shape or not np.isfinite(p).all() for p in points):
@@ -75,7 +75,7 @@ def structured_hinf(
     rng = np.random.default_rng(seed)
     found: list[tuple[float, Array]] = []
     for number, start in enumerate(points):
-        said(number / len(points))
+        progress(number / len(points))
         y = search.stable(np.clip(start, bottom, top) / search.scale, rng)
         if y is not None:
             found.append(search.lowest(y))
@@ -117,7 +117,7 @@ class _Search:
         return None
 
     def lowest(self, y: Array) -> tuple[float, Array]:
-        """(norm, y) that BFGS reaches from the stable `y`, begun anew where it has come to a kink."""
+        """Return (norm, y) that BFGS reaches from the stable `y`, restarted if it has come to a kink."""
         value = math.inf
         for _ in range(_AGAIN):
             y, reached = self._descend(y, self.norm, self._norm_slope, lambda v: False)

@@ -1,4 +1,4 @@
-"""TuningPreview: what gains will do on an identified family before they are sent, fast enough to follow a slider."""
+"""TuningPreview: the effect of gains on an identified family before they are sent; PitchLaw: the law that flies."""
 
 import hashlib
 import math
@@ -36,7 +36,7 @@ _FIGURES = ("rise_time", "overshoot", "settling_time", "peak_q", "peak_M")
 
 @dataclass(frozen=True, eq=False)
 class TuningPreview:
-    """What `gains` do on a family: `loops`, bands of a step of theta by `goal` [rad], its figures, and the verdict.
+    """Preview of `gains` on a family: `loops`, bands of a step of theta by `goal` [rad], its figures, and the verdict.
 
     `gains` are None of a controller that is not the stock cascade. `loops` has the margins of each of `PITCH_LOOPS`, of
     the estimate; of another controller those at the motors alone. `low`, `middle` and `high` are bands of
@@ -85,16 +85,16 @@ def tuning_preview(
     members: int = 200,
     seed: int = 1,
     goal: float = GOAL,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> TuningPreview:
-    """Close the pitch loops of the stock cascade with `gains` over `family`, and say what will come.
+    """Close the pitch loops of the stock cascade with `gains` over `family`, and return what they will do.
 
     `family` is that of a model's file: `PitchFamily.from_identified(json)`. The same `seed` draws the same members and
-    gusts, so two calls with other gains differ by the gains alone. `said` is called with the share done, some ten times
-    a second; an exception that it raises ends the work. Raises ParameterError for numbers out of range.
+    gusts, so two calls with other gains differ by the gains alone. `progress` is called with the share done, some ten
+    times a second; an exception that it raises ends the work. Raise ParameterError for numbers out of range.
     """
     controller = SampledController.of_cascade(*gains.rate, gains.attitude)
-    return _preview(family, controller, gains, pitch_loops(family.nominal(), gains), members, seed, goal, said)
+    return _preview(family, controller, gains, pitch_loops(family.nominal(), gains), members, seed, goal, progress)
 
 
 def controller_preview(
@@ -104,11 +104,11 @@ def controller_preview(
     members: int = 200,
     seed: int = 1,
     goal: float = GOAL,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> TuningPreview:
     """As `tuning_preview`, of any controller of the pitch; its margins are those at the motors."""
     loops = {PITCH_LOOPS[0]: PitchLoop(family.nominal(), controller).loop_transfer()}
-    return _preview(family, controller, None, loops, members, seed, goal, said)
+    return _preview(family, controller, None, loops, members, seed, goal, progress)
 
 
 def _preview(
@@ -119,18 +119,18 @@ def _preview(
     members: int,
     seed: int,
     goal: float,
-    said: Callable[[float], None],
+    progress: Callable[[float], None],
 ) -> TuningPreview:
     made = promise(
-        controller, family, goal=goal, members=members, seed=seed, name="preview", said=lambda s: said(0.5 * s)
+        controller, family, goal=goal, members=members, seed=seed, name="preview", progress=lambda s: progress(0.5 * s)
     )
-    settled = _settling(family, controller, made, lambda s: said(0.5 + 0.2 * s))
+    settled = _settling(family, controller, made, lambda s: progress(0.5 + 0.2 * s))
     every = {**made.figures, "settling_time": interval(settled, LEVEL)}
     loops = {}
     for k, (name, loop) in enumerate(broken.items()):
-        said(0.7 + 0.1 * k / len(PITCH_LOOPS))
+        progress(0.7 + 0.1 * k / len(PITCH_LOOPS))
         loops[name] = margins(loop)
-    sure = robustness(controller, family, seed=seed, said=lambda s: said(0.8 + 0.2 * s))
+    sure = robustness(controller, family, seed=seed, progress=lambda s: progress(0.8 + 0.2 * s))
     band = [_cut(side) for side in (made.low, made.middle, made.high)]
     figures = {name: every[name] for name in _FIGURES}
     return TuningPreview(gains, goal, LEVEL, members, loops, made.time, band[0], band[1], band[2], figures, sure)
@@ -141,12 +141,12 @@ def _cut(side: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _settling(
-    family: PitchFamily, controller: SampledController, made: Promise, said: Callable[[float], None]
+    family: PitchFamily, controller: SampledController, made: Promise, progress: Callable[[float], None]
 ) -> Array:
     """The settling time [s] of each member without gust and noise; infinite where the time shown does not hold it."""
     loop = PitchLoop(family.draw(made.members, made.seed), controller, family.gust_time)
     with np.errstate(over="ignore", invalid="ignore"):
-        theta, _, _ = loop.simulate(np.full(len(made.time), made.goal), said=said)
+        theta, _, _ = loop.simulate(np.full(len(made.time), made.goal), progress=progress)
         outside = ~(np.abs(theta / made.goal - 1.0) <= SETTLED)
     last = len(theta) - np.argmax(outside[::-1], axis=0)
     return np.where(outside.any(axis=0), np.where(outside[-1], np.inf, last * PERIOD), 0.0)
@@ -213,7 +213,7 @@ class PitchLaw:
         return hashlib.sha256(b"".join(repr(part.shape).encode() + part.tobytes() for part in parts)).hexdigest()
 
     def preview(self, family: PitchFamily, goal: float) -> TuningPreview:
-        """What it does on `family`, with a step of theta by `goal` [rad]."""
+        """Return the preview on `family`, with a step of theta by `goal` [rad]."""
         if self.gains is not None:
             return tuning_preview(family, self.gains, goal=goal, members=SURE)
         return controller_preview(family, self.controller, goal=goal, members=SURE)

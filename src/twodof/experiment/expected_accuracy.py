@@ -14,10 +14,19 @@ from twodof.experiment.flight import Laboratory, flight_log, ready
 from twodof.identify.disturbance.autoregression import Autoregression, from_covariance
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
 from twodof.identify.experiments import KINDS, cut, kind_of
-from twodof.identify.from_flight.closed_loop import FlownMachine, known_before, known_cart
-from twodof.identify.from_flight.ready_made import FLOWN_AS, SWING, TRAVEL, structure_for
-from twodof.identify.from_flight.sufficiency import LEVEL, PURPOSE, TOLD
 from twodof.identify.information import Information, predict
+from twodof.identify.ready_made import (
+    FLOWN_AS,
+    LEVEL,
+    PURPOSE,
+    SWING,
+    TOLD,
+    TRAVEL,
+    FlownMachine,
+    known_before,
+    known_cart,
+    structure_for,
+)
 from twodof.identify.record import Record
 from twodof.identify.validate import deviations
 from twodof.models.structure import Structure

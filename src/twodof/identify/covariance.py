@@ -1,4 +1,4 @@
-"""What the Jacobian at the solution says: covariance, its robust form, condition, and what the data cannot tell."""
+"""Covariance of the estimates from the Jacobian at the solution, its robust form, and identifiability."""
 
 import math
 from collections.abc import Sequence

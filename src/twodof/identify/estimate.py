@@ -10,20 +10,15 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
+from twodof.identify.remarks import remarks
 from twodof.identify.validate import Comparison, deviations
 
 Array = NDArray[np.float64]
 
-_CONTRADICTED = 3.0
-"""Standard deviations between an estimate and what was known before that are no chance."""
-
-_UNTOLD = 0.9
-"""Share of the doubt before that is left where the data hardly tell anything."""
-
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What a fit found.
+    """Result of a fit.
 
     `values`, `covariance` and `robust` are in the order of `labels` (SI units, `units`); `local` are the labels that
     belong to one record (initial states, trim, bias). `covariance` supposes white residuals and is then the Cramer-Rao
@@ -67,12 +62,12 @@ class Estimate:
 
     @property
     def white(self) -> bool:
-        """Whether the residuals of every identification record passed the whiteness test."""
+        """Return True if the residuals of every identification record passed the whiteness test."""
         return all(c.whiteness is None or c.whiteness.passed for c in self.identification)
 
     @property
     def wanders(self) -> bool:
-        """Whether the residual of an identification record wanders (`Comparison.wanders`): all sigma are too small."""
+        """Return True if the residual of a record wanders (`Comparison.wanders`): all sigma are then too small."""
         return any(c.wanders for c in self.identification)
 
     @property
@@ -98,7 +93,7 @@ class Estimate:
 
     @property
     def summed(self) -> tuple[str, ...]:
-        """The sums of which at least one part was estimated for all records."""
+        """Return the sums with at least one part that was estimated for all records."""
         return tuple(name for name, parts in self.sums.items() if any(part in self.labels for part in parts))
 
     def unit(self, label: str) -> str:
@@ -119,7 +114,7 @@ class Estimate:
 
     @property
     def supposed(self) -> tuple[str, ...]:
-        """What was not found but known before, or held, a line each."""
+        """Return the priors and the held values, a line each."""
         lines = []
         if self.prior:
             known = (f"{name} {mean:.5g} +- {width:.2g}" for name, (mean, width) in self.prior.items())
@@ -130,102 +125,8 @@ class Estimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know before using the figures, one sentence each with what to do about it."""
-        found = []
-        if not self.converged:
-            found.append("the search did not converge: give better first guesses or fix unknowns")
-        found.extend(f"{gap}: fit the pieces between (Record.pieces)" for gap in self.gaps)
-        found.extend(f"{label} is held by its bound: widen the bound or fix it" for label in self.at_bound)
-        found.extend(
-            f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
-            for name in self.at_rest
-        )
-        if "xi" in self.labels and "xi" not in self.prior and self["xi"] < -self.sigma("xi"):
-            found.append(
-                "xi is negative, a swing that grows by itself: the record does not show the damping. "
-                "Hold w_n and xi at those of a free response"
-            )
-        found.extend(self._prior_remarks())
-        loose = [name for name in self.summed if self._only_together(name)]
-        together = {part for name in loose for part in self.sums[name]}
-        found.extend(
-            f"the data tell {' and '.join(self.sums[name])} only together: use {name}, or hold one of them"
-            for name in loose
-        )
-        for i, label in enumerate(self.labels):
-            deviation = self.sigma(label)
-            if label not in (*self.local, *together, *self.prior) and deviation > abs(self.values[i]):
-                found.append(f"the data hardly tell {label}: {self.values[i]:.3g} +- {deviation:.2g}")
-        correlation = self.correlation
-        for i in range(len(self.labels)):
-            found.extend(
-                f"{self.labels[j]} and {self.labels[i]} are hardly told apart "
-                f"(correlation {correlation[i, j]:.3f}): fix one or add an experiment"
-                for j in range(i)
-                if abs(correlation[i, j]) > 0.98 and not {self.labels[i], self.labels[j]} <= together
-            )
-        if not self.white:
-            found.append(
-                "the residuals are not white, so the robust standard deviations are quoted: "
-                "the structure or the noise model leaves something out"
-            )
-            found.extend(self._noise_remarks())
-        found.extend(
-            f"the residual of {c.output} in '{c.record}' wanders, so the standard deviations are too small by an "
-            "unknown factor: something pushes the machine itself, as a gust does, or the structure is wrong. Repeat "
-            "the experiment and believe the spread of the estimates, or fit a linear structure with the actuators' "
-            "lag, which lets the push be a part of the model"
-            for c in self.identification
-            if c.wanders
-        )
-        for c in self.identification:
-            found.extend(
-                f"the residual of {c.output} in '{c.record}' still depends on {name}: the structure leaves out a part "
-                "of the response"
-                for name, test in c.inputs.items()
-                if not test.causal.passed
-            )
-        return tuple(found)
-
-    def _only_together(self, name: str) -> bool:
-        """Whether a sum of estimates is known five times better than the part of it that is known worst."""
-        parts = [part for part in self.sums[name] if part in self.labels]
-        known = [self.sigma(part) for part in parts if not math.isnan(self.sigma(part))]
-        return len(parts) > 1 and bool(known) and self.sigma(name) < 0.2 * max(known)
-
-    def _prior_remarks(self) -> list[str]:
-        """Where the data say nothing beyond what was known before, and where they say something else."""
-        found = []
-        for label in self.labels:
-            mean, width = self.prior.get(label.partition("[")[0], (0.0, math.inf))
-            if abs(self[label] - mean) > _CONTRADICTED * width:
-                found.append(
-                    f"the data contradict what was known of {label}, {mean:.3g} +- {width:.2g}: "
-                    "give another `prior`, or look for what the structure leaves out"
-                )
-            elif self.sigma(label) > _UNTOLD * width:
-                found.append(
-                    f"{label} is mostly what was known before, {mean:.3g} +- {width:.2g}: the data hardly tell it"
-                )
-        return found
-
-    def _noise_remarks(self) -> list[str]:
-        """What coloured residuals mean that were taken for white."""
-        if self.disturbance.kind != "white":
-            return []
-        found = []
-        if names := self.disturbance.answering:
-            found.append(
-                f"{' and '.join(names)} {'answer' if len(names) > 1 else 'answers'} the noise, as a controller does: "
-                "coloured noise that is taken for white then makes the estimates wrong, not only unsure. Fit with "
-                "disturbance='ar' (--disturbance ar)"
-            )
-        if self.disturbance.change > 0.0:
-            found.append(
-                f"coloured noise would change an estimate by {self.disturbance.change:.0f} standard deviations, which "
-                "in open loop it must not: the structure leaves out a part of the response, and output error is kept"
-            )
-        return found
+        """Return what a reader should know before using the figures, one sentence each with what to do about it."""
+        return remarks(self)
 
     def table(self) -> str:
         """Values, standard deviations (white, robust), fits and remarks as text for a terminal."""
@@ -251,7 +152,7 @@ class Estimate:
         return "\n".join(lines)
 
     def _compared(self, one: Comparison) -> str:
-        """How well the model reproduces an output; in closed loop how well it foretells it, which is what counts."""
+        """How well the model reproduces an output; in closed loop how well it predicts it, which is what counts."""
         place = f"{one.output} in '{one.record}'"
         if one.ahead is not None and self.disturbance.answering:
             return (

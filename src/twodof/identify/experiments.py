@@ -31,9 +31,9 @@ _REST_S = 0.1
 
 @dataclass(frozen=True)
 class ExperimentKind:
-    """What to look for (modes and shapes of `flightlog.contents`), and inputs and outputs of the record.
+    """Excitation to look for (modes and shapes of `flightlog.contents`), with inputs and outputs of the record.
 
-    An output `x` is not the on-board estimate of that name but what the range sensor saw, x = dist - 0.50 m. An input
+    An output `x` is the range sensor's, x = dist - 0.50 m, and not the on-board estimate of that name. An input
     `gyro` is the measured q, which is an output too. Inputs named in `smooth` are measured and move on between their
     samples (`Record.from_channels`).
     """

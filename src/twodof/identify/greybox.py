@@ -18,11 +18,11 @@ from twodof.flightlog.log import FlightLog
 from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, doubted, robust_covariance
 from twodof.identify.disturbance.autoregression import Autoregression
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.disturbance.search import check_disturbance, search
+from twodof.identify.disturbance.noise_search import check_disturbance, search
 from twodof.identify.estimate import Estimate
+from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, check_record
-from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.validate import Comparison, compare
 from twodof.models.structure import Structure, check_structure
 
@@ -63,7 +63,7 @@ def fit(
     closed loop, from 250 samples on, and output error in open loop. In open loop output error also stays where the
     noise model would change the estimates by more than chance: then the structure is wrong.
     `prior`: (mean, standard deviation) of unknowns as they are known from elsewhere. They are estimated all the same,
-    and weigh what is known against what the data tell (Bayes, normal). It is added to what the structure knows of the
+    and the prior is weighed against the data (Bayes, normal). It is added to what the structure knows of the
     machine (`Structure.prior`); an infinite standard deviation takes that away. Its mean is the first guess.
 
     Raises IdentificationError for a wrong type, for unknown or repeated names, and for a record without the structure's
@@ -225,10 +225,10 @@ def _comparisons(
     noise: Mapping[str, Autoregression] | None = None,
 ) -> tuple[Comparison, ...]:
     found: list[Comparison] = []
-    foretold: dict[tuple[int, str], float] = {}
+    unpredicted: dict[tuple[int, str], float] = {}
     for k, blocks in enumerate(problem.noises):
         if model := (noise or {}).get(problem.noise_label(k)):
-            foretold |= {(problem.blocks[b].record, problem.blocks[b].output): model.sigma for b in blocks}
+            unpredicted |= {(problem.blocks[b].record, problem.blocks[b].output): model.sigma for b in blocks}
     tested = {}
     if prediction_error is not None:
         tested = {(block.record, block.output): prediction_error[block.rows] for block in problem.blocks}
@@ -245,7 +245,7 @@ def _comparisons(
                     np.array(simulated),
                     {name: record.inputs[name][step] for name in problem.structure.inputs},
                     prediction_error=tested.get((r, output)),
-                    foretold=foretold.get((r, output)),
+                    unpredicted=unpredicted.get((r, output)),
                 )
             )
     return tuple(found)

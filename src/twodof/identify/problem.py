@@ -1,4 +1,4 @@
-"""The least-squares problem behind a fit: which unknown of which record is which entry of x, residuals, Jacobian."""
+"""Problem: the least squares of a fit, with the order of the unknowns in x, residuals, Jacobian, prior and band."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -9,10 +9,8 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import ResidualRows
-from twodof.identify.frequency.band import Band
 from twodof.identify.record import Record
-from twodof.identify.search.prior import Prior, check_prior
-from twodof.identify.simulate import RecordSimulator
+from twodof.identify.record_simulator import RecordSimulator
 from twodof.models.structure import Structure, UnknownParameter
 
 Array = NDArray[np.float64]
@@ -133,7 +131,7 @@ class Problem:
         return {(f"{o}[{self.records[r].name}]" if several else o): s for (r, o), s in self.sigma.items()}
 
     def noise_label(self, noise: int) -> str:
-        """What the noise of `noises[noise]` is called: its output, or "output[flight]" if there are several flights."""
+        """Return the name of `noises[noise]`: its output, or "output[flight]" if there are several flights."""
         block = self.blocks[self.noises[noise][0]]
         several = len({self._flight(one.record) for one in self.blocks}) > 1
         return f"{block.output}[{self._flight(block.record)}]" if several else block.output
@@ -268,3 +266,100 @@ def _slots(
         else:
             slots.extend(FreeUnknown(unknown, r, f"{name}[{record.name}]") for r, record in enumerate(records))
     return slots
+
+
+class Prior:
+    """Normal distributions of some entries of x: each is one more row, (x - mean) / deviation.
+
+    `places` are the entries, each with its (mean, standard deviation).
+    """
+
+    def __init__(self, places: Sequence[tuple[int, tuple[float, float]]], size: int) -> None:
+        self.index = np.array([place for place, _ in places], dtype=np.int64)
+        self.mean = np.array([mean for _, (mean, _) in places])
+        self.deviation = np.array([deviation for _, (_, deviation) in places])
+        self.slopes = np.zeros((len(places), size))
+        self.slopes[np.arange(len(places)), self.index] = 1.0 / self.deviation
+
+    def __len__(self) -> int:
+        return self.index.size
+
+    def rows(self, x: Array) -> Array:
+        """How far x is from what was known, in standard deviations."""
+        return np.asarray((x[self.index] - self.mean) / self.deviation)
+
+
+def check_prior(prior: Mapping[str, tuple[float, float]], unknowns: Sequence[str], where: str) -> None:
+    """Raises IdentificationError for a name that is not an unknown, and for no mean or no standard deviation.
+
+    A standard deviation may be infinite: then nothing is known.
+    """
+    for name, given in prior.items():
+        if name not in unknowns:
+            raise IdentificationError(f"no unknown is called '{name}'", where, f"there are: {', '.join(unknowns)}")
+        try:
+            mean, deviation = (float(one) for one in given)
+            right = math.isfinite(mean) and deviation > 0.0
+        except (TypeError, ValueError):
+            right = False
+        if not right:
+            raise IdentificationError(
+                f"the prior of '{name}' is {given!r:.80}", where, "give (mean, standard deviation), the latter above 0"
+            )
+
+
+# Jitter of a tenth of the interval turns the phase at the highest frequency by 18 degrees, in a band by far less.
+_JITTER = 0.1
+_MOST_LOST = 0.1
+
+
+class Band:
+    """The discrete Fourier coefficients between two frequencies (`low`, `high`) [Hz] of samples at `position` [steps].
+
+    `dt` [s] is the step. The samples are on a uniform clock, of which single ones may be lost, one in ten at most.
+    `where` names record and output in errors. Raises IdentificationError for other gaps and for a band without any
+    coefficient.
+    """
+
+    def __init__(self, band: tuple[float, float], position: Array, dt: float, where: str) -> None:
+        self._number = _numbers(position, where)
+        self._size = int(self._number[-1]) + 1
+        interval = float(position[-1] - position[0]) / (self._size - 1) * dt
+        frequency = np.fft.rfftfreq(self._size, interval)
+        # The coefficients at 0 and at half the sampling rate are real: they would be rows of another variance.
+        inner = (frequency > 0.0) & (frequency < 0.5 / interval * (1.0 - 1e-9))
+        self.bins = np.flatnonzero((frequency >= band[0]) & (frequency <= band[1]) & inner)
+        if self.bins.size == 0:
+            raise IdentificationError(
+                f"no Fourier coefficient lies in {band[0]:g} to {band[1]:g} Hz",
+                where,
+                f"the resolution is {1.0 / (interval * self._size):g} Hz",
+            )
+
+    def coefficients(self, error: Array) -> Array:
+        """Real parts, then imaginary parts, shape (2 * bins,); white noise keeps its standard deviation.
+
+        The error of a lost sample is taken as that between its neighbours.
+        """
+        if self._size > error.size:
+            error = np.interp(np.arange(self._size), self._number, error)
+        spectrum = np.fft.rfft(error)[self.bins] * math.sqrt(2.0 / self._size)
+        return np.concatenate([spectrum.real, spectrum.imag])
+
+
+def _numbers(position: Array, where: str) -> NDArray[np.int64]:
+    """The number of each sample on the uniform clock, counting those that are lost."""
+    interval = np.diff(position)
+    if interval.size:
+        count = np.maximum(1.0, np.round(interval / np.median(interval)))
+        number = np.concatenate([[0.0], np.cumsum(count)])
+        usual = float(position[-1] - position[0]) / number[-1]
+        lost = number[-1] + 1.0 - position.size
+        even = np.abs(interval - count * usual).max() <= _JITTER * usual
+        if even and count.max() <= 2.0 and lost <= _MOST_LOST * position.size:
+            return number.astype(np.int64)
+    raise IdentificationError(
+        "the frequency domain needs samples on a uniform clock, of which at most single ones are lost, one in ten",
+        where,
+        "fit in the time domain, or resample the log first",
+    )

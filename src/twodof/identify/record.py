@@ -10,9 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import IdentificationError
 from twodof.flightlog.log import FlightLog
-from twodof.identify.hold import HOLDS
 
 Array = NDArray[np.float64]
+
+HOLDS = ("zoh", "linear", "band-limited")
+"""Held from one sample to the next; straight lines between samples; no content above half the sampling rate
+(Pintelon and Schoukens, System Identification, section 13.2)."""
 
 MAX_STEPS = 1_000_000
 """Longest record: more than an hour at 250 Hz."""
@@ -33,13 +36,13 @@ class Samples:
 
     @property
     def on_grid(self) -> bool:
-        """Whether sample k lies on step k, without gaps."""
+        """Return True if sample k lies on step k, without gaps."""
         return bool(np.array_equal(self.position, np.arange(self.position.size)))
 
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """What was applied and what was measured, in one window.
+    """Inputs that were applied and outputs that were measured, in one window.
 
     `inputs[name]` has shape (steps,); `outputs[name]` are samples at their own times. `dt` [s] is the step, `start` [s]
     the time of step 0 on the log's axis. `hold[name]` says how an input behaves between its steps. The default "zoh"
@@ -268,9 +271,9 @@ class Record:
         return replace(self, name=name or self.name, start=begin, inputs=inputs, outputs=outputs, gaps=within)
 
     def pieces(self) -> tuple[Self, ...]:
-        """What lies between the gaps of the inputs, in pieces of `SHORTEST_PIECE` steps and more; all, if it has none.
+        """Return the pieces between the gaps of the inputs, of `SHORTEST_PIECE` steps and more.
 
-        Fit them together: each has initial states of its own, so nothing is supposed of what was applied in a gap.
+        Fit them together: each has initial states of its own, so the input in a gap does not matter.
         Their noise is that of one flight.
         """
         if not self.gaps:

@@ -23,7 +23,7 @@ class Spread:
     count: int
 
     def exceeds(self, sigma: float) -> bool:
-        """Whether it is too large to be chance if `sigma` is right (chi-square, once in a thousand)."""
+        """Return True if it is too large for chance, given `sigma` (chi-square, once in a thousand)."""
         from scipy.special import chdtri  # imported late: most commands start without it
 
         return (self.count - 1) * (self.value / sigma) ** 2 > float(chdtri(self.count - 1, 0.001))
@@ -44,7 +44,7 @@ class Repeated:
 
     @property
     def converged(self) -> bool:
-        """Whether all fits did."""
+        """Return True if all fits converged."""
         return all(one.converged for one in self.estimates)
 
     def mean(self, label: str) -> float:
@@ -61,7 +61,7 @@ class Repeated:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know before using the figures."""
+        """Return the remarks on the spread, and those of the flights."""
         found = [
             f"{label}: the flights spread {self.spread(label).value / self.claimed(label):.1f} times as far as the "
             "standard deviation that one of them claims: what differs from flight to flight acts on the drone and not "
@@ -69,17 +69,17 @@ class Repeated:
             for label in self.labels
             if self.spread(label).exceeds(self.claimed(label))
         ]
-        said: dict[str, list[str]] = {}
+        flights: dict[str, list[str]] = {}
         for name, one in zip(self.names, self.estimates, strict=True):
             for remark in one.remarks:
                 if f"'{name}'" in remark:
                     if not one.wanders or "wanders" not in remark:  # what it asks for is here: the spread
                         found.append(remark)
                 else:
-                    said.setdefault(remark, []).append(f"'{name}'")
+                    flights.setdefault(remark, []).append(f"'{name}'")
         found.extend(
             remark if len(names) == len(self.names) else f"{', '.join(names)}: {remark}"
-            for remark, names in said.items()
+            for remark, names in flights.items()
         )
         return tuple(found)
 
@@ -99,7 +99,7 @@ class Repeated:
             ("claimed by one", [f"+- {self.claimed(label):.2g}" for label in labels]),
         ):
             lines.append(f"{title:{width}}" + "".join(f"{cell:>22}" for cell in value))
-        # All suppose the same, so the spread does not show what is wrong in that.
+        # All flights share priors and held values, so the spread does not show errors in those.
         lines.extend(first.supposed)
         lines.extend(f"note: {remark}" for remark in self.remarks)
         return "\n".join(lines)

@@ -37,7 +37,7 @@ _MOVED = 0.1
 
 @dataclass(frozen=True, eq=False)
 class FreeResponse:
-    """What one reads off the response to the impulse; times on the log's axis [s].
+    """Figures read off the response to the impulse; times on the log's axis [s].
 
     Every half swing has a peak (`peak_times`, `peaks`). `crossings` are the times of zero rate, and `period` [s] is
     their mean spacing times two. `settling_time` [s] lasts from the first peak until the envelope is below 1 % of it;
@@ -56,7 +56,7 @@ class FreeResponse:
 
 @dataclass(frozen=True, eq=False)
 class DoubletResponse:
-    """What one reads off the response to a doublet about the trim moment.
+    """Figures read off the response to a doublet about the trim moment.
 
     `edge` [s] and `amplitude` of the input's first edge; `peak` is the first peak of q [rad/s] above its rest,
     `unit_peak` that simulated with mu = 1, `peak_time` [s] when; `shift` counts the samples by which the simulated
@@ -81,7 +81,7 @@ class DoubletResponse:
 
 @dataclass(frozen=True, eq=False)
 class SimpleEstimate:
-    """What the simple methods have in common: FIT [%] by record, that of the record identified and of the others.
+    """Common part of the simple methods: FIT [%] by record, of the identified record and of the others.
 
     `left` is the root mean square of what the model leaves unexplained in the record identified, over the peak.
     """
@@ -94,7 +94,7 @@ class SimpleEstimate:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know before using the figures, one sentence each with what to do about it."""
+        """Return what a reader should know before using the figures, one sentence each with what to do about it."""
         return tuple(
             f"the model reproduces {self.output} in '{name}' with a FIT of only {value:.0f} %, so its figures are not "
             "to be trusted: check on a plot that the window holds one clean response, or estimate by output error "
@@ -129,7 +129,7 @@ class SimplePitch(SimpleEstimate):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know before using the figures, one sentence each with what to do about it."""
+        """Return what a reader should know before using the figures, one sentence each with what to do about it."""
         name, amplitude = self.identification[0], abs(self.doublet.amplitude)
         found = list(super().remarks)
         if self.doublet.moved > _MOVED * amplitude:

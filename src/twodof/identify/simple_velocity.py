@@ -24,7 +24,7 @@ _NOISY = 0.1
 
 @dataclass(frozen=True, eq=False)
 class StepResponse:
-    """What one reads off the first half of the doublet; times on the log's axis [s].
+    """Figures read off the first half of the doublet; times on the log's axis [s].
 
     `theta_bar` [rad] is the pitch that is held, and its set-point strays by `strayed` [rad] until the doublet turns.
     `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`).
@@ -58,7 +58,7 @@ class SimpleVelocity(SimpleEstimate):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """What a reader should know before using the figures, one sentence each with what to do about it."""
+        """Return what a reader should know before using the figures, one sentence each with what to do about it."""
         found = super().remarks
         if self.step.strayed > _STRAYED * abs(self.step.theta_bar):
             strayed = (

@@ -1,4 +1,4 @@
-"""What a structure says of a record: simulated from its start or its first samples, and predicted samples ahead."""
+"""Simulation of a structure on a record, from its start or its first samples, and prediction samples ahead."""
 
 import math
 from collections.abc import Mapping
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 from twodof.identify.estimate import Estimate
+from twodof.identify.least_squares import minimise
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples, check_record
-from twodof.identify.search.least_squares import minimise
-from twodof.identify.simulate import RecordSimulator
+from twodof.identify.record_simulator import RecordSimulator
 from twodof.models.structure import Structure, check_structure
 
 Array = NDArray[np.float64]
@@ -112,7 +112,7 @@ def predict_ahead(
 
 
 def _ahead(noise: Autoregression, error: Array, steps: int) -> Array:
-    """What the errors tell of those `steps` later, shape (samples,); where fewer are known than the order, by those."""
+    """Predict each error from those up to `steps` samples before, shape (samples,); the first ones from fewer."""
     told, order = np.zeros(error.size), noise.order
     for known in range(1, order):
         at = known - 1 + steps

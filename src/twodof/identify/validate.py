@@ -64,7 +64,7 @@ class Correlation:
 
     @property
     def passed(self) -> bool:
-        """Whether the residuals pass this test."""
+        """Return True if the residuals pass this test."""
         quantile = NormalDist().inv_cdf
         ratio = quantile(0.5 * (1.0 - self.level) / self.lags.size) / quantile(0.5 * (1.0 - self.level))
         return self.outside <= self.allowed and bool((np.abs(self.value) <= ratio * self.bound).all())
@@ -127,7 +127,7 @@ class Comparison:
 
     `inputs` holds the cross-correlation with each input; tests are None for records too short for them. With a noise
     model the tests are of the prediction error, of which the model has taken the colour. `ahead` is then the FIT of
-    what model and noise foretell one sample ahead [%]. In closed loop it is the one to read: the input answers gusts,
+    model and noise predict one sample ahead [%]. In closed loop it is the one to read: the input answers gusts,
     of which `simulated` knows nothing.
     """
 
@@ -150,7 +150,7 @@ class Comparison:
 
     @property
     def wanders(self) -> bool:
-        """Whether the residual wanders: correlated by more than .15 over each of ten lags, and by more than chance.
+        """Return True if the residual correlates by more than .15 over each of ten lags, and by more than chance.
 
         The robust covariance is too small then. What is slower than its window is not in it, and the fit has absorbed a
         part (docs/explanation/identification.md, section 4). Ten lags keep white noise of the sensor from hiding it.
@@ -186,13 +186,13 @@ def compare(
     applied: dict[str, Array],
     lags: int = 25,
     prediction_error: Array | None = None,
-    foretold: float | None = None,
+    unpredicted: float | None = None,
 ) -> Comparison:
     """Figures and residual tests of one output; `applied` are the inputs at the same times.
 
     Tested is the `prediction_error`, which a noise model has made of the residual, or else the residual itself.
-    `foretold` is the root mean square of what the noise model cannot foretell. An input that is constant, and a record
-    shorter than 4 `lags`, have no test.
+    `unpredicted` is the root mean square of the noise model's prediction errors. An input that is constant, and a
+    record shorter than 4 `lags`, have no test.
     """
     error = measured - simulated if prediction_error is None else prediction_error
     long_enough = measured.size >= 4 * lags and float(np.ptp(error)) > 0.0
@@ -211,7 +211,7 @@ def compare(
             for name, signal in applied.items()
             if long_enough and float(np.ptp(signal)) > 0.0
         },
-        None if foretold is None else 100.0 * (1.0 - foretold / float(measured.std())),
+        None if unpredicted is None else 100.0 * (1.0 - unpredicted / float(measured.std())),
     )
 
 

@@ -35,8 +35,8 @@ from twodof.flightlog.atomic import check_free, numbered
 from twodof.flightlog.files import write_log
 from twodof.gcs.drone import Drone
 from twodof.identify.experiments import KINDS as IDENTIFIED
-from twodof.identify.from_flight.identified_flight import identify_flight
-from twodof.identify.from_flight.ready_made import FLOWN_AS
+from twodof.identify.identified_flight import identify_flight
+from twodof.identify.ready_made import FLOWN_AS
 from twodof.lab.answers import RequestBody
 from twodof.lab.log_work import named_log
 from twodof.lab.processes import in_real_time
@@ -237,7 +237,7 @@ def design(
         crossover,
         phase_margin,
         method=method,
-        said=lambda text, share: progress(share, text),
+        progress=lambda text, share: progress(share, text),
     )
     if made.robustness.robust:
         save_diagram(made.diagram, path, overwrite=overwrite)

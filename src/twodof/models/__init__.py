@@ -1,6 +1,5 @@
 """Plant models: linear ones in closed form, and structures (diagrams with unknown parameters) for identification."""
 
-from twodof.models.linear_model import linear_model
 from twodof.models.lti import DelayedStateSpace, SampledStateSpace, StepFigures, step_figures
 from twodof.models.plant import (
     PAPER_PITCH_RATE,
@@ -11,7 +10,7 @@ from twodof.models.plant import (
     Velocity,
     thrust_curve,
 )
-from twodof.models.structure import Structure, UnknownParameter
+from twodof.models.structure import Structure, UnknownParameter, linear_model
 from twodof.models.structures import (
     free_response,
     longitudinal,

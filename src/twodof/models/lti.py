@@ -138,7 +138,7 @@ class DelayedStateSpace:
 
 @dataclass(frozen=True)
 class StepFigures:
-    """What one reads off a step response; times in seconds from the step, overshoot as a share of the step."""
+    """Figures of a step response; times in seconds from the step, overshoot as a share of the step."""
 
     rise_time: float
     settling_time: float

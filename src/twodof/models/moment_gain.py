@@ -10,7 +10,7 @@ from twodof.blocks.elementary.functions import tan
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import maximum, minimum, to_int32, to_real
 from twodof.blocks.library import Demux, Logic, RecursiveLeastSquares
-from twodof.models.past_inputs import past_input, past_states, remember
+from twodof.models.around_plant import past_input, past_states, remember
 
 _FILTERS = ("M_first", "M_second", "q_first", "q_second")
 _SETTLED = 10.0

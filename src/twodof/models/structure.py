@@ -4,12 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
-from typing import Self
+from typing import Any, Self
 
-from twodof.blocks.block import Block
-from twodof.blocks.declarations import Param
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Diagram
 from twodof.errors import IdentificationError
+from twodof.models.around_plant import Offset
+from twodof.models.zero_order_hold import held, times, total
 
 
 def check_structure(one: object) -> None:
@@ -163,3 +165,181 @@ class Structure:
         return UnknownParameter(
             param.name, value, param.low, param.high, param.unit, scale, param.name in self.local, param.text
         )
+
+
+Entry = float | str
+Rows = Sequence[Sequence[Entry]]
+
+MAX_STATES = 20
+
+
+def linear_model(
+    a: Rows,
+    b: Rows,
+    c: Rows,
+    d: Rows | None = None,
+    *,
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    guess: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    discrete: bool = False,
+    name: str = "linear_model",
+) -> Structure:
+    """x' = A x + B u, y = C x + D u (`discrete`: x[k+1] = A x[k] + B u[k]) with `inputs` u and `outputs` y.
+
+    An element of a matrix is a number, or the name of an unknown, which a leading "-" negates:
+    `a=[[0, 1], ["-k", "-d"]]`. One name may stand in several places. `guess` has the first guess of each, `bounds`
+    (lower, upper). In continuous time the response to an input that is held over a tick is exact. The response to an
+    input that moves on (see `Record.hold`) is exact too where the model is slow beside the step. D is 0 by default:
+    give numbers or names for a feed-through.
+
+    The unknowns are those named, and local ones. Local are the initial states x1_0, x2_0, ... (estimated by default).
+    Each input also has a constant part that moves nothing, "<input>_trim". Each output has "<output>_bias". Both are 0
+    by default.
+    Raises IdentificationError for shapes that do not fit and for names without a guess.
+    """
+    where = f"structure '{name}'"
+    for given, texts in (("inputs", inputs), ("outputs", outputs)):
+        if isinstance(texts, str) or not all(isinstance(one, str) for one in texts):
+            raise IdentificationError(f"`{given}` is {texts!r:.40}", where, "give a list of names")
+    zero = [[0.0] * len(inputs) for _ in outputs]
+    a, b, c, feed = (
+        _rows(one, key, where) for one, key in ((a, "a"), (b, "b"), (c, "c"), (zero if d is None else d, "d"))
+    )
+    _check_shapes({"a": a, "b": b, "c": c, "d": feed}, len(a), len(inputs), len(outputs), name)
+    entries = [entry for matrix in (a, b, c, feed) for row in matrix for entry in row]
+    unknowns = tuple(dict.fromkeys(entry.removeprefix("-") for entry in entries if isinstance(entry, str)))
+    reserved = {f"x{i + 1}_0" for i in range(len(a))} | {f"{one}_trim" for one in inputs}
+    reserved |= {f"{one}_bias" for one in outputs}
+    for one in unknowns:
+        if one in reserved:
+            raise IdentificationError(
+                f"'{one}' names two unknowns", f"structure '{name}'", "call the one in a matrix otherwise"
+            )
+    for one in dict.fromkeys([*unknowns, *guess, *(bounds or {})]):
+        if one not in unknowns or one not in guess:
+            raise IdentificationError(
+                f"'{one}' has no first guess" if one in unknowns else f"no element of a matrix is called '{one}'",
+                f"structure '{name}'",
+                f"give `guess` for: {', '.join(unknowns) or 'none'}",
+            )
+    for one, value in guess.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise IdentificationError(f"the first guess {value!r:.40} of '{one}'", where, "give a finite number")
+    limits = {one: (bounds or {}).get(one, (-math.inf, math.inf)) for one in unknowns}
+    params = [Param(one, float(guess[one]), low=limits[one][0], high=limits[one][1]) for one in unknowns]
+    block = _LinearModel(a, b, c, feed, inputs, outputs, params, discrete)
+    diagram = Diagram(name)
+    for param in block.params:
+        diagram.param(param.name, float(param.value), low=param.low, high=param.high)
+    diagram.add("model", block, params={param.name: param.name for param in block.params})
+    for one in inputs:
+        diagram.input(one)
+        diagram.param(f"{one}_trim", 0.0, text=f"constant part of {one} that moves nothing")
+        diagram.add(f"trim_{one}", Offset("", -1.0), params={"offset": f"{one}_trim"}, u=one)
+        diagram.connect(f"trim_{one}", f"model.{one}")
+    for one in outputs:
+        diagram.param(f"{one}_bias", 0.0, text=f"bias of the measured {one}")
+        diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
+        diagram.output(one, f"bias_{one}")
+    states = tuple(f"x{i + 1}_0" for i in range(len(a)))
+    local = (*states, *(f"{one}_trim" for one in inputs), *(f"{one}_bias" for one in outputs))
+    return Structure(diagram, (*unknowns, *states), local)
+
+
+class _LinearModel(Block):
+    """The matrices as a block; their unknowns are its parameters."""
+
+    def __init__(
+        self,
+        a: Rows,
+        b: Rows,
+        c: Rows,
+        d: Rows,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        params: Sequence[Param],
+        discrete: bool,
+    ) -> None:
+        self.a, self.b, self.c, self.d, self.discrete = a, b, c, d, discrete
+        self.inputs = tuple(Port(name) for name in inputs)
+        self.outputs = tuple(Port(name) for name in outputs)
+        self.names = [f"x{i + 1}" for i in range(len(a))]
+        self.params = (*params, *(Param(f"{name}_0", text=f"{name} at the start") for name in self.names))
+        self.states = tuple(State(name, f"{name}_0") for name in self.names)
+        self.derived = (
+            *(Port(f"phi_{i}_{j}") for i in range(len(a)) for j in range(len(a))),
+            *(Port(f"gamma_{i}_{j}") for i in range(len(a)) for j in range(len(inputs))),
+        )
+
+    def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
+        """The matrices of one tick."""
+        a, b = _numbers(self.a, p), _numbers(self.b, p)
+        n, m = len(a), len(b[0])
+        if self.discrete:
+            phi, gamma = [v for row in a for v in row], [v for row in b for v in row]
+        else:
+            phi, gamma = held(a, b, t.dt)
+        return {f"phi_{k // n}_{k % n}": value for k, value in enumerate(phi)} | {
+            f"gamma_{k // m}_{k % m}": value for k, value in enumerate(gamma)
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """C x + D u."""
+        c, d = _numbers(self.c, p), _numbers(self.d, p)
+        state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs]
+        return {
+            port.name: total([*map(times, c[i], state), *map(times, d[i], inputs)])
+            for i, port in enumerate(self.outputs)
+        }
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        """Phi x + Gamma u."""
+        return {
+            name: total(
+                [
+                    *(p[f"phi_{i}_{j}"] * x[other] for j, other in enumerate(self.names)),
+                    *(p[f"gamma_{i}_{j}"] * u[port.name] for j, port in enumerate(self.inputs)),
+                ]
+            )
+            for i, name in enumerate(self.names)
+        }
+
+
+def _numbers(rows: Rows, p: Any) -> list[list[Any]]:
+    """A matrix's elements as numbers and as parameters."""
+
+    def one(entry: Entry) -> Any:
+        if not isinstance(entry, str):
+            return float(entry)
+        return -p[entry[1:]] if entry.startswith("-") else p[entry]
+
+    return [[one(entry) for entry in row] for row in rows]
+
+
+def _rows(matrix: Any, key: str, where: str) -> Rows:
+    """A matrix as rows; one of numpy becomes numbers."""
+    rows = matrix.tolist() if hasattr(matrix, "tolist") else matrix
+    if isinstance(rows, str) or not isinstance(rows, Sequence) or not all(isinstance(row, Sequence) for row in rows):
+        raise IdentificationError(f"`{key}` is {matrix!r:.40}", where, "give rows of numbers and names")
+    return rows
+
+
+def _check_shapes(matrices: Mapping[str, Rows], n: int, m: int, p: int, name: str) -> None:
+    where = f"structure '{name}'"
+    if not (1 <= n <= MAX_STATES and m and p):
+        raise IdentificationError(
+            f"{n} states, {m} inputs, {p} outputs", where, f"give 1 to {MAX_STATES} states, an input and an output"
+        )
+    for key, (rows, columns) in {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}.items():
+        matrix = matrices[key]
+        if len(matrix) != rows or any(isinstance(row, str) or len(row) != columns for row in matrix):
+            raise IdentificationError(f"`{key}` is not {rows} rows of {columns}", where, "check the matrices")
+        for row in matrix:
+            for entry in row:
+                number = not isinstance(entry, str | bool) and isinstance(entry, int | float) and math.isfinite(entry)
+                if not (number or (isinstance(entry, str) and entry.removeprefix("-").isidentifier())):
+                    raise IdentificationError(
+                        f"`{key}` holds {entry!r:.40}", where, "use finite numbers and names, as 'k' and '-k'"
+                    )

@@ -10,8 +10,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import Constant, Sum
 from twodof.models.around_plant import Bend, InputDelay, Offset
-from twodof.models.cart import CartPush
-from twodof.models.dry_friction import Lift, PitchPendulum, Rail
+from twodof.models.dry_friction import CartPush, Lift, PitchPendulum, Rail
 from twodof.models.structure import Structure
 from twodof.models.zero_order_hold import (
     ZohLongitudinal,

@@ -11,7 +11,7 @@ from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, real, to_int32, to_real, where
-from twodof.models.past_inputs import past_input, past_states, remember
+from twodof.models.around_plant import past_input, past_states, remember
 from twodof.signals import GRAVITY
 
 # Taylor terms of the matrix exponential: |A| h <= 2 leaves 2^21 / 21! < 5e-14. A step with more is taken in pieces.

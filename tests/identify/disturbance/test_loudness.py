@@ -11,8 +11,7 @@ from scipy.stats import chi2
 from tests.identify.signals import DT
 from twodof.experiment import Laboratory
 from twodof.identify import Estimate, Record, cut, fit
-from twodof.identify.disturbance.coloured_problem import ColouredProblem
-from twodof.identify.disturbance.loudness import loudness, moves
+from twodof.identify.disturbance.coloured_problem import ColouredProblem, loudness, moves
 from twodof.identify.problem import Problem
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate

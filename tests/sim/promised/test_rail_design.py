@@ -23,7 +23,7 @@ def test_gains_that_are_found_meet_what_the_first_ones_miss() -> None:
     before = check_rail(wanted, FAMILY, STUDENT, promised=rail_promise(FAMILY, gains=STUDENT, members=FEW))
     assert not all(row.met for row in before)
     shares: list[float] = []
-    found = rail_design(wanted, FAMILY, STUDENT, FEW, said=shares.append)
+    found = rail_design(wanted, FAMILY, STUDENT, FEW, progress=shares.append)
     assert found.met
     promised = rail_promise(FAMILY, gains=found.gains, members=FEW)
     assert check_rail(wanted, FAMILY, found.gains, promised=promised) == found.requirements

@@ -1,4 +1,4 @@
-"""What disturbs a flight, as a part of the fit: coloured noise, gusts."""
+"""Noise models of a fit: coloured noise, and gusts."""
 
 from twodof.identify.disturbance.autoregression import Autoregression
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel

@@ -57,7 +57,7 @@ class Autoregression:
         return replace(self, deviations=self.deviations * factor)
 
     def whiten(self, rows: Array, pieces: Sequence[slice]) -> Array:
-        """`rows` (samples, ...) less what the earlier ones tell of them, over the deviation of what is left.
+        """`rows` (samples, ...) less their prediction from the earlier ones, over the deviation of the error.
 
         Noise of this model becomes white with standard deviation 1, the first samples included: the product of this
         matrix's transpose with itself is the inverse of the noise's covariance. `pieces` have no gaps and do not know
@@ -79,7 +79,7 @@ class Autoregression:
 
     @cached_property
     def _beginning(self) -> Array:
-        """What whitens the first n samples of a piece, shape (n, n): each from those before it."""
+        """Return the matrix (n, n) that whitens the first n samples of a piece, each by those before it."""
         found = np.zeros((self.order, self.order))
         for k, (predictor, deviation) in enumerate(zip(self.predictors[:-1], self.deviations[:-1], strict=True)):
             found[k, : k + 1] = predictor[::-1] / deviation

@@ -1,18 +1,149 @@
 """The problem of a fit with coloured noise: residual and sensitivities, prefiltered by what the residual shows."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.identify.disturbance.autoregression import MAX_ORDER, Autoregression, autoregression
-from twodof.identify.disturbance.loudness import Loudness
-from twodof.identify.disturbance.noise_rows import NoiseRows
+from twodof.identify.disturbance.autoregression import MAX_ORDER, Autoregression, autoregression, pieces_of
+from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
-from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 
 Array = NDArray[np.float64]
+
+_WINDOWS = (8, 16, 32)
+"""Samples in which an input counts as having just moved: 32 to 128 ms at 250 Hz."""
+
+_CERTAIN = 12.0
+"""Gain of the log likelihood from which on the noise is not even. Twice it is chi-square with the strength, the move
+that halves it, input and window to choose: less than one in 10,000 by chance."""
+
+_STRENGTHS = 2.0 ** np.arange(-2.0, 5.5, 0.5)
+_HALVES = 2.0 ** np.arange(-6.0, 0.5, 0.5)
+"""Strengths (variance over the even one, less 1) and moves, as shares of the largest, that are tried."""
+
+_ALIKE = 1024
+"""Sizes of a move that are told apart: 16 of them up to the smallest half."""
+
+
+@dataclass(frozen=True)
+class Loudness:
+    """The variance of the noise is 1 + `strength` m^2 / (m^2 + `half`^2) times that at rest.
+
+    m is how far the input moved within the `window` samples before: its largest less its smallest value.
+    """
+
+    input: str
+    window: int
+    strength: float
+    half: float
+
+    @property
+    def times(self) -> float:
+        """Standard deviation after the largest moves, over that at rest."""
+        return float(np.sqrt(1.0 + self.strength))
+
+    def variance(self, moved: Array) -> Array:
+        """Over that at rest, for moves of these sizes."""
+        square = moved**2
+        return np.asarray(1.0 + self.strength * square / (square + self.half**2))
+
+
+def moves(problem: Problem, blocks: Sequence[int]) -> Iterator[tuple[str, int, Array]]:
+    """Each input that changes, each window, and how far the input had moved before each row of these blocks.
+
+    A row's own sample does not count. A controller's output answers it, and weights that answer the noise would make
+    the estimates wrong.
+    """
+    for name in problem.structure.inputs:
+        whole = [problem.records[problem.blocks[k].record].inputs[name] for k in blocks]
+        if not any(float(np.ptp(one)) > 0.0 for one in whole):
+            continue
+        for window in _WINDOWS:
+            ranges = (_range_before(one, window)[problem.blocks[k].when] for k, one in zip(blocks, whole, strict=True))
+            yield name, window, np.concatenate(list(ranges))
+
+
+def loudness(error: Array, moved: Sequence[tuple[str, int, Array]]) -> Loudness | None:
+    """The most likely loudness of white `error` (samples,) by what has `moved`; None where it may well be even."""
+    square = error**2
+    power = float(square.mean())
+    best, gain = None, _CERTAIN
+    for name, window, size in moved:
+        largest = float(size.max())
+        # An error that is 0 throughout is the rounding of an exact model, and nothing is louder in it.
+        if not (power > 0.0 and largest > 0.0):
+            continue
+        count, sizes, powers = _by_size(size / largest, square / power)
+        for half in _HALVES:
+            variance = 1.0 + np.outer(_STRENGTHS, sizes**2 / (sizes**2 + half**2))
+            logs = -0.5 * error.size * np.log((powers / variance).sum(axis=1) / error.size)
+            logs -= 0.5 * np.log(variance) @ count
+            k = int(np.argmax(logs))
+            if float(logs[k]) > gain:
+                gain = float(logs[k])
+                best = Loudness(name, window, float(_STRENGTHS[k]), float(half) * largest)
+    return best
+
+
+def _by_size(size: Array, square: Array) -> tuple[Array, Array, Array]:
+    """Rows that moved alike, taken together: how many they are, their mean size, and the sum of their squares.
+
+    So a record of a million samples takes as long as one of a thousand.
+    """
+    place = np.minimum((size * _ALIKE).astype(np.int64), _ALIKE - 1)
+    count, sizes, squares = (
+        np.asarray(np.bincount(place, weights, _ALIKE), dtype=np.float64) for weights in (None, size, square)
+    )
+    there = count > 0.0
+    return count[there], sizes[there] / count[there], squares[there]
+
+
+def _range_before(values: Array, window: int) -> Array:
+    """Largest less smallest of the `window` values before each one, shape as `values`."""
+    before = np.concatenate([np.full(window, values[0]), values[:-1]])
+    seen = np.lib.stride_tricks.sliding_window_view(before, window)[-values.size :]
+    return np.asarray(seen.max(axis=1) - seen.min(axis=1))
+
+
+class NoiseRows:
+    """The rows of the blocks of one noise. `pieces` (of them) have no gap inside.
+
+    `deviation` (size,) is the standard deviation of the prediction errors over their root mean square.
+    """
+
+    def __init__(self, problem: Problem, blocks: Sequence[int]) -> None:
+        self._problem, self._blocks = problem, tuple(blocks)
+        own = [problem.blocks[k] for k in blocks]
+        rows = np.concatenate([np.arange(block.rows.start, block.rows.stop) for block in own])
+        # A slice is a view: most flights are one record.
+        self.rows = own[0].rows if len(own) == 1 else rows
+        self.size = int(rows.size)
+        found, start = [], 0
+        for block in own:
+            position = problem.records[block.record].outputs[block.output].position
+            found += [slice(start + piece.start, start + piece.stop) for piece in pieces_of(position)]
+            start += position.size
+        self.pieces = tuple(found)
+        self.loud: Loudness | None = None
+        self.deviation = np.ones(self.size)
+
+    def listen(self, error: Array) -> None:
+        """Find how loud the noise is where an input has moved, from its white `error`."""
+        self.loud, self.deviation = loudness(error, self._moves), np.ones(self.size)
+        if self.loud is not None:
+            place = self.loud.input, self.loud.window
+            moved = next(size for name, window, size in self._moves if (name, window) == place)
+            variance = self.loud.variance(moved)
+            self.deviation = np.sqrt(variance * float(np.mean(error**2 / variance) / np.mean(error**2)))
+
+    @cached_property
+    def _moves(self) -> tuple[tuple[str, int, Array], ...]:
+        return tuple(moves(self._problem, self._blocks))
+
 
 _ROUNDS = 4
 """How often the orders are chosen again; they stand after two or three."""
@@ -66,7 +197,7 @@ class ColouredProblem:
         return minimum
 
     def choose(self, x: Array) -> None:
-        """Choose the orders anew, by the residual at x."""
+        """Choose the orders by the residual at x."""
         self._orders, self._last = [None] * len(self._orders), None
         self._orders = [model.order for model in self.at(x)[1]]
 
@@ -115,7 +246,7 @@ class ColouredProblem:
         return self._last[1], self._last[2]
 
     def cost(self, x: Array) -> float:
-        """-2 log likelihood with Akaike's corrected penalty, for comparing searches; the orders are chosen anew."""
+        """Return -2 log likelihood with Akaike's corrected penalty, to compare searches; the orders follow from x."""
         self.choose(x)
         raw, models = self.at(x)
         white = self.whiten(raw, models)

@@ -1,4 +1,4 @@
-"""What a fit found out about its noise: white, coloured, or a moment that pushes the drone itself."""
+"""DisturbanceModel: the noise of a fit, which is white, coloured, or a push at the input; and the test for feedback."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
-from twodof.identify.disturbance.autoregression import Autoregression
+from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
+from twodof.identify.disturbance.coloured_problem import Loudness
 from twodof.identify.disturbance.gust import Gust
-from twodof.identify.disturbance.loudness import Loudness
+from twodof.identify.problem import Problem
 
 Array = NDArray[np.float64]
 
@@ -28,8 +29,8 @@ class DisturbanceModel:
     `kind` is "white", "ar" or "input". `noise` gives each output's autoregression in the output's unit, for samples
     `dt` [s] apart. Its keys are the outputs, or "output[record]" with several records, of which the pieces of a flight
     are one. It is empty for white noise.
-    `gusts` are by the same names the pushes at the input from which those of "input" follow, and `louder` says which
-    noise is louder where an input has just moved. `answering` names the
+    `gusts` has, by the same names, the pushes at the input of the kind "input". `louder` has the noises that are louder
+    after an input has moved. `answering` names the
     inputs that answer the noise, as a controller's output does (closed loop). `change` says by how many of its standard
     deviations the noise model would have changed an estimate. If it is not 0, "auto" stayed with white noise for this
     reason. In open loop only a structure that leaves something out causes such a change.
@@ -96,3 +97,55 @@ class DisturbanceModel:
                 for label, model in self.noise.items()
             },
         }
+
+
+_LAGS = 9
+_CHANCE = 1e-6
+_LEAST = 100
+_CLIP = 2.5
+_MOVES = 0.5
+"""Share of the samples at which the output of a controller differs from the one before, at the least."""
+
+
+def answers(applied: Array, residual: Array) -> bool:
+    """Return True if the input correlates with the innovation of the residual at that sample or up to 8 before.
+
+    Both have shape (samples,). Each is prefiltered by its own autoregression first: inputs and residuals that are
+    smooth correlate without any feedback (Haugh, 1976). The innovation is clipped at 2.5 deviations, so that one large
+    misfit at the edge of a pulse is not taken for a rule. The sum of the squared correlations is then chi-square.
+
+    An input that stands still at most samples is a test signal, such as a pulse: a controller's moves with the noise.
+    Its few edges meet the misfit of a wrong structure, which is not chance, and is not feedback either.
+    """
+    size = residual.size
+    if size < _LEAST or not float(np.ptp(applied)) > 0.0 or not float(np.ptp(residual)) > 0.0:
+        return False
+    if np.count_nonzero(np.diff(applied)) < _MOVES * (size - 1):
+        return False
+    u, e = _innovation(applied), _innovation(residual)
+    total = sum(float(u[k:] @ e[: size - k]) ** 2 / (size - k) for k in range(_LAGS))
+    from scipy.special import chdtrc  # imported late: most commands start without it
+
+    return bool(chdtrc(_LAGS, total) < _CHANCE)
+
+
+def inputs_that_answer(problem: Problem, residual: Array) -> tuple[str, ...]:
+    """The structure's inputs that answer the residual of an output in one of the problem's records."""
+    found = []
+    for name in problem.structure.inputs:
+        for block in problem.blocks:
+            record = problem.records[block.record]
+            if answers(record.inputs[name][block.when], residual[block.rows]):
+                found.append(name)
+                break
+    return tuple(found)
+
+
+def _innovation(signal: Array) -> Array:
+    """Return the innovation of a signal by its autoregression, clipped and with standard deviation 1."""
+    centred = signal - signal.mean()
+    piece = pieces_of(np.arange(float(signal.size)))
+    fresh = autoregression(centred, piece).whiten(centred, piece)
+    usual = 1.4826 * float(np.median(np.abs(fresh)))
+    fresh = np.clip(fresh, -_CLIP * usual, _CLIP * usual) if usual > 1e-3 else fresh
+    return np.asarray(fresh / max(float(np.sqrt(np.mean(fresh**2))), 1e-300))

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from twodof.errors import ParameterError, Rejected, listed, shown
 from twodof.identify.experiments import KINDS
-from twodof.identify.from_flight.ready_made import AUTO, STRUCTURES
+from twodof.identify.ready_made import AUTO, STRUCTURES
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone

@@ -11,8 +11,8 @@ import numpy as np
 from twodof.errors import IdentificationError, ParameterError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
-from twodof.identify.from_flight.ready_made import TRAVEL
 from twodof.identify.greybox import fit
+from twodof.identify.ready_made import TRAVEL
 from twodof.identify.record import Record
 from twodof.identify.repeated import Spread
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch, read_doublet, read_free_response

@@ -12,10 +12,10 @@ from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import only
 from twodof.identify.record import Record
+from twodof.identify.record_simulator import RecordSimulator
 from twodof.identify.simple_pitch import SETTLED, edges_of
 from twodof.identify.simple_pitch import simulated_pair as pitch_pair
 from twodof.identify.simple_velocity import simulated_pair as velocity_pair
-from twodof.identify.simulate import RecordSimulator
 from twodof.identify.validate import Comparison, fit_percent
 from twodof.models.structures import rail
 from twodof.report.characterisation.characterise import Characterisation

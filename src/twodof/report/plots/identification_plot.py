@@ -24,8 +24,8 @@ from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError, IdentificationError, printable
 from twodof.flightlog.atomic import atomic_write
 from twodof.identify.estimate import Estimate
-from twodof.identify.frequency.frequency_response import FrequencyResponse, frequency_response
-from twodof.identify.frequency.model_response import ModelResponse, model_response
+from twodof.identify.frequency_response import FrequencyResponse, frequency_response
+from twodof.identify.model_response import ModelResponse, model_response
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, Correlation
 from twodof.models.structure import Structure

@@ -43,12 +43,12 @@ class RailDesign:
 
     @property
     def met(self) -> bool:
-        """Whether all were met there."""
+        """Return True if all were met there."""
         return all(one.met for one in self.requirements)
 
 
 class _Met(Exception):
-    """What is asked is met, with the reserve."""
+    """End of a search: all is met, with the reserve."""
 
 
 class _Search:
@@ -61,12 +61,12 @@ class _Search:
         kept: Gains,
         members: int,
         seed: int,
-        said: Callable[[float], None],
+        progress: Callable[[float], None],
     ) -> None:
         self.asked, self.flown = asked, False
         self.best: tuple[float, Gains, tuple[Requirement, ...]] | None = None
         self.tried = 0
-        self._family, self._kept, self._said = family, kept, said
+        self._family, self._kept, self._said = family, kept, progress
         self._members, self._seed = members, seed
 
     def judge(self, x: Array) -> float:
@@ -104,19 +104,19 @@ def rail_design(
     kept: Gains = DEFAULT,
     members: int = MEMBERS,
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> RailDesign:
     """Search the gains of the stock velocity and position loops for what `specification` asks, from those of `kept` on.
 
     The largest miss is made small by a simplex (Nelder and Mead, 1965). Bandwidths and margins of the estimate come
     first. Then the `members` that `rail_promise` draws with this `seed` fly the step, the same ones with all gains. The
-    position's gain stands where nothing is asked of it. `said` is called with the
+    position's gain stands where nothing is asked of it. `progress` is called with the
     share done, and may raise. Raises ParameterError where nothing is asked, and as `rail_promise`.
     """
     linear, flown = specification.of_loops, specification.of_step
     if linear is None and flown is None:
         raise ParameterError("it asks for nothing", "specification", "ask for a figure, such as velocity_bandwidth = 4")
-    search = _Search(specification, family, kept, members, seed, said)
+    search = _Search(specification, family, kept, members, seed, progress)
     outer = linear is not None and set(linear.asked) - {"velocity_bandwidth"}
     names = _NAMES if outer or specification.loop == "position" else _NAMES[:2]
     high = np.log([_HIGHEST[name] for name in names])

@@ -113,7 +113,7 @@ class RailFamily:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any], where: str = "family") -> Self:
-        """What `to_json` gave. Raises ParameterError, KeyError, TypeError or ValueError for anything else."""
+        """Return the family of a `to_json`. Raise an error for anything else."""
         pitch = PitchFamily.from_json(data["pitch"], where)
         covariance = np.array(data["covariance"], dtype=float)
         return cls(pitch, float(data["k_v"]), float(data["p_v"]), covariance, str(data["base"]))

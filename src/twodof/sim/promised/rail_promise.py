@@ -33,11 +33,11 @@ def rail_promise(
     level: float = LEVEL,
     members: int = MEMBERS,
     seed: int = 1,
-    said: Callable[[float], None] = lambda share: None,
+    progress: Callable[[float], None] = lambda share: None,
 ) -> Promise:
     """Fly `members` of the family on the virtual rig, with all noise and limits, and promise what a share `level` does.
 
-    `goal` [m/s or m] and `duration` [s] are those of `STEPS` if None. `said` is called with the share done. Raise
+    `goal` [m/s or m] and `duration` [s] are those of `STEPS` if None. `progress` is called with the share done. Raise
     ParameterError for numbers out of range, and as `RailFamily.rigs` and `fly_lanes`.
     """
     if loop not in LOOPS:
@@ -57,7 +57,7 @@ def rail_promise(
         controllers=diagrams,
         read=(*step.channels, "true_x"),
         seed=1000 * seed,
-        said=said,
+        said=progress,
     ).channels
     name = ", ".join(one.name for one in diagrams) or "the stock cascade"
     lost = _lost(flown, rigs, step.follows, goal)

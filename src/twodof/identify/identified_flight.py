@@ -1,4 +1,4 @@
-"""IdentifiedFlight: one log read by hand and by output error, with all that a picture of the fit needs."""
+"""IdentifiedFlight: one log read by hand and by output error, with the curves for a picture of the fit."""
 
 import json
 from collections.abc import Sequence
@@ -14,9 +14,17 @@ from twodof.identify import simple_pitch, simple_velocity
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut
-from twodof.identify.from_flight.closed_loop import machine_of
-from twodof.identify.from_flight.ready_made import AUTO, by_hand, by_output_error, experiment_in, structure_for
-from twodof.identify.from_flight.sufficiency import PURPOSE, Sufficiency, sufficiency
+from twodof.identify.ready_made import (
+    AUTO,
+    PURPOSE,
+    Sufficiency,
+    by_hand,
+    by_output_error,
+    experiment_in,
+    machine_of,
+    structure_for,
+    sufficiency,
+)
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity
@@ -31,7 +39,7 @@ MOST_POINTS = 8000
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedFlight:
-    """What one flight tells: the `greybox` fit, the paper's `simple` method beside it, and the `record` of both.
+    """Models of one flight: the `greybox` fit, the paper's `simple` method beside it, and the `record` of both.
 
     `simple` is None where nothing can be read by hand, and `refusal` says why. `validation` are the records of other
     flights that the fit was checked on.
@@ -47,7 +55,7 @@ class IdentifiedFlight:
 
     @property
     def sufficiency(self) -> Sufficiency:
-        """Whether the data are informative enough for what the experiment is flown for."""
+        """Return the verdict on whether the data are informative enough for the experiment's purpose."""
         return sufficiency(self.greybox, PURPOSE.get(self.experiment, ()))
 
     def model(self) -> dict[str, Any]:
@@ -58,7 +66,7 @@ class IdentifiedFlight:
     def view(self) -> dict[str, Any]:
         """Curves and figures as plain data: inputs, outputs with both models, tests of the residuals, estimates.
 
-        Times are in seconds from the record's start. What is not finite is null.
+        Times are in seconds from the record's start. NaN and infinity are null.
         """
         found, judged = self.greybox, self.sufficiency
         start = self.record.start
@@ -105,7 +113,7 @@ class IdentifiedFlight:
         }
 
     def _text(self, label: str) -> str:
-        """What an unknown is, in words."""
+        """Return an unknown's text."""
         if label in self.greybox.summed and label not in self.greybox.labels:
             return " + ".join(self.greybox.sums[label])
         known = self.structure.unknowns.get(label)

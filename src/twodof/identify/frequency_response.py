@@ -8,15 +8,112 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError, shown
-from twodof.identify.frequency.spectra import Spectra, check_segment, grid_signal, spectra
+from twodof.errors import IdentificationError, nearest, shown
 from twodof.identify.record import Record
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-_CYCLES = 2.0
-"""Periods that a window must hold before a composite response counts it (Tischler and Remple, section 7.8)."""
+
+_FEWEST = 8
+"""Samples of a segment."""
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Spectral matrix of n signals at k frequencies, averaged over tapered segments.
+
+    `matrix[f, i, j]` is the mean of conj(X_i) X_j. The matrix has shape (k, n, n). Its frequencies are `omega` [rad/s],
+    shape (k,). `averages` is how many independent segments the overlapping ones are worth. `spacing` is how many points
+    of the grid are worth one independent point, since neighbours share the taper's main lobe. `length` [s] is that of a
+    segment.
+    """
+
+    names: tuple[str, ...]
+    omega: Array
+    matrix: Complex
+    averages: float
+    spacing: float
+    length: float
+
+    def block(self, rows: Sequence[str], columns: Sequence[str]) -> Complex:
+        """The part of the matrix between these signals, shape (k, rows, columns)."""
+        i, j = ([self.names.index(name) for name in part] for part in (rows, columns))
+        return np.asarray(self.matrix[np.ix_(range(self.omega.size), i, j)])
+
+
+def spectra(record: Record, names: Sequence[str], length: int, *, window: str = "hann") -> Spectra:
+    """Welch's averaged spectra of the channels `names`, over half-overlapped segments of `length` samples.
+
+    The mean of each segment is taken away. Outputs are interpolated linearly onto the record's grid.
+    Raises IdentificationError for a channel or window that is not there, and a segment that does not fit 1.5 times.
+    """
+    check_segment(record, length)
+    signals = np.array([grid_signal(record, name) for name in names])
+    taper = _taper(window, length)
+    starts = np.arange(0, record.steps - length + 1, length // 2)
+    # One segment at a time: all at once would need the record's memory many times over.
+    total = np.zeros((length // 2, len(names), len(names)), dtype=np.complex128)
+    for start in starts:
+        piece = signals[:, start : start + length]
+        transform = np.fft.rfft((piece - piece.mean(axis=1, keepdims=True)) * taper)[:, 1:].T
+        total += transform.conj()[:, :, None] * transform[:, None, :]
+    squares = taper**2
+    return Spectra(
+        tuple(names),
+        np.asarray(2.0 * math.pi * np.fft.rfftfreq(length, record.dt)[1:], dtype=np.float64),
+        total / starts.size,
+        _independent(taper, starts.size, length // 2),
+        float(length * (squares @ squares) / squares.sum() ** 2),
+        length * record.dt,
+    )
+
+
+def check_segment(record: Record, length: int) -> None:
+    """Raises IdentificationError for segments of `length` samples that are too short or fit less than 1.5 times."""
+    if length < _FEWEST or 3 * length > 2 * record.steps:
+        raise IdentificationError(
+            f"segments of {length} samples do not fit at least twice into {record.steps} samples",
+            f"record '{record.name}'",
+            "use a longer record or a shorter segment",
+        )
+
+
+def grid_signal(record: Record, name: str) -> Array:
+    """A channel of the record on its grid: an input as it is held, an output interpolated linearly."""
+    if name in record.inputs:
+        return record.inputs[name]
+    if name in record.outputs:
+        samples = record.outputs[name]
+        return np.asarray(np.interp(np.arange(record.steps), samples.position, samples.value))
+    raise IdentificationError(
+        f"the record does not hold {shown(name)}",
+        f"record '{record.name}'",
+        f"there are: {nearest(name, (*record.inputs, *record.outputs))}",
+    )
+
+
+def _taper(window: str, length: int) -> Array:
+    from scipy.signal import get_window  # imported late: most commands start without it
+
+    try:
+        return np.asarray(get_window(window, length), dtype=np.float64)
+    except (ValueError, TypeError) as reason:
+        raise IdentificationError(
+            f"no window is called {shown(window)}", "frequency response", "as 'hann' or 'blackman'"
+        ) from reason
+
+
+def _independent(taper: Array, count: int, hop: int) -> float:
+    """How many independent segments the overlapping ones are worth (Welch 1967)."""
+    energy = float(taper @ taper)
+    total = 1.0
+    for k in range(1, count):
+        if k * hop >= taper.size:
+            break
+        overlap = float(taper[k * hop :] @ taper[: taper.size - k * hop]) / energy
+        total += 2.0 * (1.0 - k / count) * overlap**2
+    return count / total
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +204,7 @@ def frequency_response(
     input: str,
     output: str,
     *,
-    segment: float | Sequence[float] | None = None,
+    segment: float | None = None,
     window: str = "hann",
     given: str | Sequence[str] = (),
     reference: str | Sequence[str] = (),
@@ -115,9 +212,7 @@ def frequency_response(
     """The averaged cross-spectrum over the input's spectrum (H1), half-overlapped segments of `segment` [s].
 
     The default segment gives eight segments. Its length sets the resolution, 1/segment Hz; fewer than two leave the
-    coherence without meaning. Several segments give a *composite*: at each frequency the responses of all lengths are
-    averaged with the weight (relative error)^-4. Lengths that hold fewer than two periods are left out. All lengths see
-    the same noise, so the error of the mean is the mean of the errors.
+    coherence without meaning.
 
     `given`: other inputs that moved at the same time. What the output owes to them is taken away. At each frequency H =
     S_uu^-1 S_uy is that of all inputs together (conditioned spectra). One input alone would carry what is correlated.
@@ -128,7 +223,7 @@ def frequency_response(
 
     The input is the held one, so the response contains the hold: half a step of delay. The output is interpolated
     linearly onto the record's grid. Sources: Bendat and Piersol, Random Data, sections 7.3 and 9.2-9.3; Tischler and
-    Remple, Aircraft and Rotorcraft System Identification, chapters 7-10 (FRESPID, MISOSA, COMPOSITE). For the
+    Remple, Aircraft and Rotorcraft System Identification, chapters 7-10 (FRESPID, MISOSA). For the
     reference: Ljung, System Identification, section 13.5.
 
     Raises IdentificationError for unknown channels and for a segment that does not fit twice. It is also raised for an
@@ -143,21 +238,11 @@ def frequency_response(
     inputs, references = (input, *_names(given, "given")), _names(reference, "reference")
     for name in inputs:
         record.signals(name, output)
-    if isinstance(segment, (int, float)) or segment is None:
-        lengths = [record.steps * 2 // 9 if segment is None else _samples(segment, record)]
-    else:
-        lengths = sorted({_samples(one, record) for one in segment})
-        if not lengths:
-            raise IdentificationError("no segment is named", "segment", "give lengths in seconds, as [2.0, 8.0]")
-    for one in lengths:
-        check_segment(record, one)
+    length = record.steps * 2 // 9 if segment is None else _samples(segment, record)
+    check_segment(record, length)
     _check_channels(record, inputs, references)
-    names = (*inputs, *references, output)
-    found = [
-        _response(spectra(record, names, one, window=window, padded=lengths[-1]), inputs, output, references, record)
-        for one in lengths
-    ]
-    return found[0] if len(found) == 1 else _composite(found, lengths, record.dt)
+    made = spectra(record, (*inputs, *references, output), length, window=window)
+    return _response(made, inputs, output, references, record)
 
 
 def _names(names: str | Sequence[str], where: str) -> tuple[str, ...]:
@@ -263,43 +348,3 @@ def _usable(
             "move one of them by itself, or leave it out",
         )
     return np.asarray(usable)
-
-
-def _composite(found: Sequence[FrequencyResponse], lengths: Sequence[int], dt: float) -> FrequencyResponse:
-    """Responses of several window lengths on one grid, merged by their relative error."""
-    longest = found[-1]
-    size = np.array([abs(one.response) for one in found])
-    sigma = np.array([one.sigma for one in found])
-    known = np.isfinite(sigma) & (size > 0.0)
-    # Without noise the error is rounding, which says nothing about which of two is better.
-    relative = np.maximum(np.divide(sigma, size, out=np.ones_like(size), where=known), 1e-6)
-    weight = np.where(known, relative**-4, 0.0)
-    slowest = np.array([_CYCLES * 2.0 * math.pi / (length * dt) for length in lengths])
-    weight[:-1] *= longest.omega >= slowest[:-1, None]
-    weight[-1] = np.where(weight.sum(axis=0) > 0.0, weight[-1], 1.0)
-    weight /= weight.sum(axis=0)
-
-    def mean(values: Sequence[Array]) -> Array:
-        rows = np.asarray(values)
-        return np.asarray(np.where(weight > 0.0, weight * np.where(weight > 0.0, rows, 0.0), 0.0).sum(axis=0))
-
-    response = np.asarray((weight * np.array([one.response for one in found])).sum(axis=0))
-    freedom, merged = mean([one.freedom for one in found]), mean(list(sigma))
-    power = abs(response) ** 2
-    rest = 2.0 * freedom * merged**2
-    lit = np.isfinite(merged) & (power > 0.0)
-    return FrequencyResponse(
-        longest.input,
-        longest.output,
-        longest.omega,
-        response,
-        np.divide(power, power + rest, out=np.zeros_like(power), where=lit),
-        merged,
-        float(np.mean(mean([np.full(power.size, one.averages) for one in found]))),
-        mean([one.multiple for one in found]),
-        dt,
-        mean([one.spacing for one in found]),
-        freedom,
-        longest.given,
-        longest.reference,
-    )

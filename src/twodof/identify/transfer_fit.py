@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import IdentificationError, nearest, shown
-from twodof.identify.frequency.frequency_response import FrequencyResponse
+from twodof.identify.frequency_response import FrequencyResponse
 from twodof.identify.validate import deviations
 
 Array = NDArray[np.float64]
@@ -92,18 +92,6 @@ class TransferFit:
     def response(self, omega: ArrayLike) -> Complex:
         """The fitted T(j omega), without a hold, at `omega` [rad/s], shape (k,)."""
         return _transfer(self._all(self.values), self.orders, self.power, np.asarray(omega, dtype=float))
-
-    def band(self, omega: ArrayLike, level: float = 0.95) -> tuple[Array, Array]:
-        """Half widths of the intervals of |T| (as a share of |T|) and of its phase [rad], each of shape (k,)."""
-        w = np.asarray(omega, dtype=float)
-        slope = _jacobian(lambda x: _log(self.response_at(x, w)), self.values)
-        variance = np.einsum("ki,ij,kj->k", slope, self.covariance, slope)
-        half = deviations(level) * np.sqrt(np.maximum(variance, 0.0))
-        return np.asarray(half[: w.size]), np.asarray(half[w.size :])
-
-    def response_at(self, values: Array, omega: Array) -> Complex:
-        """The same T(j omega) with other `values` of the estimated coefficients."""
-        return _transfer(self._all(values), self.orders, self.power, omega)
 
     @property
     def factors(self) -> tuple[TransferFactor, ...]:
@@ -239,7 +227,7 @@ def fit_transfer(
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """What is fitted: logarithms of gain and phase, their weights, and their standard deviations."""
+    """Points to fit: logarithms of gain and phase, their weights, and their standard deviations."""
 
     omega: Array
     measured: Complex
@@ -407,11 +395,6 @@ def _transfer(values: Mapping[str, float], orders: tuple[int, int], power: int, 
         np.polyval(_denominator(values, orders[1], power), s),
     )
     return np.asarray(top / bottom * np.exp(-s * values["tau"]))
-
-
-def _log(response: Complex) -> Array:
-    """Logarithm of the gain, then the phase [rad]."""
-    return np.concatenate([np.log(abs(response)), np.unwrap(np.angle(response))])
 
 
 def _jacobian(function: Callable[[Array], Array], x: Array) -> Array:

@@ -1,22 +1,161 @@
 """What is fitted to which of the paper's experiments: the structures by name, and what an earlier flight fixes."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
+
+import numpy as np
 
 from twodof.errors import IdentificationError, shown
 from twodof.flightlog.log import FlightLog
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.disturbance.search import LONG
+from twodof.identify.disturbance.noise_search import LONG
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
-from twodof.identify.from_flight.closed_loop import POLES_BEFORE, FlownMachine
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
 from twodof.identify.repeated import Repeated, repeat
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
+from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
 from twodof.models.structures import free_response, pitch_on_cart, pitch_rate, rail, velocity
+from twodof.rig.parameters import NAMES, load_rig
+from twodof.rig.steady_state import cart_parameters, model_parameters
+
+POLES_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"w_n": (2.28, 0.31), "xi": (0.05, 0.05)})
+"""What the real drone's logs tell of the pendulum while the rotors run (docs/explanation/physics.md, section 9).
+
+The stiffness is 5.2 +- 1.4 1/s2. The damping is between that of the free response beside dry friction, .036, and with
+all of it taken for viscous, .10."""
+
+FRICTION_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"coulomb": (0.05, 0.05)})
+"""The bearing's dry friction: not less than nothing, and a fraction of the .26 rad/s2 with the rotors at rest."""
+
+BEND_BEFORE: Mapping[str, tuple[float, float]] = MappingProxyType({"bend": (0.0, 1.0)})
+"""What a large moment may lack: of the hardest of the real logs, .35, an eighth."""
+
+FREE = 1e3
+"""Play of a cart without rings [m]. Its modelled way drifts by metres in half a minute, and must meet no stop."""
+
+_REAL = "lab"
+_MOVED_M = 0.1
+"""The range sensor's noise stays within this in a flight with rings; a free cart moves three times as far [m]."""
+
+
+@dataclass(frozen=True)
+class FlownMachine:
+    """The rig whose calibration holds for a flight, and whether its cart was `free` to slide."""
+
+    rig: str = _REAL
+    free: bool = False
+
+    @property
+    def text(self) -> str:
+        """In words."""
+        return f"'{self.rig}' with its cart {'free' if self.free else 'in rings'}"
+
+    def values(self, structure: Structure) -> dict[str, float]:
+        """Return the structure's unknowns that the calibration gives: the cart, and its play within the rings."""
+        return known_cart(load_rig(self.rig).snapshot(), structure, self.free)
+
+    def prior(self, structure: Structure) -> dict[str, tuple[float, float]]:
+        """Mean and standard deviation of what is known less well; it is estimated along."""
+        return known_before(None if self.rig == _REAL else load_rig(self.rig).snapshot(), structure)
+
+    def estimate(self, structure: Structure) -> tuple[str, ...]:
+        """Return the unknowns to estimate in closed loop.
+
+        Of `pitch_on_cart` they include `bend`, and on a free cart `M_u`.
+        """
+        more = ("bend", *(("M_u",) if self.free else ()))
+        return (*structure.estimate, *(name for name in more if name in structure.unknowns))
+
+
+def known_cart(rig: Mapping[str, float], structure: Structure, free: bool) -> dict[str, float]:
+    """Return the structure's unknowns that a rig's parameters give: the cart, and its play within the rings."""
+    known = {**cart_parameters(rig), "play": FREE if free else rig["ring_play"]}
+    return {name: value for name, value in known.items() if name in structure.unknowns}
+
+
+def known_before(rig: Mapping[str, float] | None, structure: Structure) -> dict[str, tuple[float, float]]:
+    """Mean and deviation of the poles, of the bearing's friction and of `bend`, where the structure has them.
+
+    The poles' means are those of the `rig` with its rotors running; without one, those that the real logs tell.
+    """
+    poles = dict(POLES_BEFORE)
+    if rig is not None:
+        poles = {name: (model_parameters(rig)[f"{name}_run"], poles[name][1]) for name in poles}
+    before = {**poles, **FRICTION_BEFORE, **BEND_BEFORE}
+    return {name: one for name, one in before.items() if name in structure.unknowns}
+
+
+def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
+    """The machine of a log, by the rig that it names, and by the way that the cart made from `start` to `stop` [s].
+
+    A log that names no virtual rig is one of the real drone, whose calibration is `lab`.
+    """
+    rig = log.provenance.get("rig")
+    seen = log["dist"].slice(start, stop).value if "dist" in log else np.zeros(0)
+    moved = seen.size > 0 and float(np.ptp(seen)) > _MOVED_M
+    return FlownMachine(rig if isinstance(rig, str) and rig in NAMES else _REAL, moved)
+
+
+TOLD = 0.25
+"""An unknown is told where its 95 % interval is within this share of its value: of a gain that is 2 dB, a third of the
+margin of 6 dB that a controller commonly keeps."""
+
+LEVEL = 0.95
+
+PURPOSE: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"impulse": ("w_n", "xi"), "doublet": ("mu", "tau"), "attitude": ("mu", "tau"), "velocity": ("k_v", "p_v")}
+)
+"""What each experiment is flown for."""
+
+
+@dataclass(frozen=True)
+class Sufficiency:
+    """`shares` are half the 95 % intervals over the values, by unknown; `reasons` say what is missing.
+
+    `trusted`: the error bars can be believed. Where the residual wanders, they are too small by an unknown factor.
+    """
+
+    shares: Mapping[str, float]
+    reasons: tuple[str, ...]
+    trusted: bool = True
+
+    @property
+    def enough(self) -> bool:
+        """Return True if nothing is missing."""
+        return not self.reasons
+
+    @property
+    def text(self) -> str:
+        """In a sentence."""
+        known = ", ".join(f"{name} to {100.0 * share:.2g} %" for name, share in self.shares.items())
+        doubt = "" if self.trusted else ". But the residual wanders, so these are too small: fly it again and compare"
+        if self.enough:
+            return f"informative enough: it tells {known}{doubt}"
+        return f"not informative enough: {'; '.join(self.reasons)}{doubt}"
+
+
+def sufficiency(found: Estimate, wanted: Collection[str] = ()) -> Sufficiency:
+    """Judge a fit by the unknowns `wanted`, if it has them; by default by all that are not local to a record."""
+    asked = [name for name in (*found.labels, *found.summed) if name in wanted]
+    asked = asked or [name for name in found.labels if name not in found.local]
+    shares, reasons = {}, []
+    if not found.converged:
+        reasons.append("the search did not converge")
+    for name in asked:
+        value, sigma = found[name], found.sigma(name)
+        if name in found.at_bound or not sigma >= 0.0:
+            reasons.append(f"{name} is held by its bound")
+            continue
+        shares[name] = deviations(LEVEL) * sigma / abs(value) if value else float("inf")
+        if shares[name] > TOLD:
+            reasons.append(f"{name} is known to {100.0 * shares[name]:.0f} % only")
+    return Sufficiency(shares, tuple(reasons), not found.wanders)
+
 
 AUTO = "auto"
 """The paper's structure for the experiment."""
@@ -60,13 +199,13 @@ def experiment_in(log: FlightLog) -> str:
 
     Raises LogError where none is found, IdentificationError where it says an experiment that tells no model.
     """
-    said = log.provenance.get("experiment")
-    if not isinstance(said, str):
+    flown = log.provenance.get("experiment")
+    if not isinstance(flown, str):
         return kind_of(log).name
-    name = FLOWN_AS.get(said, said)
+    name = FLOWN_AS.get(flown, flown)
     if name not in KINDS:
         raise IdentificationError(
-            f"nothing is identified from the experiment {shown(said)}",
+            f"nothing is identified from the experiment {shown(flown)}",
             log.source,
             f"say which it is: {', '.join(KINDS)}",
         )
@@ -127,11 +266,11 @@ def by_output_error(
     disturbance: Disturbance = "auto",
     machines: Sequence[FlownMachine] = (),
 ) -> tuple[Estimate | Repeated, list[Record]]:
-    """What was found, and the records as they were fitted and validated: in closed loop the pieces of the first.
+    """Fit by output error; return the estimate and the records as fitted and validated (in closed loop in pieces).
 
-    `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop what its
-    calibration knows of the cart is held, and what it knows less well is known before; what is known before and not
-    asked for is held at its mean. In a long open loop the poles are known before. `free` is the impulse's record of a
+    `machines` are those of the flights, one for each of `records` and then of `others`. In closed loop
+    the cart is held at its calibration, and less certain figures are priors. A prior that is not asked for is held at
+    its mean. In a long open loop the poles are known before. `free` is the impulse's record of a
     doublet: its fit with the same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record, check_record
-from twodof.models.linear_model import MAX_STATES, Entry, linear_model
-from twodof.models.structure import Structure
+from twodof.models.structure import MAX_STATES, Entry, Structure, linear_model
 
 Array = NDArray[np.float64]
 

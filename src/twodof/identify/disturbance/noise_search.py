@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
 from twodof.identify.disturbance.coloured_problem import ColouredProblem
-from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel
-from twodof.identify.disturbance.feedback import inputs_that_answer
-from twodof.identify.disturbance.pushed_problem import can_be_pushed, pushed
+from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
+from twodof.identify.disturbance.gust import can_be_pushed, pushed
+from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
-from twodof.identify.search.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.validate import whiteness
 
 Array = NDArray[np.float64]
@@ -189,7 +188,7 @@ def _white(problem: Problem, minimum: LeastSquaresMinimum) -> Disturbed:
 
 
 def _identifiable(problem: Problem, found: Disturbed) -> bool:
-    """Whether the prefiltered data tell the unknowns apart: the noise model may leave less of them than there was."""
+    """Return True if the prefiltered data tell the unknowns apart."""
     free = np.flatnonzero(~found.minimum.at_bound)
     try:
         check_identifiable(found.jacobian[:, free], problem.scale[free], [problem.slots[i].label for i in free], "")
@@ -320,7 +319,7 @@ def _doubt(jacobian: Array) -> float:
 
 
 def _passes(problem: Problem, residual: Array) -> bool:
-    """Whether the residual of each output that is long enough for the test is white."""
+    """Return True if the residual of each output that is long enough for the test is white."""
     rows = [residual[block.rows] for block in problem.blocks]
     tested = [own for own in rows if own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0]
     return all(whiteness(own, _LAGS).passed for own in tested)

@@ -1,4 +1,4 @@
-"""Structures of which one is true: criteria, F-tests and their false alarms."""
+"""Criteria of structures of which one is true."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from scipy import signal, stats
 from tests.identify.signals import DT, doublet, pitch_record
 from twodof.errors import IdentificationError
 from twodof.identify.greybox import fit
+from twodof.identify.ranking import rank, select
 from twodof.identify.record import Record
-from twodof.identify.selection.ranking import rank, select
 from twodof.models.plant import PitchRate
 from twodof.models.structures import pitch_rate
 
@@ -45,40 +45,19 @@ def test_the_criteria_are_those_of_the_book() -> None:
         assert one.aic == pytest.approx(2 * one.unknowns - 2 * likelihood, rel=1e-12)
         assert one.bic == pytest.approx(one.unknowns * np.log(n) - 2 * likelihood, rel=1e-12)
     assert sum(one.weight for one in found.candidates) == pytest.approx(1.0)
-    small, large = (float(e[name] @ e[name]) for name in ("mu", "mu tau"))
-    (test,) = found.tests
-    assert (test.small, test.large, test.freedom) == ("mu", "mu tau", (1, n - 2))
-    assert test.f == pytest.approx((small - large) / (large / (n - 2)), rel=1e-9, abs=1e-9)
-    assert test.p == pytest.approx(stats.f.sf(test.f, 1, n - 2), rel=1e-9)
 
 
-def false_alarms(coloured: bool, seeds: int) -> np.ndarray:
-    """The p of an unknown that is held at its true value: uniform."""
-    p = []
-    for seed in range(seeds):
+@pytest.mark.parametrize("coloured", [False, True])
+def test_an_unknown_at_its_true_value_is_seldom_worth_estimating(coloured: bool) -> None:
+    """AIC gains 10 from a superfluous unknown once in two thousand, also under coloured noise that was whitened."""
+    for seed in range(4):
         data = record(seed, coloured)
         fits = {
             name: fit(pitch_rate(), data, estimate=unknowns, values=VALUES, disturbance="ar" if coloured else "white")
             for name, unknowns in (("true", ["mu"]), ("more", ["mu", "tau" if coloured else "M_trim"]))
         }
-        p.append(rank(fits).tests[0].p)
-    return np.array(p)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("coloured", [False, True])
-def test_false_alarms_are_rare(coloured: bool) -> None:
-    # Of 8 draws of 5 % three and more are a chance of .6 %.
-    assert np.count_nonzero(false_alarms(coloured, 8) < 0.05) < 3
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("coloured", [False, True])
-def test_false_alarms_are_as_rare_as_the_level_says(coloured: bool) -> None:
-    p = false_alarms(coloured, 150)
-    # 150 draws of 5 % are known to 1.8 %; the filter is estimated from the same record, which costs a little.
-    assert np.mean(p < 0.05) < 0.11
-    assert 0.35 < np.median(p) < 0.65
+        by_name = {one.name: one for one in rank(fits).candidates}
+        assert by_name["true"].aic - by_name["more"].aic < 10.0
 
 
 def test_select_finds_what_is_there_and_leaves_out_what_is_not() -> None:
@@ -97,10 +76,10 @@ def test_select_finds_what_is_there_and_leaves_out_what_is_not() -> None:
     assert ranking.best == "+ M_trim"
     assert fits[ranking.best]["M_trim"] == pytest.approx(0.004, abs=5e-4)
     assert [one[2] for one in calls] == ["-", "+ M_trim", "+ q_bias", "+ M_trim + q_bias"]
-    tests = {(one.small, one.large): one.p for one in ranking.tests}
-    assert tests["-", "+ M_trim"] < 1e-6
-    assert tests["+ M_trim", "+ M_trim + q_bias"] > 1e-3
-    assert "p = " in ranking.table()
+    aic = {one.name: one.aic for one in ranking.candidates}
+    assert aic["-"] - aic["+ M_trim"] > 20.0
+    assert aic["+ M_trim"] - aic["+ M_trim + q_bias"] < 10.0
+    assert "+ M_trim" in ranking.table()
     assert '"criterion": "bic"' in ranking.to_json()
 
 
@@ -116,8 +95,6 @@ def test_what_cannot_be_compared_is_refused() -> None:
         rank({"a": one, "b": banded})
     with pytest.raises(IdentificationError, match="criterion is 'r2'"):
         rank({"a": one, "b": one}, criterion="r2")
-    with pytest.raises(IdentificationError, match="'a' in 'c'"):
-        rank({"a": one, "b": one}, nested=[("a", "c")])
     with pytest.raises(IdentificationError, match="no unknown 'nu'"):
         select(pitch_rate(), record(0), ["mu"], ["nu"])
     with pytest.raises(IdentificationError, match="0 optional"):

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from tests.identify.signals import DT, pitch_record
 from twodof.errors import IdentificationError
-from twodof.identify.frequency.frequency_response import FrequencyResponse, frequency_response
-from twodof.identify.frequency.transfer_fit import fit_transfer
+from twodof.identify.frequency_response import FrequencyResponse, frequency_response
+from twodof.identify.transfer_fit import fit_transfer
 from twodof.models.plant import PitchRate
 
 pytestmark = pytest.mark.slow

@@ -55,7 +55,7 @@ def fit_from_several(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> MultiStart:
-    """`fit` from the structure's own first guess and from `starts` - 1 random ones, of which the best is kept.
+    """Fit from the structure's own first guess and from `starts` - 1 random ones, and keep the best.
 
     `within` says from where to where the first guess of an unknown is drawn: (low, high). If both are positive and a
     factor of ten or more apart, the draw is uniform in the logarithm. Otherwise it is uniform. The draws are a Latin

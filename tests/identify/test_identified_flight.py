@@ -12,10 +12,8 @@ from twodof.excitation import Multisine
 from twodof.experiment.experiments import Experiment
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.identify.from_flight.closed_loop import FlownMachine, machine_of
-from twodof.identify.from_flight.identified_flight import IdentifiedFlight, identify_flight
-from twodof.identify.from_flight.ready_made import experiment_in, structure_for
-from twodof.identify.from_flight.sufficiency import sufficiency
+from twodof.identify.identified_flight import IdentifiedFlight, identify_flight
+from twodof.identify.ready_made import FlownMachine, experiment_in, machine_of, structure_for, sufficiency
 
 pytestmark = pytest.mark.slow
 

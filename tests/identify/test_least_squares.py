@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from twodof.identify.search.least_squares import minimise
+from twodof.identify.least_squares import minimise
 
 Array = NDArray[np.float64]
 FREE = np.array([np.inf, np.inf])

@@ -53,7 +53,7 @@ def model_response(
     where = f"structure '{structure.name}'"
     if input not in structure.inputs or output not in structure.outputs:
         raise IdentificationError(
-            f"there is no response from '{input:.80}' to '{output:.80}'",
+            f"no response leads from '{input:.80}' to '{output:.80}'",
             where,
             f"inputs: {', '.join(structure.inputs)}; outputs: {', '.join(structure.outputs)}",
         )

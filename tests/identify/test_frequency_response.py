@@ -1,4 +1,4 @@
-"""Spectra against scipy's; several inputs, several windows and closed loops against systems whose truth is known."""
+"""Spectra against scipy's; several inputs and closed loops against systems whose truth is known."""
 
 import control
 import numpy as np
@@ -6,10 +6,14 @@ import pytest
 from numpy.typing import NDArray
 from scipy import signal
 
-from tests.identify.signals import DT
-from twodof.errors import IdentificationError
-from twodof.identify.frequency.frequency_response import FrequencyResponse, frequency_response
+from tests.identify.signals import DT, doublet, pitch_record
+from twodof.errors import DiagramError, IdentificationError
+from twodof.identify.frequency_response import FrequencyResponse, frequency_response
+from twodof.identify.greybox import fit
+from twodof.identify.model_response import model_response
 from twodof.identify.record import Record
+from twodof.models.plant import PitchRate
+from twodof.models.structures import free_response, pitch_rate
 
 pytestmark = pytest.mark.slow
 
@@ -93,13 +97,12 @@ def test_partial_coherence_is_that_of_the_residuals() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("segment", [2.0, (0.7, 2.0)])
-def test_error_bars_hold_the_truth_as_often_as_they_say(segment: float | tuple[float, ...]) -> None:
+def test_error_bars_hold_the_truth_as_often_as_they_say() -> None:
     share = []
     for seed in range(20):
         record = two_inputs(100 + seed, 4000)
         for name, given, system in (("a", "b", HELD[0]), ("b", "a", HELD[1])):
-            found = frequency_response(record, name, "y", segment=segment, given=given)
+            found = frequency_response(record, name, "y", segment=2.0, given=given)
             share.append(np.mean(miss(found, exact(system, found.omega)) < 1.0))
     # 40 responses of some 30 independent points: the share is known to .006; the taper's leakage adds a little.
     assert np.mean(share) == pytest.approx(0.95, abs=0.03)
@@ -107,8 +110,8 @@ def test_error_bars_hold_the_truth_as_often_as_they_say(segment: float | tuple[f
 
 @pytest.mark.soak
 @pytest.mark.parametrize("inputs", [1, 2])
-@pytest.mark.parametrize("segment", [2.0, 4.0, (0.5, 1.0, 2.0), (1.0, 4.0)])
-def test_error_bars_over_many_records(inputs: int, segment: float | tuple[float, ...]) -> None:
+@pytest.mark.parametrize("segment", [2.0, 4.0])
+def test_error_bars_over_many_records(inputs: int, segment: float) -> None:
     """A segment of 1 s smooths the pole at 8 rad/s: its lowest point is off by four sigma, and the share is .91."""
     share = []
     for seed in range(60):
@@ -153,18 +156,6 @@ def test_the_reference_takes_away_the_bias_of_a_closed_loop() -> None:
     assert np.median(found.coherence[fast]) < 0.2
 
 
-def test_a_composite_takes_resolution_from_long_and_steadiness_from_short_windows() -> None:
-    record = two_inputs(7)
-    short, long, both = (frequency_response(record, "a", "y", segment=one, given="b") for one in (0.5, 4.0, (0.5, 4.0)))
-    assert both.omega[0] == long.omega[0]
-    fast = both.omega > 60.0
-    # Sixteen times as many averages are worth four times less error; a part of the weight stays with the long window.
-    assert np.median(both.sigma[fast]) < 0.6 * np.median(long.sigma[fast])
-    slow = both.omega < 2.0 * np.pi * 2.0 / 0.5 - 1e-9
-    np.testing.assert_allclose(both.response[slow], long.response[slow])
-    assert short.omega[0] > both.omega[5]
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
@@ -172,7 +163,6 @@ def test_a_composite_takes_resolution_from_long_and_steadiness_from_short_window
         ({"given": "a"}, "named twice"),
         ({"reference": "r"}, "does not hold 'r'"),
         ({"reference": ["b", "y"]}, "2 references for 1 inputs"),
-        ({"segment": ()}, "no segment"),
         ({"segment": float("nan")}, "segment is nan"),
         ({"segment": 1e300}, "do not fit"),
         ({"window": "nothing"}, "no window is called"),
@@ -187,3 +177,92 @@ def test_what_it_cannot_do_is_refused_with_a_reason(arguments: dict[str, object]
     record = table(**columns, twin=2.0 * columns["a"], still=np.ones(8000))
     with pytest.raises(IdentificationError, match=reason):
         frequency_response(record, "a", "y", **arguments)  # type: ignore[arg-type]
+
+
+MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)
+
+
+def sampled_model(omega: np.ndarray) -> np.ndarray:
+    """Response of the held, delayed, sampled model: what a record of it contains."""
+    system = control.ss(*MODEL.state_space().zero_order_hold(DT).augmented(), DT)
+    return np.asarray(system(np.exp(1j * omega * DT)))[1, 0]
+
+
+def test_response_and_its_sigma_are_right() -> None:
+    rng = np.random.default_rng(0)
+    u = 0.03 * np.sign(rng.standard_normal(6000)).repeat(5)
+    found = frequency_response(pitch_record(MODEL, u, 0.06, rng), "M", "q", segment=8.0)
+    band = (found.omega > 2.0) & (found.omega < 60.0)
+    error = abs(found.response - sampled_model(found.omega))[band] / found.sigma[band]
+    # |error|^2 / sigma^2 has mean 2 (real and imaginary part, each sigma): 74 points, half of them independent;
+    # the window's leakage of the resonance adds some.
+    assert np.sqrt(np.mean(error**2) / 2.0) == pytest.approx(1.0, abs=0.35)
+    assert (found.coherence[band] > 0.5).all()
+
+
+def test_coherence_tells_signal_from_noise() -> None:
+    rng = np.random.default_rng(1)
+    u = 0.03 * np.sign(rng.standard_normal(4000)).repeat(5)
+    clean = frequency_response(pitch_record(MODEL, u, 0.0, rng), "M", "q", segment=8.0)
+    noisy = frequency_response(pitch_record(MODEL, u, 100.0, rng), "M", "q", segment=8.0)
+    middle = (clean.omega > 2.0) & (clean.omega < 60.0)
+    # Near the resonance (3.4 rad/s) the window's leakage costs coherence even without noise.
+    assert clean.coherence[middle & (clean.omega > 8.0)].min() > 0.95
+    # Pure noise has a coherence of 1 / averages in the mean.
+    assert noisy.coherence[middle].mean() == pytest.approx(1.0 / noisy.averages, rel=0.35)
+    assert clean.trusted()[middle].all()
+    assert "deg" in clean.table()
+
+
+def test_what_cannot_be_averaged_is_refused() -> None:
+    rng = np.random.default_rng(2)
+    record = pitch_record(MODEL, np.zeros(1000), 0.06, rng)
+    with pytest.raises(IdentificationError, match="does not move"):
+        frequency_response(record, "M", "q")
+    with pytest.raises(IdentificationError, match="do not fit at least twice"):
+        frequency_response(record, "M", "q", segment=3.0)
+    with pytest.raises(IdentificationError, match="does not hold 'T' as input"):
+        frequency_response(record, "T", "q")
+
+
+OMEGA = np.geomspace(1.0, 300.0, 25)
+HELD_MODEL = {"estimate": ["mu", "tau"], "values": {"w_n": 3.437, "xi": 0.3}}
+
+
+def test_the_response_is_that_of_the_sampled_model() -> None:
+    record = pitch_record(MODEL, doublet(400, 0.2, 0.6, 0.03), 0.06, np.random.default_rng(1))
+    found = fit(pitch_rate(), record, **HELD_MODEL)  # type: ignore[arg-type]
+    made = model_response(pitch_rate(), found, "M", "q", OMEGA, DT)
+    same = PitchRate(3.437, 0.3, found["mu"], found["tau"])
+    system = control.ss(*same.state_space().zero_order_hold(DT).augmented(), DT)
+    exact = np.asarray(control.frequency_response(system, OMEGA).complex)[1, 0]
+    np.testing.assert_allclose(made.response, exact, rtol=1e-8)
+    # mu scales the gain, tau turns the phase by omega; beyond that the held fraction of a step changes the gain little.
+    slow = OMEGA < 30.0
+    assert made.gain_sigma[slow] == pytest.approx(found.sigma("mu") / found["mu"], rel=0.02)
+    assert made.phase_sigma[slow] == pytest.approx(OMEGA[slow] * found.sigma("tau"), rel=0.02)
+
+
+def test_the_band_is_as_wide_as_fits_spread() -> None:
+    fits = [
+        fit(pitch_rate(), pitch_record(MODEL, doublet(400, 0.2, 0.6, 0.03), 0.1, np.random.default_rng(seed)))
+        for seed in range(12)
+    ]
+    omega = np.array([4.0, 20.0])
+    made = [
+        PitchRate(*(one[name] for name in ("w_n", "xi", "mu", "tau"))).state_space().response(omega) for one in fits
+    ]
+    spread = np.std([np.log(abs(one[:, 1, 0])) for one in made], axis=0, ddof=1)
+    claimed = model_response(pitch_rate(), fits[0], "M", "q", omega, DT).gain_sigma
+    # A standard deviation from 12 is known to 21 %: a factor of two is five of these.
+    assert (spread / claimed > 0.5).all()
+    assert (spread / claimed < 2.0).all()
+
+
+def test_what_cannot_be_linearised_is_said() -> None:
+    record = pitch_record(MODEL, doublet(400, 0.2, 0.6, 0.03), 0.06, np.random.default_rng(1))
+    found = fit(pitch_rate(), record, **HELD_MODEL)  # type: ignore[arg-type]
+    with pytest.raises(IdentificationError, match="no response leads from 'T'"):
+        model_response(pitch_rate(), found, "T", "q", OMEGA, DT)
+    with pytest.raises(DiagramError, match="kink"):
+        model_response(free_response(), found, "M", "q", OMEGA, DT)

@@ -1,1 +1,0 @@
-"""Spectra of a record, the frequency responses they give, and transfer functions fitted to those."""
