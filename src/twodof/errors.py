@@ -110,7 +110,7 @@ class LinkLost(LinkError):
     """The other side of a link is gone, or the link was closed."""
 
 
-class Refusal(IntEnum):
+class RefusalReason(IntEnum):
     """Reason code of a refusal, as the drone sends it (TWODOF_REFUSAL in the dialect): programs decide by it."""
 
     OTHER = 0
@@ -122,7 +122,7 @@ class Refusal(IntEnum):
     NOTHING = 6
 
     @classmethod
-    def of(cls, number: int) -> Refusal:
+    def of(cls, number: int) -> RefusalReason:
         """Return the code with this number; OTHER for one that a newer drone sends."""
         return next((code for code in cls if code == number), cls.OTHER)
 
@@ -130,7 +130,7 @@ class Refusal(IntEnum):
 class Rejected(TwodofError):
     """The drone received a command and refused it; `reason` is what it said, `code` the same for programs."""
 
-    def __init__(self, what: str, where: str = "", remedy: str = "", code: Refusal = Refusal.OTHER) -> None:
+    def __init__(self, what: str, where: str = "", remedy: str = "", code: RefusalReason = RefusalReason.OTHER) -> None:
         super().__init__(what, where, remedy)
         self.code = code
 

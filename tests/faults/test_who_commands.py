@@ -7,7 +7,7 @@ import asyncio
 import pytest
 
 from tests.faults.whole import GROUND, Whole, run, silent, stands
-from twodof.errors import LinkLost, Refusal, Rejected
+from twodof.errors import LinkLost, RefusalReason, Rejected
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.setpoints import pitch
 from twodof.link.mavlink.framing import encode
@@ -60,7 +60,7 @@ def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_nothin
             await other.run(1.0)
             assert silent(whole.since(first))
             assert {round(step.asked.theta0, 3) for step in whole.since(first)} == {0.1}
-            assert whole.drone.commander.refused[Refusal.LEASE] > 40  # .02 s apart
+            assert whole.drone.commander.refused[RefusalReason.LEASE] > 40  # .02 s apart
             assert dict(whole.drone.assembly.store) == before
             tick = whole.tick
             await other.kill()

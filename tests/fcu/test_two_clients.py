@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from tests.faults.virtual_time import run_virtual
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.link.connection import Connection
 from twodof.link.mavlink import modes, setpoints
@@ -124,7 +124,7 @@ def test_all_that_commands_is_refused_to_the_other_and_changes_nothing() -> None
             assert drone.commander.lease.holder == (250, 190), name
         assert drone.commander.armed
         assert drone.assembly.store["ATT_KP"] == gain
-        assert drone.commander.refused[Refusal.LEASE] >= 3
+        assert drone.commander.refused[RefusalReason.LEASE] >= 3
         assert drone.rig.seed != 99
 
     run_virtual(_both(work))

@@ -9,7 +9,7 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
-from twodof.errors import LinkLost, ParameterError, Refusal, Rejected, Timeout
+from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, Timeout
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.identity import OWN_SYSTEMS
@@ -180,7 +180,7 @@ def test_a_setpoint_that_the_drone_does_not_take_is_refused_at_once_with_its_rea
     class Refusing(Peer):
         def _set_position_target_local_ned(self, _got: Any, frame: Any) -> None:
             to = {"target_system": frame.system, "target_component": frame.component}
-            self.send("TWODOF_REFUSED", message_id=frame.message_id, reason=Refusal.RINGS, **to)
+            self.send("TWODOF_REFUSED", message_id=frame.message_id, reason=RefusalReason.RINGS, **to)
 
     async def flight(peer: Peer, drone: AsyncDrone) -> None:
         peer.refuse[176] = (1, "not now")

@@ -12,7 +12,7 @@ import typer
 from rich.table import Table
 
 from twodof.cli.output import Json, print_json, table_console
-from twodof.errors import LinkError, Refusal, Rejected
+from twodof.errors import LinkError, RefusalReason, Rejected
 from twodof.fleet.local_drone import controller_in_words, with_port_owner
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.discovery import LOOPBACK, discover
@@ -39,7 +39,7 @@ def lease_refusals(url: str) -> Iterator[None]:
     try:
         yield
     except Rejected as refusal:
-        if refusal.code is not Refusal.LEASE:
+        if refusal.code is not RefusalReason.LEASE:
             raise
         remedy = (
             f"wait until it is given up, or end who has it; `twodof kill --url {url}` stops the motors all the same"

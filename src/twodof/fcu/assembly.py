@@ -38,7 +38,7 @@ class ActiveConfiguration:
     """
 
     def __init__(self, controllers: Controllers, store: ParameterStore, fresh: bool = False) -> None:
-        """Raises as `Controllers.build`, and DiagramError where uploads cannot be forgotten."""
+        """Build the flight code. Raises as `Controllers.build`, and DiagramError where uploads cannot be forgotten."""
         if fresh:
             controllers.forget()
         self.code, damage = controllers.build()
@@ -54,12 +54,12 @@ class ActiveConfiguration:
         self._counted = (-1, 0)  # a revision of the store, and how many parameters differ from their defaults in it
 
     def attach(self, controller: FlightController) -> None:
-        """Has each change of the store fly in `controller`, before its next tick."""
+        """Let each change of the store fly in `controller`, before its next tick."""
         self._controller = controller
         self._store.bus.subscribe(ParametersChanged, self._fly_changes)
 
     def fly_replaced(self) -> list[str]:
-        """Another flight code flies by now: lists its users' parameters. Returns what clients must know of that."""
+        """List the parameters of the users' controllers in another flight code. Return remarks for the clients."""
         self.code = self._controller.code
         remarks = self._store.carry(self.code.user_parameters)
         own = self._store.user_values()
@@ -69,7 +69,7 @@ class ActiveConfiguration:
 
     @property
     def identity(self) -> ControllerIdentity:
-        """Which controller flies, and how many parameters differ from their defaults."""
+        """Return which controller flies, and how many parameters differ from their defaults."""
         code = self._controller.code
         if self._named[0] is not code:
             self._named = (code, controller_identity(code))
@@ -85,7 +85,7 @@ class ActiveConfiguration:
             self._controller.set_parameters(changed)
 
     def _hidden(self) -> list[str]:
-        """Which of the users' parameters are not shown."""
+        """Return remarks on the users' parameters that are not shown."""
         return [one.remark for one in self.code.user_parameters if one.remark]
 
 
@@ -144,7 +144,7 @@ class Assembly:
         self._say(self.configuration.remarks)
 
     def _services(self, state: Path | None) -> list[Service]:
-        """All, in their order: every frame is heard first, and a tick is over when all else of it was sent."""
+        """Return all services in their order: the lease hears every frame, lockstep ends a tick last."""
         px4, server, commander, log = self.px4, self.server, self.commander, self.log
         us, lockstep = VehicleAddress(server.system), self.controller.lockstep
         explain, refuse = px4.commands.explain, px4.commands.refuse
@@ -170,24 +170,24 @@ class Assembly:
         ]
 
     def close(self) -> None:
-        """Writes what is not written yet. Raises ParameterError or LogError where the disk refuses; twice is once."""
+        """Write parameters and log to the disk, and end. Raises ParameterError or LogError where the disk refuses."""
         self._closing.close()
 
     def _replaced(self) -> None:
-        """The uploaded controllers fly from the next tick on."""
+        """Take over the parameters of the uploaded controllers, which fly from the next tick on."""
         self._say(self.configuration.fly_replaced())
 
     def _say(self, remarks: Iterable[str]) -> None:
         self.commander.remarks.extend((MavSeverity.WARNING, text) for text in remarks)
 
     def _about(self) -> dict[str, str | int]:
-        """What a log says of the flight."""
+        """Return the facts of the flight for a log."""
         hardware = self.controller.hardware
         about: dict[str, str | int] = {"rig": hardware.name, "seed": hardware.seed, "rings": int(hardware.rings)}
         return about | {"controller": self.configuration.identity.controller}
 
     def _unfit(self) -> str:
-        """Why the controller cannot fly, before somebody arms."""
+        """Return why the controller cannot fly, "" if it can."""
         if self._reload.building:
             return "a controller is being built"
         fault = self.controller.code.user_fault

@@ -14,10 +14,10 @@ class OnboardEventBus:
         self._listeners: defaultdict[type[Any], list[Callable[[Any], object]]] = defaultdict(list)
 
     def subscribe(self, kind: type[Event], listener: Callable[[Event], object]) -> None:
-        """Has `listener` called with each event of the class `kind`, not of its subclasses."""
+        """Call `listener` with each event of the class `kind`, not of its subclasses."""
         self._listeners[kind].append(listener)
 
     def publish(self, event: object) -> None:
-        """Tells the listeners of this event's class; what one of them raises comes out here."""
+        """Call the listeners of this event's class; an exception of a listener is raised here."""
         for listener in self._listeners.get(type(event), ()):
             listener(event)

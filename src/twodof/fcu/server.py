@@ -84,7 +84,7 @@ class Server:
         await self.close()
 
     async def listen(self, url: str) -> str:
-        """Opens a link and returns its URL, with the port that the system chose for port 0. Raises LinkError."""
+        """Open a link and return its URL, with the port that the system chose for port 0. Raises LinkError."""
         connection = await self._open(url)
         task = asyncio.create_task(self._serve(connection, url), name=f"link {url}")
         self._tasks.add(task)
@@ -93,7 +93,7 @@ class Server:
         return str(replace(address, port=port) if address.listens and port else address)
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
-        """Sends to one peer, or to all; what a peer does not take, or fits no field, is dropped and counted."""
+        """Send to one peer, or to all; a message that a peer refuses, or that does not fit, is dropped and counted."""
         if peer is None:
             for connection in self.connections:
                 self._send(message, connection, None)
@@ -102,18 +102,18 @@ class Server:
 
     @property
     def lost(self) -> int:
-        """Messages that did not go out: queues were full, links gone, values that fit no field."""
+        """Return the number of messages lost to full queues, closed links and values that fit no field."""
         return self._dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
 
     def alive(self, peer: Hashable) -> bool:
-        """Whether a peer is still connected."""
+        """Return whether a peer is still connected."""
         if not isinstance(peer, Peer):
             return False
         transport = peer.connection.transport
         return not transport.closed and peer.there in transport.peers
 
     async def run(self) -> None:
-        """Runs until it is cancelled; raises what goes wrong in the control loop or a service."""
+        """Run until it is cancelled; raises any exception of the control loop or a service."""
         time_passes = self._watch_time if self.controller.lockstep else self._run_real_time
         loop = asyncio.create_task(time_passes(), name="control loop")
         loop.add_done_callback(lambda _: self._failed.set())
@@ -130,7 +130,7 @@ class Server:
             self.controller.hardware.stop()
 
     async def close(self) -> None:
-        """Motors off, links closed; a second time does nothing."""
+        """Stop the motors and close the links; a second call does nothing."""
         self.controller.hardware.stop()
         for task in self._tasks:
             task.cancel()
@@ -166,7 +166,7 @@ class Server:
             pacer.close()
 
     async def _watch_time(self) -> None:
-        """In lockstep time runs where grants come in; here it is seen that it does not."""
+        """Watch in lockstep for time that stands still, as it runs where grants come in."""
         while True:
             tick = self.controller.tick
             await asyncio.sleep(IDLE_S)
@@ -213,7 +213,7 @@ class Server:
         return pilot is not None and self._peers.get(peer) == pilot
 
     async def _serve(self, connection: Connection, url: str) -> None:
-        """Takes in what comes over a link; one that was lost is opened again until it is there."""
+        """Receive the messages of a link; a lost link is opened again until it is there."""
         while True:
             with suppress(LinkLost):
                 while True:

@@ -8,7 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Self
 
-from twodof.errors import ExperimentError, LinkLost, LogError, Refusal, Rejected, Timeout, shown
+from twodof.errors import ExperimentError, LinkLost, LogError, RefusalReason, Rejected, Timeout, shown
 from twodof.excitation import Excitation
 from twodof.gcs.active_controller import ActiveController, read_active_controller
 from twodof.gcs.discovery import open_link
@@ -212,8 +212,8 @@ class AsyncDrone(FlyingDrone):
             got = await self.session.ask(lambda _: asked, ("TWODOF_RIG",), _reset_answer, deadline)
             if got.flags & _REFUSED:
                 said = await self.commands.words(spoken, deadline)
-                code = self.commands.refusals.get("TWODOF_RIG_RESET", Refusal.OTHER)
-                armed = self.state.armed or code is Refusal.ARMED
+                code = self.commands.refusals.get("TWODOF_RIG_RESET", RefusalReason.OTHER)
+                armed = self.state.armed or code is RefusalReason.ARMED
                 remedy = "disarm it first" if armed else "put right what it says; a real rig has no reset"
                 raise Rejected(said or "the rig is not reset", deadline.where, remedy, code)
             self.clock.restart()

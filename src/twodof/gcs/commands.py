@@ -6,7 +6,7 @@ from functools import partial
 from itertools import count
 from typing import Any
 
-from twodof.errors import LinkError, LinkLost, Refusal, Rejected, Timeout, shown
+from twodof.errors import LinkError, LinkLost, RefusalReason, Rejected, Timeout, shown
 from twodof.gcs.drone_state import StatusTexts
 from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink import dialect
@@ -54,7 +54,7 @@ class CommandSender:
         self.words_follow = False
         """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
         self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
-        self.refusals: dict[str, Refusal] = {}
+        self.refusals: dict[str, RefusalReason] = {}
         """The reason of the latest refusal of each kind of message that has no acknowledgement, by its name."""
         session.on(self._answered, "COMMAND_ACK")
         session.on(self._refused, "TWODOF_REFUSED")
@@ -101,7 +101,7 @@ class CommandSender:
     def _refused(self, got: Any) -> None:
         kind = dialect.load().mavlink_map.get(got.message_id)
         if kind is not None and self._is_ours(got):
-            self.refusals[kind.msgname] = Refusal.of(got.reason)
+            self.refusals[kind.msgname] = RefusalReason.of(got.reason)
 
     def long(self, number: int, values: Sequence[float], attempt: int = 0) -> Any:
         """The COMMAND_LONG of a command."""
@@ -133,7 +133,9 @@ class CommandSender:
         words = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         said = await self.words(spoken, deadline)
         where = f"drone {self._session.system}, {deadline.doing}"
-        code = Refusal.of(got.result_param2) if self.words_follow else Refusal.OTHER  # PX4 has codes of its own
+        code = (
+            RefusalReason.of(got.result_param2) if self.words_follow else RefusalReason.OTHER
+        )  # PX4 has codes of its own
         return Rejected(said or words, where, _REMEDIES.get(result, ""), code)
 
     async def words(self, spoken: int, deadline: Deadline) -> str:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from math import ceil, inf
 
-from twodof.errors import ParameterError, Refusal, Rejected, Timeout, shown
+from twodof.errors import ParameterError, RefusalReason, Rejected, Timeout, shown
 from twodof.gcs import setpoints
 from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
 from twodof.gcs.session import Deadline
@@ -19,11 +19,11 @@ HOVER = "THRUST_BAR"
 _MODE_RETRY_S = 0.1
 _SETPOINTS = ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "TWODOF_OPENLOOP")
 _REASONS = {
-    Refusal.LEASE: "another client holds the lease",
-    Refusal.RINGS: "it moves the cart, and the rings lock it",
-    Refusal.INVALID: "a number is not finite or outside its bounds",
-    Refusal.QUEUE: "too many wait, or it is more than a minute ahead",
-    Refusal.NOTHING: "it asks for nothing that is flown here",
+    RefusalReason.LEASE: "another client holds the lease",
+    RefusalReason.RINGS: "it moves the cart, and the rings lock it",
+    RefusalReason.INVALID: "a number is not finite or outside its bounds",
+    RefusalReason.QUEUE: "too many wait, or it is more than a minute ahead",
+    RefusalReason.NOTHING: "it asks for nothing that is flown here",
 }
 _FOLLOWING = "changing to a mode in which set-points are followed"
 
@@ -107,7 +107,7 @@ class FlyingDrone(DroneBase):
         """Stream it, and switch to a mode in which it is followed; refusals are tried again while it streams."""
         if setpoint.moves_cart and self.ours and self.state.rig.rings_locked:
             # In words the drone says so once a second at most, and where offboard flies already there is no answer.
-            raise self._not_taken(Refusal.RINGS, deadline)
+            raise self._not_taken(RefusalReason.RINGS, deadline)
         self._not_killed(deadline)
         before = self.setpoints.current
         self.commands.refusals.clear()
@@ -148,9 +148,9 @@ class FlyingDrone(DroneBase):
             who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
             raise Rejected(f"it was killed{who}", deadline.where, "see why, then drone.release(), and arm it again")
 
-    def _not_taken(self, code: Refusal, deadline: Deadline) -> Rejected:
+    def _not_taken(self, code: RefusalReason, deadline: Deadline) -> Rejected:
         remedy = "put right what it says and try again"
-        if code is Refusal.RINGS:
+        if code is RefusalReason.RINGS:
             virtual = self.state.rig.virtual
             remedy = "disarm and drone.reset(rings=False)" if virtual else "take the rings off"
         reason = _REASONS.get(code, "drone.messages has its reason")

@@ -7,7 +7,7 @@ import asyncio
 from contextlib import suppress
 from typing import Any
 
-from twodof.errors import LinkLost, Refusal, Rejected, Timeout
+from twodof.errors import LinkLost, RefusalReason, Rejected, Timeout
 from twodof.gcs.commands import CommandSender
 from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.mavlink.messages import message
@@ -90,7 +90,7 @@ class LeaseClient:
             f"{system}/{component} holds the lease, {how}",
             deadline.where,
             "wait until it is given up, or watch with take_lease=False",
-            Refusal.LEASE,
+            RefusalReason.LEASE,
         )
 
     async def withhold_tuning(self, withhold: bool, timeout: float) -> None:

@@ -3,7 +3,7 @@
 import pytest
 
 from tests.fcu.command.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.result import failed, rejected
 from twodof.fcu.command.setpoints import FRESH, OPENLOOP, STICKS
@@ -343,7 +343,7 @@ def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none(
     assert cockpit.run().arm, "a release stops nothing"
     cockpit.commander.arming.kill(OTHER)
     verdict = cockpit.commander.arming.release(OTHER)
-    assert verdict == rejected("release refused: system 250, component 190 holds the lease", Refusal.LEASE)
+    assert verdict == rejected("release refused: system 250, component 190 holds the lease", RefusalReason.LEASE)
     assert cockpit.commander.arming.killed_by is not None
     assert len(cockpit.commander.remarks) == said + 1
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from tests.fcu.command.cockpit import COMPANION, ME, OTHER, Cockpit, armed
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.fcu.command.arming import PATIENCE
 from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST
@@ -255,7 +255,7 @@ def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() 
         assert take(commander).accepted
         assert (commander.lease.holder, commander.lease.revision) == (OTHER, 2)
         assert commander.lease.left > 1
-        assert commander.refused == {Refusal.LEASE: 2}
+        assert commander.refused == {RefusalReason.LEASE: 2}
         assert cockpit.run(10).mode == 0
 
 
@@ -274,7 +274,7 @@ def test_every_loss_is_counted() -> None:
     for lost in (1, 2):
         cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.1, thrust=0.4), cockpit.tick + 10)
         cockpit.commander.lease.give_up(ME)
-        assert cockpit.commander.refused == {Refusal.LEASE: lost}
+        assert cockpit.commander.refused == {RefusalReason.LEASE: lost}
 
 
 def test_disarmed_any_client_keeps_the_link_again() -> None:

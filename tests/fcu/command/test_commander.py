@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.command.setpoints import (
     CAPACITY,
     FRESH,
@@ -57,7 +57,7 @@ def test_a_number_that_is_none_changes_nothing_and_is_counted(name: str, value: 
     verdict = cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(**{name: value}))
     assert verdict.result == MavResult.DENIED
     assert cockpit.run() == before
-    assert cockpit.commander.refused == {Refusal.INVALID: 1}
+    assert cockpit.commander.refused == {RefusalReason.INVALID: 1}
 
 
 def test_offboard_wants_a_stream_above_2_hz() -> None:
@@ -119,7 +119,7 @@ def test_no_set_point_moves_a_locked_cart() -> None:
         assert "rings" in verdict.text
         assert cockpit.run().mode == ATTITUDE
     assert cockpit.commander.set_mode(ME, modes.POSITION).result == MavResult.DENIED
-    assert cockpit.commander.refused[Refusal.RINGS] == 2
+    assert cockpit.commander.refused[RefusalReason.RINGS] == 2
 
 
 def test_set_points_act_at_their_tick_in_the_order_in_which_they_came() -> None:
@@ -139,7 +139,7 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
     assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + 5).accepted
     cockpit.run(10)
     assert not cockpit.commander.setpoint(ME, LEVEL_FLIGHT, cockpit.tick + HORIZON + 1).accepted
-    assert cockpit.commander.refused[Refusal.QUEUE] == 2
+    assert cockpit.commander.refused[RefusalReason.QUEUE] == 2
     cockpit.commander.arming.disarm(ME)
     cockpit.run(CAPACITY)
     assert cockpit.arm().accepted
@@ -152,7 +152,7 @@ def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
     assert cockpit.commander.lease.give_up(ME).accepted
     assert cockpit.commander.lease.ask(OTHER).accepted
     assert cockpit.run(20).theta0 == 0.0
-    assert cockpit.commander.refused[Refusal.LEASE] == 1
+    assert cockpit.commander.refused[RefusalReason.LEASE] == 1
 
 
 # Modes.

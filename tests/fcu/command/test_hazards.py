@@ -10,7 +10,7 @@ import pytest
 from tests.fcu.assembled import ARM, TARGET, Assembled
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof import fcu
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import REFUSED, STOPPED, written_out
 from twodof.fcu.command.setpoints import FRESH
@@ -38,7 +38,7 @@ def test_what_waits_is_forgotten_with_the_lease_and_does_not_act_when_its_sender
     assert cockpit.commander.lease.give_up(ME).accepted
     assert cockpit.commander.lease.ask(ME).accepted
     assert cockpit.run(20).theta0 == 0.0
-    assert cockpit.commander.refused[Refusal.LEASE] == 1
+    assert cockpit.commander.refused[RefusalReason.LEASE] == 1
 
 
 def test_an_excitation_that_waits_is_refused_when_its_starter_loses_the_lease_even_if_it_comes_back() -> None:

@@ -8,7 +8,7 @@ from math import inf, nan
 import pytest
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
 from twodof.fcu.command.result import CommandResult, failed, rejected
@@ -232,7 +232,7 @@ def test_bounds_belong_to_what_is_accepted() -> None:
 def test_a_stick_beyond_its_end_is_none(pitch: float, thrust: float) -> None:
     cockpit = armed()
     assert not cockpit.commander.sticks(ME, pitch, thrust).accepted
-    assert cockpit.commander.refused == {Refusal.INVALID: 1}
+    assert cockpit.commander.refused == {RefusalReason.INVALID: 1}
 
 
 def test_a_loop_that_is_none_is_no_set_point() -> None:

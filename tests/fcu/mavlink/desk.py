@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.fcu.command.cockpit import ME, Failsafe
 from tests.fcu.sent_message import SentMessage
-from twodof.errors import ParameterError, Refusal
+from twodof.errors import ParameterError, RefusalReason
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
@@ -81,7 +81,7 @@ class Desk:
         self.controller = FlightController(self.bench, self.code, self.commander, lockstep)
         self.sent: list[tuple[Any, Hashable]] = []
         self.told: list[str] = []
-        self.reasons: list[Refusal] = []
+        self.reasons: list[RefusalReason] = []
         us = VehicleAddress(SYSTEM)
         given = us, self.commander, self._refuse
         self.excite = ExcitationService(self, *given)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.desk import TARGET, Desk
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.link.mavlink import setpoints
 from twodof.link.mavlink.messages import message
@@ -222,7 +222,7 @@ def test_no_reset_while_armed_on_a_real_rig_or_by_one_without_the_lease() -> Non
     desk.say(reset())
     assert desk.taken("TWODOF_RIG")[0].flags & 16
     assert "armed" in desk.told[-1]
-    assert desk.reasons[-1] is Refusal.ARMED
+    assert desk.reasons[-1] is RefusalReason.ARMED
     desk.commander.arming.disarm(ME)
     desk.run()
     desk.say(reset(), OTHER, "other")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.desk import SYSTEM, TARGET, Desk
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.mavlink.setpoint_service import MOST_TOLD
 from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.messages import message
@@ -126,7 +126,7 @@ def test_what_is_not_flown_is_refused_in_words(fields: dict[str, Any]) -> None:
     desk.say(message("SET_POSITION_TARGET_LOCAL_NED", **fields, **TARGET))
     assert desk.run()._replace(link_new=False) == before
     assert "asks for nothing" in desk.told[0]
-    assert desk.commander.refused[Refusal.NOTHING] == 1
+    assert desk.commander.refused[RefusalReason.NOTHING] == 1
 
 
 def test_nan_is_as_good_as_ignored_in_a_position_target() -> None:
@@ -158,7 +158,7 @@ def test_an_attitude_target_with_what_is_no_number_is_refused(fields: dict[str, 
         fields = fields | {"thrust": number}
     desk.say(message("SET_ATTITUDE_TARGET", **fields, **TARGET))
     assert desk.run()._replace(link_new=False) == before
-    assert desk.commander.refused == {Refusal.INVALID: 1}
+    assert desk.commander.refused == {RefusalReason.INVALID: 1}
 
 
 @pytest.mark.parametrize("q", [[0, 0, 0, 0], [math.nan, 0, 0, 0], [1e30, 0, 0, 0]])
@@ -167,7 +167,7 @@ def test_a_quaternion_that_is_none_is_refused(q: list[float]) -> None:
     before = desk.run()
     desk.say(message("SET_ATTITUDE_TARGET", type_mask=7, q=q, thrust=0.5, **TARGET))
     assert desk.run()._replace(link_new=False) == before
-    assert desk.commander.refused == {Refusal.INVALID: 1}
+    assert desk.commander.refused == {RefusalReason.INVALID: 1}
 
 
 def test_a_velocity_in_the_bodys_frame_is_one_along_the_rail() -> None:
@@ -189,7 +189,7 @@ def test_manual_control(mode: int, name: str, value: float) -> None:
     assert getattr(asked, name) == pytest.approx(value)
     assert asked.thrust == 0.4
     desk.say(message("MANUAL_CONTROL", target=SYSTEM, x=32767, z=400))
-    assert desk.commander.refused[Refusal.INVALID] == 1
+    assert desk.commander.refused[RefusalReason.INVALID] == 1
 
 
 def test_in_lockstep_the_time_stamp_names_the_tick_and_in_real_time_it_does_not() -> None:
@@ -206,7 +206,7 @@ def test_one_refusal_a_second_is_told_and_all_are_counted() -> None:
     desk = flying()
     for _ in range(50):
         desk.say(LEVEL, OTHER, "other")
-    assert desk.commander.refused[Refusal.LEASE] == 50
+    assert desk.commander.refused[RefusalReason.LEASE] == 50
     assert len(desk.told) == 1
     assert "system 250" in desk.told[0]
     desk.run(250)

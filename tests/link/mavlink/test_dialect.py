@@ -12,7 +12,7 @@ import pytest
 from pymavlink.dialects.v20 import common
 
 from tests.patience import PATIENCE_S
-from twodof.errors import LinkError, Refusal
+from twodof.errors import LinkError, RefusalReason
 from twodof.fcu.command import excitation_player
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES
 from twodof.link.mavlink import dialect
@@ -160,7 +160,7 @@ def test_the_words_of_excitations_are_in_the_dialect() -> None:
 
 
 def test_reasons_of_refusals_are_in_the_dialect() -> None:
-    assert spelled("TWODOF_REFUSAL") == {reason.name.lower(): reason for reason in Refusal}
+    assert spelled("TWODOF_REFUSAL") == {reason.name.lower(): reason for reason in RefusalReason}
 
 
 def test_topics_name_messages_that_there_are() -> None:

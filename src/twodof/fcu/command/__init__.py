@@ -1,1 +1,1 @@
-"""Who may command, and what the flight code is asked to fly."""
+"""Command: lease, arming, modes, set-points and excitations, as inputs of the flight code."""

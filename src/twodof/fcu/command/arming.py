@@ -43,24 +43,24 @@ class ArmingControl:
 
     @property
     def pending(self) -> bool:
-        """Whether the failsafe still owes an answer."""
+        """Return whether the failsafe still owes an answer."""
         return self.answer.in_progress
 
     @property
     def flies(self) -> bool:
-        """Armed, and not asked to disarm: only then what is commanded acts."""
+        """Return whether it is armed, and not asked to disarm: only then a set-point acts."""
         return self._vehicle.armed and self.word
 
     @property
     def missing(self) -> int | None:
-        """The failsafe's causes against arming, None before its first step. Hearing a command cures a lost link."""
+        """Return the failsafe's causes against arming, None before its first step. A command cures a lost link."""
         step = self._vehicle.step
         if step is None:
             return None
         return step.causes & ~BIT["link_lost"] if self._lease.link_alive else step.causes
 
     def arm(self, source: Source) -> CommandResult:
-        """Arms; IN_PROGRESS if nothing speaks against it: then `answer` is what the failsafe says in the next tick."""
+        """Ask the failsafe to arm; IN_PROGRESS if nothing speaks against it: `answer` has the answer a tick later."""
         result = self._lease.take(source, "arming")
         if not result.accepted:
             return result
@@ -74,7 +74,7 @@ class ArmingControl:
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
 
     def disarm(self, source: Source) -> CommandResult:
-        """Stops the motors in the next tick for every source: on this rig that is the safe state."""
+        """Stop the motors in the next tick for every source: on this rig that is the safe state."""
         if self._lease.holder == source:
             self._lease.take(source)  # which renews it
         self.withdraw()
@@ -82,7 +82,7 @@ class ArmingControl:
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
-        """Stops the motors in the next tick for every source, and holds the drone disarmed until `release`."""
+        """Stop the motors in the next tick for every source, and hold the drone disarmed until `release`."""
         self.killed_by = source
         self.withdraw()
         self._setpoints.rest("killed", self._vehicle.now)
@@ -90,7 +90,7 @@ class ArmingControl:
         return DONE
 
     def release(self, source: Source) -> CommandResult:
-        """Takes a kill back, which a disarming does not: it is what a program does that ends. Nothing arms by it."""
+        """Take a kill back, which a disarming does not, since every program disarms at its end. It arms nothing."""
         result = self._lease.take(source, "release")
         if result.accepted and self.killed_by is not None:
             self.killed_by = None
@@ -98,29 +98,29 @@ class ArmingControl:
         return result
 
     def stand(self, why: str, tick: int) -> None:
-        """Stops the motors without a command."""
+        """Stop the motors without a command."""
         self.withdraw()
         self._setpoints.rest(why, tick)
         self._vehicle.remark(MavSeverity.CRITICAL, why)
 
     def pull(self, tick: int) -> CommandResult:
-        """Asks the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
+        """Ask the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
         self._from = tick
         self.answer = CommandResult(MavResult.IN_PROGRESS)
         return self.answer
 
     def speak(self, tick: int) -> None:
-        """Called before each tick while it is pending: gives the word when its tick has come."""
+        """Give the word once its tick has come; called before each tick while an answer is pending."""
         self.word = tick >= self._from
 
     def withdraw(self) -> None:
-        """Takes the word back; a client that waits for an answer to an arming gets it."""
+        """Take the word back; a pending arming fails."""
         self.word = False
         if self.pending:
             self.answer = failed("disarmed before it had armed")
 
     def seen(self, step: ControlStep) -> None:
-        """Takes the failsafe's answer; called after each tick while it is pending."""
+        """Take the failsafe's answer; called after each tick while one is pending."""
         if step.tick < self._from:
             return
         if step.state in MAY_TURN:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.link.mavlink.enums import MavSeverity
@@ -50,19 +50,19 @@ class CommandLease:
 
     @property
     def link_alive(self) -> bool:
-        """Whether the link is alive in the tick that comes."""
+        """Return whether the link is alive in the coming tick."""
         return self._link_heard or self._granted
 
     @property
     def left(self) -> int:
-        """Ticks until it ends if nothing more is heard; 0 if nobody holds it."""
+        """Return the ticks until it ends if nothing more is heard; 0 without a holder."""
         if self.holder is None:
             return 0
         left = self._end() - self._vehicle.now
         return max(0, min(left, HEARD - self._stood) if self._stood else left)
 
     def hear(self, source: Source, is_client: bool) -> None:
-        """Notes a frame of any kind: the holder's keeps the link alive, or while nobody holds the lease a client's.
+        """Note a frame: the holder's keeps the link alive, and without a holder any client's does.
 
         `is_client`: it is of a ground station or companion, not of a vehicle.
         """
@@ -73,16 +73,16 @@ class CommandLease:
             self._link_heard = True
 
     def take(self, source: Source, what: str = "command") -> CommandResult:
-        """Whether `source` may command: it holds the lease, or takes a free one by commanding. Renews it."""
+        """Take or renew the lease for a command of `source`; refused while another holds it."""
         if not source[0]:
             return denied(f"{what} refused: it has no sender")
         if not self._take(source):
-            return rejected(f"{what} refused: {self._who()} holds the lease", Refusal.LEASE)
+            return rejected(f"{what} refused: {self._who()} holds the lease", RefusalReason.LEASE)
         self._until = max(self._until, self._vehicle.now + COMMANDING)
         return DONE
 
     def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
-        """Whether `source` may change parameters: anybody, unless the holder withholds it.
+        """Allow `source` to change parameters, unless the holder withholds it.
 
         It takes no lease; that of its holder it renews.
         """
@@ -91,37 +91,37 @@ class CommandLease:
         if self.holder == source:
             return self.take(source, what)
         if self.tuning_withheld:
-            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning", Refusal.LEASE)
+            return rejected(f"{what} refused: {self._who()} holds the lease and withholds tuning", RefusalReason.LEASE)
         return DONE
 
     def tuned(self, source: Source, what: str) -> None:
-        """Has the clients told `what` was changed, where `source` is not the one that holds the lease."""
+        """Tell the clients `what` was changed, if `source` does not hold the lease."""
         if self.holder not in (None, source):
             self._vehicle.remark(MavSeverity.INFO, f"{what}, by system {source[0]}, component {source[1]}")
 
     def ask(self, source: Source, duration_ms: int = 0, withhold_tuning: bool = False) -> CommandResult:
-        """Takes the lease, or renews it, for a time of 30 s at most (0: 2 s); refused while another holds it.
+        """Take the lease, or renew it, for 30 s at most (0: 2 s); refused while another holds it.
 
         `withhold_tuning`: until it is renewed without that, or ends, nobody else may change parameters.
         """
         if not source[0]:
             return denied("lease refused: it has no sender")
         if not self._take(source):
-            return rejected(f"lease refused: {self._who()} holds it", Refusal.LEASE)
+            return rejected(f"lease refused: {self._who()} holds it", RefusalReason.LEASE)
         self.tuning_withheld = withhold_tuning
         ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
         self._until = self._vehicle.now + min(max(ticks, 1), LONGEST)
         return DONE
 
     def give_up(self, source: Source) -> CommandResult:
-        """Frees the lease; refused to all but its holder."""
+        """Free the lease; refused to all but its holder."""
         if self.holder != source:
-            return rejected(f"lease not given up: {self._who()} holds it", Refusal.LEASE)
+            return rejected(f"lease not given up: {self._who()} holds it", RefusalReason.LEASE)
         self._free()
         return DONE
 
     def pass_tick(self) -> None:
-        """A tick has begun: what was heard was for that one, and the lease may be over."""
+        """Begin a tick: frames of before no longer count, and the lease may end."""
         self._link_heard = False
         if self._granted:
             self._last_heard, self._stood = self._vehicle.now - 1, 0
@@ -131,17 +131,17 @@ class CommandLease:
             self._vehicle.remark(severity, "nobody holds the lease any more")
 
     def stands(self, ticks: int) -> None:
-        """So much real time, in ticks, has passed in lockstep while none was granted."""
+        """Note real time, in ticks, that passed in lockstep without a grant."""
         self._stood = min(self._stood + ticks, HEARD)
 
     def restart(self) -> None:
-        """Time begins again at 0; who holds the lease has as much of it left."""
+        """Restart time at 0; the holder keeps the rest of its lease."""
         self._until -= self._vehicle.now
         self._last_heard -= self._vehicle.now
         self._link_heard = False
 
     def _end(self) -> int:
-        """First tick at which it is free if nothing more is heard."""
+        """Return the first tick at which it is free if nothing more is heard."""
         return max(self._until, self._last_heard + HEARD) if self._vehicle.armed else self._until
 
     def _take(self, source: Source) -> bool:

@@ -7,7 +7,7 @@ excitation.
 from collections import Counter
 from collections.abc import Callable
 
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.command.arming import ArmingControl
 from twodof.fcu.command.command_lease import CommandLease
 from twodof.fcu.command.excitation_player import (
@@ -61,11 +61,11 @@ class ExcitationControl:
 
     @property
     def player(self) -> OnboardPlayer:
-        """The excitation, to be read only: state, transfer, start, end, reason, revision."""
+        """Return the excitation, read only: state, transfer, start, end, reason, revision."""
         return self._setpoints.player
 
     def define(self, source: Source, transfer: int, prepared: SampledExcitation) -> CommandResult:
-        """Takes a definition, whole and written out; refused while another plays. Nothing is played yet."""
+        """Take a definition written out, without playing it; refused while another plays."""
         result = self._lease.take(source, "excitation")
         if result.accepted and self.player.playing:
             return rejected("excitation refused: another plays")
@@ -76,7 +76,7 @@ class ExcitationControl:
     def start(
         self, source: Source, transfer: int, loop: int, thrust: float | None = None, at_tick: int = 0
     ) -> CommandResult:
-        """Plays the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: from the next tick).
+        """Play the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: from the next tick).
 
         `thrust` flies with it; None: that in use, or that of a level hold if there is none.
         """
@@ -95,14 +95,14 @@ class ExcitationControl:
         return rejected(f"excitation refused: {why}")
 
     def stop(self, source: Source) -> CommandResult:
-        """Stops it, playing or not, and forgets it; its base is held."""
+        """Stop and forget the excitation; its base is held."""
         result = self._lease.take(source, "excitation")
         if result.accepted and self.player.unit:
             self.player.finish(STOPPED, "by command")
         return result
 
     def begin(self, tick: int) -> None:
-        """The tick of the excitation that waits has come."""
+        """Begin the excitation whose tick has come."""
         why = self._against_beginning()
         if why:
             self.player.finish(REFUSED, why)
@@ -110,14 +110,14 @@ class ExcitationControl:
             self._setpoints.begin_play(self._level_thrust(), tick)
 
     def _against_beginning(self) -> str:
-        """What speaks against an excitation that begins in this tick, "" if nothing does."""
+        """Return what speaks against an excitation that begins in this tick, "" if nothing does."""
         if not self._arming.flies:
             return "not armed"
         # It would go on in its middle when the failsafe lets go.
         return f"the failsafe acts: {STATES[self._vehicle.failsafe]}" if self._vehicle.failsafe_acts else ""
 
     def _against_playing(self, transfer: int, loop: int, thrust: float | None, at_tick: int) -> str:
-        """What speaks against the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: now)."""
+        """Return what speaks against the definition `transfer` in the loop TWODOF_LOOP from `at_tick` on (0: now)."""
         player, now = self.player, self._vehicle.now
         if player.playing:
             return "another plays"
@@ -151,7 +151,7 @@ class Commander:
     def __init__(self, rig: Hardware, level_thrust: Callable[[], float], lockstep: bool) -> None:
         self.lockstep = lockstep
         self.unfit: Callable[[], str] = lambda: ""
-        self.refused: Counter[Refusal] = Counter()
+        self.refused: Counter[RefusalReason] = Counter()
         self._level_thrust = level_thrust
         self._vehicle = VehicleState(rig)
         self.remarks = self._vehicle.remarks
@@ -167,17 +167,17 @@ class Commander:
 
     @property
     def armed(self) -> bool:
-        """Whether the motors may turn, as the failsafe last said."""
+        """Return whether the motors may turn, as the failsafe last said."""
         return self._vehicle.armed
 
     @property
     def openloop(self) -> OpenLoopState:
-        """The open-loop message in use."""
+        """Return the open-loop message in use."""
         return self._setpoints.openloop
 
     @property
     def custom_mode(self) -> int:
-        """The mode, for HEARTBEAT."""
+        """Return the mode, for HEARTBEAT."""
         return self._setpoints.custom_mode
 
     @property
@@ -197,7 +197,7 @@ class Commander:
         return modes.UNREADY if self.arming.missing else modes.STANDBY
 
     def control_input(self, tick: int) -> ControlInput:
-        """What the flight code is asked at `tick`; once a tick, before its step."""
+        """Return the input of the flight code at `tick`; once a tick, before its step."""
         vehicle, setpoints, arming = self._vehicle, self._setpoints, self.arming
         vehicle.now = tick + 1
         link = self.lease.link_alive
@@ -215,7 +215,7 @@ class Commander:
         return self._input
 
     def seen(self, step: ControlStep) -> None:
-        """Takes note of a step of the flight code; once a tick, after it."""
+        """Take note of a step of the flight code; once a tick, after it."""
         self._vehicle.step = step
         if self.arming.pending:
             self.arming.seen(step)
@@ -224,7 +224,7 @@ class Commander:
             self._failsafe_changed(step)
 
     def restart(self) -> None:
-        """Rig and flight code start again at tick 0: disarmed, manual, nothing asked for.
+        """Restart at tick 0: disarmed, in manual mode, without set-points.
 
         The lease stays as it is, and so does a kill: a reset is the first that many a program asks for.
         """
@@ -233,14 +233,16 @@ class Commander:
         self._begin(self.arming.killed_by, self.openloop.revision + 1)
 
     def set_mode(self, source: Source, custom_mode: int) -> CommandResult:
-        """Changes the mode; offboard wants set-points above 2 Hz before."""
+        """Change the mode; offboard wants set-points above 2 Hz before."""
         result = self.lease.take(source, "mode")
         if not result.accepted:
             return result
         if custom_mode not in modes.BY_NUMBER:
             return unsupported(f"there is no mode {modes.mode_name(custom_mode)}")
         if modes.BY_NUMBER[custom_mode].moves_cart and self._vehicle.rig.rings:
-            return denied(f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it", Refusal.RINGS)
+            return denied(
+                f"mode {modes.mode_name(custom_mode)} moves the cart, and the rings lock it", RefusalReason.RINGS
+            )
         if RULES[custom_mode].streamed and not self._setpoints.streamed(self._vehicle.now):
             return rejected(f"mode {modes.mode_name(custom_mode)} wants set-points above 2 Hz first")
         self._setpoints.enter(custom_mode, self._level_thrust(), self._vehicle.now, self.arming.flies)
@@ -254,7 +256,7 @@ class Commander:
         kind: str = TARGET,
         said: OpenLoopState | None = None,
     ) -> CommandResult:
-        """A set-point, which acts in the next tick or, if that is later, at `at_tick`.
+        """Take a set-point, which acts in the next tick or, if that is later, at `at_tick`.
 
         It is refused and counted if a number is not finite, if the cart is locked, if too many wait, or if `source` may
         not command. A mode that does not fly it keeps it for offboard.
@@ -262,16 +264,16 @@ class Commander:
         `said` is the open-loop message that it came of.
         """
         if not setpoint.sound:
-            return self.refuse(Refusal.INVALID, "a number is not finite")
+            return self.refuse(RefusalReason.INVALID, "a number is not finite")
         if setpoint.moves_cart and self._vehicle.rig.rings:
-            return self.refuse(Refusal.RINGS, "it moves the cart, and the rings lock it")
+            return self.refuse(RefusalReason.RINGS, "it moves the cart, and the rings lock it")
         result = self.lease.take(source, "set-point")
         if not result.accepted:
             self.refused[result.reason] += 1
         elif at_tick <= self._vehicle.now:
             self._setpoints.take(setpoint, kind, self._vehicle.now, self.arming.flies, said)
         elif at_tick > self._vehicle.now + HORIZON or not self._setpoints.queue(at_tick, setpoint, kind, said):
-            return self.refuse(Refusal.QUEUE, "too many wait, or it is more than a minute ahead")
+            return self.refuse(RefusalReason.QUEUE, "too many wait, or it is more than a minute ahead")
         return result
 
     def open_loop(
@@ -282,9 +284,9 @@ class Commander:
         Then the attitude loop holds the pitch level, but in manual mode, which closes no loop, M is 0.
         """
         if openloop and enableM and not abs(M) <= 1.0:  # nor does NaN pass
-            return self.refuse(Refusal.INVALID, f"M = {M:g} is outside -1 to 1")
+            return self.refuse(RefusalReason.INVALID, f"M = {M:g} is outside -1 to 1")
         if enableT and not 0.0 <= T <= 1.0:
-            return self.refuse(Refusal.INVALID, f"T = {T:g} is outside 0 to 1")
+            return self.refuse(RefusalReason.INVALID, f"T = {T:g} is outside 0 to 1")
         thrust = T if enableT else None
         if openloop or self.custom_mode == modes.MANUAL:
             setpoint = SetPoint(OPEN_LOOP, M_open=M if openloop and enableM else 0.0, thrust=thrust)
@@ -297,7 +299,7 @@ class Commander:
     def sticks(self, source: Source, pitch: float, thrust: float) -> CommandResult:
         """MANUAL_CONTROL: pitch stick, forward 1 and back -1, and thrust 0 to 1; the mode decides what they give."""
         if not (abs(pitch) <= 1.0 and 0.0 <= thrust <= 1.0):  # nor does NaN pass
-            return self.refuse(Refusal.INVALID, "a stick is beyond its end")
+            return self.refuse(RefusalReason.INVALID, "a stick is beyond its end")
         x = self._vehicle.step.x if self._vehicle.step is not None else 0.0
         setpoint = manual_setpoint(self.custom_mode, pitch, thrust, self._setpoints.values, x)
         result = self.setpoint(source, setpoint, kind=STICKS)
@@ -306,14 +308,14 @@ class Commander:
         return result
 
     def _hand_over(self) -> None:
-        """The lease has changed hands: what was sent ahead is forgotten, and an arming that waits ends."""
+        """Forget set-points sent ahead and a pending arming, as the lease has changed hands."""
         if waiting := self._setpoints.waiting:
-            self.refused[Refusal.LEASE] += waiting
+            self.refused[RefusalReason.LEASE] += waiting
         self._setpoints.forget_ahead("who started it has lost the lease")
         if self.arming.pending:
             self.arming.withdraw()
 
-    def refuse(self, reason: Refusal, text: str) -> CommandResult:
+    def refuse(self, reason: RefusalReason, text: str) -> CommandResult:
         """Count a refused set-point, and return the answer."""
         self.refused[reason] += 1
         return denied(f"set-point refused: {text}", reason)

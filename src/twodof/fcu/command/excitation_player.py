@@ -50,7 +50,7 @@ MOST_EFFORT = 1e8
 
 
 def prepare(definition: bytes) -> SampledExcitation:
-    """An excitation's JSON written out at 250 Hz.
+    """Sample an excitation's JSON at 250 Hz.
 
     Raises ExperimentError for text that is not an excitation, or that would take longer than a second: only a sum of
     many cosines does.
@@ -76,7 +76,7 @@ def prepare(definition: bytes) -> SampledExcitation:
 
 
 def _effort(values: dict[str, Any]) -> float:
-    """Cosines that a multisine with these values takes; 0 where `from_dict` refuses it at once."""
+    """Return the cosines that a multisine takes; 0 where `from_dict` refuses it at once."""
     lines = values.get("harmonics")
     times = [values.get(name, 0) for name in ("lead", "settle", "period", "pause", "repeat")]
     if not isinstance(lines, list) or not 1 <= len(lines) <= MAX_LINES:
@@ -93,7 +93,7 @@ def _plain(value: Any) -> bool:
 
 
 def written_out(excitation: Excitation) -> SampledExcitation:
-    """An excitation at 250 Hz, from its start to the end of the rest after it.
+    """Sample an excitation at 250 Hz, from its start to the end of the rest after it.
 
     The values are `excitation.at(arange(n) * PERIOD)`, bit for bit what `experiment.experiments.script` flies. Raises
     ExperimentError for one whose values are not all finite (a sweep over more octaves than a float has).
@@ -127,37 +127,37 @@ class OnboardPlayer:
 
     @property
     def playing(self) -> bool:
-        """Whether it gives the set-points now."""
+        """Return whether it gives the set-points now."""
         return self.state == PLAYING
 
     @property
     def waiting(self) -> bool:
-        """Whether it was started for a later tick."""
+        """Return whether it was started for a later tick."""
         return self.begins < NEVER
 
     @property
     def unit(self) -> str:
-        """Of the definition, "" if there is none to be played."""
+        """Return the unit of the definition, "" if there is none to play."""
         return self._prepared.unit if self._prepared is not None else ""
 
     def define(self, transfer: int, prepared: SampledExcitation) -> None:
-        """Takes a definition; nothing is played yet."""
+        """Take a definition without playing it."""
         self.transfer, self._prepared = transfer, prepared
         self.start = self.end = 0
         self._become(READY)
 
     def wait(self, tick: int, loop: ExcitationLoop, thrust: float | None) -> None:
-        """It is to begin at `tick`."""
+        """Wait for `tick`."""
         self._become(READY)
         self.begins, self.loop, self.thrust = tick, loop, thrust
         self.start, self.end = tick, tick + (len(self._prepared.values) if self._prepared is not None else 0)
 
     def begin(self) -> None:
-        """Its tick has come."""
+        """Begin to play."""
         self._become(PLAYING)
 
     def value(self, tick: int) -> float:
-        """What is added at `tick`; 0 once it has ended, and then it is done."""
+        """Return the value to add at `tick`; 0 once it has ended, and then it is done."""
         if self._prepared is None or not self.start <= tick < self.end:
             self._prepared = None
             self._become(DONE)
@@ -165,7 +165,7 @@ class OnboardPlayer:
         return float(self._prepared.values.item(tick - self.start))
 
     def finish(self, state: int, reason: str) -> None:
-        """It ends here, STOPPED or REFUSED; stopped it is forgotten."""
+        """End it as STOPPED or REFUSED; stopped it is forgotten."""
         if state == STOPPED:
             self._prepared = None
         self._become(state, reason)

@@ -1,8 +1,8 @@
-"""Who asks for something, and the answer that a command gets."""
+"""Sender of a command, and the answer that it gets."""
 
 from typing import NamedTuple
 
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.link.mavlink.enums import MavResult
 
 Source = tuple[int, int]
@@ -14,37 +14,37 @@ class CommandResult(NamedTuple):
 
     result: MavResult
     text: str = ""
-    reason: Refusal = Refusal.OTHER
+    reason: RefusalReason = RefusalReason.OTHER
 
     @property
     def accepted(self) -> bool:
-        """Whether it was done."""
+        """Return whether it was done."""
         return self.result == MavResult.ACCEPTED
 
     @property
     def in_progress(self) -> bool:
-        """Whether the answer comes later."""
+        """Return whether the answer comes later."""
         return self.result == MavResult.IN_PROGRESS
 
 
 DONE = CommandResult(MavResult.ACCEPTED)
 
 
-def denied(text: str = "", reason: Refusal = Refusal.OTHER) -> CommandResult:
+def denied(text: str = "", reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
     """Return the answer to what makes no sense, now or later."""
     return CommandResult(MavResult.DENIED, text, reason)
 
 
-def rejected(text: str, reason: Refusal = Refusal.OTHER) -> CommandResult:
+def rejected(text: str, reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
     """Return the answer to what cannot be done now."""
     return CommandResult(MavResult.TEMPORARILY_REJECTED, text, reason)
 
 
 def failed(text: str = "") -> CommandResult:
-    """It was tried, and did not succeed."""
+    """Return the answer to what was tried and did not succeed."""
     return CommandResult(MavResult.FAILED, text)
 
 
 def unsupported(text: str = "") -> CommandResult:
-    """It is not done here."""
+    """Return the answer to what the drone does not do."""
     return CommandResult(MavResult.UNSUPPORTED, text)

@@ -43,7 +43,7 @@ VELOCITY_AT_FULL = 0.3
 
 
 def manual_setpoint(custom_mode: int, pitch: float, thrust: float, held: ControlInput, x: float) -> SetPoint:
-    """The set-point of the stick `pitch` (-1 to 1, forward is nose down and towards +x) and of `thrust` (0 to 1).
+    """Return the set-point of the sticks `pitch` (-1 to 1, forward: nose down, towards +x) and `thrust` (0 to 1).
 
     In position mode a centred stick holds the position: that of `held` if it is one, else `x` [m].
     """
@@ -63,7 +63,7 @@ FRESH = round(0.5 / PERIOD)
 
 
 class ModeRule(NamedTuple):
-    """What a mode asks of set-points: which kinds act in it, and whether they are streamed before it is entered.
+    """Rule of a mode: the kinds of set-points that act in it, and whether a stream must come before it is entered.
 
     Where they are streamed, they may ask for thrust while the drone arms, as in PX4: mode and stream are two deliberate
     acts. In the other modes a set-point that asks something of the motors keeps the drone from arming.
@@ -126,21 +126,21 @@ class SetpointManager:
         return RULES[self.custom_mode]
 
     def streamed(self, tick: int) -> bool:
-        """Whether set-points have been coming above 2 Hz."""
+        """Return whether set-points have been coming above 2 Hz."""
         return tick - self._offered <= FRESH
 
     def asks(self, tick: int) -> bool:
-        """Whether fresh set-points ask something of the motors, in a mode in which that keeps from arming."""
+        """Return whether fresh set-points ask something of the motors, in a mode in which that prevents arming."""
         fresh = not self.rule.streamed and tick - self._latest_at <= FRESH
         return fresh and not self._latest.idle
 
     def armed(self, tick: int) -> None:
-        """The drone has armed: in offboard what is streamed flies from the next tick on."""
+        """Begin to fly the stream, as the drone has armed in offboard."""
         if self.rule.streamed and self.streamed(tick):
             self._use(self.values.with_setpoint(self._offer), tick, self._said)
 
     def take(self, setpoint: SetPoint, kind: str, tick: int, armed: bool, said: OpenLoopState | None = None) -> None:
-        """A set-point's tick has come: it acts, or is kept for when offboard is entered. `said`: what it came of."""
+        """Let a set-point act now, or keep it for offboard. `said` is the open-loop message of it."""
         if kind != STICKS:
             self._offered, self._said = tick, said
             self._offer = setpoint.after(self._offer)
@@ -152,24 +152,24 @@ class SetpointManager:
 
     @property
     def waiting(self) -> int:
-        """Set-points that wait for their tick."""
+        """Return the number of set-points that wait for their tick."""
         return len(self._queue)
 
     def queue(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoopState | None = None) -> bool:
-        """Keeps a set-point until `tick`; False if too many wait."""
+        """Keep a set-point until `tick`; return False if too many wait."""
         if len(self._queue) >= CAPACITY:
             return False
         insort(self._queue, QueuedSetpoint(tick, setpoint, kind, said), key=lambda one: one.tick)
         return True
 
     def take_due(self, tick: int, armed: bool) -> None:
-        """Takes the set-points that waited for `tick` or an earlier one."""
+        """Take the set-points that waited for `tick` or an earlier one."""
         while self._queue and self._queue[0].tick <= tick:
             due = self._queue.pop(0)
             self.take(due.setpoint, due.kind, tick, armed, due.said)
 
     def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
-        """Changes the mode. If armed, level hold flies from the next tick on, and offboard what is on offer."""
+        """Change the mode. If armed, level hold flies from the next tick on, and offboard the set-point on offer."""
         if self.player.playing:
             self.player.finish(STOPPED, f"mode {modes.mode_name(custom_mode)} was chosen")
         self.custom_mode = custom_mode
@@ -184,11 +184,11 @@ class SetpointManager:
             self._offer = NOTHING  # what was asked for in an offboard of before is not what is flown now
 
     def hold_stick(self, pitch: float, thrust: float, tick: int) -> None:
-        """Notes where the stick is held at `tick`."""
+        """Note where the stick is held at `tick`."""
         self._stick, self._stick_at = (pitch, thrust), tick
 
     def forget_ahead(self, why: str) -> None:
-        """Another steers from now on: what was sent ahead or is on offer is forgotten; what flies, flies on."""
+        """Forget set-points that wait or are on offer, as another client steers; the one in use flies on."""
         self._queue.clear()
         self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
         self._latest, self._latest_at, self._stick_at = ControlInput(), _LONG_AGO, _LONG_AGO
@@ -196,7 +196,7 @@ class SetpointManager:
             self.player.finish(REFUSED, why)
 
     def begin_play(self, level_thrust: float, tick: int) -> None:
-        """The excitation that waits begins: about the set-point in use if its loop flies, else about 0."""
+        """Begin the waiting excitation: about the set-point in use if its loop flies, else about 0."""
         player, values = self.player, self.values
         name = player.loop.name
         about = values
@@ -209,7 +209,7 @@ class SetpointManager:
         player.begin()
 
     def rest(self, why: str, tick: int) -> None:
-        """The motors stand: nothing is asked for any more, nothing waits, nothing plays."""
+        """Clear set-points, queue and excitation, as the motors stand."""
         if self.player.playing or self.player.waiting:
             self.player.finish(STOPPED, why)
         self.values = ControlInput()
@@ -220,7 +220,7 @@ class SetpointManager:
         self._say(None, tick)
 
     def control_input(self, tick: int, arm: bool, link_new: bool) -> ControlInput:
-        """What the flight code is asked at `tick`."""
+        """Return the input of the flight code at `tick`."""
         values = self.values
         if self.player.playing:
             name = self.player.loop.name
@@ -233,7 +233,7 @@ class SetpointManager:
         return values._replace(mode=mode, arm=arm, use_trim=use_trim, setpoint_new=new, link_new=link_new)
 
     def _hear_anew(self) -> None:
-        """Nothing was said in this mode yet; but a stick that is held says it again with its next message."""
+        """Clear the latest set-point in a new mode; a held stick gives it again with its next message."""
         self._latest, self._latest_at = ControlInput(), _LONG_AGO
         if STICKS in self.rule.acts:
             held = manual_setpoint(self.custom_mode, *self._stick, self.values, 0.0)
@@ -246,7 +246,7 @@ class SetpointManager:
         self._say(said, tick)
 
     def _say(self, said: OpenLoopState | None, tick: int) -> None:
-        """The open-loop message in use is this one, or none is."""
+        """Note the open-loop message in use, or that there is none."""
         before = self.openloop
         now = (said or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
         if now != before:

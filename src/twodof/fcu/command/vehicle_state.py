@@ -30,14 +30,14 @@ class VehicleState:
 
     @property
     def failsafe_acts(self) -> bool:
-        """Whether the failsafe flies instead of what is asked."""
+        """Return whether the failsafe flies, and not the set-points."""
         return self.failsafe in ACTING
 
     def remark(self, severity: int, text: str) -> None:
-        """Has the clients told `text`, with a MAV_SEVERITY."""
+        """Tell the clients `text`, with a MAV_SEVERITY."""
         if len(self.remarks) < MOST_REMARKS:
             self.remarks.append((severity, text))
 
     def restart(self) -> None:
-        """Time begins again at tick 0: disarmed, and no step was seen."""
+        """Restart at tick 0: disarmed, without a step."""
         self.now, self.armed, self.failsafe, self.step = 0, False, DISARMED, None

@@ -16,7 +16,7 @@ from twodof.flightlog.atomic import atomic_write
 
 
 class ControllerIdentity(NamedTuple):
-    """What flies: the controller's name, the first 64 bits of the SHA-256 of its diagram, parameters not at default."""
+    """Identity of a controller: its name, 64 bits of its diagram's SHA-256, number of tuned parameters."""
 
     controller: str = "stock"
     diagram: int = 0
@@ -51,7 +51,7 @@ class Controllers:
         self._fuel = fuel
 
     def build(self) -> tuple[FlightCode, str]:
-        """The flight code at the start: of what was given and kept; without the latter, and why, if that cannot be.
+        """Build the flight code at the start, of given and kept controllers; without kept ones, and why, if that fails.
 
         Raises ControllerFault for one given that needs too much for a step, CompileError where a tool chain is missing.
         """
@@ -64,7 +64,7 @@ class Controllers:
         return self._built({}), damage
 
     def build_uploaded(self) -> tuple[FlightCode, dict[str, Diagram]]:
-        """The flight code of what was given and what now is among the uploads, and the latter by kind; takes seconds.
+        """Build the flight code of given and uploaded controllers, and return the uploads by kind; takes seconds.
 
         In any thread; nothing is kept yet. Raises DiagramError for a file that is not a controller, ControllerFault for
         one that needs too much for a single step, CompileError where a tool chain is missing.
@@ -75,7 +75,7 @@ class Controllers:
         return self._built(uploaded), uploaded
 
     def keep(self, uploaded: Mapping[str, Diagram]) -> None:
-        """Has `uploaded`, which fly by now, fly after a restart too, and no others. Raises LogError where it cannot."""
+        """Let `uploaded`, and no others, fly after a restart too. Raises LogError where the disk refuses."""
         if self._kept is None:
             return
         for kind in TEMPLATES:
@@ -85,7 +85,7 @@ class Controllers:
                 self._kept.remove(kind)
 
     def restore(self) -> None:
-        """Has the uploads be what flies of them: what could not be built is not there any more.
+        """Set the uploads back to those that fly: one that could not be built goes.
 
         Raises LogError or DiagramError where the disk refuses.
         """
@@ -105,7 +105,7 @@ class Controllers:
                 file.write(flies)
 
     def forget(self) -> None:
-        """Has nothing fly of what was uploaded, and nothing lie there. Raises as `restore`."""
+        """Delete all uploads. Raises as `restore`."""
         for slot in (self.uploads, self._kept):
             if slot is not None:
                 for kind in TEMPLATES:
@@ -119,7 +119,7 @@ class Controllers:
 
 
 def controller_identity(code: FlightCode) -> ControllerIdentity:
-    """What flies in `code`."""
+    """Return the identity of the controllers in `code`."""
     if not code.controllers:
         return ControllerIdentity()
     names = "+".join(diagram.name for diagram in code.controllers)

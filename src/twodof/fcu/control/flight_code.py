@@ -121,13 +121,13 @@ class FlightCode:
 
     @property
     def user_fault(self) -> str:
-        """What stopped a user's controllers in their sandbox, "" if nothing did; then nothing of theirs flies."""
+        """Return the fault that stopped a user's controllers in their sandbox, "" while they run."""
         return self.sandbox.fault if self.sandbox is not None else ""
 
     def step(
         self, tick: int, sample: SensorSample, asked: ControlInput, rings: bool = False, step_late: bool = False
     ) -> ControlStep:
-        """One control period. `step_late` says that the step before ran out of its time."""
+        """Run one control period. `step_late` says that the step before ran out of its time."""
         measured = _measured(sample)
         if self.sandbox is None:
             outputs = self._stepper.step((*measured, *asked, rings, step_late, False))
@@ -149,7 +149,7 @@ class FlightCode:
         return step
 
     def reset(self, states: Mapping[str, Any] | None = None) -> None:
-        """To the initial states of the present parameters, then those of `states` by path."""
+        """Reset to the initial states of the present parameters, then to `states` by path."""
         self.machine.reset()
         for path, value in (states or {}).items():
             self.machine.set_state(path, value)
@@ -157,7 +157,7 @@ class FlightCode:
         self._revive()
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Sets parameters by their names on the wire, or by paths such as "failsafe.battery.low".
+        """Set parameters by their names on the wire, or by paths such as "failsafe.battery.low".
 
         Those of a user's controllers have paths such as "attitude_control.k_q". A flag is true or false, or 1 or 0.
         All take effect at the next step, or none does: raises ParameterError for a name that is not there and a value
@@ -190,7 +190,7 @@ class FlightCode:
         self._read_limits()
 
     def parameter(self, name: str) -> Any:
-        """The present value of a parameter, by either name. Raises ParameterError for one that is not there."""
+        """Return the present value of a parameter, by either name. Raises ParameterError for an unknown one."""
         path = _path(name)
         if self.sandbox is not None and path.startswith(_USER_PATHS) and path in self.sandbox.machine.parameters:
             return self.sandbox.machine.get(path)
@@ -199,7 +199,7 @@ class FlightCode:
         return self.machine.get(path)
 
     def take_over(self, other: FlightCode) -> None:
-        """Goes on where `other` stands: its parameters, and the states of all parts that both have.
+        """Continue where `other` stands: with its parameters, and the states of all parts that both have.
 
         A user's controllers keep their own defaults: those of another may mean something else.
         """
@@ -216,14 +216,14 @@ class FlightCode:
 
     @property
     def _stopped(self) -> bool:
-        """Whether a user's controllers go on by a fresh instance only, and not by themselves."""
+        """Return whether a user's controllers need a fresh instance to go on."""
         return self.sandbox is not None and bool(self.sandbox.fault) and not self.sandbox.rests
 
     def _states(self) -> dict[str, Any]:
         return {path: self.machine.state(path) for path in self.machine.program.states}
 
     def _revive(self) -> None:
-        """The sandbox anew, with its own parameters, and the parameters and states that the native code has too."""
+        """Restart the sandbox with its own parameters, and the parameters and states of the native code."""
         if self.sandbox is not None:
             machine = self.machine
             self.sandbox.restart(
@@ -235,7 +235,7 @@ class FlightCode:
         self._limits = {name: float(self.machine.get(path)) for name, path in _LIMITS.items()}
 
     def _limited(self, asked: ControlInput) -> ControlInput:
-        """The set-points as the failsafe lets them pass to controllers inside."""
+        """Return the set-points as the failsafe passes them to controllers inside."""
         limits = self._limits
         return asked._replace(
             x0=_within(asked.x0, limits["x0"]),
@@ -250,7 +250,7 @@ class FlightCode:
 
 @cache
 def _program(position_filter: str, precision: str, outside: bool, controllers: tuple[Diagram, ...]) -> CompiledProgram:
-    """The flight code as a program. Kept where no diagram of a user is part of it, as many virtual drones fly it."""
+    """Build the flight code. Cached where no diagram of a user is part of it, as many virtual drones fly it."""
     diagram = core(position_filter=position_filter, controllers=controllers, failsafe=True, outside=outside)
     program = build(diagram, PERIOD, precision)
     if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
@@ -259,18 +259,18 @@ def _program(position_filter: str, precision: str, outside: bool, controllers: t
 
 
 def _path(name: str) -> str:
-    """Where a parameter stands, by any of its names."""
+    """Return the path of a parameter, by any of its names."""
     kind, _, _ = name.partition(".")
     return f"{_CASCADE}{name}" if kind in TEMPLATES and kind != MOTOR.name else PATHS.get(name, name)
 
 
 def _within(value: float, limit: float) -> float:
-    """`value` within +-`limit`, 0 for NaN and infinity."""
+    """Clip `value` to +-`limit`; return 0 for NaN and infinity."""
     return max(-limit, min(limit, value)) if math.isfinite(value) else 0.0
 
 
 def _of_kind(kind: str, value: Any) -> Any:
-    """A whole number that came as a float, as a parameter of type `kind` takes it."""
+    """Convert a whole number that came as a float to the type `kind` of its parameter."""
     if not isinstance(value, float) or not value.is_integer():
         return value
     return value == 1.0 if kind == "bool" and value in (0.0, 1.0) else value if kind in FLOATS else int(value)

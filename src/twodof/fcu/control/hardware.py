@@ -1,4 +1,4 @@
-"""What the flight code is given in a control period, and the hardware that measures and is driven."""
+"""Hardware that is measured and driven, and the inputs of the flight code in a control period."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ class ControlInput(NamedTuple):
 
     @property
     def flown(self) -> int:
-        """The loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment without it."""
+        """Return the loop that flies: without thrust rate and attitude are off, as PX4's mixer gives no moment then."""
         return OFF if self.mode in (RATE, ATTITUDE) and not self.thrust > 0.0 else self.mode
 
     @property
     def idle(self) -> bool:
-        """Whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
+        """Return whether nothing is asked of the motors, as the failsafe's `not_idle` sees it."""
         loop = self.flown
         return loop == OFF or (loop == OPEN_LOOP and not self.thrust and not self.M_open)
 
@@ -78,48 +78,48 @@ class Hardware(Protocol):
 
     @property
     def name(self) -> str:
-        """Of the drone, or of the virtual rig's parameter set; at most 16 characters."""
+        """Return the name of the drone, or of the virtual rig's parameter set; at most 16 characters."""
 
     @property
     def virtual(self) -> bool:
-        """Whether it is simulated."""
+        """Return whether it is simulated."""
 
     @property
     def seed(self) -> int:
-        """Of a virtual rig's noise; 0 for a real one."""
+        """Return the seed of a virtual rig's noise; 0 for a real one."""
 
     @property
     def rings(self) -> bool:
-        """Whether the rings lock the cart: pitch only."""
+        """Return whether the rings lock the cart: pitch only."""
 
     @property
     def safety_off(self) -> bool:
-        """Whether the safety switch was pressed, so that motors may turn."""
+        """Return whether the safety switch was pressed, so that motors may turn."""
 
     def read(self) -> SensorSample:
-        """The measurements of this tick."""
+        """Return the measurements of this tick."""
 
     def drive(self, fore: float, aft: float) -> None:
-        """Commands the rotor pairs, 0 to 1 each, for the period that begins; a virtual rig's time runs to its end."""
+        """Command the rotor pairs, 0 to 1 each, for the period that begins; a virtual rig's time runs to its end."""
 
     def stop(self) -> None:
-        """Both pairs off until `release`, also against later commands. From any thread: the watchdog calls it."""
+        """Stop both pairs until `release`, against later commands too. From any thread: the watchdog calls it."""
 
     def release(self) -> None:
-        """Commands count again."""
+        """Obey commands again."""
 
 
 class VirtualHardware(Hardware, Protocol):
-    """A simulated drone: its time runs in `drive`, so it can begin again, and its true state is known."""
+    """Simulated drone: its time runs in `drive`, so it can restart, and its true state is known."""
 
     @property
     def truth(self) -> tuple[float, float, float, float]:
-        """Pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
+        """Return pitch [rad], pitch rate [rad/s], position [m] and velocity [m/s] at this tick."""
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
     ) -> Mapping[str, Any]:
-        """Begins again at rest at `x` [m], what is None as it was.
+        """Restart at rest at `x` [m]; None leaves a value as it was.
 
         Returns the states, by path, in which the flight code is to begin. Raises ParameterError, and changes nothing,
         for a place beyond the rail, a seed or a noise that cannot be.

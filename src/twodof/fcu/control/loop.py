@@ -44,7 +44,7 @@ class LoopTiming:
     _late: int = 0
 
     def stepped(self, used: int, budget: int) -> bool:
-        """A step used so much processor time [ns]; says whether that is beyond its budget."""
+        """Note the processor time [ns] of a step; return whether it is beyond its budget."""
         self._steps += 1
         self._used += used
         self._worst = max(self._worst, used)
@@ -57,12 +57,12 @@ class LoopTiming:
         return over
 
     def began(self, late: int) -> None:
-        """A step began this long [ns] after it was due."""
+        """Note by how much [ns] a step began late."""
         self._late = max(self._late, late)
 
 
 class ControlInputSource(Protocol):
-    """Says what the flight code must fly in a tick, sees what became of it, and begins again at 0: the commander."""
+    """Source of the flight code's input, which sees each step and restarts at 0: the commander."""
 
     def control_input(self, tick: int) -> ControlInput: ...
     def seen(self, step: ControlStep) -> None: ...
@@ -70,11 +70,11 @@ class ControlInputSource(Protocol):
 
 
 class TimeRestarted(NamedTuple):
-    """Time has begun again at tick 0."""
+    """Restart of time at tick 0."""
 
 
 class FlightController:
-    """What runs at each control period, and the tick that counts them.
+    """Control loop: one step a control period, and the tick that counts them.
 
     `commander` says what to fly, `code` flies it, `hardware` measures and drives. Each ControlStep is published on
     `bus` (None: one of its own), and TimeRestarted when time begins again.
@@ -110,7 +110,7 @@ class FlightController:
             code.sandbox.timed = not lockstep
 
     def step(self) -> ControlStep:
-        """One control period."""
+        """Run one control period."""
         began = 0 if self.lockstep else time.thread_time_ns()
         hardware = self.hardware
         sample = hardware.read()
@@ -133,7 +133,7 @@ class FlightController:
         return step
 
     def _note_time(self, used: int, armed: bool) -> None:
-        """A step took so much processor time [ns]; two late ones in a row stop the motors, which a user is to know."""
+        """Note the processor time [ns] of a step; two late ones in a row stop the motors, and the clients are told."""
         late = self.timing.stepped(used, TICK_NS)
         if late and self._late and armed:
             took = f"two control periods in a row took more than {TICK_NS // 10**6} ms ({used * 1e-6:.1f} ms)"
@@ -141,23 +141,23 @@ class FlightController:
         self._late = late
 
     def stop(self) -> None:
-        """Motors off, at once and from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
+        """Stop the motors at once, from any thread (the watchdog's); the failsafe gives `step_late` as the reason."""
         self.hardware.stop()
         self._stopped = True
         self.remarks.append((MavSeverity.CRITICAL, f"the control loop hung: motors stopped. {REMEDY}"))
 
     def grant(self, until: int) -> None:
-        """Lets time run up to the tick `until`, which is not run; one that was granted already changes nothing."""
+        """Let time run up to the tick `until`, which is not run; an earlier one changes nothing."""
         self.granted = max(self.granted, min(until, self.tick + MOST_GRANTED))
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Before the next tick all of `values`, or none; see `FlightCode.set_parameters`."""
+        """Set all of `values`, or none, before the next tick; see `FlightCode.set_parameters`."""
         self.code.set_parameters(values)
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
     ) -> None:
-        """Begins again at tick 0, the virtual rig at rest at `x` [m], what is None as it was, all else as at the start.
+        """Restart at tick 0, the virtual rig at rest at `x` [m]; None leaves a value as it was.
 
         Raises ParameterError, and changes nothing, on a real rig, while armed, and as `VirtualHardware.reset`.
         """
@@ -175,7 +175,7 @@ class FlightController:
         self.bus.publish(TimeRestarted())
 
     def replace(self, code: FlightCode) -> None:
-        """Another flight code flies from the next tick on, from the states in which the present one is.
+        """Let another flight code fly from the next tick on, from the present states.
 
         Raises ParameterError while armed.
         """

@@ -37,7 +37,7 @@ class Pacer:
             self._loop.add_reader(self._timer, self._fired)
 
     async def wait(self) -> int:
-        """Waits for the next due time, and says how many periods are due now: 1, or more after a stall.
+        """Wait for the next due time; return the number of periods due: 1, or more after a stall.
 
         Periods beyond `MOST_CATCH_UP` are counted in `missed` and left out. `late_ns` is by how much the first of
         those that are due is late.
@@ -69,7 +69,7 @@ class Pacer:
         return due - left_out
 
     def close(self) -> None:
-        """Gives the timer back."""
+        """Close the timer."""
         if self._timer is not None:
             self._loop.remove_reader(self._timer)
             os.close(self._timer)
@@ -101,7 +101,7 @@ _NONBLOCK, _CLOEXEC, _ABSOLUTE = os.O_NONBLOCK, getattr(os, "O_CLOEXEC", 0), 1
 
 
 def _timer(call: str, *given: object) -> int:
-    """Calls timerfd_create or timerfd_settime of the system."""
+    """Call timerfd_create or timerfd_settime of the system."""
     made = int(getattr(ctypes.CDLL(None, use_errno=True), f"timerfd_{call}")(*given))
     if made < 0:
         what = f"the system gives no timer: timerfd_{call}: {os.strerror(ctypes.get_errno())}"
@@ -126,7 +126,7 @@ class ThreadTime:
         self._seen, self._ran = time.monotonic(), self._processor_time()
 
     def own(self) -> float:
-        """The part, 0 to 1, of the time since the last call that was the thread's own.
+        """Return the share, 0 to 1, of the time since the last call that was the thread's own.
 
         All of it where the thread waits for something now, or has ended; where it would run, only what it ran.
         """
@@ -138,13 +138,13 @@ class ThreadTime:
         return min(1.0, used / passed) if passed > 0.0 else 1.0
 
     def _processor_time(self) -> float:
-        """What it has used so far [s]; 0 once it has ended, or where that is not known."""
+        """Return its processor time [s]; 0 once it has ended, or where that is unknown."""
         with suppress(OSError):
             return 0.0 if self._clock is None else time.clock_gettime(self._clock)
         return 0.0
 
     def _would_run(self) -> bool:
-        """Whether it runs, or only lacks a processor; False where that is not known."""
+        """Return whether it runs, or only lacks a processor; False where that is unknown."""
         with suppress(OSError):
             # proc(5): the number, the name in parentheses, then the state.
             return self._clock is not None and self._stat.read_bytes().rpartition(b")")[2].split()[0] == b"R"
@@ -177,13 +177,13 @@ class Watchdog:
         self._thread.start()
 
     def beat(self) -> None:
-        """The loop runs. Always called by one thread, the loop's."""
+        """Note that the loop runs; called by the loop's thread only."""
         if self._patient and self._loop is None:
             self._loop = ThreadTime()
         self._beats += 1
 
     def look(self) -> None:
-        """Whether a beat came since the last look; the thread does it every `look_s`."""
+        """Check for a beat since the last look, and stop the motors without one; every `look_s`."""
         beats, own = self._beats, 1.0 if self._loop is None else self._loop.own()
         if beats != self._seen or not beats:
             self._seen, self._silent, self._tripped = beats, 0.0, False
@@ -195,7 +195,7 @@ class Watchdog:
             self._stop()
 
     def close(self) -> None:
-        """Ends the thread; a second time does nothing."""
+        """End the thread; a second call does nothing."""
         self._end.set()
         self._thread.join(5.0)
 

@@ -31,7 +31,7 @@ OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
 
 class SandboxOutput(NamedTuple):
-    """What the controllers asked for, and the set-points that they used.
+    """Commands of the controllers, and the set-points that they used.
 
     `late` says that they were stopped or out of time, and that the rest is not to fly.
     """
@@ -89,11 +89,11 @@ class Sandbox:
         self._stepper = Stepper(self.machine, (*MEASURED, *ASKED), OUTPUTS)
 
     def _known(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Those of `values` that it has."""
+        """Return the `values` whose parameters it has."""
         return {path: value for path, value in values.items() if path in self.machine.parameters}
 
     def restart(self, parameters: Mapping[str, Any], states: Mapping[str, Any]) -> None:
-        """A fresh instance with these parameters and states by path, as far as it has them; `fault` if it cannot be."""
+        """Restart as a fresh instance with these parameters and states by path; `fault` if that fails."""
         try:
             self._renew()
             self.machine.set_many(self._known(parameters))
@@ -103,17 +103,17 @@ class Sandbox:
 
     @property
     def rests(self) -> bool:
-        """Whether it was too slow and will be tried again; else what stopped it stopped it for good."""
+        """Return whether it was too slow and will be tried again; any other fault is final."""
         return self._rest > 0
 
     def wakes(self) -> bool:
-        """Counts a tick of its pause on the ground. Returns whether `resume` may try it again now."""
+        """Count a tick of its pause on the ground. Return whether `resume` may try it again now."""
         self._spent = 0
         self._rest -= 1
         return self._rest == 0
 
     def resume(self, states: Mapping[str, Any]) -> None:
-        """Goes on with these states: `fault` stays until a step was in time."""
+        """Resume with these states; `fault` stays until a step was in time."""
         try:
             self._begin(states)
         except ControllerFault as fault:
@@ -128,7 +128,7 @@ class Sandbox:
                 self.machine.set_state(path, value)
 
     def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Sets those of `values` that it has, all or none; the time that this takes is part of the next step's.
+        """Set the known ones of `values`, all or none; the time that this takes is part of the next step's.
 
         Raises ParameterError for a value that cannot be. Where derived parameters cannot be computed it has stopped:
         `fault` says so.
@@ -141,7 +141,7 @@ class Sandbox:
         self._spent += time.thread_time_ns() - began if self.timed else 0
 
     def step(self, sample: SensorSample, asked: ControlInput, in_reset: bool) -> SandboxOutput:
-        """One control period, with set-points that are numbers within their limits."""
+        """Run one control period, with finite set-points within their limits."""
         if self.fault and not self._tries:
             return _NOTHING
         tries, self._tries = self._tries, False

@@ -18,7 +18,7 @@ Done = Callable[[object], None]
 
 
 def read_block(path: Path, at: int, size: int) -> bytes:
-    """At most `size` bytes of a file from `at`. Raises OSError."""
+    """Read at most `size` bytes of a file from `at`. Raises OSError."""
     with path.open("rb") as file:
         file.seek(at)
         return file.read(size)
@@ -35,7 +35,7 @@ class _Attempt:
             self._result = work()
 
     def __enter__(self) -> None:
-        """Nothing was raised yet."""
+        """Begin the attempt."""
 
     def __exit__(self, _kind: object, raised: object, _trace: object) -> bool:
         self._fault = raised if isinstance(raised, Exception) else None
@@ -68,7 +68,7 @@ class BackgroundWorker:
         self._thread: threading.Thread | None = None
 
     def submit(self, work: Work, done: Done) -> bool:
-        """Has `work` done; False, and nothing is done, where too much waits already."""
+        """Queue `work`; return False where too much waits already."""
         if self._inline:
             _Attempt(work, done).hand_over()
             return True
@@ -82,7 +82,7 @@ class BackgroundWorker:
         return True
 
     def poll(self) -> None:
-        """Hands over what is finished."""
+        """Hand over finished work."""
         while self._finished:
             self._waiting -= 1
             self._finished.popleft().hand_over()
@@ -98,7 +98,7 @@ T = TypeVar("T")
 
 
 def shares(most: int, wanting: Sequence[T], turn: int) -> list[tuple[T, int]]:
-    """Divides a portion of `most` messages among those that want to send; where they are more, they take turns."""
+    """Divide a portion of `most` messages among those that want to send; where they are more, they take turns."""
     count = len(wanting)
     if count <= most:
         return [(one, most // count) for one in wanting]
@@ -117,7 +117,7 @@ class PacedSender:
         self._busy = False
 
     def start(self) -> None:
-        """There is something to send; in lockstep the first portion goes now."""
+        """Begin to send; in lockstep the first portion goes now."""
         if self._lockstep:
             if not self._busy:
                 self._by_clock()
@@ -125,7 +125,7 @@ class PacedSender:
             self._busy = True
 
     def tick(self) -> None:
-        """A control period has ended."""
+        """Send a portion, as a control period has ended."""
         if self._busy and not self._lockstep:
             self._busy = self._portion()
 

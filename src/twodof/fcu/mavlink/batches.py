@@ -23,7 +23,7 @@ LARGEST_HALF = 0xFFFF
 
 
 def published(tick: int) -> bool:
-    """Whether the estimator's position and velocity at this tick are new: at 100 of 250 ticks a second, from 0 on."""
+    """Return whether the estimates of position and velocity are new at this tick: at 100 of 250 ticks a second."""
     return 2 * tick % 5 < 2
 
 
@@ -33,7 +33,7 @@ def _new(when: str) -> Callable[[ControlStep], bool]:
 
 
 def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
-    """Channel -> its value at a step, NaN where it has no new sample."""
+    """Return channel -> its value at a step, NaN where it has no new sample."""
 
     def value(row: Topic, name: str) -> Callable[[ControlStep], float]:
         if row.name == "openloop":
@@ -102,7 +102,7 @@ class BatchService(Service):
             self._flush(subscription)
 
     def subscribe(self, command: ReceivedCommand) -> CommandResult:
-        """Command 511 for TWODOF_BATCH."""
+        """Carry out command 511 for TWODOF_BATCH."""
         interval, low, high = command.params[1], whole(command.params[2], -1), whole(command.params[3], -1)
         old = self._subscriptions.pop(command.peer, None)
         if old is not None:
@@ -120,7 +120,7 @@ class BatchService(Service):
         return DONE
 
     def interval(self, peer: Hashable) -> int:
-        """Interval [us] of a client's samples, -1 without a subscription."""
+        """Return the interval [us] of a client's samples, -1 without a subscription."""
         subscription = self._subscriptions.get(peer)
         return subscription.every * TICK_US if subscription is not None else -1
 

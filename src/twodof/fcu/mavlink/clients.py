@@ -51,7 +51,7 @@ class ClientLeft(NamedTuple):
 
 
 class Clients(Service):
-    """Who is there. First among the services: it sees every message and takes none.
+    """Connected clients. First among the services: it sees every message and takes none.
 
     It publishes ClientJoined, ClientRecognised and ClientLeft. In `lockstep` nobody is forgotten for silence, as a
     minute may pass between two heartbeats of a bystander.
@@ -99,7 +99,7 @@ class Clients(Service):
 
 
 def _knows(received: Received) -> bool:
-    """Whether a message shows that its sender knows twodof's own."""
+    """Return whether a message shows that its sender knows twodof's own."""
     number, got = received.frame.message_id, received.message
     if got.get_type() in ("COMMAND_LONG", "COMMAND_INT"):
         return got.command in _ABOUT_MESSAGES and FIRST_OWN_ID <= got.param1 <= LAST_OWN_ID
@@ -116,7 +116,7 @@ IDLE_TICKS = 250
 
 
 class LeaseService(Service):
-    """Tells the commander of every frame, and answers TWODOF_LEASE to who asks; the state goes out as telemetry."""
+    """Service that tells the commander of every frame, and answers TWODOF_LEASE; the state is telemetry."""
 
     def __init__(self, link: Link, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
         self._link = link
@@ -126,7 +126,7 @@ class LeaseService(Service):
         self._vehicles: OrderedDict[Source, None] = OrderedDict()
 
     def handle(self, received: Received) -> bool:
-        """Notes who was heard; takes TWODOF_LEASE."""
+        """Note the sender; take TWODOF_LEASE."""
         sender, got = source(received), received.message
         if sender == tuple(self._us):
             return False  # our own, come round

@@ -32,7 +32,7 @@ MOST_REMEMBERED = 64
 
 
 class ReceivedCommand(NamedTuple):
-    """A command that is for us; `params` are its seven numbers, any of which may be NaN."""
+    """Command to this drone; any of its seven numbers `params` may be NaN."""
 
     number: int
     params: tuple[float, ...]
@@ -41,7 +41,7 @@ class ReceivedCommand(NamedTuple):
 
     @property
     def what(self) -> Hashable:
-        """All of it; the numbers as text, since NaN equals nothing."""
+        """Return a key of the whole command; the numbers as text, since NaN equals nothing."""
         return self.peer, self.source, self.number, str(self.params)
 
 
@@ -53,7 +53,7 @@ Handler = Callable[[ReceivedCommand], CommandResult]
 
 
 class DuplicateFilter:
-    """Remembers what was accepted.
+    """Filter of repeated commands.
 
     A command is repeated if its sender says so (`confirmation` above 0), or if the network doubled its frame, which the
     frame's sequence number tells. In lockstep, where time may stand still between two sessions of a client that are
@@ -65,12 +65,12 @@ class DuplicateFilter:
         self._accepted: OrderedDict[Hashable, int] = OrderedDict()  # what came -> tick
 
     def known(self, what: Hashable, confirmation: int, sequence: int, tick: int) -> bool:
-        """Whether `what` was accepted a moment before `tick`, and this is it again."""
+        """Return whether this repeats `what`, which was accepted a moment before `tick`."""
         copies = (what, confirmation > 0), ((what, sequence), not self._lockstep)
         return any(counts and 0 <= tick - self._accepted.get(key, tick + 1) <= LATEST_TICKS for key, counts in copies)
 
     def accepted(self, what: Hashable, sequence: int, tick: int) -> None:
-        """Remembers that `what` was carried out."""
+        """Remember that `what` was carried out."""
         for key in (what, (what, sequence)):
             self._accepted[key] = tick
             self._accepted.move_to_end(key)
@@ -79,7 +79,7 @@ class DuplicateFilter:
 
 
 class CommandService(Service):
-    """Dispatches commands to those that registered for them, and acknowledges every one.
+    """Dispatcher of commands to their handlers; it acknowledges every command.
 
     A command that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it
     stops motors. It publishes CommandHandled after each command, and TextSent for each refusal in words.
@@ -101,7 +101,7 @@ class CommandService(Service):
         self.restart()
 
     def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
-        """Registers who carries out a command.
+        """Register the handler of a command.
 
         A handler may answer IN_PROGRESS. Then `poll` is asked after each control period, until it gives another
         result. In lockstep the client is told IN_PROGRESS, so that it lets time run. For a `slow` command, which may
@@ -115,11 +115,11 @@ class CommandService(Service):
 
     @property
     def supported(self) -> tuple[int, ...]:
-        """The commands that are carried out."""
+        """Return the commands that are carried out."""
         return tuple(sorted(self._handlers))
 
     def handle(self, received: Received) -> bool:
-        """Carries a command out and answers."""
+        """Carry a command out and answer."""
         name = received.message.get_type()
         if name not in ("COMMAND_LONG", "COMMAND_INT"):
             return False
@@ -142,7 +142,7 @@ class CommandService(Service):
             self.poll()
 
     def poll(self) -> None:
-        """Answers what was in progress and is done."""
+        """Answer commands that were in progress and are done."""
         for what, (command, sequence) in [*self._pending.items()]:
             result = self._polls[command.number](command)
             if not result.in_progress:
@@ -157,7 +157,7 @@ class CommandService(Service):
         self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
 
     def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
-        """Answers a command that was carried out, also one that came in another message."""
+        """Answer a command that was carried out, also one that came in another message."""
         if command.what in self._pending and not self._lockstep and command.number not in self._slow:
             return
         answer = message(
@@ -211,7 +211,7 @@ class CommandService(Service):
 
 
 def _for_everybody(got: Any) -> bool:
-    """Whether all vehicles that hear a command to system 0 are to do it: those that ask, and those that stop motors.
+    """Return whether a command to system 0 is for all vehicles: questions, and commands that stop motors.
 
     As in PX4 nothing else: one careless client would arm a whole laboratory.
     """
@@ -219,7 +219,7 @@ def _for_everybody(got: Any) -> bool:
 
 
 def _stops(number: int, first: float) -> bool:
-    """Whether a command stops motors: a kill, or a disarming."""
+    """Return whether a command stops motors: a kill, or a disarming."""
     if number == MavCmd.DO_FLIGHTTERMINATION:
         return first > 0.5
     return number == MavCmd.COMPONENT_ARM_DISARM and first == 0.0

@@ -46,24 +46,24 @@ def boot_ms(step: ControlStep) -> int:
 
 
 def quaternion(pitch: float) -> tuple[float, float, float, float]:
-    """Attitude (w, x, y, z) of a pitch [rad] alone; NaN where that is none."""
+    """Return the attitude (w, x, y, z) of a pitch [rad]; NaN where that is not finite."""
     if not isfinite(pitch):
         return nan, nan, nan, nan
     return cos(pitch / 2.0), 0.0, sin(pitch / 2.0), 0.0
 
 
 def millivolts(voltage: float) -> int:
-    """A voltage [V] in whole mV, 65535 where it is unknown."""
+    """Return a voltage [V] in whole mV, 65535 where it is unknown."""
     return round(min(max(voltage, 0.0), 65.534) * 1000.0) if isfinite(voltage) else UNKNOWN_16
 
 
 def percent(charge: float) -> int:
-    """A charge from 0 to 1 in whole percent, -1 where it is unknown."""
+    """Return a charge from 0 to 1 in whole percent, -1 where it is unknown."""
     return round(min(max(charge, 0.0), 1.0) * 100.0) if isfinite(charge) else -1
 
 
 def _odometry(s: ControlStep) -> tuple[Any, ...]:
-    """The pose in local NED, velocities in the body's axes, covariances unknown."""
+    """Return the pose in local NED, velocities in the body's axes, covariances unknown."""
     unknown = (nan, *(0.0,) * 20)
     tilt = s.theta if isfinite(s.theta) else nan
     forward, down = s.v * cos(tilt), s.v * sin(tilt)
@@ -72,21 +72,21 @@ def _odometry(s: ControlStep) -> tuple[Any, ...]:
 
 
 def _attitude_target(s: ControlStep) -> tuple[Any, ...]:
-    """The set-points in use, thrust from 0 to 1 (upwards positive, as in PX4)."""
+    """Return the set-points in use, thrust from 0 to 1 (upwards positive, as in PX4)."""
     mode = s.asked.mode
     mask = _NO_ATTITUDE | _NO_PITCH_RATE if mode <= OPEN_LOOP else _NO_ATTITUDE if mode == RATE else 0
     return boot_ms(s), *quaternion(s.theta0), s.q0, abs(s.T), mask
 
 
 def _position_target(s: ControlStep) -> tuple[Any, ...]:
-    """x0, v0 in use and the feed-forward; the mask says which of them is flown."""
+    """Return x0, v0 in use and the feed-forward; the mask says which of them is flown."""
     mode = s.asked.mode
     mask = _ALWAYS | (0 if mode == POSITION else _X | _AX) | (0 if mode in (VELOCITY, POSITION) else _VX)
     return boot_ms(s), s.x0, s.v0, s.asked.ax0, mask, LOCAL_NED
 
 
 def _servo_output(s: ControlStep) -> tuple[Any, ...]:
-    """Pulse widths of PX4's quadrotor x, motors 1 and 3 in front; 900 us while disarmed."""
+    """Return pulse widths of PX4's quadrotor x, motors 1 and 3 in front; 900 us while disarmed."""
 
     def width(command: float) -> int:
         if not s.armed or not isfinite(command):
@@ -98,13 +98,13 @@ def _servo_output(s: ControlStep) -> tuple[Any, ...]:
 
 
 def _vfr_hud(s: ControlStep) -> tuple[Any, ...]:
-    """The speed along the rail, and thrust in percent."""
+    """Return the speed along the rail, and thrust in percent."""
     throttle = round(100.0 * min(abs(s.T), 1.0)) if isfinite(s.T) else 0
     return nan, abs(s.v), throttle
 
 
 def _battery_status(s: ControlStep) -> tuple[Any, ...]:
-    """The voltage of the whole pack stands in the place of the first cell's, as MAVLink has it then."""
+    """Return the battery, with the pack's voltage in the place of the first cell's, as MAVLink wants it."""
     critical, low = (s.causes & BIT[name] for name in ("battery_critical", "battery_low"))
     state = CHARGE_CRITICAL if critical else CHARGE_LOW if low else CHARGE_OK
     cells = millivolts(s.sample.voltage), *(UNKNOWN_16,) * 9
@@ -112,12 +112,12 @@ def _battery_status(s: ControlStep) -> tuple[Any, ...]:
 
 
 def _landed_state(s: ControlStep) -> tuple[Any, ...]:
-    """In the air while the motors give thrust."""
+    """Return "in the air" while the motors give thrust."""
     return (LIFTED if s.armed and (s.fore > 0.0 or s.aft > 0.0) else GROUNDED,)
 
 
 def _estimator_status(s: ControlStep) -> tuple[Any, ...]:
-    """Attitude, position and velocity along the rail are estimated, as long as they are believed."""
+    """Return which estimates are believed."""
     lost = s.causes & (BIT["estimate_lost"] | BIT["imu_lost"])
     return s.tick * TICK_US, 0 if lost else 1 if s.causes & BIT["range_lost"] else 1 | 2 | 8
 
@@ -206,7 +206,7 @@ NOBODY = (0, 0)
 
 
 def hindering(step: ControlStep) -> int:
-    """The causes that would keep from arming, or in flight are not as they should be."""
+    """Return the causes that prevent arming, or are faults in flight."""
     return step.causes & ~ON_THE_GROUND if step.armed else step.causes
 
 
@@ -220,7 +220,7 @@ def health(causes: int) -> int:
 
 
 def deciding(reason: int) -> int:
-    """Which cause of a mask decides: the place of the one that asks for the strongest action, -1 if there is none."""
+    """Return the place of the cause in a mask that asks for the strongest action, -1 if there is none."""
     places = [place for place in range(len(CAUSES)) if reason >> place & 1]
     return max(places, key=lambda place: (CAUSES[place].action, -place), default=-1)
 
@@ -267,15 +267,15 @@ class TelemetryEncoders:
             self._add("TWODOF_TRUTH", lambda: (controller.tick * TICK_US, *truth(), controller.tick & MASK_32))
 
     def add(self, name: str, encode: Callable[[], Any | None]) -> None:
-        """Another message that can be streamed and asked for."""
+        """Add a message that can be streamed and asked for."""
         self._encoders[message_id(name)] = encode
 
     def message(self, number: int) -> Any | None:
-        """A message of `messages` as of now; None if nothing of the kind was measured yet."""
+        """Return a message of `messages` as of now; None if nothing of the kind was measured yet."""
         return self._encoders[number]()
 
     def restart(self) -> None:
-        """Time begins anew: nothing was measured yet."""
+        """Restart without measurements."""
         self._step: ControlStep | None = None
         self._imu: SensorSample | None = None
         self._range: SensorSample | None = None
@@ -283,7 +283,7 @@ class TelemetryEncoders:
         self.news.update(dict.fromkeys((HIGHRES_IMU, DISTANCE_SENSOR, TOF), -1))
 
     def observe(self, step: ControlStep) -> None:
-        """Takes a step over."""
+        """Take a step."""
         self._step, sample = step, step.sample
         if sample.imu_new:
             self._imu = sample
@@ -295,7 +295,7 @@ class TelemetryEncoders:
             self._action, self._since = step.action, step.tick
 
     def rig(self, on_top: int = 0) -> Packed:
-        """TWODOF_RIG, with flags that come on top."""
+        """Return TWODOF_RIG, with further flags."""
         controller, what = self._controller, self._identity()
         hardware, tick = controller.hardware, controller.tick & MASK_32
         flags = (RINGS if hardware.rings else 0) | (SAFETY_OFF if hardware.safety_off else 0)
@@ -318,7 +318,7 @@ class TelemetryEncoders:
         self._add(row.name, lambda: None if self._step is None else row.values(self._step), *row.fields)
 
     def _judged(self) -> tuple[StepMessage, ...]:
-        """Messages of a step and of more than that."""
+        """Return the messages of a step that need more than the step."""
         sensors = tuple(f"onboard_control_sensors_{part}" for part in ("present", "enabled", "health"))
         power = ("load", "voltage_battery", "current_battery", "battery_remaining")
         return (
@@ -327,7 +327,7 @@ class TelemetryEncoders:
         )
 
     def _sys_status(self, s: ControlStep) -> tuple[Any, ...]:
-        """The load is the part of a control period that a step takes. No current is measured."""
+        """Return health and battery; the load is the share of a control period that a step takes."""
         load = round(min(max(self._controller.timing.step_mean / TICK_US, 0.0), 1.0) * 1000.0)
         volts, charge = millivolts(s.sample.voltage), percent(s.sample.charge)
         return PRESENT, PRESENT, health(hindering(s)), load, volts, -1, charge
@@ -342,13 +342,13 @@ class TelemetryEncoders:
         return now.custom_mode, QUADROTOR, PX4, now.base_mode, now.system_status, VERSION
 
     def _highres_imu(self) -> tuple[Any, ...] | None:
-        """Accelerometer and gyro; the sensors that do not exist are NaN."""
+        """Return accelerometer and gyro; missing sensors are NaN."""
         if self._imu is None:
             return None
         return self.news[HIGHRES_IMU] * TICK_US, *self._imu[:6], *(nan,) * len(ABSENT), IMU_FIELDS
 
     def _distance_sensor(self) -> tuple[Any, ...] | None:
-        """The range in whole centimetres."""
+        """Return the range in whole centimetres."""
         if self._range is None:
             return None
         dist = self._range.dist
@@ -357,14 +357,14 @@ class TelemetryEncoders:
         return stamp, *RANGE_CM, centimetres, BACKWARD, UNKNOWN_VARIANCE
 
     def _tof(self) -> tuple[Any, ...] | None:
-        """The range, not rounded."""
+        """Return the range, not rounded."""
         if self._range is None:
             return None
         dist = self._range.dist
         return self._range_us(self._range), self.news[TOF] & MASK_32, dist, int(isfinite(dist))
 
     def _range_us(self, sample: SensorSample) -> int:
-        """When the range was measured [us]."""
+        """Return when the range was measured [us]."""
         late = round(sample.dist_age * 1e6) if 0.0 <= sample.dist_age <= OLDEST_S else 0
         return max(0, self.news[TOF] * TICK_US - late)
 

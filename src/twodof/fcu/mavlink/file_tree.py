@@ -53,7 +53,7 @@ class OpenFile:
         self._content = content
 
     def read(self, offset: int, count: int) -> bytes:
-        """At most `count` bytes from `offset`; none behind the end. Raises OSError."""
+        """Read at most `count` bytes from `offset`; none behind the end. Raises OSError."""
         count = min(count, self.size - offset)
         if count <= 0:
             return b""
@@ -62,7 +62,7 @@ class OpenFile:
         return os.pread(self._content, count, offset)
 
     def close(self) -> None:
-        """Lets the file go; a second time does nothing."""
+        """Close the file; a second call does nothing."""
         content, self._content = self._content, b""
         if isinstance(content, int):
             with suppress(OSError):
@@ -90,7 +90,7 @@ class FileTree:
         self._controllers = controllers
 
     def entries(self, path: str) -> list[FolderEntry]:
-        """What is in a folder, sorted by name. Raises FileFault."""
+        """List a folder, sorted by name. Raises FileFault."""
         place = _normal(path)
         folders = [EXTRAS, *((LOGS,) if self._logs else ()), *((CONTROLLERS,) if self._controllers else ())]
         inside = {folder[len(place) :].lstrip("/").split("/")[0] for folder in folders if _below(folder, place)}
@@ -105,7 +105,7 @@ class FileTree:
         return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
 
     def open(self, path: str) -> OpenFile:
-        """A file to be read. Raises FileFault."""
+        """Open a file to read. Raises FileFault."""
         folder, _, name = _normal(path).rpartition("/")
         content = self._made().get(name) if folder == EXTRAS else None
         if content is not None:
@@ -118,7 +118,7 @@ class FileTree:
         return OpenFile(descriptor, os.fstat(descriptor).st_size)
 
     def checksum(self, path: str) -> int:
-        """The checksum of a file as MAVLink FTP defines it: CRC-32 begun with 0 and not inverted. Raises FileFault."""
+        """Return a file's checksum of MAVLink FTP: CRC-32 begun with 0 and not inverted. Raises FileFault."""
         file = self.open(path)
         try:
             crc, at = 0, 0
@@ -129,7 +129,7 @@ class FileTree:
             file.close()
 
     def check_upload(self, path: str) -> Path:
-        """Where an upload to `path` goes. Raises FileFault for a place where none may go."""
+        """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed."""
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS or self._controllers is None:
             raise FileFault(FtpError.PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
@@ -141,7 +141,7 @@ class FileTree:
         return self._controllers / name
 
     def upload(self, path: str, content: bytes) -> None:
-        """Writes an upload, whole or not at all. Raises FileFault, LogError."""
+        """Write an upload, whole or not at all. Raises FileFault, LogError."""
         target = self.check_upload(path)
         try:
             make_folder(target.parent)
@@ -153,7 +153,7 @@ class FileTree:
             file.write(content)
 
     def remove(self, path: str) -> None:
-        """Deletes an upload, on the disk too when it returns. Raises FileFault, LogError."""
+        """Delete an upload, on the disk too when it returns. Raises FileFault, LogError."""
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS:
             raise FileFault(FtpError.PROTECTED, "only diagrams in /controllers are removed", path)
@@ -192,7 +192,7 @@ def _below(folder: str, place: str) -> bool:
 
 
 def _normal(path: str) -> str:
-    """A path from the root, without a slash at its end; `..` is refused, empty names are left out. Raises FileFault."""
+    """Normalise a path from the root: no slash at its end, no empty names, `..` is refused. Raises FileFault."""
     names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
     if ".." in names or "\0" in path:
         raise FileFault(FtpError.NOT_FOUND, "no such file", path[:100])
@@ -226,7 +226,7 @@ class Metadata:
         return MappingProxyType({**metadata_files(store.rows), **diagrams})
 
     def message(self, _command: object = None) -> Iterable[Any]:
-        """COMPONENT_METADATA."""
+        """Return COMPONENT_METADATA."""
         crc = mavlink_crc32(self.files[GENERAL])
         return [
             message(
@@ -239,7 +239,7 @@ class Metadata:
 
 
 def metadata_files(rows: Sequence[VehicleParameter]) -> Mapping[str, bytes]:
-    """The files by name, made of the parameters `rows`."""
+    """Return the files by name, made of the parameters `rows`."""
     parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
     described = {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)}
     return MappingProxyType({GENERAL: _json({"version": 1, "metadataTypes": [described]}), PARAMETERS: parameters})

@@ -45,7 +45,7 @@ class FtpSession:
 
 
 def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Iterator[FtpPacket]:
-    """The answer to a burst request: `data` in packets of `most` bytes, then, if the file `ends` there, its end.
+    """Yield the answer to a burst: `data` in packets of `most` bytes, then, if the file `ends` there, its end.
 
     Each is made when it is sent: a client may ask for 35,000 packets of one byte, which takes many control periods.
     """
@@ -76,7 +76,7 @@ class FtpClient:
     waiting: deque[FtpPacket] = field(default_factory=deque)
 
     def open(self, session: FtpSession, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
-        """Opens a session, with the number `wanted` if that is free; None if only uploads are open already."""
+        """Open a session, with the number `wanted` if that is free; None if only uploads are open already."""
         if len(self.sessions) >= MOST_SESSIONS:
             for number, oldest in self.sessions.items():
                 if oldest.file is not None:
@@ -155,7 +155,7 @@ class FileTransfer(Service):
         }
 
     def handle(self, received: Received) -> bool:
-        """Takes a request."""
+        """Take a request."""
         if received.message.get_type() != "FILE_TRANSFER_PROTOCOL":
             return False
         if self._us.addressed(received.message, everybody=True):
@@ -175,7 +175,7 @@ class FileTransfer(Service):
 
     @property
     def sessions(self) -> int:
-        """Sessions that are open, of all clients."""
+        """Return the number of open sessions of all clients."""
         return sum(len(client.sessions) for client in self._clients.values())
 
     def _client(self, received: Received) -> FtpClient:
@@ -232,7 +232,7 @@ class FileTransfer(Service):
         self._work(client, request, lambda: self.tree.open(request.text), opened)
 
     def _file(self, client: FtpClient, request: FtpPacket) -> OpenFile | None:
-        """The file that the request's session reads; else the client is told that there is none."""
+        """Return the file that the request's session reads; without one the client is told."""
         session = client.sessions.get(request.session)
         if session is None or session.file is None:
             self._answer(client, request, request.nak(FtpError.SESSION))
@@ -329,7 +329,7 @@ class FileTransfer(Service):
         self._later(client, request, lambda: request.ack(struct.pack("<I", self.tree.checksum(request.text))))
 
     def _may_write(self, client: FtpClient, request: FtpPacket) -> bool:
-        """Whether the client has the lease, or gets it; else it is told."""
+        """Return whether the client has the lease, or gets it; else it is told."""
         taken = self._take(client.source, "upload")
         if not taken.accepted:
             self._answer(client, request, request.nak(FtpError.PROTECTED))
@@ -337,7 +337,7 @@ class FileTransfer(Service):
         return taken.accepted
 
     def _later(self, client: FtpClient, request: FtpPacket, work: Callable[[], FtpPacket]) -> None:
-        """Answers with what `work` gives, done in the background."""
+        """Answer with the result of `work`, done in the background."""
 
         def answer(made: object) -> FtpPacket:
             return made if isinstance(made, FtpPacket) else _refused(request, made)
@@ -373,7 +373,7 @@ class FileTransfer(Service):
         self._link.send(packed(packet, *client.source), client.peer)
 
     def send_bursts(self) -> bool:
-        """Sends some packets of bursts; whether there are more. `PacedSender` calls it."""
+        """Send some packets of bursts; return whether there are more. `PacedSender` calls it."""
         most = A_TICK_ARMED if self._armed else A_TICK
         bursting = [client for client in self._clients.values() if client.burst is not None]
         self._turn += most
@@ -386,7 +386,7 @@ class FileTransfer(Service):
         return any(client.burst is not None for client in bursting)
 
     def _room_for_upload(self) -> bool:
-        """Whether another upload may wait, once those that are not gone on with have ended."""
+        """End abandoned uploads; return whether another may wait."""
         since, waiting = self._clock() - UPLOAD_S, 0
         for client in self._clients.values():
             for number in [n for n, one in client.sessions.items() if one.file is None and one.used < since]:

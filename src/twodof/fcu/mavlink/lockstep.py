@@ -1,10 +1,10 @@
-"""Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK says how far it has; TWODOF_RIG_RESET begins again."""
+"""Lockstep: TWODOF_GRANT lets time run, TWODOF_TICK says how far it has; TWODOF_RIG_RESET restarts it."""
 
 from bisect import insort
 from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
-from twodof.errors import Refusal, TwodofError
+from twodof.errors import RefusalReason, TwodofError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import DONE, CommandResult, denied, unsupported
 from twodof.fcu.control.flight_code import ControlStep
@@ -53,7 +53,7 @@ class LockstepService(Service):
         self._waiting: list[Grant] = []
 
     def handle(self, received: Received) -> bool:
-        """Takes grants and resets."""
+        """Take grants and resets."""
         got, name = received.message, received.message.get_type()
         if name not in ("TWODOF_GRANT", "TWODOF_RIG_RESET"):
             return False
@@ -110,10 +110,10 @@ class LockstepService(Service):
 
     def _begin_again(self, got: Any) -> CommandResult:
         if got.seed >= MOST_SEEDS:
-            return denied(f"reset refused: seed {got.seed} is above {MOST_SEEDS - 1}", Refusal.INVALID)
+            return denied(f"reset refused: seed {got.seed} is above {MOST_SEEDS - 1}", RefusalReason.INVALID)
         try:
             self._controller.reset(got.seed, got.x, got.noise, got.rings != 0)
         except TwodofError as reason:
-            code = Refusal.ARMED if self._commander.armed else Refusal.INVALID
+            code = RefusalReason.ARMED if self._commander.armed else RefusalReason.INVALID
             return denied(f"reset refused: {reason}", code)
         return DONE

@@ -43,7 +43,7 @@ class DownloadClient:
 
     @property
     def busy(self) -> bool:
-        """Whether there is something to send."""
+        """Return whether there is something to send."""
         return bool(self.entries) or self.log is not None
 
 
@@ -69,7 +69,7 @@ class LogDownload(Service):
         }
 
     def handle(self, received: Received) -> bool:
-        """Takes a request."""
+        """Take a request."""
         takes = self._takes.get(received.message.get_type())
         if takes is None:
             return False
@@ -200,7 +200,7 @@ class LogDownload(Service):
         self._link.send(self._pack(reader.at, reader.number, len(part), *filled), reader.peer)
 
     def _read(self, reader: DownloadClient, log: StoredLog) -> None:
-        """Has the block read in which the next part is."""
+        """Read the block in which the next part is."""
         at = reader.at
         if reader.wanted == at:
             return

@@ -71,7 +71,7 @@ class LogStreamService(Service):
         commands.on(MavCmd.LOGGING_STOP, self._stop)
 
     def handle(self, received: Received) -> bool:
-        """Takes an answer, and notes that the client is there."""
+        """Take an answer, and note that the client is there."""
         stream, got = self._stream, received.message
         answer = got.get_type() == "LOGGING_ACK"
         if stream is not None and source(received) == stream.client:
@@ -169,7 +169,7 @@ class LogStreamService(Service):
         self._link.send(sent, stream.peer)
 
     def _read(self, stream: LogStreamClient, path: Path) -> None:
-        """Has more of the file read; where the log goes on in another file, that was all."""
+        """Read more of the file; the stream ends where the log goes on in another file."""
         if stream.reading or stream.pieces.waiting > BLOCK:
             return
         over = self._log.path != path

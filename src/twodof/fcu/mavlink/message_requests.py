@@ -1,4 +1,4 @@
-"""Requests for one message, by command 512 and older ones; versions, and the missions that there are not."""
+"""Requests for one message, by command 512 and older ones; versions, and missions, which are refused."""
 
 import hashlib
 from collections.abc import Callable, Iterable
@@ -37,12 +37,12 @@ class MessageRequests:
             commands.on(command, partial(self._send_old, message_id(name)))
 
     def on(self, name: str, builder: Builder) -> None:
-        """Registers who gives a message; None from it says that the request's other parameters make no sense."""
+        """Register the builder of a message; it returns None for parameters that make no sense."""
         self._builders[message_id(name)] = builder
 
     @property
     def supported(self) -> tuple[int, ...]:
-        """Ids of the messages that are given."""
+        """Return the ids of the messages that are given."""
         return tuple(sorted({*self._builders, *self._telemetry.messages}))
 
     def _send_old(self, number: int, command: ReceivedCommand) -> CommandResult:
@@ -80,7 +80,7 @@ OFFICIAL = 255
 
 
 def packed_version(major: int, minor: int, patch: int) -> int:
-    """A version as MAVLink packs it."""
+    """Pack a version as MAVLink does."""
     return major << 24 | minor << 16 | patch << 8 | OFFICIAL
 
 
@@ -111,51 +111,32 @@ class VersionService:
         ]
 
 
-ACCEPTED, UNSUPPORTED, NO_SPACE, INVALID_SEQUENCE = 0, 3, 4, 13
+UNSUPPORTED = 3
 """MAV_MISSION_RESULT."""
-TYPES, ALL = (0, 1, 2), 255
-"""MAV_MISSION_TYPE: mission, fence, rally points; and all of these."""
-NO_MISSION = 1
-"""MISSION_STATE."""
+TYPES = (0, 1, 2)
+"""MAV_MISSION_TYPE: mission, fence, rally points."""
 
 ANSWERED = frozenset(
     {
-        *("MISSION_REQUEST_LIST", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT", "MISSION_ACK"),
+        *("MISSION_REQUEST_LIST", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"),
         *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ITEM_INT"),
     }
 )
 
 
 class MissionService(Service):
-    """An empty mission, fence and list of rally points; a client that wants to store one is told of no space."""
+    """No missions, fences and rally points: an empty list, and a refusal of all else, so that no client waits."""
 
-    def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, requests: MessageRequests) -> None:
+    def __init__(self, link: Link, us: VehicleAddress) -> None:
         self._link = link
         self._us = us
-        self._current = message("MISSION_CURRENT", seq=0, total=0, mission_state=NO_MISSION)
-        commands.on(MavCmd.MISSION_START, lambda _command: denied("there is no mission"))
-        requests.on("MISSION_CURRENT", lambda _command: [self._current])
 
     def handle(self, received: Received) -> bool:
-        """Answers every message about missions, but the end of a transfer."""
-        name = received.message.get_type()
-        if name in ANSWERED and name != "MISSION_ACK" and self._us.addressed(received.message):
-            self._link.send(self._answer(name, received), received.peer)
-        return name in ANSWERED
-
-    def _answer(self, name: str, received: Received) -> Any:
-        if name == "MISSION_SET_CURRENT":
-            return self._current
-        got = received.message
-        there = {**target(source(received)), "mission_type": got.mission_type}
-        known = got.mission_type in TYPES or (name == "MISSION_CLEAR_ALL" and got.mission_type == ALL)
-        if name == "MISSION_REQUEST_LIST" and known:
-            return message("MISSION_COUNT", count=0, **there)
-        result = INVALID_SEQUENCE  # there is no item to be read or written
-        if not known:
-            result = UNSUPPORTED
-        elif name == "MISSION_CLEAR_ALL" or (name == "MISSION_COUNT" and not got.count):  # storing nothing is possible
-            result = ACCEPTED
-        elif name == "MISSION_COUNT":
-            result = NO_SPACE
-        return message("MISSION_ACK", type=result, **there)
+        """Answer every message about missions, but the end of a transfer."""
+        got, name = received.message, received.message.get_type()
+        if name in ANSWERED and self._us.addressed(got):
+            there = {**target(source(received)), "mission_type": getattr(got, "mission_type", 0)}
+            listed = name == "MISSION_REQUEST_LIST" and got.mission_type in TYPES
+            answer = message("MISSION_COUNT", **there) if listed else message("MISSION_ACK", type=UNSUPPORTED, **there)
+            self._link.send(answer, received.peer)
+        return name in ANSWERED or name == "MISSION_ACK"

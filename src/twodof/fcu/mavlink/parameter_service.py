@@ -83,7 +83,7 @@ class ParameterService(Service):
             self._go_on(peer, A_TICK)
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
-        """Changes all of `wanted` or nothing: MAV_PARAM_ERROR, the first parameter it is about, and why."""
+        """Change all of `wanted` or nothing; return MAV_PARAM_ERROR, the first parameter it is about, and why."""
         kept = next((name for name in wanted if name in self._store and not self._store.row(name).tuning), "")
         if kept:
             result = self._commander.lease.take(sender, f"{kept} (not for tuning)")
@@ -101,7 +101,7 @@ class ParameterService(Service):
         return NO_ERROR, "", ""
 
     def checked(self, received: Received) -> tuple[str, float | None, int]:
-        """Name and value that a PARAM_SET carries, and MAV_PARAM_ERROR if it has no value that fits its type."""
+        """Return name and value of a PARAM_SET, and MAV_PARAM_ERROR if the value does not fit its type."""
         got = received.message
         name = text(got.param_id)
         if name not in self._store:
@@ -116,11 +116,11 @@ class ParameterService(Service):
         return name, struct.unpack("<i" if kind == "int32" else "<f", raw)[0], NO_ERROR
 
     def _value(self, row: VehicleParameter) -> Packed:
-        """PARAM_VALUE of a parameter."""
+        """Return PARAM_VALUE of a parameter."""
         return self._packed(row.name, row.bits(self._store[row.name]), self._store.index(row.name), _TYPES[row.kind])
 
     def _hash(self) -> Packed:
-        """PARAM_VALUE of `_HASH_CHECK`."""
+        """Return PARAM_VALUE of `_HASH_CHECK`."""
         return self._packed(HASH_NAME, struct.pack("<I", self._store.hash_check()), HASH_INDEX, UINT32)
 
     def _error(self, received: Received, name: str, error: int, index: int = -1) -> None:
@@ -194,7 +194,7 @@ class ParameterService(Service):
         self._link.send(self._hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
-        """Which of the values the store would not take, and MAV_PARAM_ERROR for it."""
+        """Return the value that the store refused, and its MAV_PARAM_ERROR."""
         for name, value in wanted.items():
             if name not in self._store:
                 return DOES_NOT_EXIST, name
@@ -213,7 +213,7 @@ class ParameterService(Service):
 
 
 def text(name: str | bytes) -> str:
-    """A parameter's name as it came."""
+    """Return a parameter's name as text."""
     return name if isinstance(name, str) else name.decode("ascii", "replace")
 
 
@@ -226,7 +226,7 @@ MOST_ANSWERS = 32
 
 
 class TransactionAnswer(NamedTuple):
-    """What became of it: MAV_PARAM_ERROR, how many PARAM_SETs have come for it, and which was refused first."""
+    """Result of a transaction: MAV_PARAM_ERROR, the number of PARAM_SETs, the first refused parameter, and why."""
 
     result: int
     have: int = 0
@@ -245,7 +245,7 @@ class Transaction:
 
     @property
     def count(self) -> int:
-        """How many different parameters have come."""
+        """Return the number of different parameters that have come."""
         return len(self.values) + (self.fault is not None)
 
 

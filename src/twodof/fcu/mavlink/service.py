@@ -18,23 +18,23 @@ class VehicleAddress(NamedTuple):
     component: int = AUTOPILOT
 
     def addressed(self, message: Any, everybody: bool = False) -> bool:
-        """Whether a message with a target is for us; `everybody`: one for all systems is for us too."""
+        """Return whether a message is for us; with `everybody`, so is a message for all systems."""
         systems = (self.system, 0) if everybody else (self.system,)
         return message.target_system in systems and message.target_component in (self.component, 0)
 
 
 def source(received: Received) -> Source:
-    """Who sent it."""
+    """Return the sender."""
     return received.frame.system, received.frame.component
 
 
 def target(sender: Source) -> dict[str, int]:
-    """The fields of an answer that name who asked."""
+    """Return the fields of an answer that name its addressee."""
     return {"target_system": sender[0], "target_component": sender[1]}
 
 
 def whole(value: float, default: int = 0) -> int:
-    """The nearest whole number of a command's parameter; `default` for NaN, infinity and what exceeds 2^31."""
+    """Round a command's parameter; return `default` for NaN, infinity and values beyond 2^31."""
     return round(value) if isfinite(value) and abs(value) < 2**31 else default
 
 
@@ -45,7 +45,7 @@ RUN_OVER_MS = RUN_OVER // TICK_MS
 
 
 def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
-    """The tick that a field of 32 bits names: of the ticks that look like `value`, the one nearest to `now`.
+    """Return the tick that a field of 32 bits names: the one nearest to `now` that looks like `value`.
 
     None is before tick 0, so until the first half of the field's range has passed it is `value` itself.
     """
@@ -54,12 +54,12 @@ def meant(value: int, now: int, run_over: int = RUN_OVER) -> int:
 
 
 def acts_at(tick: int, now: int) -> int:
-    """The tick at which something acts whose field says `tick`; 0, what a client leaves out, is at once."""
+    """Return the tick at which a message with this field acts; 0, an omitted field, is at once."""
     return meant(tick, now) if tick else 0
 
 
 def acts_at_ms(time_boot_ms: int, now: int) -> int:
-    """The same by a stamp in milliseconds: the first tick that is not before it."""
+    """Return the tick at which a message with this stamp in milliseconds acts: the first not before it."""
     return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
 
 
@@ -75,7 +75,7 @@ class Link(Protocol):
     """Where a service's messages go: `peer` is None for everybody on every link."""
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
-        """Sends a message, or drops and counts it where the peer takes no more; never waits, never raises."""
+        """Send a message, or drop and count it where the peer takes no more; never wait, never raise."""
 
 
 class Service:
@@ -85,20 +85,20 @@ class Service:
     """
 
     def handle(self, received: Received) -> bool:
-        """Takes a message in; False leaves it to the next service. `received.peer` tells where answers go.
+        """Take a message; False leaves it to the next service. Answers go to `received.peer`.
 
         Any field of a message may hold any value. Never raises on them.
         """
         return False
 
     def after(self, step: ControlStep) -> None:
-        """Called after each control period; does next to nothing when nothing is due."""
+        """Act after a control period; fast when nothing is due."""
 
     def restart(self) -> None:
-        """Time begins again at tick 0."""
+        """Restart at tick 0."""
 
     def gone(self, peer: Hashable) -> None:
-        """A peer's link has closed."""
+        """Forget a peer whose link has closed."""
 
     def idle(self) -> None:
-        """In lockstep, called about once a second of real time while no tick runs."""
+        """Act about once a second of real time in lockstep, while no tick runs."""

@@ -59,7 +59,7 @@ class MavlinkServices:
             TransactionService(link, us, self.commands, parameters),
             parameters,
             modes,
-            MissionService(link, us, self.commands, self.requests),
+            MissionService(link, us),
             StreamService(link, bus, self.commands, self.telemetry, changes, batches, profile),
             batches,
             heartbeat,

@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable
 from math import isnan
 from typing import Any, NamedTuple
 
-from twodof.errors import Refusal
+from twodof.errors import RefusalReason
 from twodof.fcu.command import result
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import DONE, RECEIVING, REFUSED, SampledExcitation, prepare
@@ -47,7 +47,7 @@ class SetpointService(Service):
         }
 
     def handle(self, received: Received) -> bool:
-        """Takes a set-point."""
+        """Take a set-point."""
         got, sender = received.message, source(received)
         read = self._readers.get(got.get_type())
         if read is None:
@@ -67,7 +67,7 @@ class SetpointService(Service):
         self._told.clear()
 
     def _may_tell(self, sender: Source) -> bool:
-        """Whether it was not told just now, and not too many others were."""
+        """Return whether this sender, and not too many others, were told lately."""
         while self._told and self._tick - next(iter(self._told.values())) >= TOLD_TICKS:
             self._told.popitem(last=False)
         if sender in self._told or len(self._told) >= MOST_TOLD:
@@ -77,7 +77,7 @@ class SetpointService(Service):
 
     def _target(self, setpoint: SetPoint | None, got: Any, sender: Source) -> CommandResult:
         if setpoint is None:
-            return self._commander.refuse(Refusal.NOTHING, "it asks for nothing that is flown here")
+            return self._commander.refuse(RefusalReason.NOTHING, "it asks for nothing that is flown here")
         at_tick = acts_at_ms(got.time_boot_ms, self._tick) if self._commander.lockstep else 0
         return self._commander.setpoint(sender, setpoint, at_tick)
 
@@ -122,7 +122,7 @@ class ExcitationService(Service):
         self._revision = 0
 
     def handle(self, received: Received) -> bool:
-        """Takes pieces, starts and stops."""
+        """Take pieces, starts and stops."""
         got, name = received.message, received.message.get_type()
         if name == "TWODOF_EXCITE" and self._us.addressed(got) and source(received) != tuple(self._us):
             answer = self._act(got, source(received), received.peer)
@@ -146,7 +146,7 @@ class ExcitationService(Service):
         self._tick, self._revision = 0, self._commander.excitation.player.revision
 
     def _begin(self, coming: ExcitationDefinition | None) -> None:
-        """Waits for the pieces of this definition; None: of any."""
+        """Wait for the pieces of this definition; None: of any."""
         self._coming = coming
         self._receiver = ExcitationReceiver()
         self._whole = False  # all pieces of it have come

@@ -32,7 +32,7 @@ class StatusTextService(Service):
         self._number = 0
 
     def handle(self, received: Received) -> bool:
-        """Takes what others say in words: it is not for us."""
+        """Take the texts of others, which are not for us."""
         return bool(received.message.get_type() == "STATUSTEXT")
 
     def after(self, step: ControlStep) -> None:

@@ -34,7 +34,7 @@ MOST_OFFSET = 250
 
 
 def next_due(tick: int, interval_ns: int, offset: int) -> int:
-    """The first tick after `tick` in which a stream of that interval [ns] is due."""
+    """Return the first tick after `tick` in which a stream of that interval [ns] is due."""
     intervals = (tick + offset) * TICK_NS // interval_ns + 1
     return -(-intervals * interval_ns // TICK_NS) - offset
 
@@ -68,7 +68,7 @@ class ChangeDetector:
         self._before: dict[int, tuple[Any, ...]] = {}
 
     def seen(self, step: ControlStep) -> list[int]:
-        """Ids of the messages that have news in this step."""
+        """Return the ids of the messages that have news in this step."""
         found = [TOF] if step.sample.dist_new else []
         safety = (step.action, step.state, step.armed, step.reason, self._commander.arming.killed_by)
         if safety != self._safety or (step.causes != self._causes and abs(step.tick - self._told) >= FLAG_TICKS):
@@ -119,7 +119,7 @@ class StreamService(Service):
         commands.on(MavCmd.GET_MESSAGE_INTERVAL, self._get)
 
     def handle(self, received: Received) -> bool:
-        """Takes REQUEST_DATA_STREAM, which does nothing here as in PX4: its groups of messages are ArduPilot's."""
+        """Take REQUEST_DATA_STREAM, which does nothing here as in PX4: its groups of messages are ArduPilot's."""
         return bool(received.message.get_type() == "REQUEST_DATA_STREAM")
 
     def after(self, step: ControlStep) -> None:
@@ -158,7 +158,7 @@ class StreamService(Service):
         self._plan_all(-1)
 
     def _change(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
-        """Sets a client's interval [ns] of a message, None: the profile's. False if the client is unknown."""
+        """Set a client's interval [ns] of a message, None: the profile's; return False if the client is unknown."""
         streams = self._streams.get(peer)
         if streams is None:
             return False
@@ -215,7 +215,7 @@ class StreamService(Service):
         self._link.send(message, stream.peer)
 
     def _plan_all(self, tick: int) -> None:
-        """Plans all streams anew, after `tick`."""
+        """Plan all streams from `tick` on."""
         self._calendar.clear()
         for streams in self._streams.values():
             for stream in streams.values():
@@ -243,7 +243,7 @@ class StreamService(Service):
         return DONE
 
     def _interval_us(self, peer: Hashable, message_id: int) -> int:
-        """MESSAGE_INTERVAL's number [us]: -1 for a message that is not sent at any interval, 0 for one there is not."""
+        """Return MESSAGE_INTERVAL's number [us]: -1 for a message that is not streamed, 0 for an unknown one."""
         if message_id == HEARTBEAT:
             return 10**6
         if message_id == BATCH:
@@ -269,7 +269,7 @@ class Heartbeat(Service):
         bus.subscribe(CommandHandled, lambda _: self._send_if_changed())
 
     def handle(self, received: Received) -> bool:
-        """Takes other components' heartbeats, which need no answer."""
+        """Take other components' heartbeats, which need no answer."""
         return bool(received.message.get_type() == "HEARTBEAT")
 
     def after(self, step: ControlStep) -> None:

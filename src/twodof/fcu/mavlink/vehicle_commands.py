@@ -8,7 +8,7 @@ from typing import Any
 
 from twodof.blocks import Diagram
 from twodof.compile.wasm.target import check_ready
-from twodof.errors import CompileError, ParameterError, Refusal, TwodofError
+from twodof.errors import CompileError, ParameterError, RefusalReason, TwodofError
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.result import DONE, CommandResult, denied, failed, rejected, unsupported
 from twodof.fcu.control.controllers import Controllers
@@ -81,7 +81,7 @@ class ArmingCommands:
         if self._restart is None or action != REBOOT_AUTOPILOT:  # it has no boot loader, and is not shut down
             return unsupported()
         if self._commander.armed:
-            return rejected("no restart while armed: disarm first", Refusal.ARMED)
+            return rejected("no restart while armed: disarm first", RefusalReason.ARMED)
         result = self._commander.lease.take(command.source, "restart")
         if result.accepted:
             self._commander.arming.release(command.source)  # it begins as after being switched on
@@ -114,7 +114,7 @@ class ModeService(Service):
         telemetry.add("AVAILABLE_MODES_MONITOR", lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
 
     def handle(self, received: Received) -> bool:
-        """Takes SET_MODE, which is acknowledged as command 176, as in PX4."""
+        """Take SET_MODE, which is acknowledged as command 176, as in PX4."""
         if received.message.get_type() != "SET_MODE":
             return False
         got = received.message
@@ -144,7 +144,7 @@ class ModeService(Service):
         return unsupported()
 
     def _available(self, command: ReceivedCommand) -> Iterable[Any] | None:
-        """All modes, or the one whose number from 1 is the second parameter."""
+        """Return all modes, or the one whose number from 1 is the second parameter."""
         wanted = whole(command.params[1])
         if not 0 <= wanted <= len(MODES):
             return None
@@ -191,7 +191,7 @@ class StorageCommand:
         if action == RESET_SENSORS:
             return unsupported("nothing of the sensors is calibrated")
         if self._commander.armed:
-            return rejected("parameters are stored and reset while disarmed only", Refusal.ARMED)
+            return rejected("parameters are stored and reset while disarmed only", RefusalReason.ARMED)
         if len(self._waiting) >= MOST_WAITING:
             return rejected(f"{MOST_WAITING} others wait for the disk: ask again")
         if action in (RESET_CONFIG, RESET_ALL):
@@ -210,7 +210,7 @@ class StorageCommand:
         return self._stored(command)
 
     def _stored(self, command: ReceivedCommand) -> CommandResult:
-        """What has become of it."""
+        """Return whether it is stored."""
         try:
             if self._lockstep:
                 self._store.flush(SAVE_S)
@@ -257,14 +257,14 @@ class ReloadCommand:
 
     @property
     def building(self) -> bool:
-        """Whether a controller is being built."""
+        """Return whether a controller is being built."""
         return self._result.in_progress
 
     def _reload(self, command: ReceivedCommand) -> CommandResult:
         if self._controllers.uploads is None:
             return unsupported("it keeps no uploads: start it with a folder for its state")
         if self._commander.armed or self._commander.arming.pending:
-            return rejected("no other controller while armed: disarm first", Refusal.ARMED)
+            return rejected("no other controller while armed: disarm first", RefusalReason.ARMED)
         if command.params[0] == ASK:
             return _equipped()
         taken = self._commander.lease.take(command.source, "reload")
@@ -295,7 +295,7 @@ class ReloadCommand:
             self._commands.poll()
 
     async def _kept(self, uploaded: Mapping[str, Diagram]) -> CommandResult:
-        """The result for what flies now: it is on the disk, or it flies until the program ends."""
+        """Store the flying controllers, and return whether they fly after a restart."""
         try:
             await asyncio.to_thread(self._controllers.keep, uploaded)
         except TwodofError as refusal:
@@ -304,7 +304,7 @@ class ReloadCommand:
 
 
 def _equipped() -> CommandResult:
-    """Whether the sandbox can be made here."""
+    """Check that the sandbox can be made here."""
     try:
         check_ready()
     except CompileError as lack:

@@ -1,4 +1,4 @@
-"""What the on-board log holds of a step: every number of it in one row, and the topics of PX4.
+"""Topics of the on-board log: every number of a step in one row, and the topics of PX4.
 
 PlotJuggler, Flight Review and pyulog show a flight by PX4's names. Topics and fields are those of PX4 v1.16 (msg/), as
 far as this vehicle has them. Roll, yaw, y and z are 0: the rail is the local x axis. What PX4 leaves open is NaN.
@@ -26,7 +26,7 @@ _PARTS = ("tick", "sample", "asked")
 
 
 def _columns() -> list[tuple[str, type]]:
-    """Name and type of each number of a step, in order; what was asked for is `asked_...`, as x0 is an output too."""
+    """Return name and type of each number of a step, in order; inputs are `asked_...`, as x0 is an output too."""
     sample, asked, step = get_type_hints(SensorSample), get_type_hints(ControlInput), get_type_hints(ControlStep)
     return [
         *((name, sample[name]) for name in SensorSample._fields),
@@ -47,12 +47,12 @@ _MADE = attrgetter(*(field.name for field in fields(ControlStep) if field.name n
 
 
 def pack(step: ControlStep) -> bytes:
-    """The row of a step. Raises struct.error for a number that does not fit, which no step has."""
+    """Pack a step as a row. Raises struct.error for a number that does not fit."""
     return _PACK.pack(TICK_US * step.tick, step.tick & _TICK_BITS, *step.sample, *step.asked, *_MADE(step))
 
 
 def row_names() -> tuple[str, ...]:
-    """Names of the columns behind `timestamp` and `tick`."""
+    """Return the names of the columns behind `timestamp` and `tick`."""
     return tuple(name for name, _ in COLUMNS)
 
 
@@ -73,7 +73,7 @@ def _always(rows: Rows) -> NDArray[np.bool_]:
 
 
 def _changed(rows: Rows) -> NDArray[np.bool_]:
-    """Each change of mode, arming or action; twice a second; and the first of `rows`, whose past is unknown."""
+    """Choose each change of mode, arming or action, two rows a second, and the first row, whose past is unknown."""
     found = rows["tick"] % STATUS_TICKS == 0
     for name in ("armed", "asked_mode", "action"):
         found[1:] |= rows[name][1:] != rows[name][:-1]
@@ -96,7 +96,7 @@ class LoggedTopic(NamedTuple):
 
     @property
     def format(self) -> str:
-        """How ULog describes its records."""
+        """Return ULog's description of its records."""
         return "uint64_t timestamp;" + "".join(f"{field};" for field in self.fields)
 
 
@@ -105,7 +105,7 @@ def _of(name: str) -> Value:
 
 
 def _vector(*names: str) -> Value:
-    """Columns side by side; "" is 0, and a name behind a minus sign counts the other way."""
+    """Put columns side by side; "" is 0, and a minus sign before a name negates it."""
 
     def columns(rows: Rows) -> NDArray[np.float64]:
         made = np.zeros((len(rows), len(names)))
@@ -118,7 +118,7 @@ def _vector(*names: str) -> Value:
 
 
 def _quaternion(name: str) -> Value:
-    """Quaternions (n, 4), w first, of a pitch."""
+    """Return quaternions (n, 4), w first, of a pitch."""
 
     def turned(rows: Rows) -> NDArray[np.float64]:
         zero = np.zeros(len(rows))
@@ -135,7 +135,7 @@ def _motors(rows: Rows) -> NDArray[np.float64]:
 
 
 def _measured_us(rows: Rows) -> NDArray[np.int64]:
-    """When the range was measured."""
+    """Return when the range was measured."""
     age_us = np.nan_to_num(rows["dist_age"] * 1e6, nan=0.0, posinf=0.0, neginf=0.0)
     return np.maximum(rows["timestamp"].astype(np.int64) - np.clip(age_us, 0.0, 1e6).astype(np.int64), 0)
 
@@ -155,7 +155,7 @@ _THRUST: dict[str, Value] = {"float[3] thrust_body": _vector("", "", "-T")}
 
 
 def _unset(kind: str, *names: str) -> dict[str, Value]:
-    """Fields that are always 0."""
+    """Return fields that are always 0."""
     return {f"{kind} {name}": 0 for name in names}
 
 
@@ -297,7 +297,7 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
 
 
 def records(topic: LoggedTopic, layout: np.dtype[np.void], rows: Rows) -> Rows:
-    """The records of `topic`, laid out as `layout`, that the steps `rows` (n,) give."""
+    """Return the records of `topic`, laid out as `layout`, of the steps `rows` (n,)."""
     chosen = rows[topic.when(rows)]
     made = np.zeros(len(chosen), dtype=layout)
     if len(chosen):

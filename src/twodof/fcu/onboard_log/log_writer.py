@@ -41,7 +41,7 @@ class LogFolder:
     """Logs as log_00001.ulg and so on in the folder `path`, which is made; `max_bytes` and `max_logs` bound them."""
 
     def __init__(self, path: str | Path, max_bytes: int = MAX_BYTES, max_logs: int = 100) -> None:
-        """Raises LogError where the folder cannot be made."""
+        """Make the folder. Raises LogError where it cannot be made."""
         self.path = Path(path)
         self.max_bytes, self.max_logs = max_bytes, max_logs
         try:
@@ -53,11 +53,11 @@ class LogFolder:
 
     @property
     def most_of_one(self) -> int:
-        """Bytes after which a log goes on in a new file: what `read_log` reads, and a quarter of the folder's bound."""
+        """Return the bytes after which a log goes on in a new file: `read_log` reads it, four fit in the folder."""
         return min(self.max_bytes // 4, MAX_FILE_BYTES // 2)
 
     def logs(self) -> list[StoredLog]:
-        """The logs by rising number; a file that went in the meantime is left out. Raises LogError."""
+        """Return the logs by rising number; a file that went in the meantime is left out. Raises LogError."""
         found = []
         try:
             paths = [*self.path.iterdir()]
@@ -72,7 +72,7 @@ class LogFolder:
         return sorted(found, key=lambda log: log.number)
 
     def next_path(self) -> Path:
-        """Where the next log goes, after making room. Raises LogError."""
+        """Return the path of the next log, after making room. Raises LogError."""
         logs = self.logs()
         self.make_room(logs)
         for number in range(logs[-1].number + 1 if logs else 1, MAX_NUMBER + 1):
@@ -82,7 +82,7 @@ class LogFolder:
         raise LogError(f"{MAX_NUMBER} logs were written", str(self.path), "erase the logs")
 
     def make_room(self, logs: list[StoredLog]) -> None:
-        """Deletes the oldest of `logs` until one more, of `most_of_one` bytes, is within the bounds."""
+        """Delete the oldest of `logs` until one more, of `most_of_one` bytes, is within the bounds."""
         kept, size = len(logs), sum(log.size for log in logs)
         for log in logs:
             if kept < self.max_logs and size + self.most_of_one <= self.max_bytes:
@@ -91,7 +91,7 @@ class LogFolder:
             kept, size = kept - 1, size - log.size
 
     def erase(self, keep: Path | None = None) -> int:
-        """Deletes all logs but the one being written, `keep`; returns how many. Raises LogError."""
+        """Delete all logs but the one being written, `keep`; return their number. Raises LogError."""
         logs = [log for log in self.logs() if log.path != keep]
         for log in logs:
             _delete(log.path)
@@ -146,23 +146,23 @@ class LogWriter:
 
     @property
     def path(self) -> Path | None:
-        """The log being written."""
+        """Return the log being written."""
         return self._writer.path if self._writer is not None else None
 
     def choose(self, mode: int) -> None:
-        """Takes another SDLOG_MODE."""
+        """Set SDLOG_MODE."""
         self._mode = mode
 
     def request(self, wanted: bool) -> None:
-        """Logs whether armed or not from here on, or as the mode says again."""
+        """Log whether armed or not from here on, or as the mode says again."""
         self._requested = wanted
 
     def describe(self, info: Mapping[str, str | int]) -> None:
-        """Takes the facts of the flight, for the logs that begin from here on."""
+        """Set the facts of the flight, for the logs that begin from here on."""
         self._info = info
 
     def rows(self, rows: Rows) -> None:
-        """Takes steps (n,), laid out as `step_row.ROW`; a tick before the last one is a restart, a new log."""
+        """Log steps (n,), laid out as `ROW`; a tick before the last one is a restart, a new log."""
         ticks = rows["tick"].astype(np.int64)
         breaks = np.flatnonzero(np.diff(ticks, prepend=self._tick) <= 0)
         at = 0
@@ -174,33 +174,33 @@ class LogWriter:
             at = end
 
     def text(self, level: str, line: str) -> None:
-        """Takes a line for the log's reader; one that comes shortly before a log begins is the first in it."""
+        """Log a line for the reader; one that comes shortly before a log begins is the first in it."""
         if self._writer is None:
             self._lines.append((level, self._stamp_us, line))
         else:
             self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
 
     def parameters(self, values: Mapping[str, float]) -> None:
-        """Takes changes of parameters."""
+        """Log changes of parameters."""
         self._parameters.update(values)
         self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in values.items()])
 
     def list_anew(self, values: Mapping[str, float]) -> None:
-        """Takes all parameters, which are others by now; in the log being written those that are new or changed."""
+        """Take another list of parameters; new and changed ones go into the log being written."""
         before, self._parameters = self._parameters, dict(values)
         self.parameters({name: value for name, value in values.items() if before.get(name) != value})
 
     def dropped(self, count: int, lost_ms: int) -> None:
-        """Notes that `count` rows did not come, over `lost_ms`."""
+        """Log that `count` rows are missing, over `lost_ms`."""
         self.missed += count
         self._guarded(lambda writer: writer.dropout(lost_ms, self._stamp_us))
 
     def flush(self, deadline_s: float) -> None:
-        """Waits until what was taken is on the disk."""
+        """Wait until all is on the disk."""
         self._guarded(lambda writer: writer.flush(deadline_s))
 
     def end(self) -> None:
-        """Ends the log being written, if there is one."""
+        """End the log being written, if there is one."""
         writer, self._writer = self._writer, None
         if writer is not None:
             try:
@@ -219,7 +219,7 @@ class LogWriter:
         self._was_armed = self._was_disarmed_again = False
 
     def _run(self, rows: Rows) -> None:
-        """Takes steps of one run, cut where logging begins and ends."""
+        """Log steps of one run, cut where logging begins and ends."""
         wanted = self._wanted(rows["armed"] != 0)
         edges = np.flatnonzero(np.diff(wanted)) + 1
         for part, wants in zip(np.split(rows, edges), wanted[np.append(0, edges).astype(np.intp)], strict=True):
@@ -234,7 +234,7 @@ class LogWriter:
         self._tick = int(rows["tick"][-1])
 
     def _wanted(self, armed: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Which of the next steps will be logged."""
+        """Return which of the next steps will be logged."""
         index = np.arange(len(armed))
         last = np.maximum.accumulate(np.where(armed, index, -1))
         since = np.where(last >= 0, index - last, index + 1 + self._since_armed)
@@ -263,7 +263,7 @@ class LogWriter:
             self.missed += len(rows)
 
     def _begin(self, rows: Rows) -> None:
-        """Opens a log with what came shortly before `rows`."""
+        """Open a log with the rows and lines shortly before `rows`."""
         before, self._before = self._before, None
         first = rows if before is None else before
         start_us = int(first["timestamp"][0])
@@ -301,12 +301,12 @@ class LogWriter:
         return self._guarded(append)
 
     def _forget(self, writer: ULogWriter) -> None:
-        """Lets go of what is on the disk."""
+        """Forget rows that are on the disk."""
         while self._handed and self._handed[0][0] <= writer.acknowledged.samples:
             self._handed.popleft()
 
     def _guarded(self, action: Callable[[ULogWriter], object]) -> bool:
-        """Does something with the log being written; False if there is none, or it ended over it."""
+        """Act on the log being written; return False if there is none, or the disk refused."""
         if self._writer is None:
             return False
         try:

@@ -52,7 +52,7 @@ class OnboardLogger:
         info: Callable[[], Mapping[str, str | int]] = dict,
         max_bytes: int = MAX_BYTES,
     ) -> None:
-        """Raises LogError where the folder cannot be made."""
+        """Make the folder and start the thread. Raises LogError where the folder cannot be made."""
         self.folder = LogFolder(folder, max_bytes, int(store["SDLOG_DIRS_MAX"]))
         self.lockstep = lockstep
         self.dropped = 0
@@ -71,23 +71,23 @@ class OnboardLogger:
 
     @property
     def failure(self) -> TwodofError | None:
-        """Why the last log ended before its time or could not begin; None while all is well."""
+        """Return why the last log ended early or could not begin; None while all is well."""
         if not self._thread.is_alive() and not self._closed:
             return LogError("its thread ended by a fault of its own", str(self.folder.path), "report it")
         return self._writer.failure
 
     @property
     def missed(self) -> int:
-        """Rows that were to be logged and are in no log: the disk refused them, or they were dropped."""
+        """Return the number of rows in no log: the disk refused them, or they were dropped."""
         return self._writer.missed
 
     @property
     def path(self) -> Path | None:
-        """The log being written, None while there is none."""
+        """Return the log being written, None while there is none."""
         return self._writer.path
 
     def step(self, step: ControlStep) -> None:
-        """Takes a step; costs about a microsecond."""
+        """Queue a step; takes about a microsecond."""
         queue = self._queue
         if step.tick <= self._tick or (step.armed and not self._armed) or self._tick < 0:
             queue.append(partial(LogWriter.describe, info={**ABOUT, **self._info()}))
@@ -107,27 +107,27 @@ class OnboardLogger:
         queue.append(row)
 
     def note(self, level: str, line: str) -> None:
-        """Takes a line for the log's reader: "error", "warning", "info" or "debug"."""
+        """Log a line for the reader: "error", "warning", "info" or "debug"."""
         self._put(lambda writer: writer.text(level, line))
 
     def remark(self, severity: int, text: str) -> None:
-        """Takes what the vehicle says in words, of a MAV_SEVERITY."""
+        """Log a text of the vehicle with its MAV_SEVERITY."""
         self.note("error" if severity <= 3 else "warning" if severity == 4 else "info", text)
 
     def start(self) -> None:
-        """Logs from the next step on whether armed or not, until `stop`."""
+        """Log from the next step on whether armed or not, until `stop`."""
         self._put(lambda writer: writer.request(True))
 
     def stop(self) -> None:
-        """Ends what `start` began."""
+        """End the logging that `start` began."""
         self._put(lambda writer: writer.request(False))
 
     def begin_anew(self) -> None:
-        """Has what comes next logged into a new file; does not wait."""
+        """Log into a new file from here on; does not wait."""
         self._put(LogWriter.end)
 
     def logs(self) -> list[StoredLog]:
-        """The logs on board by rising number, also the one being written, with everything that was handed over so far.
+        """Return the logs by rising number, also the one being written, with all rows so far.
 
         Raises LogError.
         """
@@ -137,21 +137,21 @@ class OnboardLogger:
         return self.folder.logs()
 
     def erase(self) -> int:
-        """Deletes all logs but the one being written; returns how many. Raises LogError."""
+        """Delete all logs but the one being written; return their number. Raises LogError."""
         return self.folder.erase(self.path)
 
     def flush(self, deadline_s: float = 10.0) -> None:
-        """Waits until everything handed over is on the disk. Raises LogError when it is not within the deadline."""
+        """Wait until all rows are on the disk. Raises LogError when they are not within the deadline."""
         self._ask(_flush, deadline_s)
         if self.failure is not None:
             raise LogError(self.failure.what, self.failure.where, self.failure.remedy)
 
     def end(self, deadline_s: float = 10.0) -> None:
-        """Ends the log being written: what comes next is in a new one. Raises LogError as `flush`."""
+        """End the log being written; the next rows go into a new one. Raises LogError as `flush`."""
         self._ask(LogWriter.end, deadline_s)
 
     def close(self, deadline_s: float = 10.0) -> None:
-        """Ends the log and the thread. Raises LogError as `flush`; a second call only returns."""
+        """End the log and the thread. Raises LogError as `flush`; a second call only returns."""
         if not self._closed:
             self._closed = True
             self._ask(self._end_all, deadline_s)
@@ -186,7 +186,7 @@ class OnboardLogger:
         self._gap = (count + 1, since if count else tick)
 
     def _waited(self) -> bool:
-        """Waits for room, if that is what to do; whether there is some."""
+        """Wait for room in lockstep; return whether there is some."""
         if not self.lockstep or self._closed:
             return False
         self._room.clear()
@@ -223,7 +223,7 @@ class OnboardLogger:
                     self._room.set()
 
     def _take(self) -> None:
-        """Handles some of the queue."""
+        """Handle some of the queue."""
         rows: list[bytes] = []
         note: Note | None = None
         while self._queue and note is None and len(rows) < _AT_ONCE:

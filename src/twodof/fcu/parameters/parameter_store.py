@@ -51,7 +51,7 @@ class ParameterStore(Mapping[str, float]):
         values: Mapping[str, float] | None = None,
         bus: OnboardEventBus | None = None,
     ) -> None:
-        """Raises ParameterError for `values`, which go over those of the file, as `update` does."""
+        """Read the file; `values` go over it. Raises ParameterError as `update` does."""
         self._system = system
         self._users: tuple[UserParameters, ...] = ()
         self._tuned: dict[str, TunedController] = {}  # by identity, those that fly last
@@ -66,7 +66,7 @@ class ParameterStore(Mapping[str, float]):
             self.update(values)
 
     def __getitem__(self, name: str) -> float:
-        """A value, by any of its names. Raises ParameterError for an unknown one."""
+        """Return a value, by any of its names. Raises ParameterError for an unknown one."""
         return self._set[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -80,28 +80,28 @@ class ParameterStore(Mapping[str, float]):
 
     @property
     def revision(self) -> int:
-        """Number of changes so far."""
+        """Return the number of changes so far."""
         return self._set.revision
 
     @property
     def failure(self) -> TwodofError | None:
-        """Why the file could not be written the last time; None while all is well."""
+        """Return why the file could not be written the last time; None while all is well."""
         return self._file.failure if self._file is not None else None
 
     def row(self, name: str) -> VehicleParameter:
-        """Type, bounds, unit and text of the parameter `name`. Raises ParameterError for an unknown one."""
+        """Return type, bounds, unit and text of the parameter `name`. Raises ParameterError for an unknown one."""
         index = self._index.get(name)
         if index is None:
             raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
         return self.rows[index]
 
     def index(self, name: str) -> int:
-        """Place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
+        """Return the place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
         self.row(name)
         return self._index[name]
 
     def flying(self) -> dict[str, float]:
-        """What the flight code is to fly with: values by their paths in it; a flag is a bool."""
+        """Return the flight code's values by their paths in it; a flag is a bool."""
         return {
             row.path: bool(self._set[row.name]) if isinstance(TUNABLES[row.path].default, bool) else self._set[row.name]
             for row in self.rows
@@ -110,15 +110,15 @@ class ParameterStore(Mapping[str, float]):
 
     @property
     def carried(self) -> tuple[UserParameters, ...]:
-        """The users' controllers that fly, with their parameters."""
+        """Return the users' controllers that fly, with their parameters."""
         return self._users
 
     def user_values(self) -> dict[str, Any]:
-        """What flies in the users' controllers, by path (`attitude_control.k_q`): numbers, lists for arrays."""
+        """Return the values of the users' controllers by path (`attitude_control.k_q`): numbers, lists for arrays."""
         return {path: value for one in self._users for path, value in one.flying(self._set).items()}
 
     def carry(self, users: Sequence[UserParameters]) -> tuple[str, ...]:
-        """Lists the parameters of these controllers, which fly from now on, in place of those of the ones before.
+        """List the parameters of these controllers, which fly from now on, in place of the earlier ones'.
 
         Each controller has the values that were stored of the very same diagram, else its defaults. Returns remarks on
         that, for the clients. The others keep their values.
@@ -140,11 +140,11 @@ class ParameterStore(Mapping[str, float]):
         return tuple(remarks)
 
     def changed(self) -> dict[str, float]:
-        """What differs from the defaults, by main name."""
+        """Return the values that differ from the defaults, by main name."""
         return {row.name: self._set[row.name] for row in self.rows if not row.of and self._set[row.name] != row.default}
 
     def set(self, name: str, value: float, armed: bool = False) -> None:
-        """Changes one value. Raises ParameterError as `update` does."""
+        """Change one value. Raises ParameterError as `update` does."""
         self.update({name: value}, armed)
 
     def update(self, changes: Mapping[str, float], armed: bool = False) -> None:
@@ -164,14 +164,14 @@ class ParameterStore(Mapping[str, float]):
         self.update({row.name: row.default for row in self.rows if not row.of}, armed)
 
     def hash_check(self) -> int:
-        """PX4's _HASH_CHECK: CRC-32 over names and values in the order of the indices, begun with 0, not inverted."""
+        """Return PX4's _HASH_CHECK: CRC-32 over names and values by index, begun with 0, not inverted."""
         crc = 0xFFFFFFFF  # zlib inverts what it is given and what it gives
         for row in self.rows:
             crc = zlib.crc32(row.bits(self._set[row.name]), zlib.crc32(row.name.encode("ascii"), crc))
         return crc ^ 0xFFFFFFFF
 
     def save(self) -> Callable[[], bool] | None:
-        """Has all values written now, without waiting. Returns a question to the disk, None without a file.
+        """Write all values now, without waiting. Return a question to the disk, None without a file.
 
         The question tells whether the values are on the disk by now. It raises ParameterError where the disk has
         refused, or was silent for `SAVE_S`.
@@ -179,12 +179,12 @@ class ParameterStore(Mapping[str, float]):
         return None if self._file is None else self._file.save(SAVE_S)
 
     def flush(self, deadline_s: float = 10.0) -> None:
-        """Waits until the file holds what is here. Raises ParameterError where the disk refuses or is silent."""
+        """Wait until the file holds all values. Raises ParameterError where the disk refuses or is silent."""
         if self._file is not None:
             self._file.flush(deadline_s)
 
     def close(self, deadline_s: float = 10.0) -> None:
-        """Writes what is not written yet and ends. Raises ParameterError as `flush`; a second call only returns."""
+        """Write the values and end. Raises ParameterError as `flush`; a second call only returns."""
         if self._file is not None:
             self._file.close(deadline_s)
 
@@ -195,12 +195,12 @@ class ParameterStore(Mapping[str, float]):
         self.close()
 
     def _as_carried(self, values: Mapping[str, float]) -> dict[str, float]:
-        """Values as the wire and the file carry them: of a float the shortest decimal that float32 keeps."""
+        """Return values as wire and file carry them: of a float the shortest decimal that float32 keeps."""
         floats = {name for name in values if name in self._index and self.row(name).kind == "float"}
         return {name: float32_decimal(value) if name in floats else value for name, value in values.items()}
 
     def _locked(self, values: Mapping[str, float], armed: bool) -> list[str]:
-        """What is wrong with changing `values` (by main name) while `armed`."""
+        """Return the faults of changing `values` (by main name) while `armed`."""
         if not armed:
             return []
         return [
@@ -222,7 +222,7 @@ class ParameterStore(Mapping[str, float]):
         self.bus.publish(ParametersChanged(changes))
 
     def _list(self) -> None:
-        """Sorts all rows as PX4 does, by name."""
+        """Sort all rows as PX4 does, by name."""
         users = (row for one in self._users for row in one.rows)
         self.rows: tuple[VehicleParameter, ...] = tuple(
             sorted((*wire_rows(self._system), *users), key=lambda row: row.name)
@@ -230,7 +230,7 @@ class ParameterStore(Mapping[str, float]):
         self._index = {row.name: index for index, row in enumerate(self.rows)}
 
     def _keep_tuned(self) -> None:
-        """Notes what is tuned in the controllers that fly, and forgets what was tuned longest ago."""
+        """Remember the tuning of the flying controllers, and forget the oldest."""
         for one in self._users:
             self._tuned.pop(one.identity, None)
             values = {row.user_path: self._set[row.name] for row in one.rows if self._set[row.name] != row.default}
@@ -246,7 +246,7 @@ class ParameterStore(Mapping[str, float]):
         return StoredParameters(changed, tuple(self._tuned.values()))
 
     def _restore(self, fresh: ParameterSet, own: UserParameters) -> list[str]:
-        """Gives a controller the values that were stored for it. Returns remarks on that."""
+        """Give a controller the values that were stored for it. Return remarks on that."""
         tuned = self._tuned.get(own.identity)
         if tuned is None:
             other = [one for one in self._tuned.values() if one.kind == own.kind and one.name == own.name]
@@ -262,7 +262,7 @@ class ParameterStore(Mapping[str, float]):
         return [*([said] if good else []), *(f"{own.kind}: left out: {fault}" for fault in faults)]
 
     def _take_over(self, found: tuple[StoredParameters, str]) -> tuple[str, ...]:
-        """Takes each value of the file that is still right; returns what was not."""
+        """Take each valid value of the file; return remarks on the others."""
         kept, remark = found
         good, faults = self._set.check(self._as_carried(kept.values))
         self._set = ParameterSet(good, vehicle_rows(int(self._set["MAV_SYS_ID"])))

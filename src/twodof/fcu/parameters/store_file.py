@@ -33,7 +33,7 @@ class TunedController:
 
 @dataclass(frozen=True)
 class StoredParameters:
-    """What the file holds: values by name, and those of the controllers that were tuned, the latest last."""
+    """Content of the file: values by name, and those of tuned controllers, the latest last."""
 
     values: Mapping[str, float] = field(default_factory=dict)
     controllers: tuple[TunedController, ...] = ()
@@ -53,7 +53,7 @@ class StoreFile:
         self._thread: threading.Thread | None = None
 
     def read(self) -> tuple[StoredParameters, str]:
-        """What it holds, and what is wrong with it or "". A damaged file gives nothing and is kept as NAME.damaged."""
+        """Read it; return its content and its fault, "" if there is none. A damaged file is kept as NAME.damaged."""
         try:
             if self.path.stat().st_size > MAX_BYTES:
                 return StoredParameters(), self._set_aside(f"is larger than {MAX_BYTES} bytes")
@@ -68,7 +68,7 @@ class StoreFile:
             return StoredParameters(), self._set_aside(str(reason))
 
     def write(self, kept: StoredParameters) -> None:
-        """Has `kept` written soon; returns at once."""
+        """Write `kept` soon; returns at once."""
         with self._changed:
             now = time.monotonic()
             if self._wanted is None:
@@ -81,7 +81,7 @@ class StoreFile:
             self._changed.notify_all()
 
     def save(self, deadline_s: float) -> Callable[[], bool]:
-        """Has what was given written now, and returns at once a question: is it in the file and on the disk by now?
+        """Write the given content now; return at once a question: is it on the disk by now?
 
         The question raises ParameterError where the disk has refused since, or was silent for the deadline.
         """
@@ -106,14 +106,14 @@ class StoreFile:
         return stored
 
     def flush(self, deadline_s: float) -> None:
-        """Waits until what was given is written. Raises ParameterError as the question of `save`."""
+        """Wait until the given content is written. Raises ParameterError as the question of `save`."""
         stored = self.save(deadline_s)
         with self._changed:
             if not self._changed.wait_for(stored, deadline_s):
                 stored()  # raises: the deadline has passed since it was asked last
 
     def close(self, deadline_s: float) -> None:
-        """Writes what waits and ends the thread. Raises ParameterError as `flush`."""
+        """Write the waiting content and end the thread. Raises ParameterError as `flush`."""
         thread = self._thread
         if thread is None or self._closing:
             return
@@ -165,7 +165,7 @@ class StoreFile:
         return None
 
     def _set_aside(self, what: str) -> str:
-        """Keeps a file that cannot be used from being written over; says what was wrong."""
+        """Rename an unusable file, so that it is not overwritten; return the fault."""
         aside = self.path.with_name(f"{self.path.name}.damaged")
         try:
             self.path.replace(aside)
@@ -175,7 +175,7 @@ class StoreFile:
 
 
 def text_of(kept: StoredParameters) -> str:
-    """What is kept as the file holds it."""
+    """Return the content of the file as text."""
     values = dict(sorted(kept.values.items()))
     tuned = [{**vars(one), "values": dict(sorted(one.values.items()))} for one in kept.controllers]
     content = {"version": VERSION, "crc": _crc(values, tuned), "parameters": values}
@@ -187,7 +187,7 @@ def _crc(values: Mapping[str, Any], tuned: object) -> int:
 
 
 def _kept(content: object) -> StoredParameters:
-    """What a file's content says. Raises ValueError or TypeError for damage."""
+    """Read a file's content. Raises ValueError or TypeError for damage."""
     if not isinstance(content, dict) or content.get("version") != VERSION:
         raise ValueError(f"is not of version {VERSION}")
     values, tuned = content.get("parameters"), content.get("controllers", [])

@@ -32,12 +32,12 @@ class VehicleParameter(Parameter):
     bounded: bool = True
 
     def bits(self, value: float) -> bytes:
-        """The four bytes of a value, as PARAM_VALUE carries them."""
+        """Return the four bytes of a value, as PARAM_VALUE carries them."""
         return struct.pack("<i", int(value)) if self.kind == "int32" else struct.pack("<f", value)
 
     @property
     def fixed(self) -> bool:
-        """Whether it has only one value, which tells a client something."""
+        """Return whether it has only one value, which tells a client something."""
         return self.low == self.high
 
 
@@ -68,7 +68,7 @@ def _logging(name: str, default: float, low: float, high: float, text: str) -> V
 
 
 def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """The rows of a vehicle with this MAVLink system id."""
+    """Return the rows of a vehicle with this MAVLink system id."""
     return (
         _fixed("MAV_SYS_ID", system, "MAVLink system id, set where the flight controller is started"),
         _fixed("MAV_COMP_ID", 1, "MAVLink component id: autopilot"),
@@ -123,7 +123,7 @@ def px4_rows(system: int) -> tuple[VehicleParameter, ...]:
 
 @cache
 def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """Every parameter of the vehicle `system` once, by its main name."""
+    """Return every parameter of the vehicle `system` once, by its main name."""
     flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
     rows = (
         VehicleParameter(
@@ -138,7 +138,7 @@ def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
 
 @cache
 def wire_rows(system: int) -> tuple[VehicleParameter, ...]:
-    """What PARAM_REQUEST_LIST shows, in the order of its indices, which is that of the names as in PX4.
+    """Return the rows of PARAM_REQUEST_LIST in the order of their indices, by name as in PX4.
 
     A parameter that the real drone has under a name of its own (FC_PARAM_4) shows under both: `of` says so.
     """

@@ -31,7 +31,7 @@ LONGEST_TEXT, LONGEST_UNIT = 160, 20
 
 @dataclass(frozen=True)
 class UserParameters:
-    """What can be tuned in the controller `name` of the template `kind`; `identity` is the SHA-256 of its JSON `text`.
+    """Tunable parameters of the controller `name` of the template `kind`; `identity` is the SHA-256 of its JSON `text`.
 
     `rows` are the vehicle's rows, `remark` says what of the diagram is not among them, "" if all is.
     """
@@ -45,7 +45,7 @@ class UserParameters:
     _elements: Mapping[str, tuple[Param, tuple[VehicleParameter, ...]]] = field(default_factory=dict, repr=False)
 
     def flying(self, values: Mapping[str, float]) -> dict[str, Any]:
-        """What is to fly, by path (`attitude_control.k_q`): numbers, lists for arrays; `values` by the rows' names."""
+        """Return the values to fly by path (`attitude_control.k_q`), lists for arrays; `values` are by name."""
         flying: dict[str, Any] = {}
         for path, (declared, rows) in self._elements.items():
             defaults = np.ravel(np.asarray(declared.value), order="F").tolist()
@@ -58,7 +58,7 @@ class UserParameters:
 
 
 def user_parameters(controllers: Iterable[Diagram]) -> tuple[UserParameters, ...]:
-    """The tunable parameters of each of `controllers`, in the templates' order, which decides whose names are cut.
+    """Return the tunable parameters of `controllers`, in the templates' order, which decides whose names are cut.
 
     Raises DiagramError for two parameters whose names are alike.
     """
@@ -113,7 +113,7 @@ def _row(kind: str, diagram: str, one: ExportedParameter) -> VehicleParameter:
 
 
 def _exact(declared: Param, row: VehicleParameter, value: float, default: Any) -> Any:
-    """The number that flies for a row's value."""
+    """Return the number that flies for a row's value."""
     if declared.kind == "bool":
         return bool(value)
     if declared.kind not in FLOATS:

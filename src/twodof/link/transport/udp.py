@@ -38,7 +38,7 @@ ONE_IN = 256
 
 
 class FloodGuard:
-    """Refusal of peers that fill a socket faster than it is read; packets that look like a stop always pass.
+    """RefusalReason of peers that fill a socket faster than it is read; packets that look like a stop always pass.
 
     A flood is noticed when more than twice the content of the socket's buffer was read without finding it empty.
     `known` returns the peers that sent valid frames before.
