@@ -85,15 +85,17 @@ void twodof_pitch_step(const twodof_pitch_P *p, twodof_pitch_S *s, const twodof_
 
 void twodof_pitch_defaults(twodof_pitch_P *p)
 {
-     {
-        static const real initial[2] = {0x1p-1f /* 0.5 */, 0x1.47ae14p-4f /* 0.0799999982 */};
+    /* damper: Damper */
+    {
+        static const real initial[2] = {0.5f, 0.08f};
         (void)memcpy(p->damper_gains, initial, sizeof initial);
     }
-    p->damper_ki = 0x1.333334p-2f /* 0.300000012 */;
+    p->damper_ki = 0.3f;
     p->damper_share = 4;
     p->damper_integrating = true;
-    p->damper_sum_0 = 0x0p+0f /* 0 */;
-    p->feed_k = 0x1.47ae14p-7f /* 0.00999999978 */;
+    p->damper_sum_0 = 0.0f;
+    /* feed: gain */
+    p->feed_k = 0.01f;
 }
 
 void twodof_pitch_prepare(twodof_pitch_P *p)
@@ -106,27 +108,26 @@ void twodof_pitch_init(const twodof_pitch_P *p, twodof_pitch_S *s)
     (void)memset(s, 0, sizeof *s);
     /* damper: Damper */
     s->damper_sum = p->damper_sum_0;
-    s->damper_count = 0;
 }
 
 void twodof_pitch_step(const twodof_pitch_P *restrict p, twodof_pitch_S *restrict s, const twodof_pitch_U *restrict u, twodof_pitch_Y *restrict y)
 {
     /* damper: Damper */
     const real damper_t1 = u->theta_0 - u->theta;
-    const real damper_t2 = u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0x0p+0f /* 0 */;
-    real damper_t3 = 0x0p+0f /* 0 */;
-    if (!u->FLAG_RESET_INT) {
-        damper_t3 = s->damper_sum + damper_t1 * 0x1.0624dep-8f /* 0.00400000019 */ / ((real)p->damper_share);
-    }
-    const real damper_M = p->damper_gains[0] * damper_t2 - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0x0p+0f /* 0 */);
-    const real damper_error = damper_t2;
+    const real damper_error = u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0.0f;
     const int32_t damper_count = s->damper_count;
-    s->damper_sum = damper_t3;
-    s->damper_count = int32_add(s->damper_count, 1);
+    const real damper_M = p->damper_gains[0] * (u->FLAG_ATTITUDE_ENABLED ? damper_t1 : 0.0f) - p->damper_gains[1] * u->q + (p->damper_integrating ? p->damper_ki * s->damper_sum : 0.0f);
     /* feed: gain */
     const real feed_y = p->feed_k * u->q_0;
     /* sum: sum */
     const real sum_y = damper_M + feed_y;
+    /* damper: Damper */
+    real damper_t2 = 0.0f;
+    if (!u->FLAG_RESET_INT) {
+        damper_t2 = s->damper_sum + damper_t1 * 0.004f / ((real)p->damper_share);
+    }
+    s->damper_sum = damper_t2;
+    s->damper_count = int32_add(damper_count, 1);
     /* what is returned */
     y->M = sum_y;
     y->damper_error = damper_error;

@@ -75,9 +75,10 @@ void twodof_rail_step(const twodof_rail_P *p, twodof_rail_S *s, const twodof_rai
 
 void twodof_rail_defaults(twodof_rail_P *p)
 {
-    p->kp = 0x1.8p+0f /* 1.5 */;
-    p->k_pitch = -0x1p-2f /* -0.25 */;
-    p->hover_value = 0x1.99999ap-2f /* 0.400000006 */;
+    p->kp = 1.5f;
+    p->k_pitch = -0.25f;
+    /* hover: constant */
+    p->hover_value = 0.4f;
 }
 
 void twodof_rail_prepare(twodof_rail_P *p)
@@ -93,10 +94,10 @@ void twodof_rail_init(const twodof_rail_P *p, twodof_rail_S *s)
 
 void twodof_rail_step(const twodof_rail_P *restrict p, twodof_rail_S *restrict s, const twodof_rail_U *restrict u, twodof_rail_Y *restrict y)
 {
-    /* error: sum */
-    const real error_y = u->x_0 - u->x;
     /* hover: constant */
     const real hover_y = p->hover_value;
+    /* error: sum */
+    const real error_y = u->x_0 - u->x;
     /* gain: gain */
     const real gain_y = p->kp * error_y;
     /* chosen: switch */
