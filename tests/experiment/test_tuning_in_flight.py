@@ -22,7 +22,7 @@ from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.flight.starters import starter
 from twodof.flightlog.steps import ASKED
-from twodof.flightlog.ulog_file import ULog, scan_ulog
+from twodof.flightlog.ulog_file import ULogContents, scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab
 from twodof.signals import TICK_US
@@ -45,7 +45,7 @@ class Flown:
     """A flight in which `TUNING` was set at the tick `at`, all of it and then a part, and its on-board log."""
 
     at: int
-    log: ULog
+    log: ULogContents
     rows: Signals
     trusted: bool
     precision: str

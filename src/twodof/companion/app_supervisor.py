@@ -1,4 +1,4 @@
-"""A user's program on board as a child process: limited, listened to, started again if it crashes, never left behind.
+"""Supervisor of a user's program on board: a child process with limits, a log and restarts, ended with the companion.
 
 Nothing here speaks to the vehicle. When the app dies its link goes silent, and the flight controller lets the lease
 lapse by its own rules (docs/explanation/safety.md).
@@ -29,7 +29,7 @@ MOST_LINES, LINES_PER_SECOND = 200.0, 50.0
 
 @dataclass(frozen=True)
 class AppLimits:
-    """What an app may use: memory and the largest file [byte], open files, and by how much it stands back."""
+    """Limits of an app: memory and the largest file [byte], open files, niceness."""
 
     memory: int = 4 << 30
     file: int = 1 << 30
@@ -39,7 +39,7 @@ class AppLimits:
 
 @dataclass(frozen=True)
 class RestartPolicy:
-    """When an app that crashed is started again.
+    """Delays and number of restarts of an app that crashed.
 
     The first time after `first` [s], then after twice as long each time, up to `longest`; at most `most` times in a
     row. A lease lives 3 s without its holder, so what flew has come to rest by then. A run of `good` [s] counts as a
@@ -55,7 +55,7 @@ class RestartPolicy:
 class AppSupervisor:
     """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours.
 
-    While `killed` says that its drone is, it is not started again.
+    It is not started again while `killed` returns True for its drone.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class AppSupervisor:
         self._room, self._room_at, self._left_out = MOST_LINES, 0.0, 0
 
     async def run(self) -> int:
-        """Its exit status: 0, or the last one if it is given up (128 + n: ended by signal n).
+        """Return its exit status: 0, or the last one if it is given up (128 + n: ended by signal n).
 
         Status 2, a mistake of the caller, is not tried again.
         """
@@ -106,7 +106,7 @@ class AppSupervisor:
             wait = min(2.0 * wait, self._restarts.longest)
 
     async def _once(self) -> int:
-        """One run of it, from start to the last of its processes."""
+        """Run it once, until the last of its processes has ended."""
         self.starts += 1
         try:
             child, said = await self._start()
@@ -128,9 +128,9 @@ class AppSupervisor:
         return status if status >= 0 else 128 - status
 
     async def _start(self) -> tuple[asyncio.subprocess.Process, FileIO]:
-        """The app, and what it says.
+        """Start the app; return its process and its output.
 
-        The pipe is ours: with one of asyncio's own an app would have ended only once nobody holds the pipe any more.
+        The pipe is our own. With a pipe of asyncio an app would count as running while any process holds the pipe.
         """
         limits = json.dumps(asdict(self._limits))
         reader, writer = os.pipe()
@@ -153,7 +153,7 @@ class AppSupervisor:
         return child, said
 
     async def _end(self, child: asyncio.subprocess.Process) -> None:
-        """Nothing of it is left within `stop_s` and a moment: asked, then killed, its children with it."""
+        """End the app and its children: ask them, and kill them after `stop_s`."""
         try:
             if child.returncode is None:
                 _signal(child.pid, signal.SIGTERM)
@@ -165,7 +165,7 @@ class AppSupervisor:
         await child.wait()
 
     async def _listen(self, said: FileIO) -> None:
-        """Its lines to the log, as they come; it is never held up, however much it says."""
+        """Write its lines to the log as they come, without ever holding it up."""
         loop = asyncio.get_running_loop()
         stream = asyncio.StreamReader()
         transport, _ = await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(stream), said)
@@ -185,7 +185,7 @@ class AppSupervisor:
             self._tell_left_out()
 
     def _say(self, line: bytes) -> None:
-        """One line of its to the log, unless there were too many."""
+        """Write one of its lines to the log, unless there were too many."""
         now = asyncio.get_running_loop().time()
         self._room = min(self._room + (now - self._room_at) * LINES_PER_SECOND, MOST_LINES)
         self._room_at = now

@@ -131,8 +131,8 @@ class CompanionClient:
     def wants(self, frame: Frame, vehicle_interval: int, default: int) -> bool:
         """Return whether it gets a frame that the vehicle sends at `vehicle_interval` [us].
 
-        A message that comes faster than wanted is thinned by the time in it, never by our clock, so that the same
-        flight gives the same messages in lockstep and in real time. Messages without a time are not thinned.
+        A message that comes too fast is thinned by the time in it, never by our clock. The same flight then gives the
+        same messages in lockstep and in real time. Messages without a time are not thinned.
         """
         number = frame.message_id
         if number in self.due_once:
@@ -150,7 +150,7 @@ class CompanionClient:
         return due
 
     def deliver(self, frame: Frame, lost: int = 0) -> None:
-        """Send a frame, numbered so that a thinned message is no loss; `lost` frames of its sender were lost before."""
+        """Send a frame, numbered so that thinned messages do not count as lost, but `lost` frames of its sender do."""
         self.write(renumbered(frame, self.number((frame.system, frame.component), lost)))
 
     def number(self, identity: Identity, lost: int = 0) -> int:

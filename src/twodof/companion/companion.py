@@ -103,7 +103,7 @@ class Companion:
 
     @property
     def killed(self) -> bool:
-        """Whether the drone said that it was killed, and not yet that it was released."""
+        """True from the kill that the drone reported to its release."""
         return self.router.killed
 
     @property

@@ -96,7 +96,7 @@ class Router:
         self.refresh()
 
     def started(self) -> None:
-        """Tell the vehicle all streams again: it is connected anew, or may have been restarted."""
+        """Tell the vehicle all streams again, after it has reconnected or restarted."""
         self.streams.asked.clear()
         self.refresh()
 

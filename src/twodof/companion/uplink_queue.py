@@ -75,7 +75,7 @@ class UplinkQueue:
 
     @property
     def waiting(self) -> bool:
-        """Whether frames wait for their turn."""
+        """True if frames wait for their turn."""
         return bool(self._urgent or self._queues)
 
     def offer(

@@ -1,7 +1,7 @@
-"""A connection: messages out and in over one transport, signed if asked, counted, for one system and component.
+"""Connection: messages over one transport for one system and component, signed if asked, and counted.
 
-What the flight controller, the companion and the ground all stand on. It answers TIMESYNC and PING by itself and does
-nothing else on its own: heartbeats, leases and what silence means belong to its user.
+Flight controller and ground both use it. It answers TIMESYNC and PING by itself and does nothing else on its own:
+heartbeats, leases and the meaning of silence belong to its user.
 """
 
 import asyncio
@@ -23,13 +23,13 @@ from twodof.link.transport.base import Packet, Transport
 MOST_PARSERS = 64
 # Frames of one peer that were taken before their turn and have not come in it yet.
 MOST_AGAIN = 64
-# What has begun and is not followed for this long is no frame: 280 bytes take 49 ms at 57600 baud.
+# A frame that is not continued for this long is given up: 280 bytes take 49 ms at 57600 baud.
 BROKEN_OFF_S = 0.1
-# A stream is looked through in pieces, and for so long before others get a turn: in bytes, in which a packet, a
-# checksum that does not hold and an answer of ours count too. That is half a millisecond to two, whatever comes.
+# A stream is parsed in pieces, up to so many bytes before other tasks get a turn. A packet, a wrong checksum and an
+# answer of ours count as bytes too. That takes half a millisecond to two, whatever comes.
 PIECE, MOST_LOOKED_THROUGH = 512, 8192
 A_PACKET, A_CHECKSUM, AN_ANSWER = 32, 16, 256
-# Who signs rightly and has a time of before is told ours; a replayed packet looks the same, so not each is answered.
+# A peer that signs rightly with an old stamp is told our time. A replayed packet looks the same, so few are answered.
 TELL_S = 0.1
 _TIMESYNC, _PING = 111, 4
 
@@ -112,9 +112,9 @@ class Connection:
         self.transport.send(frame.raw, to)
 
     async def receive(self, timeout: float) -> Received | None:
-        """The next message that the dialect has, None if none comes within `timeout` [s]; with 0 it does not wait.
+        """Return the next known message, None if none comes within `timeout` [s]; with 0 it does not wait.
 
-        Raises LinkLost when the link is gone, after what had arrived before.
+        Raises LinkLost when the link is gone, after all messages that had arrived.
         """
         end = self._clock_of_loop() + timeout
         while True:
@@ -128,8 +128,7 @@ class Connection:
                 await asyncio.sleep(0)
 
     def receive_now(self) -> Received | None:
-        """The next message if one is there, found in a look of bounded length; if it finds none, `receive` may still
-        find one.
+        """Return the next message if it is found in bounded time; otherwise `receive` may still find one.
 
         Raises LinkLost as `receive`.
         """
@@ -142,7 +141,7 @@ class Connection:
         return None
 
     async def receive_frame(self, timeout: float) -> tuple[Frame, Hashable] | None:
-        """The next frame and its peer; the dialect may not know its message. A router passes it on.
+        """Return the next frame and its peer, for a router; the dialect may not know its message.
 
         None if none comes within `timeout` [s]. Raises LinkLost as `receive`.
         """
@@ -176,7 +175,7 @@ class Connection:
         return asyncio.get_running_loop().time()
 
     def _next_frame(self) -> tuple[Frame, Hashable] | None:
-        """The next frame; None where none is there, or where none was found before others must have their turn."""
+        """Return the next frame; None if there is none, or none was found before other tasks must get a turn."""
         looked, self._tired = 0, False
         while (packet := self.transport.receive_ahead()) is not None:
             self._take_ahead(packet)
@@ -200,7 +199,7 @@ class Connection:
         return self._frames.popleft()
 
     def _take(self, data: bytes, peer: Hashable, whole: bool = False) -> int:
-        """Cut what came into frames and keep those that are let in; how many checksums did not hold."""
+        """Cut data into frames and keep the accepted ones; return the number of wrong checksums."""
         whole = whole or self.transport.whole
         key: Hashable = None if self.transport.whole else peer  # datagrams leave nothing behind
         parser = self._parsers.get(key)
@@ -221,7 +220,7 @@ class Connection:
         return self._counts.bad_checksum - bad
 
     def _take_ahead(self, packet: Packet) -> None:
-        """A frame that stops motors, before everything that came earlier."""
+        """Take a kill or a disarm before everything that came earlier."""
         again = self._again.setdefault(packet.peer, [])
         again.append(packet.data)
         if len(again) > MOST_AGAIN:  # a stream that breaks off in them: they will not come
@@ -233,7 +232,7 @@ class Connection:
                 self._frames.appendleft((frame, packet.peer))
 
     def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
-        """Whether a frame is for who receives: signed as it must be, and no question about time that is answered."""
+        """Return True if a frame is signed as it must be, and is not a question about time that is answered here."""
         verdict = self.signing.check(frame) if self.signing is not None else SigningVerdict.ACCEPTED
         if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE):
             self._tell_time(peer)
@@ -245,7 +244,7 @@ class Connection:
         return frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer)
 
     def _tell_time(self, peer: Hashable) -> None:
-        """Say something signed to a peer, whose time follows the stamp: over UDP it may hear nothing else of us."""
+        """Send a signed message to a peer, so that its time follows ours; over UDP it may hear nothing else of us."""
         now = self._clock()
         if now - self._told >= TELL_S:
             self._told = now
@@ -253,7 +252,7 @@ class Connection:
                 self.ping(peer)
 
     def _answer(self, frame: Frame, peer: Hashable) -> bool:
-        """Answer a question about time that is ours to answer, take an answer to ours; False for what is others'."""
+        """Answer a question about time, or take the answer to ours; return False if the frame is for the user."""
         got = decode(frame)
         if got is None:
             return False

@@ -166,7 +166,7 @@ def wall_stamp() -> int:
 class Stamps:
     """Time stamps over restarts: none of ours is used twice, none of a peer's is accepted twice.
 
-    The file at `path` holds one stamp. All stamps up to it count as used in the next run, whoever used them. It runs
+    The file at `path` holds one stamp. All stamps up to it count as used in the next run. It runs
     ahead of use by up to MARGIN, so that it is written every few seconds, in the background, and holds after a crash.
     `path` None keeps nothing. Only one process may have a file at a time. Raises LinkError if another process has it,
     or if it cannot be read, because a guess would let old frames in. A disk that fails later stops no flight, since a
@@ -213,7 +213,7 @@ class Stamps:
 
     @property
     def full(self) -> bool:
-        """Whether MOST_STREAMS are known, so that no new one is accepted."""
+        """True if MOST_STREAMS are known, so that no new one is accepted."""
         return len(self._streams) >= MOST_STREAMS
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What a link is worth: loss per sender, round trip and clock offset, rate per message."""
+"""Statistics of a link: loss per sender, round trip and clock offset, rate per message."""
 
 from dataclasses import dataclass, field
 
@@ -31,10 +31,10 @@ class SenderCounts:
         return self.lost / sent if sent > 0 else 0.0
 
     def count(self, sequence: int) -> None:
-        """One more frame.
+        """Count a frame.
 
-        A frame up to WINDOW behind the newest is one that was late, or a second copy. One further behind, but not far
-        ahead, can only be of a sender that began anew.
+        A frame up to WINDOW behind the newest was late, or is a second copy. A frame further behind, but not far ahead,
+        comes from a sender that restarted.
         """
         self.received += 1
         ahead = (sequence - self._last) % _RANGE
@@ -57,7 +57,7 @@ class SenderCounts:
 
 @dataclass(slots=True)
 class MessageRate:
-    """How often one message comes: in all, and per second over the last whole window."""
+    """Rate of one message: its total count, and per second over the last whole window."""
 
     count: int = 0
     _since: float = 0.0
@@ -65,13 +65,13 @@ class MessageRate:
     _last: float = 0.0
 
     def add(self, now: float) -> None:
-        """One more, at `now` [s]."""
+        """Count a message at `now` [s]."""
         self._roll(now)
         self.count += 1
         self._in_window += 1
 
     def per_second(self, now: float) -> float:
-        """Messages a second [1/s] over the last whole window before `now` [s]; 0 once it has been silent for one."""
+        """Return messages per second over the last whole window before `now` [s]; 0 after a silent window."""
         self._roll(now)
         return self._last
 
@@ -96,13 +96,13 @@ class RoundTrips:
     _asked: dict[int, float] = field(default_factory=dict)
 
     def asked(self, token: int, now: float) -> None:
-        """A question that `token` names was sent at `now` [s]; of those without an answer the oldest is forgotten."""
+        """Note that the question `token` was sent at `now` [s]; if there are too many, forget the oldest."""
         self._asked[token] = now
         if len(self._asked) > MOST_ASKED:
             del self._asked[next(iter(self._asked))]
 
     def answered(self, token: int, now: float, theirs: float | None = None) -> float | None:
-        """The round trip [s] of an answer at `now` [s], None if nobody asked; `theirs` is the other clock [s]."""
+        """Return the round trip [s] of an answer at `now` [s], None without a question; `theirs` is the other clock."""
         sent = self._asked.pop(token, None)
         if sent is None or now < sent:
             return None
@@ -117,7 +117,7 @@ class RoundTrips:
 
 
 class LinkStatistics:
-    """Everything counted of what comes over one link."""
+    """All counts of received frames of one link."""
 
     def __init__(self) -> None:
         self.senders: dict[tuple[int, int], SenderCounts] = {}
@@ -130,7 +130,7 @@ class LinkStatistics:
         return f"<{received} frames of {len(self.senders)} senders, {100.0 * self.loss:.2g} % lost{trip}>"
 
     def count(self, frame: Frame, now: float) -> None:
-        """One frame that was taken, at `now` [s]. Beyond MOST_SENDERS senders only rates are counted."""
+        """Count an accepted frame at `now` [s]. Beyond MOST_SENDERS senders only rates are counted."""
         sender = self.senders.get((frame.system, frame.component))
         if sender is None and len(self.senders) < MOST_SENDERS:
             sender = self.senders[frame.system, frame.component] = SenderCounts()

@@ -37,7 +37,7 @@ _lock = Lock()
 
 
 def load() -> ModuleType:
-    """The dialect's module, the same one for all threads of the process.
+    """Return the dialect's module, the same one for all threads of the process.
 
     Raises LinkError where it cannot be generated.
     """
@@ -50,7 +50,7 @@ def load() -> ModuleType:
 
 
 def build(files: Mapping[str, str]) -> ModuleType:
-    """A module made of the definitions in `files` (name -> XML; the first includes the others), not registered.
+    """Generate a module from the definitions in `files` (name -> XML; the first includes the others), unregistered.
 
     Raises LinkError where the generator refuses or hangs.
     """
@@ -90,13 +90,13 @@ def _generate(files: Mapping[str, str], made: Path) -> None:
 
 
 def classes() -> Mapping[str, Any]:
-    """Message name -> its class in the dialect, by rising id."""
+    """Return the class of each message of the dialect by its name, in the order of the ids."""
     kinds = load().mavlink_map
     return MappingProxyType({kinds[number].msgname: kinds[number] for number in sorted(kinds)})
 
 
 def message_id(name: str) -> int:
-    """The id of the message called `name` ("HEARTBEAT"). Raises LinkError if there is none."""
+    """Return the id of the message called `name` ("HEARTBEAT"). Raises LinkError if there is none."""
     found = getattr(load(), f"MAVLINK_MSG_ID_{name}", -1)
     if found < 0:
         raise LinkError(f"no such message {shown(name)}", "MAVLink dialect", f"there are {listed(classes(), 200)}")

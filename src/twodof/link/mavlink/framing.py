@@ -32,7 +32,7 @@ _MARKER = re.compile(rb"[\xfd\xfe]")
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One packet as it is on the wire: whose it is, which message, and its bytes."""
+    """One packet as it is on the wire: its sender, its message and its bytes."""
 
     raw: bytes
     version: int
@@ -50,13 +50,13 @@ class Frame:
 
     @property
     def known(self) -> bool:
-        """Whether the dialect has this message; the checksum of any other cannot be told from rubbish."""
+        """True if the dialect has this message; the checksum of another one cannot be verified."""
         return self.message_id in crc_extras()
 
 
 @dataclass(slots=True)
 class FramingCounts:
-    """What a parser has met: frames that held, of those unknown to the dialect, and what it threw away."""
+    """Counts of a parser: valid frames, those unknown to the dialect, and rejected data by cause."""
 
     frames: int = 0
     unknown: int = 0
@@ -67,7 +67,7 @@ class FramingCounts:
 
 @cache
 def crc_extras() -> dict[int, bytes]:
-    """CRC_EXTRA of each message of the dialect, by its id."""
+    """Return the CRC_EXTRA of each message of the dialect by its id."""
     return {number: bytes([kind.crc_extra]) for number, kind in dialect.load().mavlink_map.items()}
 
 
@@ -89,10 +89,10 @@ class Parser:
         return len(self._pending)
 
     def feed(self, data: bytes, whole: bool = False) -> list[Frame]:
-        """The frames that end in `data`, which continues what was fed before.
+        """Return the frames that end in `data`, which continues the data fed before.
 
-        `whole`: nothing follows, as after a datagram or a long silence. Then what looks like the beginning of a frame
-        is searched for frames too, up to MOST_FALSE of them.
+        `whole`: nothing follows, as after a datagram or a long silence. Then up to MOST_FALSE incomplete frames are
+        searched for frames inside them.
         """
         data = self._pending + data
         counts, frames, at, end = self.counts, [], 0, len(data)
@@ -121,7 +121,7 @@ class Parser:
         return frames
 
     def _length(self, data: bytes, start: int, end: int) -> int | None:
-        """Length of the frame that the header at `start` promises, 0 if it is none, None if too little is there."""
+        """Return the length of the frame by its header at `start`: 0 for no frame, None if the header is incomplete."""
         if end - start < 3:
             return None
         if data[start] == MARKER_1:
@@ -132,7 +132,7 @@ class Parser:
         return HEADER_2 + data[start + 1] + CHECKSUM + (SIGNATURE if flags else 0)
 
     def _frame(self, data: bytes, start: int, stop: int, aligned: bool) -> Frame | None:
-        """The frame in data[start:stop], or None where it does not hold."""
+        """Return the frame in data[start:stop], None if it is invalid."""
         version, signed, number = self._head(data, start)
         sequence, system, component = data[start + 4 : start + 7] if version == 2 else data[start + 2 : start + 5]
         if number not in self._extras:
@@ -150,19 +150,19 @@ class Parser:
         return Frame(data[start:stop], version, number, system, component, sequence, signed)
 
     def _head(self, data: bytes, start: int) -> tuple[int, bool, int]:
-        """Version, whether it is signed, and message number of the frame at `start`."""
+        """Return version, signed flag and message id of the frame at `start`."""
         if data[start] == MARKER_1:
             return 1, False, data[start + HEADER_1 - 1]
         return 2, data[start + 2] == SIGNED, int.from_bytes(data[start + HEADER_2 - 3 : start + HEADER_2], "little")
 
     def _holds(self, data: bytes, start: int, stop: int) -> bool:
-        """Whether the checksum of the frame in data[start:stop], of a known message, is right."""
+        """Return True if the checksum of the frame in data[start:stop], of a known message, is right."""
         _, signed, number = self._head(data, start)
         checked = stop - CHECKSUM - (SIGNATURE if signed else 0)
         return crc16.mcrf4xx(data[start + 1 : checked] + self._extras[number]) == data[checked] | data[checked + 1] << 8
 
     def _frame_within(self, data: bytes, at: int, stop: int) -> bool:
-        """Whether a frame of a known message begins in data[at:stop], be it cut off at the end of `data`.
+        """Return True if a frame of a known message begins in data[at:stop], even if `data` ends inside it.
 
         Among rubbish in which two of five bytes are markers, 11,994 of 12,000 frames are found so, 11,369 without.
         """
@@ -181,14 +181,14 @@ class Parser:
 
 @cache
 def _plan(number: int) -> tuple[Any, int, tuple[tuple[int, int], ...]]:
-    """Class, size on the wire, and per field (by the constructor's order) its place among the unpacked values."""
+    """Return class, size on the wire, and for each field in the constructor's order its place among the values."""
     kind = dialect.load().mavlink_map[number]
     starts = [0, *accumulate(kind.lengths)]
     return kind, kind.unpacker.size, tuple((starts[order], kind.lengths[order]) for order in kind.orders)
 
 
 def decode(frame: Frame) -> Any | None:
-    """The message in a frame that a parser gave, or None if the dialect has it not.
+    """Return the message in a frame of a parser, None if the dialect does not have it.
 
     Its class is pymavlink's (`get_type()`, `get_srcSystem()`, a field an attribute); arrays are lists, text is str.
     """
@@ -222,7 +222,7 @@ def decode(frame: Frame) -> Any | None:
 
 @dataclass(slots=True)
 class _Sender:
-    """What a message of pymavlink asks of its sender when it is packed."""
+    """Sender of a message in the form that pymavlink's `pack` takes."""
 
     seq: int
     srcSystem: int
@@ -234,7 +234,7 @@ _UNSIGNED = SimpleNamespace(sign_outgoing=False)
 
 
 def encode(message: Any, system: int, component: int, sequence: int, signing: Any = _UNSIGNED) -> bytes:
-    """A message as MAVLink 2. Raises LinkError, naming the field, where a value does not fit its type."""
+    """Encode a message as MAVLink 2. Raises LinkError with the name of a field whose value does not fit its type."""
     try:
         return bytes(message.pack(_Sender(sequence, system, component, signing)))
     except (struct.error, TypeError, IndexError, OverflowError, AttributeError) as error:
@@ -242,7 +242,7 @@ def encode(message: Any, system: int, component: int, sequence: int, signing: An
 
 
 def _culprit(message: Any) -> str:
-    """Which field does not fit, and its value."""
+    """Name the field whose value does not fit, with the value."""
     kind = type(message)
     letters = dict(zip(kind.ordered_fieldnames, kind.native_format[1:].decode(), strict=True))
     counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))

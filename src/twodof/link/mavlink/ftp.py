@@ -65,19 +65,19 @@ class FtpPacket(NamedTuple):
 
     @property
     def text(self) -> str:
-        """The path that a request carries, up to a zero."""
+        """Path in a request, up to the first zero."""
         return self.data[: self.size].split(b"\0")[0].decode("utf-8", "replace")
 
     def ack(self, data: bytes = b"", **changed: Any) -> FtpPacket:
-        """The answer to this request: done; `changed` are fields other than the request's."""
+        """Return the positive answer to this request; `changed` are fields that differ from the request."""
         return self._answer(FtpOperation.ACK, data, **changed)
 
     def nak(self, fault: int, errno: int = 0) -> FtpPacket:
-        """The answer to this request: refused."""
+        """Return the negative answer to this request."""
         return self._answer(FtpOperation.NAK, bytes((fault, errno & 0xFF) if fault == FtpError.ERRNO else (fault,)))
 
     def part(self, number: int, offset: int, data: bytes, last: bool) -> FtpPacket:
-        """A part of the answer to this burst request, the `number`-th from 0."""
+        """Return part `number` (from 0) of the answer to this burst request."""
         return self._answer(FtpOperation.ACK, data, number, offset=offset, complete=int(last))
 
     def _answer(self, op: int, data: bytes, number: int = 0, **changed: Any) -> FtpPacket:
@@ -87,11 +87,11 @@ class FtpPacket(NamedTuple):
 
 
 def read_packet(payload: bytes) -> FtpPacket:
-    """The packet that 251 bytes of a message hold; `size` may say anything."""
+    """Read the packet in the 251 bytes of a message; `size` is not verified."""
     return FtpPacket._make((*_HEADER.unpack_from(payload), payload[_HEADER.size : _PAYLOAD]))
 
 
 def packed(packet: FtpPacket, system: int, component: int) -> Any:
-    """The message with a packet for that client."""
+    """Return the message that carries a packet to a client."""
     payload = _HEADER.pack(*packet[:-1]) + packet.data
     return message("FILE_TRANSFER_PROTOCOL", target_system=system, target_component=component, payload=payload)

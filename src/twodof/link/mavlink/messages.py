@@ -1,4 +1,4 @@
-"""Messages by name with checked fields, and what our own carry: batches of samples, excitations in pieces.
+"""Messages by name with checked fields, and the content of our own: batches of samples, excitations in pieces.
 
 A message is an object of pymavlink's class for it. A field that is not given is 0 (text: empty).
 """
@@ -29,7 +29,7 @@ _CHANNEL = "TWODOF_CHANNEL_"
 
 @cache
 def _layout(name: str) -> tuple[Any, dict[str, tuple[str, int]]]:
-    """Class of a message, and type and array length (0: no array) of each field, in the constructor's order."""
+    """Return the class of a message, and type and array length (0: no array) of each field in constructor order."""
     kind = dialect.load().mavlink_map[dialect.message_id(name)]
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
     rows = zip(kind.fieldnames, kind.fieldtypes, strict=True)
@@ -37,12 +37,12 @@ def _layout(name: str) -> tuple[Any, dict[str, tuple[str, int]]]:
 
 
 def fields_of(name: str) -> tuple[str, ...]:
-    """The names of a message's fields. Raises LinkError for a name that is none."""
+    """Return the names of a message's fields. Raises LinkError for an unknown message."""
     return tuple(_layout(name)[1])
 
 
 def message(name: str, /, **fields: Any) -> Any:
-    """The message called `name` ("COMMAND_LONG") with these fields, the others 0.
+    """Make the message called `name` ("COMMAND_LONG") with these fields, the others 0.
 
     Text may be str (UTF-8) or bytes; an array may be shorter than its field and is filled with zeros. Raises LinkError
     for an unknown name, and for text or an array that is too long. A number that does not fit its type is found when
@@ -80,7 +80,7 @@ def _array(name: str, field: str, value: Any, length: int) -> list[Any]:
 
 
 def float_of_int(value: int) -> float:
-    """The float32 with the bits of an int32: how PX4 carries int32 parameters in PARAM_VALUE and PARAM_SET.
+    """Return the float32 with the bits of an int32, as PX4 carries int32 parameters in PARAM_VALUE and PARAM_SET.
 
     Raises LinkError for a value outside of int32, and for the bits of signalling NaNs, which Python's float does not
     keep (7f800001 to 7fbfffff, ff800001 to ffbfffff).
@@ -95,14 +95,14 @@ def float_of_int(value: int) -> float:
 
 
 def int_of_float(value: float) -> int:
-    """The int32 whose bits a received float32 holds; the inverse of `float_of_int`."""
+    """Return the int32 with the bits of a received float32; the inverse of `float_of_int`."""
     return int(struct.unpack("<i", struct.pack("<f", value))[0])
 
 
 def statustext(text: str, severity: int = 6, number: int = 0) -> list[Any]:
-    """A line of text as STATUSTEXT; a longer one in chunks under the id `number`, which must then be 1 to 65535.
+    """Make STATUSTEXT of a line; a longer one in chunks under the id `number`, which must then be 1 to 65535.
 
-    Severities are syslog's (MAV_SEVERITY): 6 is information. At most 255 chunks; what is beyond is cut.
+    Severities are syslog's (MAV_SEVERITY): 6 is information. At most 255 chunks; the rest is cut.
     """
     data = text.encode()
     if len(data) <= STATUSTEXT_BYTES:
@@ -116,7 +116,7 @@ def statustext(text: str, severity: int = 6, number: int = 0) -> list[Any]:
 
 @cache
 def channel_bits() -> dict[str, int]:
-    """Column of `signals.TOPICS`, as the dialect writes it ("IMU_ACC_X") -> its bit in TWODOF_BATCH.channels."""
+    """Return the bit in TWODOF_BATCH.channels of each column, by its name in the dialect ("IMU_ACC_X")."""
     entries = dialect.load().enums["TWODOF_CHANNEL"]
     names = {entry.name.removeprefix(_CHANNEL): bit for bit, entry in entries.items()}
     names.pop("ENUM_END")  # the generator's own last entry
@@ -124,7 +124,7 @@ def channel_bits() -> dict[str, int]:
 
 
 def channel_mask(columns: Sequence[str]) -> int:
-    """The mask of columns such as `imu.gyro_y`. Raises LinkError for one that is none."""
+    """Return the mask of columns such as `imu.gyro_y`. Raises LinkError for an unknown column."""
     bits, mask = channel_bits(), 0
     for column in columns:
         bit = bits.get(column.replace(".", "_").upper())
@@ -135,7 +135,7 @@ def channel_mask(columns: Sequence[str]) -> int:
 
 
 def batch(tick: int, mask: int, rows: NDArray[np.float32], every: int = 1) -> list[Any]:
-    """Samples (n, channels of `mask` by rising bit) in as few TWODOF_BATCH as hold them.
+    """Pack samples (n, channels of `mask` by rising bit) into as few TWODOF_BATCH as hold them.
 
     The first is at `tick`, the others are `every` ticks apart.
 
@@ -159,7 +159,7 @@ def batch(tick: int, mask: int, rows: NDArray[np.float32], every: int = 1) -> li
 
 
 def batch_rows(received: Any) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
-    """Ticks (n,) and samples (n, channels by rising bit) of a TWODOF_BATCH; empty where its numbers make no sense."""
+    """Return ticks (n,) and samples (n, channels by rising bit) of a TWODOF_BATCH; empty if its numbers are invalid."""
     width = int(received.channels).bit_count()
     count = min(received.rows, BATCH_VALUES // width) if width else 0
     values = np.array(received.values[: count * width], dtype=np.float32).reshape(count, width)
@@ -168,7 +168,7 @@ def batch_rows(received: Any) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
 
 
 def excite(excitation: Excitation, loop: int, transfer: int, system: int, component: int) -> Iterator[Any]:
-    """An excitation's definition in pieces, to be sent in order; TWODOF_EXCITE with action START plays it.
+    """Cut an excitation's definition into messages to be sent in order; TWODOF_EXCITE with action START plays it.
 
     Raises LinkError for a definition longer than LONGEST_EXCITATION bytes.
     """
@@ -193,7 +193,7 @@ def excite(excitation: Excitation, loop: int, transfer: int, system: int, compon
 
 
 class ExcitationReceiver:
-    """Puts the pieces of one sender's TWODOF_EXCITE together; repeated and reordered ones do no harm."""
+    """Assembly of the pieces of one sender's TWODOF_EXCITE, which may be repeated and reordered."""
 
     def __init__(self) -> None:
         self.transfer = -1
@@ -203,16 +203,16 @@ class ExcitationReceiver:
 
     @property
     def received(self) -> int:
-        """Bytes that have arrived without a gap, from the first."""
+        """Number of bytes from the first one without a gap."""
         at = 0
         while at in self._pieces:
             at += len(self._pieces[at])
         return at
 
     def take(self, piece: Any) -> bytes | None:
-        """The definition's bytes once the last piece has come and the checksum holds, else None.
+        """Return the definition's bytes once all pieces have come and the checksum holds, else None.
 
-        A piece of another transfer, length or checksum begins anew; one that does not fit is ignored.
+        A piece of another transfer, length or checksum restarts the assembly; a piece that does not fit is ignored.
         """
         if (piece.transfer, piece.crc, piece.total) != (self.transfer, self._crc, self._total):
             self.transfer, self._crc, self._total, self._pieces = piece.transfer, piece.crc, piece.total, {}
@@ -246,11 +246,11 @@ class Packed:
         return f"Packed({self.name}, {self.payload.hex()})"
 
     def get_type(self) -> str:
-        """The message's name, as pymavlink's messages give it."""
+        """Return the message's name, as pymavlink's messages do."""
         return self.name
 
     def pack(self, sender: Any) -> bytes:
-        """The whole frame. `sender` is what pymavlink asks for: seq, srcSystem, srcComponent, signing."""
+        """Return the whole frame. `sender` has the attributes of pymavlink's: seq, srcSystem, srcComponent, signing."""
         payload = self.payload
         if sender.signing.sign_outgoing:
             whole = dialect.load().MAVLink_message(int.from_bytes(self._ident, "little"), self.name)
@@ -284,7 +284,7 @@ class Packer:
         self._extra = bytes([kind.crc_extra])
 
     def __call__(self, *values: Any) -> Packed:
-        """The message with these values."""
+        """Make the message with these values."""
         try:
             payload = self._struct.pack(*values)
         except OverflowError:

@@ -7,7 +7,7 @@ from twodof.errors import LinkError, listed, shown
 
 
 class FlightMode(NamedTuple):
-    """What a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY.
+    """Mode that a client may choose. `name` is ours, `main` and `sub` are PX4's; MAV_STANDARD_MODE, MAV_MODE_PROPERTY.
 
     `sticks`: MANUAL_CONTROL steers it. `moves_cart`: it moves the cart, which the rings may lock. `levels`: a loop on
     board keeps the pitch.

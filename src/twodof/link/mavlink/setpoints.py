@@ -43,13 +43,13 @@ class SetPoint(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether its numbers are finite and its loop is one of the flight code's."""
+        """True if its numbers are finite and its loop is one of the flight code's."""
         loop = self.loop is None or OPEN_LOOP <= self.loop <= POSITION
         return loop and all(value is None or math.isfinite(value) for value in self[1:])
 
     @property
     def moves_cart(self) -> bool:
-        """Whether its loop moves the cart along the rail."""
+        """True if its loop moves the cart along the rail."""
         return self.loop is not None and self.loop >= VELOCITY
 
     def after(self, before: SetPoint) -> SetPoint:

@@ -1,4 +1,4 @@
-"""A URL becomes a transport."""
+"""Transports by URL: UDP, TCP, serial lines and links in memory."""
 
 import asyncio
 
@@ -15,10 +15,10 @@ RETRY_S = 0.05
 
 
 async def open_transport(url: str, timeout: float = 5.0) -> Transport:
-    """The transport that `url` names; the forms are in `url.parse`.
+    """Open the transport that `url` names; the forms are in `url.parse`.
 
-    Where nobody listens yet it is tried again until `timeout` [s] has passed. Raises LinkError for a URL that is none
-    or that the system refuses, LinkLost if nobody answered in time.
+    If the other side does not listen yet, it is tried again until `timeout` [s] has passed. Raises LinkError for an
+    invalid URL or one that the system refuses, LinkLost without an answer in time.
     """
     address = parse(url)
     try:

@@ -1,9 +1,9 @@
-"""What every transport is: packets of bytes out and in, bounded queues whose drops are counted, a clear end.
+"""Base of all transports: packets of bytes out and in, bounded queues whose drops are counted, a clear end.
 
-Sending never waits: what the system does not take now is queued up to a bound and then dropped and counted. Receiving
-waits up to a deadline. A transport that is lost or closed gives what has arrived and then raises LinkLost. It does not
-reconnect by itself, as only its user knows what must be said again; `open_transport` opens a new one. UDP is never
-lost: a silent peer may come back, and the layer above judges silence.
+Sending never waits: bytes that the system does not take are queued up to a bound, and then dropped and counted.
+Receiving waits up to a deadline. A transport that is lost or closed returns the packets that have arrived, then raises
+LinkLost. It does not reconnect by itself; `open_transport` opens a new one. UDP is never lost: a silent peer may come
+back, and the layer above judges silence.
 """
 
 import asyncio
@@ -28,9 +28,9 @@ _Given = TypeVar("_Given")
 
 
 class Packet(NamedTuple):
-    """Bytes that arrived, and who sent them: what `Transport.send` takes as `to`.
+    """Bytes that arrived, and their sender, which `Transport.send` takes as `to`.
 
-    `ahead`: a frame that stops motors, taken before its turn; it comes once more, in its turn.
+    `ahead`: a kill or disarm, taken before its turn; it comes once more, in its turn.
     """
 
     data: bytes
@@ -53,7 +53,7 @@ class TransportCounts:
 
 @dataclass(slots=True)
 class _Queue:
-    """What waits of one peer, its bytes, and bytes left of its turn: below 0 it has had too much."""
+    """Waiting packets of one peer, their bytes, and the bytes left of its turn; below 0 it has had too much."""
 
     packets: deque[bytes] = field(default_factory=deque)
     size: int = 0
@@ -61,10 +61,10 @@ class _Queue:
 
 
 class Inbox:
-    """Packets that arrived and were not taken: bounded, the oldest dropped and counted; put from any thread.
+    """Bounded queue of packets that arrived, filled from any thread; the oldest are dropped and counted.
 
-    Peers take turns by bytes (deficit round robin), so that one that floods keeps no other waiting; of one peer they
-    stay in their order. What stops motors goes before all turns.
+    Peers take turns by bytes (deficit round robin), so that a flooding peer does not delay the others. Packets of one
+    peer keep their order. Kills and disarms go before all turns.
     """
 
     def __init__(self, counts: TransportCounts) -> None:
@@ -84,7 +84,7 @@ class Inbox:
 
     @property
     def full(self) -> bool:
-        """Whether half of what it may hold is there, so that a stream should be stopped."""
+        """True if it is half full, so that a stream should be paused."""
         return self._bytes > MOST_BYTES // 2 or self._packets > MOST_PACKETS // 2
 
     def put(self, packet: Packet) -> None:
@@ -109,14 +109,14 @@ class Inbox:
         self._wake()
 
     def put_ahead(self, raw: bytes, peer: Hashable) -> None:
-        """Add a frame that stops motors, and that is `put` too; of one peer few wait so, the rest only in its turn."""
+        """Add a kill or disarm that is also `put`; at most MOST_AHEAD of a peer wait here."""
         if self._ahead_of[peer] < MOST_AHEAD:
             self._ahead_of[peer] += 1
             self._ahead.append(Packet(raw, peer, ahead=True))
             self._wake()
 
     def take_ahead(self) -> Packet | None:
-        """The oldest of these, None if there is none."""
+        """Return the oldest of these frames, None if there is none."""
         if not self._ahead:
             return None
         packet = self._ahead.popleft()
@@ -126,15 +126,15 @@ class Inbox:
         return packet
 
     def waits_of(self, peer: Hashable) -> int:
-        """Bytes of `peer` that wait."""
+        """Return the number of waiting bytes of `peer`."""
         return self._queues[peer].size if peer in self._queues else 0
 
     def _waiting(self, peer: Hashable) -> int:
-        """Packets of `peer` that wait."""
+        """Return the number of waiting packets of `peer`."""
         return len(self._queues[peer].packets) if peer in self._queues else 0
 
     def _next(self) -> Hashable:
-        """The peer whose turn it is: one that has used up its bytes waits for as many turns as it has had too much."""
+        """Return the peer whose turn it is; a peer that took too many bytes waits for as many turns."""
         while True:
             peer, queue = next(iter(self._queues.items()))
             if queue.credit > 0:
@@ -158,7 +158,7 @@ class Inbox:
         return Packet(data, peer)
 
     def end(self, reason: LinkLost) -> None:
-        """No more will come; the first reason stays."""
+        """End the queue; the first reason stays."""
         if self._end is None:
             self._end = reason
             if self._on_end is not None:
@@ -166,14 +166,14 @@ class Inbox:
         self._wake()
 
     def from_anywhere(self, call: Callable[[_Given], None], given: _Given) -> None:
-        """`put` or `end`, from any thread or loop; nothing happens once the loop is gone."""
+        """Call `put` or `end` from any thread or loop; nothing happens once the loop is gone."""
         if _running_loop() is self._loop:
             call(given)
         elif not self._loop.is_closed():
             self._loop.call_soon_threadsafe(call, given)
 
     def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
-        """Hand what waits and each further packet to `taker`, and the end to `on_end`."""
+        """Hand waiting and further packets to `taker`, and the end to `on_end`."""
         while self._queues or self._ahead:
             taker(self._take())
         self._taker, self._on_end = taker, on_end
@@ -181,7 +181,7 @@ class Inbox:
             on_end(self._end)
 
     def take(self) -> Packet | None:
-        """The oldest packet, None if there is none now. Raises LinkLost if none will come."""
+        """Return the next packet, None if there is none now. Raises LinkLost if none will come."""
         if self._queues or self._ahead:
             return self._take()
         if self._end is not None:
@@ -189,7 +189,7 @@ class Inbox:
         return None
 
     def _take(self) -> Packet:
-        """The oldest packet, where there is one."""
+        """Take the next packet of a queue that is not empty."""
         packet = self.take_ahead()
         if packet is None:
             packet = self._oldest(self._next())
@@ -198,7 +198,7 @@ class Inbox:
         return packet
 
     async def wait(self, timeout: float) -> Packet | None:
-        """The oldest packet, waiting up to `timeout` [s] for one; None when that has passed. Raises LinkLost."""
+        """Wait up to `timeout` [s] for the next packet; return None when that has passed. Raises LinkLost."""
         packet = self.take()
         if packet is not None or timeout <= 0:
             return packet
@@ -243,7 +243,7 @@ class Transport(ABC):
         self.counts = TransportCounts()
         self._inbox = Inbox(self.counts)
         self.keeps: Callable[[Hashable], bool] = lambda peer: False
-        """Whether a peer's place goes to nobody else: the pilot's."""
+        """Function that tells whether a peer keeps its place in any case: the pilot's."""
         self.closed = False
         """Whether it was closed or lost."""
 
@@ -256,23 +256,23 @@ class Transport(ABC):
     @property
     @abstractmethod
     def peers(self) -> tuple[Hashable, ...]:
-        """Those that `send` without `to` reaches."""
+        """Peers that `send` without `to` reaches."""
 
     @property
     def backlog(self) -> int:
-        """Bytes that were sent and still wait for the system; 0 where we keep no queue."""
+        """Bytes that were sent and still wait for the system; 0 for a transport without a queue."""
         return 0
 
     def confirm(self, peer: Hashable) -> None:
-        """What came from `peer` was sound: from now on it is among `peers`.
+        """Note that `peer` sent a valid frame; from now on it is among `peers`.
 
-        UDP that listens sends to nobody else, so that rubbish from a forged address draws no telemetry to that address;
-        TCP that listens gives the place of who never said anything sound to a newcomer first.
+        Listening UDP sends to such peers only, so that rubbish from a forged address draws no telemetry there.
+        Listening TCP gives the places of all other peers to newcomers first.
         """
         return
 
     def stranger(self, peer: Hashable) -> bool:
-        """Whether a peer that was heard has no place among `peers`, since too many have."""
+        """Return True if a peer that was heard has no place among `peers`, because there are too many."""
         return False
 
     def send(self, data: bytes, to: Hashable | None = None) -> None:
@@ -290,22 +290,22 @@ class Transport(ABC):
                 self.counts.dropped_out += 1
 
     async def receive(self, timeout: float) -> Packet | None:
-        """The next packet, or None if none comes within `timeout` [s]; with 0 it does not wait.
+        """Return the next packet, or None if none comes within `timeout` [s]; with 0 it does not wait.
 
-        Raises LinkLost when the link is closed or lost, after what had arrived before. One task at a time may wait.
+        Raises LinkLost when the link is closed or lost, after all that had arrived. One task may wait at a time.
         """
         return await self._inbox.wait(timeout)
 
     def receive_now(self) -> Packet | None:
-        """The next packet if one is there. Raises LinkLost as `receive`."""
+        """Return the next packet if one is there. Raises LinkLost as `receive`."""
         return self._inbox.take()
 
     def let_stops_go_first(self) -> None:
-        """From now on frames that stop motors are received before all else that has arrived, `Packet.ahead`."""
+        """Receive kills and disarms before everything else that has arrived, from now on (`Packet.ahead`)."""
         self._inbox.stops_first = True
 
     def receive_ahead(self) -> Packet | None:
-        """One of these, if one has come that was not taken."""
+        """Return the next of these frames, None if there is none."""
         return self._inbox.take_ahead()
 
     def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
@@ -317,13 +317,13 @@ class Transport(ABC):
         self._inbox.hand_to(taker, on_end)
 
     async def close(self) -> None:
-        """Close it, now; a second time does nothing. Whoever waits in `receive` gets LinkLost."""
+        """Close it now; a second call does nothing. A task that waits in `receive` gets LinkLost."""
         self._lose("the link was closed")
         # Sockets are closed by the loop in its next round; a caller may end the loop right after this.
         await asyncio.sleep(0)
 
     def _lose(self, what: str, remedy: str = "open it again") -> None:
-        """The link has ended, by us or by the other side."""
+        """End the link, after a call of `close` or by the other side."""
         if not self.closed:
             self.closed = True
             self._release()
@@ -335,4 +335,4 @@ class Transport(ABC):
 
     @abstractmethod
     def _release(self) -> None:
-        """Give back what the system lent; called once."""
+        """Release the resources of the system; called once."""

@@ -62,9 +62,9 @@ _lock = threading.Lock()
 
 
 def open_memory(address: Address) -> MemoryTransport:
-    """The end that listens at `memin://NAME`, or one that is joined to it (`mem://NAME`).
+    """Open the end that listens at `memin://NAME`, or one that is joined to it (`mem://NAME`).
 
-    Raises LinkError for a name that is taken, ConnectionRefusedError where nobody listens (yet).
+    Raises LinkError for a name that is taken, ConnectionRefusedError if no end listens yet.
     """
     place = str(Address("memin", address.name))
     with _lock:
@@ -82,7 +82,7 @@ def open_memory(address: Address) -> MemoryTransport:
 
 
 def memory_pair() -> tuple[MemoryTransport, MemoryTransport]:
-    """Two ends that are joined to each other."""
+    """Make two ends that are joined to each other."""
     one, other = MemoryTransport("mem://pair", listens=False), MemoryTransport("mem://pair", listens=False)
     one._join(other)
     return one, other

@@ -90,7 +90,7 @@ class SerialTransport(Transport):
 
 
 def open_serial(address: Address) -> SerialTransport:
-    """The serial device at `address`; nobody else can open it while it is open. Raises LinkError if that is refused."""
+    """Open the serial device at `address` for this process alone. Raises LinkError if the system refuses."""
     try:
         descriptor = os.open(address.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:

@@ -53,7 +53,7 @@ class _Stream(asyncio.BufferedProtocol):
         self.filled = -FILLED_S  # when it last filled its share
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """A connection stands."""
+        """Set up a new connection."""
         self.socket = cast(asyncio.Transport, transport)
         raw = transport.get_extra_info("socket")
         for level, option, value in _OPTIONS:
@@ -67,21 +67,21 @@ class _Stream(asyncio.BufferedProtocol):
         self._owner._connected(self)
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        """Where the next bytes of the stream go."""
+        """Return the buffer for the next bytes of the stream."""
         return self._buffer[: self._owner._share(self)]
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Some bytes of the stream."""
+        """Take bytes of the stream."""
         self._owner._arrived(bytes(self._buffer[:nbytes]), self)
 
     def find_stop_frames(self, data: bytes) -> list[bytes]:
-        """The frames that stop motors and end in `data`, which continues what was looked at before."""
+        """Return the kills and disarms that end in `data`, which continues the stream."""
         before, data = len(self._tail), self._tail + data
         self._tail = data[-LONGEST:]
         return find_stop_frames(data, before)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The connection is gone."""
+        """Note the end of the connection."""
         self._owner._disconnected(self, exc)
 
     def __repr__(self) -> str:
@@ -117,11 +117,11 @@ class TcpTransport(Transport):
         return max((one.socket.get_write_buffer_size() for one in self._streams), default=0)
 
     def confirm(self, peer: Hashable) -> None:
-        """It has its place, and is not the first to lose it."""
+        """Note a valid frame: the peer is not the first to lose its place."""
         cast(_Stream, peer).sound = self._loop.time()
 
     def _accepts(self, one: socket.socket) -> None:
-        """Take in who waits at a listening socket, one at a time."""
+        """Accept the next connection of a listening socket."""
         try:
             came, address = one.accept()
         except OSError:  # it has gone again, or there are too many files
@@ -149,11 +149,11 @@ class TcpTransport(Transport):
             self.counts.errors += 1
 
     def _makes_room(self, address: str) -> bool:
-        """Whether there is a place for one more from `address`, if need be that of another.
+        """Return True if there is a place for one more connection from `address`; if need be, free one.
 
-        The first to lose its place is the oldest that never said anything sound. The next is one that has been silent
-        for SILENT_S. Last, an address that has more than half of all loses its newest to another address. One that is
-        kept never loses its place.
+        The first to lose its place is the oldest connection that never sent a valid frame. The next is one that has
+        been silent for SILENT_S. Last, an address with more than half of all places loses its newest connection to
+        another address. A connection that is kept never loses its place.
         """
         if len(self._streams) < MOST_CLIENTS:
             return True
@@ -186,7 +186,7 @@ class TcpTransport(Transport):
             self._addresses[stream.address] += 1
 
     def _share(self, stream: _Stream) -> int:
-        """How much of a stream is read at once [byte]."""
+        """Return how much of a stream is read at once [byte]."""
         of_address = ROUND_BYTES // max(len(self._addresses), 1) // max(self._addresses[stream.address], 1)
         return max(of_address, LEAST_BYTES)
 
@@ -254,7 +254,7 @@ class TcpTransport(Transport):
 
 
 async def open_tcp(address: Address) -> TcpTransport:
-    """A connection to `address`, or a socket that listens there. Raises OSError where the system refuses."""
+    """Connect to `address`, or listen there. Raises OSError if the system refuses."""
     loop = asyncio.get_running_loop()
     listening: list[socket.socket] = []
     transport = TcpTransport(address, listening)

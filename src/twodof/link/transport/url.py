@@ -29,8 +29,9 @@ BAUDS = {int(name[1:]): int(getattr(termios, name)) for name in dir(termios) if 
 
 @dataclass(frozen=True)
 class Address:
-    """Where a link leads: `kind` is udp, udpin, udpbcast, tcp, tcpin, serial, mem or memin; `name` a host, device or
-    name. `bind_name` and `bind_port` are where a udp or udpbcast listens too, "" if nowhere.
+    """Address of a link: `kind` is udp, udpin, udpbcast, tcp, tcpin, serial, mem or memin; `name` is a host or device.
+
+    `bind_name` and `bind_port` say where a udp or udpbcast link listens too; "" if it does not.
     """
 
     kind: str
@@ -42,7 +43,7 @@ class Address:
 
     @property
     def listens(self) -> bool:
-        """Whether others come to it."""
+        """True if other sides connect to it."""
         return self.kind.endswith("in")
 
     def __str__(self) -> str:
@@ -55,12 +56,12 @@ class Address:
 
 
 def parse(url: str) -> Address:
-    """The address that a URL names.
+    """Return the address that a URL names.
 
     A listening form without a host listens on this machine only; `udpin://0.0.0.0:14550` listens on every interface.
     MAVProxy's short forms `udpin:HOST:PORT`, `udp:HOST:PORT` (listens, as there), `udpout:HOST:PORT`, `tcp:HOST:PORT`
     and `/dev/NAME,BAUD` are taken too. `udp://HOST:PORT?bind=[HOST:]PORT` sends to the first, always, and listens at
-    the second. Raises LinkError for anything else.
+    the second. Raises LinkError for any other text.
     """
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is not a URL", "", f"use {FORMS}")
@@ -117,7 +118,7 @@ def _options(url: str, query: str) -> list[tuple[str, str]]:
 
 
 def _bound(url: str, query: str, host: str) -> tuple[str, int]:
-    """Where `?bind=` listens; without a host on this machine only, as every listening form."""
+    """Return where `?bind=` listens; without a host on this machine only, as every listening form."""
     options = _options(url, query)
     if [name for name, _ in options] != ["bind"]:
         raise LinkError("has parts that this kind of link does not take", url, f"use {FORMS}")
@@ -136,7 +137,7 @@ def _bound(url: str, query: str, host: str) -> tuple[str, int]:
 
 
 def _serial(url: str, parts: SplitResult) -> Address:
-    """A serial line's address; `?baud=` decides, or MAVSDK's `:BAUD` at the end of the path."""
+    """Return the address of a serial line; `?baud=` decides, or MAVSDK's `:BAUD` at the end of the path."""
     device, options = parts.path, dict(_options(url, parts.query))
     path, colon, tail = device.rpartition(":")
     if colon and tail.isdecimal() and "baud" not in options:
