@@ -150,7 +150,7 @@ def killed_and_started_again(program: Up, name: str, index: int = 0) -> None:
     count = len(program.said)
     os.kill(victim, signal.SIGKILL)
     program.wait(lambda: len(program.said) >= count + 2, f"{name} did not come back")
-    assert re.match(r"\d\d:\d\d:\d\d .* ended with status -9; it is started again", program.said[-2])
+    assert re.match(r"\d\d:\d\d:\d\d .* ended with status -9 and is restarted", program.said[-2])
     assert "answers again" in program.said[-1]
 
 
@@ -176,12 +176,12 @@ def test_people_are_told_who_can_connect(lockstep: bool, capfd: pytest.CaptureFi
 def test_what_a_program_last_said_is_shown_line_by_line() -> None:
     error = child_error(["Traceback", "  where it was", "ValueError: 3"], "companion 1", 1)
     assert error.what.splitlines() == [
-        "it ended with status 1; it last said:",
+        "it ended with status 1; its last output:",
         "    Traceback",
         "      where it was",
         "    ValueError: 3",
     ]
-    assert child_error([], "companion 1", -9).what.splitlines()[1:] == ["    it said nothing"]
+    assert child_error([], "companion 1", -9).what.splitlines()[1:] == ["    no output"]
 
 
 @pytest.mark.soak

@@ -95,7 +95,7 @@ def test_the_motion_says_how_much_room_it_takes(still: Laboratory) -> None:
 def test_what_tells_no_model_still_shows_its_motion(still: Laboratory) -> None:
     told = expected_accuracy("attitude-steps", still, noise={"q": 0.0}).to_json()
     assert told["unknowns"] == []
-    assert "not known before" in told["remark"]
+    assert "accuracy is unknown" in told["remark"]
     assert 0.1 < told["pitch_share"] < 0.5
 
 

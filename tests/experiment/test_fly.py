@@ -277,14 +277,14 @@ def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
 def test_a_real_drone_that_is_not_where_it_is_to_begin_is_not_excited() -> None:
     with drone_thread(real) as url, Drone.connect(url) as drone:
         flight = fly(experiment("velocity-doublets", hold=0.3), drone)
-        assert_failed(flight, "it does not hold its place: the cart is at")
+        assert_failed(flight, "the drone does not hold its position: the cart is at")
         assert not np.any(flight.log["v0"].value[-1:])
         assert not drone.state.armed
 
 
 def test_rings_that_are_set_wrongly_are_found_before_anything_moves() -> None:
     with drone_thread(real) as url, Drone.connect(url) as drone:
-        with pytest.raises(ExperimentError, match="the cart is free"):
+        with pytest.raises(ExperimentError, match="needs the cart locked, and it is free"):
             fly("doublet", drone)
         assert drone.tick == 0
 
@@ -467,7 +467,7 @@ def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates(
         if check.name == "pitch free"
     )
     flown = plan.end - plan.begin
-    assert pitch.seen == f"{np.degrees(0.2):.1f} deg, true but for 3 of {flown} steps, estimated"
+    assert pitch.seen == f"{np.degrees(0.2):.1f} deg, true except in 3 of {flown} steps, estimated there"
 
 
 @pytest.mark.long
@@ -484,11 +484,11 @@ def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None
 @pytest.mark.long
 def test_what_cannot_be_flown_is_refused_before_anything_moves() -> None:
     with drone_thread() as url, Drone.connect(url) as drone:
-        with pytest.raises(ExperimentError, match=r"still: the motors stand for 0\.1 s only"):
+        with pytest.raises(ExperimentError, match=r"still: the motors are off for 0\.1 s only"):
             fly(experiment("doublet", still=0.1), drone)
         with pytest.raises(ExperimentError, match="no experiment called 'doublt'"):
             fly("doublt", drone)
-        with pytest.raises(ExperimentError, match=r"x = 5 m is not a place to start at.*of the rail's middle"):
+        with pytest.raises(ExperimentError, match=r"x = 5 m is not a valid start.*of the rail's middle"):
             fly("velocity-doublet", drone, x_start=5.0)
         assert drone.tick == 0
         assert not drone.state.armed

@@ -1,4 +1,4 @@
-"""Experiments: protocols that excite a rig whose flight controller runs a diagram, and the flights they make."""
+"""Experiments: protocols that excite a rig whose flight controller runs a diagram, and the resulting flights."""
 
 from twodof.experiment.experiments import EXPERIMENTS, IDENTIFICATION, Experiment, experiment
 from twodof.experiment.flight import Flight, FlightCheck, Laboratory, simulate

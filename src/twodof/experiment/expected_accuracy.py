@@ -36,13 +36,13 @@ from twodof.signals import HOVER, PERIOD
 Array = NDArray[np.float64]
 
 _ORDER = 40
-"""Samples that the noise of q remembers in a plan, as in a fit: .16 s, a gust's correlation time."""
+"""Order of the autoregression of q's noise, as in a fit: .16 s, a gust's correlation time."""
 _RESPONSE = 1 << 12
 _VIBRATION = 400
 
 
 def gyro_covariance(rig: Mapping[str, float], steps: int, dt: float, load: float = 1.0) -> Array:
-    """Autocovariance (steps,) of the gyro: white noise, rounding, and vibration in a band (`rig.sensors`)."""
+    """Return the autocovariance (steps,) of the gyro: white noise, rounding, and band-limited vibration."""
     radius, turn = rig["vibration_r2"], (1.0 + rig["vibration_r2"]) * np.cos(2.0 * np.pi * rig["vibration_hz"] * dt)
     pulse = np.sqrt(0.5 * (1.0 - radius))
     driven = {0: pulse, 2: -pulse}
@@ -58,12 +58,12 @@ def gyro_covariance(rig: Mapping[str, float], steps: int, dt: float, load: float
 
 
 def range_variance(rig: Mapping[str, float]) -> float:
-    """Variance [m^2] of the range sensor's own noise and of its rounding."""
+    """Return the variance [m^2] of the range sensor's noise and rounding."""
     return rig["tof_noise"] ** 2 + rig["tof_step"] ** 2 / 12.0
 
 
 def pushed_rate(values: Mapping[str, float], steps: int, dt: float) -> Array:
-    """Response (steps,) of q to an angular acceleration of 1 in the first step, for the pitch of `values`."""
+    """Return the response (steps,) of q to an angular acceleration of 1 in the first step."""
     from scipy.linalg import expm  # imported late: most commands start without it
 
     a = np.array([[0.0, 1.0], [-(values["w_n"] ** 2), -2.0 * values["xi"] * values["w_n"]]])
@@ -75,7 +75,7 @@ def pushed_rate(values: Mapping[str, float], steps: int, dt: float) -> Array:
 
 
 def pitch_noise(rig: Mapping[str, float], values: Mapping[str, float], dt: float, load: float) -> Autoregression:
-    """The noise of the measured q: what gusts make of it through the pitch of `values`, and the gyro's own."""
+    """Return the noise of the measured q: gusts through the pitch of `values`, plus the gyro's own."""
     keep = np.exp(-dt / rig["gust_time"])
     turn = 2.0 * np.pi * np.arange(_RESPONSE + 1) / (2 * _RESPONSE)
     gust = (1.0 - keep**2) / (1.0 - 2.0 * keep * np.cos(turn) + keep**2)
@@ -88,14 +88,14 @@ def pitch_noise(rig: Mapping[str, float], values: Mapping[str, float], dt: float
 def rail_covariance(
     rig: Mapping[str, float], values: Mapping[str, float], position: Array, steps: int, dt: float, load: float = 1.0
 ) -> Array:
-    """Covariance of the ranges at `position` (in steps) about a motion that the measured q predicts.
+    """Return the covariance of the ranges at `position` (in steps) about the motion predicted from the measured q.
 
-    The gyro's noise, summed up, is an error of the pitch, and the cart follows that. The range has its own noise.
+    The integral of the gyro's noise is an error of the pitch, which the cart follows. The range has its own noise.
     """
     from scipy.linalg import matmul_toeplitz  # imported late: most commands start without it
 
     k_v, p_v = values["k_v"], values["p_v"]
-    # A sample's error turns the pitch by `dt` for good: v' = -k_v dt - p_v v.
+    # An error of one sample offsets the pitch by `dt` for good: v' = -k_v dt - p_v v.
     late = np.maximum(dt * np.arange(steps) - values["tau"], 0.0)
     moved = -k_v * dt * (late / p_v + np.expm1(-p_v * late) / p_v**2)
     age = position[:, None] - np.arange(steps)[None, :]
@@ -107,16 +107,16 @@ def rail_covariance(
 MOST_POINTS = 4000
 
 _SUM = "tau"
-"""Of dead time and lag: with the lag held, what the dead time is known to is what the sum is known to."""
+"""Sum of dead time and lag. With the lag held, its standard deviation is the dead time's."""
 
 
 @dataclass(frozen=True, eq=False)
 class ExpectedAccuracy:
-    """`information` is the Cramer-Rao bound; `motion` what the drone will do on the virtual rig, without noise.
+    """Cramer-Rao bound of a planned flight (`information`), and its `motion` on the virtual rig without noise.
 
     `motion` has `time` [s], `theta` [rad] and `x` [m] from the excitation's start on; `pitch` and `rail` are the shares
     of the pitch stop and of the rail that it uses. `remark` says why there is no information, "" if there is. `worse`
-    is how many times as large as with white noise of the sensor alone the deviations are that it is flown for.
+    is the ratio of the wanted standard deviations to those with white sensor noise alone.
     """
 
     experiment: Experiment
@@ -130,7 +130,7 @@ class ExpectedAccuracy:
     worse: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: of each unknown the value assumed, the standard deviation, and whether that is enough."""
+        """Return plain data: for each unknown the assumed value, the standard deviation, and whether that is enough."""
         found, rows = self.information, []
         wanted = PURPOSE.get(self.kind, ())
         for label, unit, value, sigma in () if found is None else _rows(found):
@@ -143,7 +143,7 @@ class ExpectedAccuracy:
                     "value": value,
                     "sigma": sigma,
                     "share": share if math.isfinite(share) else None,
-                    "wanted": (_told(label) if alone else label) in wanted,
+                    "wanted": (_wanted_as(label) if alone else label) in wanted,
                     "enough": share <= TOLD,
                 }
             )
@@ -199,18 +199,18 @@ def expected_accuracy(
         planned = _Plan(cut(log, kind), kind, known, before, free=not one.rings)
         found, worse = planned.information(stops, _load(one, stops), noise)
     except (IdentificationError, LogError) as reason:
-        remark = f"what it tells is not known before: {reason.what}"
+        remark = f"the expected accuracy is unknown: {reason.what}"
     return ExpectedAccuracy(one, kind, x_start, found, remark, motion, pitch, rail, worse)
 
 
 def _load(one: Experiment, rig: Mapping[str, float]) -> float:
-    """The thrust over that of hover: gusts and vibration grow with it."""
+    """Return the thrust over that of hover; gusts and vibration grow with it."""
     return float(lift(one.thrust, rig["curve"]) / lift(HOVER, rig["curve"]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """The record that will be fitted, of a `kind` of identification, and what is known of the unknowns."""
+    """Record that will be fitted, its `kind` of identification, and prior knowledge of the unknowns."""
 
     record: Record
     kind: str
@@ -221,7 +221,7 @@ class _Plan:
     def information(
         self, rig: Mapping[str, float], load: float, noise: Mapping[str, float] | None
     ) -> tuple[Information, float]:
-        """What it tells with white `noise`, else with the rig's own; how many times worse that is than white noise."""
+        """Return the information with white `noise`, else with the rig's own, and its ratio to that of white noise."""
         structure, record = structure_for(self.kind), self.record
         if noise is not None:
             return self._predicted(structure, noise), 1.0
@@ -235,9 +235,9 @@ class _Plan:
             white = self._predicted(structure, {"q": math.sqrt(gyro_covariance(rig, 1, record.dt, load)[0])})
             model = DisturbanceModel("ar", {"q": pitch_noise(rig, known, record.dt, load)}, dt=record.dt)
             found = self._predicted(structure, {"q": 1.0}, disturbance=model)
-        # A band of vibration alone leaves the residual all but white: then a fit makes nothing of its colour.
+        # Vibration in a band leaves the residual almost white: a fit then does not model its colour.
         found = max(found, white, key=lambda one: float(one.sigma @ (1.0 / white.sigma)))
-        wanted = [k for k, label in enumerate(found.labels) if _told(label) in PURPOSE.get(self.kind, ())]
+        wanted = [k for k, label in enumerate(found.labels) if _wanted_as(label) in PURPOSE.get(self.kind, ())]
         return found, float(max((found.sigma[k] / white.sigma[k] for k in wanted), default=1.0))
 
     def _predicted(self, structure: Structure, noise: Mapping[str, float], **of_noise: Any) -> Information:
@@ -245,14 +245,14 @@ class _Plan:
         if self.kind == "velocity":
             wanted = TRAVEL
         elif self.kind == "attitude":
-            # The poles and the friction, which a controller hides, are known before; so is what a large moment lacks.
+            # A controller hides the poles, the friction and the bend of large moments: they have priors.
             wanted, of_noise["prior"] = FlownMachine(free=self.free).estimate(structure), self.before
         elif self.kind == "doublet":
             wanted = tuple(name for name in structure.estimate if name not in SWING)
         else:
             wanted = structure.estimate
-        # In a short flight dead time and lag have nearly one effect, and the sum of the two is what is asked for: the
-        # lag is held. A closed loop tells them apart, and then the sum is what neither knows best.
+        # In a short flight dead time and lag have nearly the same effect, and their sum is wanted: the lag is held.
+        # A closed loop separates them.
         wanted = wanted if self.kind == "attitude" else tuple(name for name in wanted if name != "lag")
         values = {name: value for name, value in self.values.items() if name in structure.unknowns}
         inputs = {name: self.record.inputs[name] for name in structure.inputs}
@@ -264,7 +264,7 @@ class _Plan:
 
 
 def _rows(found: Information) -> Iterator[tuple[str, str, float, float]]:
-    """Name, unit, value and standard deviation of each unknown, and of the sum of dead time and lag if both are."""
+    """Yield name, unit, value and standard deviation of each unknown, and of dead time plus lag if both are free."""
     for i, label in enumerate(found.labels):
         yield label, found.units[i], float(found.values[i]), float(found.sigma[i])
     parts = [found.labels.index(name) for name in ("dead_time", "lag") if name in found.labels]
@@ -273,6 +273,6 @@ def _rows(found: Information) -> Iterator[tuple[str, str, float, float]]:
         yield _SUM, found.units[parts[0]], float(found.values[parts].sum()), math.sqrt(float(spread.sum()))
 
 
-def _told(label: str) -> str:
-    """What an unknown is flown for: with the lag held the dead time stands for the sum of the two."""
+def _wanted_as(label: str) -> str:
+    """Return the label under which an unknown is wanted: with the lag held, the dead time stands for `tau`."""
     return _SUM if label == "dead_time" else label

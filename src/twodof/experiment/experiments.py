@@ -1,4 +1,4 @@
-"""An experiment as a protocol: what is excited, in which loop, with the cart locked or free, and what flies around."""
+"""Experiment: the protocol of a flight. Which loop is excited by what, with the cart locked or free."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -147,7 +147,7 @@ EXPERIMENTS: Mapping[str, Experiment] = MappingProxyType({one.name: one for one 
 
 
 def experiment(name: str, **changes: Any) -> Experiment:
-    """The ready-made experiment `name`, with fields changed. Raises ExperimentError for a name that is not there."""
+    """Return the ready-made experiment `name` with fields changed. Raises ExperimentError for an unknown name."""
     if name not in EXPERIMENTS:
         raise ExperimentError(f"no experiment called {name!r:.80}", "", f"there are: {', '.join(EXPERIMENTS)}")
     known = EXPERIMENTS[name].__dataclass_fields__
@@ -158,16 +158,15 @@ def experiment(name: str, **changes: Any) -> Experiment:
 
 
 def on_wire(value: float) -> float:
-    """A set-point as a MAVLink message carries it: rounded to float32."""
+    """Round a set-point to float32, as a MAVLink message carries it."""
     return float(np.float32(value))
 
 
 @dataclass(frozen=True, eq=False)
 class Script:
-    """`setpoints` (steps,) by name, as the closed loop takes them.
+    """Set-points (steps,) by their names in the closed loop, and the steps of the protocol.
 
-    The drone is armed at step `armed`, and the thrust comes up at step `hold`. The excitation plays from step `begin`
-    on. At step `end` the drone is disarmed and the motors go off.
+    The drone arms at step `armed`, thrust starts at `hold`, the excitation at `begin`. At step `end` the drone disarms.
     """
 
     setpoints: Mapping[str, NDArray[np.generic]]
@@ -179,15 +178,15 @@ class Script:
 
     @property
     def arm(self) -> NDArray[np.bool_]:
-        """Whether the drone is armed, (steps,)."""
+        """Mask of the steps in which the drone is armed, (steps,)."""
         step = np.arange(self.steps)
         return (step >= self.armed) & (step < self.end)
 
 
 def script(experiment: Experiment, x_start: float = 0.0) -> Script:
-    """`experiment` written out at 250 Hz, with positions about `x_start` [m].
+    """Write `experiment` out at 250 Hz, with positions about `x_start` [m].
 
-    Thrust and place are those that a flight's messages carry, float32; an excitation is played on board as it is.
+    Thrust and position are rounded to float32, as messages carry them; the excitation is computed on board.
     """
     thrust_flown, x_flown = on_wire(experiment.thrust), on_wire(x_start)
     steps = round(experiment.duration / PERIOD)

@@ -31,13 +31,13 @@ from twodof.sim.closed_loop import ClosedLoop
 from twodof.sim.initial_state import InitialState
 
 Signals = Mapping[str, NDArray[Any]]
-"""Each signal at the control steps of a flight, (steps,), by name; NaN where a sample was lost."""
+"""Signals at the control steps of a flight, (steps,) by name; NaN marks a lost sample."""
 
 STOP_MARGIN = 1e-3
-"""A flight that came nearer than this to a stop [m, rad] touched it: the rig is pressed into a stop by less."""
+"""Distance to a stop [m, rad] that counts as contact: the rig is pressed into a stop by less."""
 
 MOST_LOST = 0.01
-"""Share of samples that may be lost: the real drone's public logs lack up to .2 % of them, and identify well."""
+"""Largest share of lost samples: the real drone's public logs lack up to .2 % of them and identify well."""
 
 LONGEST_GAP = 0.04
 """Longest gap of samples [s] from the excitation's start on: two periods of the course's 50 Hz messages."""
@@ -50,7 +50,7 @@ _SPEED = {"theta": "q", "x": "v"}
 
 @dataclass(frozen=True)
 class FlightCheck:
-    """Whether a flight is good for its purpose in one respect, and what was seen."""
+    """Result of one check, with the figure that was seen."""
 
     name: str
     passed: bool
@@ -58,10 +58,10 @@ class FlightCheck:
 
 
 def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[FlightCheck]:
-    """No stop was touched, and the response stands out of what the signal did before (five standard deviations).
+    """Check that no stop was touched, and that the response exceeds five standard deviations of the signal before it.
 
-    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and place are the true ones in the steps in which `out`
-    has them, and `seen` says so. The response is looked for in the estimates, since models are identified from them.
+    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and position are the true ones in the steps where `out`
+    has them; `seen` says so. The response is measured in the estimates, which models are identified from.
     """
     flown = slice(plan.begin, plan.end)
     steepest, by = _farthest(out, "theta", flown)
@@ -78,28 +78,28 @@ def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mappi
 
 
 def _farthest(out: Signals, name: str, flown: slice) -> tuple[float, str]:
-    """The largest magnitude that a signal reached, of the true one where it is known, and which of the two it is.
+    """Return the largest magnitude of a signal, and whether it is of the true or the estimated one.
 
-    Each sample is followed to the next one at its own speed. What strikes a stop between two samples is on its way back
-    when the next one is taken. A fast swing would else bounce unseen, up to .01 rad from the stop.
+    Each sample is extrapolated to the next one with its own speed. Otherwise a fast swing could bounce off a stop
+    between two samples, and the samples would stay up to .01 rad away from it.
     """
     estimate, true = _reached(out, name, "", flown), out.get(f"true_{name}")
     if true is None:
         return _largest(estimate), "estimated"
     known = np.isfinite(true[flown])
     unknown = int((~known).sum())
-    by = f"true but for {unknown} of {len(known)} steps, estimated" if unknown else "true"
+    by = f"true except in {unknown} of {len(known)} steps, estimated there" if unknown else "true"
     return _largest(np.where(known, _reached(out, name, "true_", flown), estimate)), by
 
 
 def _reached(out: Signals, name: str, source: str, flown: slice) -> NDArray[Any]:
-    """The farther of each sample and where its speed takes it by the next one."""
+    """Return the larger magnitude of each sample and of its extrapolation to the next one."""
     place, speed = out[f"{source}{name}"][flown], out[f"{source}{_SPEED[name]}"][flown]
     return np.where(np.isfinite(speed), np.maximum(np.abs(place), np.abs(place + PERIOD * speed)), np.abs(place))
 
 
 def _largest(values: NDArray[Any]) -> float:
-    """The largest magnitude; NaN where nothing was received, which passes no check."""
+    """Return the largest magnitude; NaN, which passes no check, without any sample."""
     known = values[np.isfinite(values)]
     return float(np.abs(known).max()) if known.size else float("nan")
 
@@ -117,7 +117,7 @@ def _excited(experiment: Experiment, plan: Script, out: Signals) -> FlightCheck:
 
 
 def commanded(out: Signals) -> FlightCheck:
-    """Whether the controllers always gave numbers."""
+    """Check that the controllers' outputs are finite throughout."""
     lost = {name: np.flatnonzero(~np.isfinite(out[name])) for name in ("M", "T")}
     first = {name: steps[0] * PERIOD for name, steps in lost.items() if steps.size}
     if not first:
@@ -131,12 +131,12 @@ def commanded(out: Signals) -> FlightCheck:
 
 
 def not_judged(reason: str) -> FlightCheck:
-    """What stands for the checks of the data of a flight that was broken off."""
+    """Return the failed check that replaces the data checks of an aborted flight."""
     return FlightCheck("data", False, f"not judged: {reason}")
 
 
 def received(plan: Script, have: NDArray[np.bool_]) -> FlightCheck:
-    """Whether enough samples came over the link; `have` (n,) says of which of the control steps that were flown."""
+    """Check that enough samples were received; `have` (n,) marks the control steps with one."""
     missing = int((~have).sum())
     flown = have[plan.begin : plan.end]
     edges = np.flatnonzero(np.concatenate(([True], flown, [True])))
@@ -157,9 +157,9 @@ _LONG_RAIL = 5.0
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """A flown experiment: its log, where it started, and the checks of its data. The same seed gives the same bits.
+    """Flown experiment: its log, its start, and the checks of its data. The same seed gives the same bits.
 
-    `reason` says why a flight over MAVLink ended before its end, "" if it did not.
+    `reason` says why a flight over MAVLink was aborted, "" if it was not.
     """
 
     experiment: Experiment
@@ -171,20 +171,20 @@ class Flight:
 
     @property
     def good(self) -> bool:
-        """Whether every check passed."""
+        """True if every check passed."""
         return all(check.passed for check in self.checks)
 
 
 class Laboratory:
-    """A virtual rig on which experiments are flown, compiled once.
+    """Virtual rig for experiments, compiled once.
 
     `rig` is "paper", "lab", a file or a set of parameters; `gains` are "default", "student", a file or a set of gains;
     `conditions` are further rig parameters such as `trim` or `rail_force`; `noise` scales all noise (0: none).
     `controllers` fly in place of the stock loops and mixer, at most one of each template (`flight.templates`). They are
     diagrams, JSON files, or names of starter diagrams such as "lqr-attitude"; `tuning` sets their parameters by path,
     such as "attitude_control.k_theta". `precision` is "float64" or "float32", that of a flight controller. With
-    `failsafe` the flight code has its last gate, as on board: it is armed and disarmed as `script` says, and what it
-    does shows in `signals`. Where nothing fails the flight has the same bits as without.
+    `failsafe` the failsafe is part of the flight code, as on board. It is armed and disarmed as `script` says, and its
+    actions are in `signals`. Without a fault the flight has the same bits as without failsafe.
 
     Raises ParameterError for a rig, gains or tuning that cannot be read or set, and for a `noise` below 0 or not
     finite; DiagramError for a controller that cannot be read or fits no template.
@@ -229,17 +229,17 @@ class Laboratory:
             return made
 
         self.loop: ClosedLoop = loop(failsafe)
-        # Where a flight is to start is seen on a rail that is too long for the failsafe, which would brake.
+        # The start is planned on a long rail, where the failsafe would brake.
         self._planning: ClosedLoop = loop(False) if failsafe else self.loop
 
     def fly(self, experiment: str | Experiment, seed: int = 1) -> Flight:
-        """Flies `experiment` (or the ready-made one of that name) with the noise of `seed`, from a start that fits.
+        """Fly `experiment`, or the ready-made one of that name, with the noise of `seed`.
 
-        Raises ExperimentError if no start on the rail will do, or if the pitch would reach a stop. It also does so for
-        an unknown name, and for a seed that is not an integer from 0 to 2^32 - 1.
+        The start centres the flight on the rail. Raises ExperimentError if none fits or the pitch would reach a stop,
+        for an unknown name, and for a seed that is not an integer from 0 to 2^32 - 1.
 
-        Your own controller may fly badly: then it starts from the middle of the rail, and the checks say what went
-        wrong. If a moment or thrust is not finite, the motors stop there, and the log leaves the value out.
+        With your own controller a flight without a fitting start begins in the middle of the rail, and the checks
+        report the fault. If a moment or thrust is not finite, the motors stop, and the log leaves the value out.
         """
         experiment, seed = ready(experiment), _checked_seed(seed)
         try:
@@ -272,17 +272,17 @@ class Laboratory:
     def signals(
         self, experiment: Experiment, plan: Script, x_start: float = 0.0, seed: int = 1
     ) -> dict[str, NDArray[Any]]:
-        """Every signal at the control steps, (steps,) by name, of `experiment` flown as `plan` says from `x_start`.
+        """Fly `experiment` as `plan` says from `x_start`; return every signal at the control steps, (steps,) by name.
 
-        What the log of `fly` is made of, and what the on-board log of the same flight over MAVLink holds. Raises
-        ExperimentError for a seed that `fly` would not take.
+        The log of `fly` consists of these signals, as does the on-board log of the same flight over MAVLink. Raises
+        ExperimentError for an invalid seed.
         """
         return self._fly(self.loop, experiment, plan, x_start, seed=_checked_seed(seed), noise=self.noise)
 
     def start(self, experiment: str | Experiment) -> float:
-        """The x [m] from which the flight stays in the middle of the rail: it is flown without noise on a long one.
+        """Return the start x [m] that centres the flight on the rail, from a flight without noise on a long rail.
 
-        Raises ExperimentError if it needs more rail than there is, or more pitch.
+        Raises ExperimentError if the rail is too short or the pitch would reach a stop.
         """
         experiment = ready(experiment)
         plan = script(experiment)
@@ -309,7 +309,7 @@ class Laboratory:
         return -0.5 * (low + high)
 
     def described_controllers(self) -> dict[str, dict[str, Any]]:
-        """The user's controllers by template: name, SHA-256 of the JSON form, and the values of parameters."""
+        """Return the user's controllers by template: name, SHA-256 of the JSON form, and values of parameters."""
         values = {path: value for path, (_, value) in self.loop.controller_parameters().items()}
         return {
             kind: {
@@ -334,9 +334,9 @@ class Laboratory:
 
 
 def flight_log(out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32], provenance: dict[str, Any]) -> FlightLog:
-    """The drone's log of a flight whose signals at the control steps are `out`, as `ClosedLoop.fly` gives them.
+    """Return the drone's log of a flight with the signals `out`, as `ClosedLoop.fly` returns them.
 
-    Samples that are not finite, which a user's controller may give, are left out: the channel has a gap there.
+    Samples that are not finite, from a faulty controller, are left out: the channel has a gap there.
     """
     return FlightLog(step_channels(np.arange(len(mode), dtype=np.int64), out, mode), provenance)
 
@@ -350,7 +350,7 @@ def _checked_seed(seed: int) -> int:
 
 
 def ready(experiment: str | Experiment) -> Experiment:
-    """The experiment itself, or the ready-made one of that name. Raises ExperimentError for anything else."""
+    """Return the experiment itself, or the ready-made one of that name. Raises ExperimentError."""
     if isinstance(experiment, str):
         return named_experiment(experiment)
     if not isinstance(experiment, Experiment):
@@ -361,7 +361,7 @@ def ready(experiment: str | Experiment) -> Experiment:
 
 
 def _jsonable(value: Any) -> Any:
-    """A parameter's value as JSON has it: an infinity or a NaN as its name."""
+    """Return a value for JSON, with an infinity or NaN as its name."""
     if isinstance(value, list):
         return [_jsonable(item) for item in value]
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value
@@ -373,5 +373,5 @@ def simulate(
     seed: int = 1,
     gains: str | Path | Gains = DEFAULT,
 ) -> Flight:
-    """Flies `experiment` once on the virtual rig; for several flights keep a `Laboratory`, whose errors it raises."""
+    """Fly `experiment` once on the virtual rig. For several flights keep a `Laboratory`, whose errors it raises."""
     return Laboratory(rig, gains).fly(experiment, seed)

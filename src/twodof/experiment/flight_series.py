@@ -1,4 +1,4 @@
-"""Many flights over MAVLink at once: a process for each rig, which flies its drone and hands the flights over."""
+"""Series of flights over MAVLink, with one process and one virtual drone for each rig."""
 
 import multiprocessing
 import signal
@@ -15,7 +15,7 @@ from twodof.fleet.virtual_drone import virtual_drone
 from twodof.gcs.drone import Drone
 
 FLIGHT_S = 300.0
-"""Longest time without a flight from any rig [s]: the first one waits for the compiler."""
+"""Longest wait for the next flight [s]; the first one includes compilation."""
 
 _END_S = 10.0
 
@@ -25,10 +25,10 @@ SeriesFlight = tuple[str, str, int, Flight]
 
 
 def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) -> Iterator[SeriesFlight]:
-    """Flies the experiments `names` with each of the `seeds` on a virtual drone of each rig, in lockstep, side by side.
+    """Fly the experiments `names` with each of the `seeds` on a virtual drone of each rig, in lockstep, in parallel.
 
-    Yields them as they come. Raises what `fly` raises, and ExperimentError where a process
-    ends or says nothing; then, and when it is left early, all processes are ended.
+    Yields each flight when it ends. Raises what `fly` raises, and ExperimentError if a process dies or hangs. All
+    processes end with the iterator.
     """
     spawning = multiprocessing.get_context("spawn")
     seeds = list(seeds)
@@ -63,11 +63,11 @@ def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) 
 
 @contextmanager
 def _no_interrupt_for_children() -> Iterator[None]:
-    """What the block starts never gets Ctrl-C, from its first moment on; only the parent gets it, and ends them.
+    """Block SIGINT in processes started within the block; Ctrl-C then reaches the parent, which ends them.
 
-    A Ctrl-C that comes inside the block waits for its end.
+    A Ctrl-C during the block is delivered at its end.
     """
-    ensure_running()  # it lets the signal through when it starts: not within the block, before the first child
+    ensure_running()  # starting the resource tracker unblocks the signal: start it before the block
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -76,12 +76,12 @@ def _no_interrupt_for_children() -> Iterator[None]:
 
 
 def _taken(connection: Connection, left: dict[Connection, str]) -> Iterator[SeriesFlight]:
-    """The flight that has come from a rig, if it was not the last already."""
+    """Yield the flight received from a rig; forget the connection after the last one."""
     rig = left[connection]
     try:
         got = connection.recv()
     except EOFError:
-        raise ExperimentError("its process ended in the middle", f"rig {rig}", "see what it says") from None
+        raise ExperimentError("the process of this rig died", f"rig {rig}", "read its output, then fly again") from None
     if got is None:
         del left[connection]
         connection.close()
@@ -93,13 +93,13 @@ def _taken(connection: Connection, left: dict[Connection, str]) -> Iterator[Seri
 
 
 def _fly_all(connection: Connection, rig: str, names: list[str], seeds: list[int]) -> None:
-    """The process of a rig."""
+    """Run the process of a rig: fly every experiment and send the flights."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit())
-    sys.unraisablehook = lambda _: None  # where that cannot be raised nobody is to read of it
+    sys.unraisablehook = lambda _: None  # SystemExit in a destructor is not an error to print
     try:
         laboratory = Laboratory(rig)
         with virtual_drone(rig) as url, Drone.connect(url) as drone:
-            drone.parameters["SDLOG_MODE"] = -1  # nobody is to read a log on board
+            drone.parameters["SDLOG_MODE"] = -1  # no log on board
             for name in names:
                 for seed in seeds:
                     connection.send((name, seed, fly(name, drone, seed, laboratory=laboratory)))

@@ -32,31 +32,31 @@ from twodof.rig.parameters import NAMES
 from twodof.signals import PERIOD
 
 Progress = Callable[[str, float], None]
-"""Called with what the drone does and the share of the flight that is done, 0 to 1."""
+"""Callback with the current phase and the share of the flight that is done, 0 to 1."""
 
 LOOP = {"open-loop": "M", "rate": "q", "attitude": "theta", "velocity": "v", "position": "x"}
-"""Which loop an experiment's mode excites, as `Drone.excite` calls it."""
+"""Loop of each mode, by its name in `Drone.excite`."""
 
 WATCH = round(0.1 / PERIOD)
-"""Control steps between two looks at the flight from the ground; on board the failsafe looks at every step."""
+"""Control steps between two checks from the ground; the failsafe on board checks every step."""
 
 UPLOAD = round(0.5 / PERIOD)
-"""Control steps before its start at which an excitation is on board."""
+"""Control steps between the upload of an excitation and its start."""
 
 START = round(0.1 / PERIOD)
-"""Control steps from now at which a flight in real time begins: what is subscribed to has begun to come by then."""
+"""Control steps before a flight in real time starts: subscribed streams have started by then."""
 
 LEVEL = round(1.0 / PERIOD)
-"""Control steps that a flight which is broken off is held level before it is disarmed."""
+"""Control steps of level hold before an aborted flight is disarmed."""
 
 LEAST_STILL = 0.2
-"""Shortest time [s] with the motors off: the drone hears its sensors and arms in it."""
+"""Shortest time [s] with the motors off, in which the drone receives its sensors and arms."""
 
 OUT_OF_PLACE = 0.08
-"""Farthest [m] from its start at which an experiment with the cart free is begun: gusts move the lab rig's by .05."""
+"""Largest distance [m] from the start at which an excitation begins: gusts move the lab rig's cart by .05."""
 
 TILTED = 0.2
-"""Largest pitch [rad] at which it is begun; a level hold stays within .05."""
+"""Largest pitch [rad] at which an excitation begins; a level hold stays within .05."""
 
 
 def fly(
@@ -69,34 +69,37 @@ def fly(
     progress: Progress | None = None,
     interrupted: Callable[[Flight], None] | None = None,
 ) -> Flight:
-    """Flies `experiment` (or the ready-made one of that name) with `drone`: arm, hold, excite on board, disarm.
+    """Fly `experiment`, or the ready-made one of that name, with `drone`: arm, hold, excite on board, disarm.
 
-    A virtual drone is put to its start first, with the noise of `seed` times `noise`. In lockstep the flight then has
-    the bits of `Laboratory.fly`, as `experiments.script` is followed to the tick. In real time it begins as soon as the
-    drone is there. A real drone must have its rings set as the experiment wants them; with the cart free it flies to
-    its start during the hold.
+    A virtual drone is reset to the start first, with the noise of `seed` times `noise`. In lockstep the flight has the
+    bits of `Laboratory.fly`: `experiments.script` is followed to the tick. In real time it begins as soon as the drone
+    is there. A real drone's rings must be set as the experiment needs them; with the cart free it flies to the start
+    during the hold.
 
-    `x_start` [m] is where a flight with the cart free begins; None: where `laboratory` says it fits the rail, which is
-    by default the virtual rig of the drone's name, else "lab".
+    `x_start` [m] is the start of a flight with the cart free. None takes the start that centres the flight on the rail
+    of `laboratory`, by default the virtual rig of the drone's name, else "lab".
 
-    From the ground pitch and place are watched ten times a second. A flight is broken off (level, then disarmed) at a
-    limit, at an act of the failsafe, at a refusal and at a lost link. It is then returned with its `reason`, its
-    samples so far and failed checks. Ctrl-C disarms, hands the samples so far to `interrupted`, and is raised again.
-    Raises ExperimentError for what cannot be flown at all, before anything moves, and what `Drone` raises while the
-    drone is put to its start.
+    Pitch and position are checked from the ground ten times a second. A limit, an action of the failsafe, a refusal or
+    a lost link aborts the flight: level, then disarmed. It is then returned with its `reason`, its samples so far and
+    failed checks. Ctrl-C disarms, passes the samples so far to `interrupted`, and is raised again.
+
+    Raises ExperimentError for an experiment that cannot be flown, before anything moves, and the errors of `Drone`
+    while the drone is reset.
     """
     experiment = ready(experiment)
     rig = drone.state.rig
     if experiment.still < LEAST_STILL:
         raise ExperimentError(
-            f"the motors stand for {experiment.still:g} s only",
+            f"the motors are off for {experiment.still:g} s only",
             f"{experiment.name}.still",
-            f"give {LEAST_STILL:g} s or more, in which the drone hears its sensors and arms",
+            f"give {LEAST_STILL:g} s or more: the drone receives its sensors and arms in this time",
         )
     if not rig.virtual and rig.rings_locked != experiment.rings:
         asked, found = ("locked", "free") if experiment.rings else ("free", "locked")
         raise ExperimentError(
-            f"it is flown with the cart {asked}, and the cart is {found}", experiment.name, "set the rings, then fly"
+            f"the experiment needs the cart {asked}, and it is {found}",
+            experiment.name,
+            "set the rings, then fly",
         )
     model = laboratory if laboratory is not None else _model(rig.name)
     if x_start is None:
@@ -104,7 +107,7 @@ def fly(
     room = model.parameters["rail_stop"] - MARGIN
     if not abs(x_start) <= room:
         raise ExperimentError(
-            f"x = {x_start:g} m is not a place to start at",
+            f"x = {x_start:g} m is not a valid start",
             experiment.name,
             f"start within {room:.2f} m of the rail's middle",
         )
@@ -154,24 +157,24 @@ def fly(
 
 @contextmanager
 def _truth(drone: Drone) -> Iterator[TruthRows | None]:
-    """The true state of its rig, which nothing on board knows; None where the drone does not tell it."""
+    """Subscribe to the true state of a virtual rig; None if the drone does not send it."""
     with ExitStack() as stack:
         rows = None
         if drone.state.rig.virtual:
-            with suppress(Rejected):  # it flies as well without
+            with suppress(Rejected):  # the truth is optional
                 rows = stack.enter_context(drone.truth())
         yield rows
 
 
 def _flies(drone: Drone) -> ActiveController:
-    """What flies on it. A drone that does not tell is flown too."""
+    """Return the active controller; unknown if the drone does not report it."""
     with suppress(Rejected, Timeout):
         return drone.active_controller()
     return ActiveController(known=False)
 
 
 class _Heard(NamedTuple):
-    """What the drone said in flight: TWODOF_SAFETY as (tick, row of the channel), words as (s, severity, text).
+    """Messages of the drone in flight: TWODOF_SAFETY as (tick, row of the channel), texts as (s, severity, text).
 
     `changes` of parameters are (s, name, value).
     """
@@ -205,25 +208,25 @@ def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
 
 
 def _model(name: str) -> Laboratory:
-    """The virtual rig that is most like the drone's."""
+    """Return the virtual rig of the drone's name, else "lab"."""
     return Laboratory(name if name in NAMES else "lab")
 
 
 def _in_words(causes: str) -> str:
-    """What each of the failsafe's causes means."""
+    """Translate the failsafe's causes into sentences."""
     texts = {cause.name: cause.text for cause in CAUSES}
     return "; ".join(texts.get(name.strip(), name.strip()) for name in causes.split(","))
 
 
 def _silent(text: str, share: float) -> None:
-    """Says nothing."""
+    """Ignore the progress."""
 
 
 @dataclass
 class _Course:
-    """One flight in its course; `first` is the tick of step 0, `flown` the steps up to its end.
+    """One flight in progress; `first` is the tick of step 0, `flown` the number of steps flown.
 
-    `acted` is what the failsafe did ("": nothing).
+    `acted` is the action of the failsafe, "" for none.
     """
 
     experiment: Experiment
@@ -240,14 +243,14 @@ class _Course:
     _flying: bool = False
 
     def fly(self) -> str:
-        """Flies the script; returns why it ended before its end, "" if it did not."""
+        """Fly the script; return the reason of an abort, "" without one."""
         self.first = self.drone.tick if self.drone.state.rig.lockstep else self.drone.tick + START
         try:
             reason = self._follow()
         except (Rejected, Timeout, LinkLost) as error:
             reason = str(error)
         except BaseException:
-            # Ctrl-C above all: whoever takes over must not find the motors running.
+            # Ctrl-C above all: the motors must not keep running.
             self.flown = self._steps()
             self._end()
             raise
@@ -277,7 +280,7 @@ class _Course:
         return ""
 
     def _arm(self) -> str:
-        self._flying = True  # also where no answer comes: then it is disarmed all the same
+        self._flying = True  # also without an answer: the drone is disarmed in any case
         try:
             self.drone.arm()
         except Rejected:
@@ -286,7 +289,7 @@ class _Course:
         return ""
 
     def _offer(self) -> str:
-        # Offboard wants set-points first: these ask for nothing, so that the hold begins at its tick.
+        # Offboard mode needs set-points first. These have no thrust: the hold begins at its tick.
         self.drone.set_pitch(0.0, thrust=0.0)
         return ""
 
@@ -300,11 +303,11 @@ class _Course:
     def _excite(self) -> str:
         theta, x = (self._latest(name) for name in ("estimate.theta", "estimate.x"))
         if not abs(theta) <= TILTED:
-            return f"it does not hold level: the pitch is {np.degrees(theta):.0f} deg"
+            return f"the drone does not hold level: the pitch is {np.degrees(theta):.0f} deg"
         if not (self.experiment.rings or abs(x - self.x_start) <= OUT_OF_PLACE):
-            return f"it does not hold its place: the cart is at {x:+.2f} m and not at {self.x_start:+.2f} m"
+            return f"the drone does not hold its position: the cart is at {x:+.2f} m, not at {self.x_start:+.2f} m"
         excitation = self.experiment.excitation
-        # The rest is flown as a part of the excitation: its loop stays closed, or open, as it is.
+        # The rest is flown as a part of the excitation, so that the loop stays as it is.
         longer = replace(excitation, settle=excitation.settle + self.experiment.rest)
         self.drone.excite(
             longer,
@@ -321,7 +324,7 @@ class _Course:
         return ""
 
     def _break_off(self) -> list[str]:
-        """Level, then disarm; returns what of it did not work."""
+        """Level, then disarm; return the failures."""
         failed = []
         for what, act in (("level", self._level), ("disarm", self._end)):
             if self._flying:
@@ -337,7 +340,7 @@ class _Course:
         self.drone.run_until(self.drone.tick + LEVEL)
 
     def _watch_until(self, step: int) -> str:
-        """Lets the drone's time pass up to `step`; returns why the flight must end, "" if it need not."""
+        """Let the drone's time pass up to `step`; return the reason of an abort, "" without one."""
         until = self.first + step
         while self.drone.tick < until:
             self.drone.run_until(min(until, self.drone.tick + WATCH))
@@ -352,10 +355,10 @@ class _Course:
             self.acted = f"{state.safety.action}, since {_in_words(state.safety.reason)} ({state.safety.reason})"
             return f"the failsafe acts: {self.acted}"
         if not state.armed:
-            # Disarmed by a command: the failsafe then stops the motors without a reason of its own.
+            # After a disarm command the failsafe stops the motors and gives no reason.
             self._flying = False
             said = self.drone.messages
-            return f"it was disarmed; it last said {said[-1].text!r}" if said else "it was disarmed"
+            return f"disarmed; last message {said[-1].text!r}" if said else "disarmed"
         new = np.asarray(self.rows.values[self._seen :], dtype=np.float64)
         self._seen += len(new)
         limits = [("estimate.theta", self.stops["pitch_stop"] - PITCH_MARGIN, "pitch", "rad")]
@@ -368,7 +371,7 @@ class _Course:
         return ""
 
     def _latest(self, column: str) -> float:
-        """The latest sample of a column; NaN if there is none."""
+        """Return the latest sample of a column, NaN without any."""
         values = np.asarray(self.rows.values, dtype=np.float64)[:, COLUMNS.index(column)]
         known = values[np.isfinite(values)]
         return float(known[-1]) if known.size else float("nan")

@@ -1,4 +1,4 @@
-"""What an excitation would do before it is flown: the motion that the closed loop predicts, and what it uses up."""
+"""Prediction of the motion in an excitation before it is flown, by the simulated closed loop."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from twodof.sim.initial_state import InitialState
 from twodof.sim.resimulation import estimates_in, identified_rig, load_rig_or_model
 
 LONGEST_S = 120.0
-"""A longer excitation is predicted for its first part: what it uses shows in it, and the answer stays quick."""
+"""Longest predicted part of an excitation [s]: the first part shows the motion, and the answer stays quick."""
 
 BEFORE_S = 0.2
 AFTER_S = 1.0
-"""Hovering before, and what comes after [s]."""
+"""Hover before the excitation, and flight after it [s]."""
 
 LOOP_MODES: Mapping[str, str] = {"M": "open-loop", "q": "rate", "theta": "attitude", "v": "velocity", "x": "position"}
 """The mode in which each loop of `Drone.excite` is the outermost."""
@@ -35,11 +35,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class PredictedMotion:
-    """The motion in an excitation, with the rig's own noise of one seed.
+    """Motion in an excitation, with the rig's noise of one seed.
 
-    Each is (n,) at 250 Hz: `time` [s since its start], pitch `theta` [rad], place `x` [m], moment `M`.
-    `pitch_stop` [rad] and `rail_stop` [m] are where the rig ends. `failsafe` says in words what the failsafe would do,
-    "" for nothing, and `failsafe_at` [s] when first. What comes after that is not what was asked for.
+    Each is (n,) at 250 Hz: `time` [s since its start], pitch `theta` [rad], position `x` [m], moment `M`.
+    `pitch_stop` [rad] and `rail_stop` [m] are the rig's stops. `failsafe` describes the failsafe's first action, "" for
+    none, at `failsafe_at` [s]. From then on the motion is the failsafe's.
     """
 
     time: Array
@@ -53,16 +53,16 @@ class PredictedMotion:
 
     @property
     def pitch(self) -> float:
-        """The largest pitch [rad]."""
+        """Largest pitch [rad]."""
         return float(np.abs(self.theta).max())
 
     @property
     def rail(self) -> float:
-        """The farthest place from the rail's middle [m]."""
+        """Largest distance from the rail's middle [m]."""
         return float(np.abs(self.x).max())
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, at 50 Hz."""
+        """Return plain data at 50 Hz."""
         curves = {"time": self.time, "theta": self.theta, "x": self.x, "M": self.M}
         return {
             **{name: [float(f"{value:.5g}") for value in values[::_EACH]] for name, values in curves.items()},
@@ -84,11 +84,11 @@ def predict(
     rings: bool = False,
     gains: Gains = DEFAULT,
 ) -> PredictedMotion:
-    """What `excitation` does when `loop` ("M", "q", "theta", "v", "x") follows it, from a hover at `x` [m].
+    """Predict the motion when `loop` ("M", "q", "theta", "v", "x") follows `excitation`, from a hover at `x` [m].
 
     `rig` is "lab", "paper", a file of a rig or of an identified model, or the rig's parameters (`sim.identified_rig`).
-    At `thrust` 0 the rig stands before. `rings` lock the cart. Raises ExperimentError for a loop that is none, of
-    another unit, or that moves a locked cart. So it does for a thrust that is not 0 to 1 and an `x` beyond the rail.
+    At `thrust` 0 the rig rests before. `rings` locks the cart. Raises ExperimentError for an unknown loop, a wrong
+    unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
     """
     mode = _mode(excitation, loop, thrust, rings)
     values = dict(rig) if isinstance(rig, Mapping) else load_rig_or_model(rig)
@@ -132,10 +132,9 @@ def predicted(
     gains: Gains,
     model: tuple[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """`predict` on plain data: an excitation's `to_dict`; a motion's `to_json`, and what it is predicted `by`.
+    """Call `predict` on plain data: an excitation's `to_dict` in; a motion's `to_json` and the predictor's name out.
 
-    `model` is the name and the document of an identified model. It takes the place of the `rig` where it has the
-    figures for that. What it does not say is the rig's.
+    `model` is the name and the document of an identified model, which replaces the rig's values where it has them.
     """
     given: str | Mapping[str, float] = rig
     by = f"the virtual rig '{rig}'"
@@ -172,10 +171,10 @@ def _mode(excitation: Excitation, loop: str, thrust: float, rings: bool) -> str:
 def _failsafe(
     action: NDArray[np.int32], reason: NDArray[np.int32], since: Array, begin: int
 ) -> tuple[str, float | None]:
-    """What it does first from the excitation's start on, in words, and when."""
+    """Describe the failsafe's first action from the excitation's start on; return its time [s] too."""
     acts = np.flatnonzero(action[begin:] != NONE)
     if not acts.size:
         return "", None
     step = begin + int(acts[0])
     causes = [cause.text for place, cause in enumerate(CAUSES) if int(reason[step]) & 1 << place]
-    return f"{ACTIONS[int(action[step])]}: {'; '.join(causes) or 'it names no cause'}", float(since[step])
+    return f"{ACTIONS[int(action[step])]}: {'; '.join(causes) or 'no cause given'}", float(since[step])

@@ -1,4 +1,4 @@
-"""The samples of a flight as they came over the link, row by row and on the grid of control steps; the truth too."""
+"""Samples received over the link in a flight, by row and on the grid of control steps, with the true states."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ _LOGGED = [
 ]
 
 COLUMNS = tuple(column for column, _ in _LOGGED)
-"""Columns of `signals.TOPICS` that a flight's log is made of."""
+"""Columns of `signals.TOPICS` in the log of a flight."""
 
 NAMES = tuple(name for _, name in _LOGGED)
-"""What the closed loop calls them, in the same order."""
+"""Names of these columns in the closed loop, in the same order."""
 
 
 def _no_ticks() -> NDArray[np.int64]:
@@ -40,10 +40,10 @@ def _no_states() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class ReceivedSamples:
-    """Rows of `COLUMNS` that came: `values` (n, k), NaN where a channel had no new sample, at the `ticks` (n,).
+    """Received rows of `COLUMNS`: `values` (n, k) at the `ticks` (n,), NaN where a channel had no new sample.
 
-    `truth` (m, 4) are the states `flightlog.steps.TRUTH` of a virtual rig at the ticks `truth_ticks` (m,); m is 0 with
-    a real drone.
+    `truth` (m, 4) has the states `flightlog.steps.TRUTH` of a virtual rig at `truth_ticks` (m,); m is 0 with a real
+    drone.
     """
 
     ticks: NDArray[np.int64]
@@ -61,18 +61,18 @@ class ReceivedSamples:
         truth_ticks: ArrayLike = (),
         truth: ArrayLike = (),
     ) -> ReceivedSamples:
-        """Those of the `steps` control steps from the tick `first` on, in their order, each once."""
+        """Return the samples of `steps` control steps from the tick `first` on, sorted, without repetitions."""
         rows = _within(ticks, np.reshape(np.asarray(values, dtype=np.float64), (-1, len(COLUMNS))), first, steps)
         return cls(
             *rows, *_within(truth_ticks, np.reshape(np.asarray(truth, np.float64), (-1, len(TRUTH))), first, steps)
         )
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """A column by the closed loop's name, (n,)."""
+        """Return a column by its name in the closed loop, (n,)."""
         return self.values[:, NAMES.index(name)]
 
     def log(self, provenance: dict[str, Any], safety: Channel | None = None) -> FlightLog:
-        """As a flight log, with what the failsafe did if that is given; what was lost is a gap."""
+        """Return a flight log, with the channel `safety` if given; lost samples are gaps."""
         out: dict[str, NDArray[Any]] = {name: self.column(name) for name in NAMES}
         mode = np.nan_to_num(out["mode"], nan=0.0)
         out |= {row.when: np.isfinite(out[row.source[0]]) for row in TOPICS if row.own_rate}
@@ -82,9 +82,9 @@ class ReceivedSamples:
         return FlightLog(channels if safety is None else {**channels, "safety": safety}, provenance)
 
     def on_grid(self, first: int, steps: int) -> tuple[dict[str, NDArray[Any]], NDArray[np.bool_]]:
-        """Signals by the closed loop's names, NaN where a sample is missing, and which steps came: (steps,) each.
+        """Return signals by their names in the closed loop, and a mask of the received steps: (steps,) each.
 
-        With the truth (`true_theta`, ...) where any of it came.
+        NaN marks a missing sample. True states (`true_theta`, ...) are included if any were received.
         """
         have = np.zeros(steps, dtype=bool)
         have[self.ticks - first] = True
@@ -95,7 +95,7 @@ class ReceivedSamples:
 
 
 def safety_in(told: Sequence[tuple[int, tuple[int, ...]]], first: int, steps: int) -> Channel | None:
-    """The channel `safety` of what the drone told, (tick, row) each, in these steps; None if nothing."""
+    """Return the channel `safety` from the drone's messages (tick, row) within these steps; None without any."""
     rows = {tick: row for tick, row in told if first <= tick < first + steps}
     ticks = np.array(sorted(rows), dtype=np.int64)
     values = np.array([rows[tick] for tick in ticks.tolist()], dtype=np.float64)
@@ -105,7 +105,7 @@ def safety_in(told: Sequence[tuple[int, tuple[int, ...]]], first: int, steps: in
 def _within(
     ticks: ArrayLike, rows: NDArray[np.float64], first: int, steps: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """The ticks of `steps` steps from `first` on and their rows, in order, each once."""
+    """Return the ticks within `steps` steps from `first` on and their rows, sorted, without repetitions."""
     tick = np.asarray(ticks, dtype=np.int64)
     inside = np.flatnonzero((tick >= first) & (tick < first + steps))
     tick, index = np.unique(tick[inside], return_index=True)
@@ -115,7 +115,7 @@ def _within(
 def _spread(
     names: Sequence[str], place: NDArray[np.int64], rows: NDArray[np.float64], steps: int
 ) -> dict[str, NDArray[Any]]:
-    """Each column of `rows` by its name on a grid of `steps`, NaN where a row is missing."""
+    """Put each column of `rows` on a grid of `steps`, by name; NaN marks a missing row."""
     grid = np.full((steps, len(names)), np.nan)
     grid[place] = rows
     return {name: grid[:, k] for k, name in enumerate(names)}

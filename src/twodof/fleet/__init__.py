@@ -1,4 +1,4 @@
-"""Drones on this computer: started, supervised, found, given controllers and ended."""
+"""Drones on this computer: start, supervise, find, flash and end them."""
 
 from twodof.fleet.virtual_drone import virtual_drone, virtual_drones
 

@@ -1,6 +1,6 @@
-"""`python -m twodof.fleet.child ARGUMENTS`: runs `twodof ARGUMENTS`, which ends with the process that started it.
+"""`python -m twodof.fleet.child ARGUMENTS`: run `twodof ARGUMENTS` and end with the parent process.
 
-The parent holds the other end of our standard input and never writes: its end is the parent's, however that died.
+The parent holds the other end of our standard input and never writes. End of file means that the parent has died.
 """
 
 import os

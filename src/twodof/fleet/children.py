@@ -1,4 +1,4 @@
-"""Child processes of twodof: their last words, told once, and a lower priority for programs beside a flight."""
+"""Child processes: the error with which one ended, and a lower priority for programs beside a flight."""
 
 import os
 from collections.abc import Sequence
@@ -11,19 +11,19 @@ _WHAT, _WHERE, _REMEDY = "error:", "  where:", "  remedy:"
 
 
 def indented_lines(said: Sequence[str]) -> str:
-    """The lines, each below the one before and indented; "it said nothing" without any."""
-    return "".join(f"\n    {line}" for line in said if line.strip()) or "\n    it said nothing"
+    """Return the lines one below the other and indented; "no output" without any."""
+    return "".join(f"\n    {line}" for line in said if line.strip()) or "\n    no output"
 
 
 def child_error(said: Sequence[str], name: str, status: int | None = None) -> LinkError:
-    """The error that the program `name` ended with, of its last lines `said`.
+    """Return the error with which the program `name` ended, from its last lines.
 
     Where it is one of ours (`output.print_error`) it has that one's fact, place and remedy; else it shows all lines.
     """
     begins = [number for number, line in enumerate(said) if line.startswith(_WHAT)]
     if not begins:
         ended = "it ended" if status is None else f"it ended with status {status}"
-        return LinkError(f"{ended}; it last said:{indented_lines(said)}", name, "put right what it says")
+        return LinkError(f"{ended}; its last output:{indented_lines(said)}", name, "mend the fault in this output")
     last = [line.rstrip() for line in said[begins[-1] :]]
     what = [last[0].removeprefix(_WHAT).strip()]
     where = remedy = ""

@@ -38,18 +38,18 @@ from twodof.sim.linear import LOOPS, cascade_margins
 Array = NDArray[np.float64]
 
 _TRIAL_STEPS, _AT = 750, 50
-"""Control steps of the flight, and when the set-point steps: 3 s, .2 s."""
+"""Control steps of the flight (3 s), and of the step of the set-point (.2 s)."""
 
 _PITCH, _PLACE = math.radians(3.0), 0.05
-"""The steps of theta [rad] and x [m]: small, so that a sound controller stays far from its limits."""
+"""Steps of theta [rad] and x [m], small enough for a sound controller to stay far from its limits."""
 
 _QUIET, _LASTS, _GROWS = 0.3, 0.7, 1.3
-"""A swing of the pitch rate [rad/s] that is left alone; what is left of one from third to third that does not die out;
-and of one that grows."""
+"""Swing of the pitch rate [rad/s] that is tolerated, and its ratio from third to third of the flight above which it
+counts as persistent, and as growing."""
 
 _SOON = 1.0
-"""A linear motion that grows by the factor e in less than this [s] is a fault, also where the flight does not show it:
-it may belong to a mode that was not flown. Slower ones are what the drone does without control."""
+"""A linear motion that grows by the factor e within this time [s] is a fault even if the flight does not show it: its
+mode may not have been flown. Slower growth is the drone's own, without control."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ _PLANS: Mapping[str, _Plan] = MappingProxyType(
 
 @dataclass(frozen=True)
 class TrialFlight:
-    """What a controller did on the `lab` rig. `fault` says why it must not fly, "" if nothing speaks against it.
+    """Result on the `lab` rig. `fault` is the reason why the controller must not fly, "" if it may.
 
-    `margins` are those of the loops that it closes, empty where they are not known, which `unknown` then explains.
+    `margins` are those of the loops that it closes. Where they are unknown they are empty, and `unknown` says why.
     """
 
     margins: Mapping[str, LoopMargins]
@@ -82,7 +82,7 @@ class TrialFlight:
     fault: str
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the result as plain data."""
         return {
             "margins": {name: m.to_json() for name, m in self.margins.items()},
             "margins_unknown": self.unknown or None,
@@ -91,7 +91,7 @@ class TrialFlight:
 
 
 def trial_flight(diagram: Diagram, template: str, target: str = "native") -> TrialFlight:
-    """Flies `diagram` of the template called `template` for 3 s without noise: a step of 3 deg, or of 5 cm.
+    """Fly `diagram` of the template `template` for 3 s without noise: a step of 3 deg, or of 5 cm.
 
     An attitude controller flies with the cart locked, the others free. The other loops are the stock ones. A fault is
     a swing that does not die out, a stop that is reached, or a linear motion of a loop that grows fast. `target`
@@ -131,14 +131,14 @@ def _fault(out: Mapping[str, Array], stops: tuple[float, float], margins: Mappin
 
 
 def _fastest(margins: Mapping[str, LoopMargins]) -> str | None:
-    """What the fastest growing of the unstable loops does, if that is fast."""
+    """Describe the motion of the fastest growing unstable loop; None if it grows slowly."""
     motions = [m.motion for m in margins.values() if not m.stable and m.motion is not None]
     worst = max(motions, key=lambda motion: motion.growth, default=None)
     return None if worst is None or worst.growth * _SOON < 1.0 else worst.text
 
 
 def _frequency(values: Array) -> float:
-    """Of a swing [rad/s], by how often it passes its mean."""
+    """Return the frequency of a swing [rad/s], from its crossings of the mean."""
     level = values - values.mean()
     passes = np.flatnonzero(np.sign(level[1:]) != np.sign(level[:-1]))
     if passes.size < 2:
@@ -147,22 +147,25 @@ def _frequency(values: Array) -> float:
 
 
 SYSTEM = 252
-"""What we call ourselves to a drone: another one than a script's `Drone`, so that its lease keeps us out."""
+"""MAVLink system of `flash`. It differs from a script's, so that a script's lease refuses a flash."""
 
 FLYING = "/etc/extras"
-"""Where a drone shows the diagrams that fly, by template."""
+"""Folder in which a drone shows its active diagrams, by template."""
 
 SIM, FCU, PX4 = "sim", "fcu", "px4-dir"
 
 FORCE = "--force-unstable"
-"""The command line's option for what is unstable on the virtual rig."""
+"""Option of the command line that flashes an unstable controller."""
 
-_STEPS = 250  # run on the emulated processor to count instructions: a second of flight
+_STEPS = 250  # one second of flight on the emulated processor, to count instructions
 
 
 @dataclass(frozen=True)
 class ControllerCosts:
-    """What a controller costs: bytes of its structs, alike on every target, and the Cortex-M7's figures or why none."""
+    """Costs of a controller: bytes of its structs, equal on every target, and the Cortex-M7's figures.
+
+    `m7` is None without a cross compiler; `m7_missing` gives the reason.
+    """
 
     parameters: int
     states: int
@@ -172,7 +175,7 @@ class ControllerCosts:
     m7_missing: str
 
     def to_json(self) -> dict[str, Any]:
-        """The figures as a JSON object."""
+        """Return the figures as a JSON object."""
         return {
             "parameter_bytes": self.parameters,
             "state_bytes": self.states,
@@ -185,9 +188,9 @@ class ControllerCosts:
 
 @dataclass(frozen=True)
 class FlashReport:
-    """What was flashed, or would be: `changes` against `origin`, what is odd about it, and the `place`, for people.
+    """Result of a flash: `changes` against `origin`, remarks and warnings, and the `place` in words.
 
-    `trial` are its margins and its flight on the virtual rig.
+    `trial` has the margins and the flight on the virtual rig.
     """
 
     diagram: Diagram
@@ -202,7 +205,7 @@ class FlashReport:
 
 
 def controller_costs(diagram: Diagram, precision: str = "float32", target: str = "native") -> ControllerCosts:
-    """What `diagram` costs at 250 Hz, compiled for `target` and for the Cortex-M7 where its tool chain is there.
+    """Compile `diagram` for 250 Hz, for `target` and, with its tool chain, for the Cortex-M7; return the costs.
 
     Raises DiagramError and CompileError as `build` does, CompileError also without a C compiler.
     """
@@ -230,11 +233,11 @@ def flash(
     force: bool = False,
     say: Callable[[str, float], None] | None = None,
 ) -> FlashReport:
-    """Lets `diagram` fly at `to`: "sim", "px4-dir" (a module in the folder `out`), "fcu" or a drone's URL.
+    """Put `diagram` on `to`: "sim", "px4-dir" (a module in the folder `out`), "fcu" or a drone's URL.
 
-    A drone must be disarmed; it builds the controller itself, for its sandbox, and keeps it over restarts. The module
-    is first compared with the PX4 in the folder `px4`, if one is given. `dry_run`: everything but the last step.
-    `force`: also what is unstable on the virtual rig. `say` is told what is being done and the share done.
+    A drone must be disarmed; it builds the controller for its sandbox and keeps it over restarts. A module is compared
+    with the PX4 source in the folder `px4` first, if given. `dry_run` leaves the last step out. `force` also flashes a
+    diagram that is unstable on the virtual rig. `say` is called with the current step and the share done.
 
     Raises LinkError for another `to`, and DiagramError for a diagram that fits no template. Raises ExperimentError for
     one that is unstable on the virtual rig (`trial_flight`). Raises CompileError, and what `open_target` and the drone
@@ -249,7 +252,7 @@ def flash(
     trial = trial_flight(diagram, kind)
     if trial.fault and not (force or dry_run):
         raise ExperimentError(
-            f"it is unstable on the virtual rig: {trial.fault}",
+            f"unstable on the virtual rig: {trial.fault}",
             diagram.name,
             f"nothing was flashed; mend it with `twodof diagram margins`, or use {FORCE} (in Python force=True)",
         )
@@ -264,11 +267,11 @@ def flash(
 
 
 def _silent(text: str, share: float) -> None:
-    """Tells nobody."""
+    """Ignore the progress."""
 
 
 def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
-    """What `twodof px4 check` warns of, of a module that nobody keeps. Raises CompileError where it does not fit."""
+    """Return the warnings of `twodof px4 check` for a temporary module. Raises CompileError if it does not fit."""
     with tempfile.TemporaryDirectory(prefix="twodof-") as name:
         folder = Path(name) / "module"
         export(diagram, folder)
@@ -280,7 +283,7 @@ def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
 
 
 class Rehearsal(NamedTuple):
-    """What flashing a diagram would do: see `FlashReport`."""
+    """Result of a dry run of `flash`: see `FlashReport`."""
 
     template: str
     costs: ControllerCosts
@@ -289,7 +292,7 @@ class Rehearsal(NamedTuple):
     changes: Difference
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the result as plain data."""
         return {
             "template": self.template,
             "costs": self.costs.to_json(),
@@ -302,10 +305,10 @@ class Rehearsal(NamedTuple):
 def rehearse(
     diagram: Diagram, before: Diagram | None, say: Callable[[str, float], None], target: str = "wasm"
 ) -> Rehearsal:
-    """What `flash` does before its last step, for a diagram of somebody else's: it runs in the sandbox only.
+    """Do every step of `flash` but the last, for an untrusted diagram, which runs in the sandbox alone.
 
-    `before` is what flies now, None the stock controller. Raises as `flash` does, but for what is unstable: `trial`
-    says that.
+    `before` is the active diagram, None the stock controller. Raises what `flash` raises, except for an unstable
+    diagram: `trial` reports that.
     """
     kind = check_template(diagram).name
     say("compiling", 0.0)
@@ -318,10 +321,10 @@ def rehearse(
 
 
 class FlashTarget(NamedTuple):
-    """Somewhere that one controller of a template can be put.
+    """Place for one controller of a template.
 
-    `before` is what is there now, or else the stock controller, and `origin` says which. `place` is for people. `put`
-    puts a diagram there; where that fails, what was there stays.
+    `before` is the diagram there now, or the stock controller; `origin` says which. `place` names it in words. `put`
+    replaces the diagram; if it fails, the old one stays.
     """
 
     before: Diagram
@@ -331,7 +334,7 @@ class FlashTarget(NamedTuple):
 
 
 def check_target(to: str) -> None:
-    """That `to` names a place or looks like a URL, asked before a controller is compiled. Raises LinkError."""
+    """Check that `to` names a place or looks like a URL. Raises LinkError."""
     if to not in (SIM, FCU, PX4) and "/" not in to and ":" not in to:
         raise LinkError(
             f"{shown(to)} is not {SIM}, {PX4}, {FCU} or a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"
@@ -340,10 +343,10 @@ def check_target(to: str) -> None:
 
 @contextmanager
 def open_target(to: str, kind: str, out: Path | None, key: Path | None) -> Iterator[FlashTarget]:
-    """The place that `to` names for a controller of the template `kind`.
+    """Open the place `to` for a controller of the template `kind`.
 
-    `to` is `SIM`, `PX4` with the folder `out`, `FCU` or a drone's URL, reached with `key`. Raises LinkError for what is
-    not a URL, LinkLost where no drone answers, Rejected where somebody else has its lease. `put` raises DiagramError,
+    `to` is `SIM`, `PX4` with the folder `out`, `FCU` or a drone's URL, reached with `key`. Raises LinkError for a
+    malformed URL, LinkLost if no drone answers, Rejected if another client has its lease. `put` raises DiagramError,
     CompileError, LogError, and Rejected with the drone's reason.
     """
     if to == SIM:
@@ -365,16 +368,16 @@ def _exported(file: Path, kind: str) -> tuple[Diagram, str]:
     try:
         return load_diagram(file), str(file)
     except DiagramError as damage:
-        return _stock(kind, f", as what is there is damaged: {damage}")
+        return _stock(kind, f", as the diagram there is damaged: {damage}")
 
 
 def _flying(drone: Drone, kind: str) -> tuple[Diagram, str]:
     try:
         diagram = from_json(drone.files.read(f"{FLYING}/{kind}.json"))
-    except Rejected:  # it has no such file: no controller of a user's flies there
+    except Rejected:  # no such file: the stock controller is active
         return _stock(kind)
     except DiagramError as damage:
-        return _stock(kind, f", as what flies cannot be read: {damage}")
+        return _stock(kind, f", as the active diagram cannot be read: {damage}")
     return diagram, f"{diagram.name}, which flies on drone {drone.there.session.system}"
 
 

@@ -21,10 +21,10 @@ from twodof.link.transport import open_transport, ports
 from twodof.link.transport.url import parse
 
 MOST_DRONES = ports.GROUND_STATION - ports.ONBOARD
-"""The next one's port for clients on board is QGroundControl's."""
+"""Largest number of drones: the onboard port of the next one would be QGroundControl's."""
 
 _LOOPBACK = "127.0.0.1"
-# What is listened at, with drone 0's port (docs/reference/protocol.md).
+# Ports that the programs of drone 0 listen on (docs/reference/protocol.md).
 _LISTENED = (
     ("TCP", ports.FLIGHT_CONTROLLER, "the flight controller"),
     ("TCP", ports.COMPANION_TCP, "the companion"),
@@ -40,12 +40,12 @@ _MOST_SHOWN = 100
 
 
 def port_in_use(index: int) -> str:
-    """The first port of the drone `index` that somebody has, in words; "" if all are free."""
+    """Return a sentence about the first port of drone `index` in use, "" if all are free."""
     for kind, first, whose in _LISTENED:
         port = first + index
         with closing(socket.socket(type=socket.SOCK_STREAM if kind == "TCP" else socket.SOCK_DGRAM)) as probe:
             if kind == "TCP":
-                # As who listens there will set it: connections that were closed lately do not hold the port.
+                # As the servers set it: recently closed connections do not hold the port.
                 probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             try:
                 probe.bind((_LOOPBACK, port))
@@ -61,7 +61,7 @@ def port_in_use(index: int) -> str:
 
 
 def check_ports_free(first: int, drones: int) -> None:
-    """That `drones` from index `first` on find their ports free. Raises LinkError, which names one that is not."""
+    """Check that `drones` drones from index `first` on find their ports free. Raises LinkError for a busy one."""
     for index in range(first, first + drones):
         if found := port_in_use(index):
             free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
@@ -75,9 +75,9 @@ def _all_free(first: int, drones: int) -> bool:
 
 
 def port_owner(kind: str, port: int) -> str:
-    """Who listens at a "TCP" or "UDP" port: `process 4711 (twodof fcu --index 0)`, or whose it is; "" if unknown.
+    """Return the process that listens at a "TCP" or "UDP" port: `process 4711 (twodof fcu --index 0)`; "" if unknown.
 
-    What other users' processes hold is not shown to us, only that they do.
+    Of another user's process the system shows the user alone.
     """
     for inode, user in _sockets(kind, port):
         return _process(f"socket:[{inode}]") or f"a process of {_name(user)}"
@@ -85,7 +85,7 @@ def port_owner(kind: str, port: int) -> str:
 
 
 def with_port_owner(error: LinkError) -> LinkError:
-    """The error of a link that could not be opened, with who has its port in the remedy where that is so and known."""
+    """Return `error` with the process that holds its port in the remedy, if the port is in use and that is known."""
     with suppress(LinkError):
         address = parse(error.where)
         port = address.port if address.listens else address.bind_port
@@ -100,7 +100,7 @@ def with_port_owner(error: LinkError) -> LinkError:
 
 
 def _sockets(kind: str, port: int) -> Iterator[tuple[str, int]]:
-    """Inode and user of each socket that is bound there."""
+    """Yield inode and user of each socket bound to the port."""
     for table in _TABLES[kind]:
         with suppress(OSError):
             for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
@@ -111,19 +111,19 @@ def _sockets(kind: str, port: int) -> Iterator[tuple[str, int]]:
 
 
 def _process(link: str) -> str:
-    """The process that holds a socket, "" if it is not one that we may see."""
+    """Return the process that holds a socket, "" if it is another user's."""
     wanted = Path(link)
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError):
             if any(_link(one) == wanted for one in (folder / "fd").iterdir()):
-                if _CHILD in _words(folder):  # whoever started it would start it again
+                if _CHILD in _words(folder):  # its supervisor would restart it
                     folder = _PROC / (folder / "stat").read_text().rpartition(")")[2].split()[1]
                 return f"process {folder.name} ({_command(folder)})"
     return ""
 
 
 def _link(descriptor: Path) -> Path | None:
-    """The file of a descriptor; None if it is closed by now, as the one is with which they are listed."""
+    """Return the file of a descriptor, None if it was closed in the meantime."""
     with suppress(OSError):
         return descriptor.readlink()
     return None
@@ -134,7 +134,7 @@ def _words(folder: Path) -> list[str]:
 
 
 def _command(folder: Path) -> str:
-    """Its command line, without the interpreter in front of it."""
+    """Return the command line without the interpreter."""
     words = _words(folder)
     if words[0].rpartition("/")[2].startswith("python") and words[1:]:
         words = [words[1].rpartition("/")[2], *words[2:]]
@@ -150,7 +150,7 @@ def _name(user: int) -> str:
 
 REQUEST_MESSAGE = 512
 
-_PROBE = 240  # system of who only listens whether a drone is there; none of those that clients use
+_PROBE = 240  # MAVLink system of the probe that waits for a drone; no client uses it
 
 
 STOCK = "stock"
@@ -158,16 +158,16 @@ FLIES = "flies "
 
 
 class ControllerReport(NamedTuple):
-    """What a drone flies: its controller, and how many parameters differ from their defaults."""
+    """Active controller of a drone, and the number of parameters that differ from their defaults."""
 
     controller: str = STOCK
     changed: int = 0
 
 
 def controller_in_words(controller: str, changed: int) -> str:
-    """`flies my_attitude; 3 parameters differ from their defaults`; `controller` as TWODOF_RIG names it.
+    """Return e.g. "flies my_attitude; 3 parameters differ from their defaults"; `controller` as TWODOF_RIG names it.
 
-    Somebody else may have left a controller on the drone, or other parameters.
+    An earlier user may have left a controller or parameters on the drone.
     """
     what = "the stock controllers" if controller == STOCK else printable(controller)
     if not changed:
@@ -180,7 +180,7 @@ def controller_in_words(controller: str, changed: int) -> str:
 
 @dataclass(frozen=True)
 class LocalDrone:
-    """The drone `index`: its ports (docs/reference/protocol.md), seed, folder of its state and file of its key."""
+    """Drone number `index`: ports (docs/reference/protocol.md), seed, state folder and key file."""
 
     index: int
     seed: int = 1
@@ -189,31 +189,31 @@ class LocalDrone:
 
     @property
     def options(self) -> list[str]:
-        """What both its programs are told."""
+        """Options of both its programs."""
         return ["--index", str(self.index), *(() if self.key is None else ("--key", str(self.key)))]
 
     @property
     def own(self) -> list[str]:
-        """The arguments that only its own flight controller gets."""
+        """Options of its flight controller alone."""
         return ["--seed", str(self.seed), "--state", str(self.state)]
 
     @property
     def system(self) -> int:
-        """Its MAVLink system."""
+        """MAVLink system id."""
         return self.index + 1
 
     @property
     def fcu(self) -> str:
-        """The flight controller itself."""
+        """URL of the flight controller."""
         return f"tcp://127.0.0.1:{ports.FLIGHT_CONTROLLER + self.index}"
 
     @property
     def companion(self) -> str:
-        """The companion, for who opens a connection."""
+        """URL of the companion's TCP port."""
         return f"tcp://127.0.0.1:{ports.COMPANION_TCP + self.index}"
 
     def described(self, lockstep: bool) -> dict[str, Any]:
-        """Where to connect with what."""
+        """Return where each kind of client connects, as plain data."""
         return {
             "index": self.index,
             "system": self.system,
@@ -222,7 +222,7 @@ class LocalDrone:
             "key": None if self.key is None else str(self.key.absolute()),
             "fcu": self.fcu,
             "companion": self.companion,
-            # Time that is granted by one client: straight to the flight controller, as nobody else is to be there.
+            # In lockstep one client grants the time: it connects straight to the flight controller.
             "drone": self.fcu if lockstep else f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + self.index}",
             "mavsdk": f"udpin://127.0.0.1:{ports.ONBOARD + self.index}",
             "mavproxy": f"tcp:127.0.0.1:{ports.COMPANION_TCP + self.index}",
@@ -231,9 +231,9 @@ class LocalDrone:
 
 
 async def wait_until_heard(url: str, system: int, timeout: float, key: Key | None = None) -> ControllerReport:
-    """What the flight controller `system` at `url` says that it flies, all signed with `key` if there is one.
+    """Wait for the flight controller `system` at `url` and return its report. Frames are signed with `key`, if given.
 
-    Raises LinkError if none comes within `timeout` [s].
+    Raises LinkError if it is not heard within `timeout` [s].
     """
     try:
         async with asyncio.timeout(timeout):
@@ -249,4 +249,4 @@ async def wait_until_heard(url: str, system: int, timeout: float, key: Key | Non
                     elif got.message.get_type() == "TWODOF_RIG":
                         return ControllerReport(got.message.controller, got.message.changed)
     except TimeoutError:
-        raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "see what it says") from None
+        raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "read its output") from None

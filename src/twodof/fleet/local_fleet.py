@@ -18,27 +18,27 @@ from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_u
 from twodof.link.signing import Key
 
 MOST_RESTARTS = 3
-"""A program that ends more often than this within `WITHIN_S` is not restarted again: all end."""
+"""Restarts allowed within `WITHIN_S`. After one more the whole fleet ends."""
 
 WITHIN_S = 60.0
 AGAIN_S = 0.5
-"""Before a program is started again [s]."""
+"""Pause before a restart [s]."""
 
 ANSWER_S = 60.0
-"""How long a program may take until it is heard [s]: the first one compiles the flight code and the rig."""
+"""Deadline for the first heartbeat [s]; the first process compiles the flight code and the rig."""
 
 END_S = 10.0
-"""What programs have to end when they are asked to [s], with logs to write; then they are killed."""
+"""Time a process has to end and write its logs [s]. It is killed afterwards."""
 
 _LAST_LINES = 8
 
 
 @dataclass
 class ChildProcess:
-    """One program of a drone, or the page's, reached at `url`: its command line is `twodof ...` by this very Python.
+    """Child process that runs `twodof ARGUMENTS` with this Python, and is reached at `url`.
 
-    `listening` is set once it has said that it does, and `said` is what it last said since. `environment` is added to
-    ours. With a `niceness` above 0 the drones' programs go before it.
+    `listening` is set when the process reports that it listens; `output` keeps its last lines since then. `environment`
+    is added to ours. A `niceness` above 0 gives the process a lower priority.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ChildProcess:
     listening: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def start(self) -> None:
-        """Starts it. Its standard input is a pipe from here, what it says is kept in `said`."""
+        """Start the process. Its standard input is a pipe from here: the process ends with us."""
         self.said.clear()
         self.listening.clear()
         self.process = await asyncio.create_subprocess_exec(
@@ -65,14 +65,14 @@ class ChildProcess:
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
             limit=1 << 20,
-            start_new_session=True,  # Ctrl-C in the terminal is for us, who end them in order
+            start_new_session=True,  # Ctrl-C reaches the parent alone, which ends its children in order
             env=os.environ | self.environment if self.environment else None,
         )
         if self.niceness:
             lower_priority(self.process.pid, self.niceness)
 
     async def wait(self) -> int:
-        """Its exit status, once it has ended. Until then it takes in what the process says."""
+        """Return the exit status when the process has ended; read its output until then."""
         if self.process is None or self.process.stdout is None:
             return 0
         while line := await self.process.stdout.readline():
@@ -80,12 +80,12 @@ class ChildProcess:
             if text.startswith("listening on"):
                 self.listening.set()
                 self.said.clear()
-            elif not text.startswith(FLIES):  # what it says at its start is no reason for its end
+            elif not text.startswith(FLIES):  # the report at the start is not the reason of an exit
                 self.said.append(text)
         return await self.process.wait()
 
     async def end(self) -> None:
-        """Asks it to end, and kills it if it still runs after `END_S`."""
+        """Terminate the process, and kill it after `END_S`."""
         process = self.process
         if process is None or process.returncode is not None:
             return
@@ -98,10 +98,10 @@ class ChildProcess:
 
 
 class LocalFleet:
-    """`drones`, whose flight controllers are started with the options `given` of `twodof fcu`; for `async with`.
+    """Drones on this computer, as an async context manager. `given` are options of `twodof fcu` for each of them.
 
-    A program that ends is started again after `AGAIN_S`, `MOST_RESTARTS` times within `WITHIN_S`; after that all are to
-    end. `tell` is called with a line for people at each such event. `reports` say what each drone, by index, flies.
+    A process that ends is restarted after `AGAIN_S`, at most `MOST_RESTARTS` times within `WITHIN_S`. `tell` is called
+    with one line for people at each such event. `reports` has the active controller of each drone, by index.
     """
 
     def __init__(
@@ -125,12 +125,12 @@ class LocalFleet:
         await asyncio.gather(*(child.end() for child in reversed(self._children)))
 
     async def start(self) -> None:
-        """Starts all, and waits until all answer. Raises LinkError for the first that does not."""
+        """Start every process and wait for its heartbeat. Raises LinkError for the first without one."""
         async with _tasks(*map(self._begin, self._children)) as starting:
             await asyncio.gather(*starting)
 
     async def run(self) -> None:
-        """Keeps all running; returns once one cannot be kept."""
+        """Restart processes that end; return when one ended too often."""
         async with _tasks(*map(self._keep, self._children)) as keeping:
             await _first(keeping)
 
@@ -141,12 +141,12 @@ class LocalFleet:
                 raise child_error(list(child.said), child.name, ending.result())
 
     async def _answers(self, child: ChildProcess) -> None:
-        await child.listening.wait()  # else it might be another one at the same port that is heard
+        await child.listening.wait()  # before that, another program may answer at the same port
         assert child.drone is not None
         found = await wait_until_heard(child.url, child.drone.system, ANSWER_S, self._key)
         if child.url == child.drone.fcu:
             self.reports[child.drone.index] = found
-            # Fresh once: one that is started again flies what was sent to it meanwhile.
+            # --fresh counts once: a restarted drone keeps the controllers that were sent to it.
             child.arguments = [one for one in child.arguments if one != "--fresh"]
 
     async def _keep(self, child: ChildProcess) -> None:
@@ -154,13 +154,13 @@ class LocalFleet:
         while True:
             status = await child.wait()
             child.ended.append(clock.time())
-            # Who was killed from outside said nothing of it.
-            last = f"; it last said:{indented_lines(child.said)}" if child.said and status != -signal.SIGKILL else ""
+            # The last lines of a process that was killed from outside do not tell the reason.
+            last = f"; last output:{indented_lines(child.said)}" if child.said and status != -signal.SIGKILL else ""
             often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
             if often:
-                self._tell(f"{child.name} ended with status {status}; too often, all end{last}")
+                self._tell(f"{child.name} ended with status {status}, too often: the whole fleet ends{last}")
                 return
-            self._tell(f"{child.name} ended with status {status}; it is started again{last}")
+            self._tell(f"{child.name} ended with status {status} and is restarted{last}")
             await asyncio.sleep(AGAIN_S)
             try:
                 await self._begin(child)
@@ -173,7 +173,7 @@ class LocalFleet:
 
 @asynccontextmanager
 async def _tasks(*work: Coroutine[Any, Any, Any]) -> AsyncIterator[list[asyncio.Task[Any]]]:
-    """The work as tasks, which have ended when the block has."""
+    """Run `work` as tasks; cancel the unfinished ones at the end of the block."""
     tasks = [asyncio.create_task(one) for one in work]
     try:
         yield tasks
@@ -184,7 +184,7 @@ async def _tasks(*work: Coroutine[Any, Any, Any]) -> AsyncIterator[list[asyncio.
 
 
 async def _first(tasks: Sequence[asyncio.Task[Any]]) -> asyncio.Task[Any]:
-    """The first of `tasks` that ended, in their order. Raises its error."""
+    """Return the first of `tasks` that ended, in their order. Raises its error."""
     await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     first = next(task for task in tasks if task.done())
     first.result()
@@ -192,17 +192,17 @@ async def _first(tasks: Sequence[asyncio.Task[Any]]) -> asyncio.Task[Any]:
 
 
 NICENESS = 5
-"""What flies goes before what shows it."""
+"""The flight controllers get the processor first."""
 PAGE_ANSWER_S = 40.0
-"""How long the server may take until it listens [s]."""
+"""Deadline for the server to listen [s]."""
 
 
 class LocalPage:
-    """The server of the page for the drones at `urls`, at `port`; for `async with`.
+    """Server of the page for the drones at `urls`, at `port`, as an async context manager.
 
-    One that ends is started again, with the same port and tokens, so that the links stay. Where it cannot be kept
-    running that is told, and the drones go on without it. `options` are further ones of `twodof lab`, and `environment`
-    carries the tokens.
+    A server that ends is restarted with the same port and tokens, so that links stay valid. After too many restarts
+    `tell` reports it, and the drones go on without a page. `options` are passed to `twodof lab`; `environment` carries
+    the tokens.
     """
 
     def __init__(
@@ -232,7 +232,7 @@ class LocalPage:
         await self._child.end()
 
     async def listens(self) -> bool:
-        """Whether it listens, waited for until it does, has failed or takes too long."""
+        """Wait until the server listens, fails or takes too long. Return True if it listens."""
         assert self._keeping is not None
         listening = asyncio.create_task(self._child.listening.wait())
         await asyncio.wait([listening, self._keeping], timeout=PAGE_ANSWER_S, return_when=asyncio.FIRST_COMPLETED)
@@ -246,21 +246,21 @@ class LocalPage:
             status = await child.wait()
             child.ended.append(clock.time())
             first = not child.listening.is_set()
-            if first:  # it would fail again
+            if first:  # a restart would fail in the same way
                 self._tell(f"there is no page: {child_error(list(child.said), child.name, status)}")
                 return
             if len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S:
-                self._tell(f"{child.name} ended with status {status}; too often, the drones go on without a page")
+                self._tell(f"{child.name} ended with status {status}, too often: the drones go on without a page")
                 return
-            last = f"; it last said:{indented_lines(child.said)}" if child.said else ""
-            self._tell(f"{child.name} ended with status {status}; it is started again{last}")
+            last = f"; last output:{indented_lines(child.said)}" if child.said else ""
+            self._tell(f"{child.name} ended with status {status} and is restarted{last}")
             await asyncio.sleep(AGAIN_S)
 
 
 def page_port(wanted: int, host: str) -> int:
-    """The port `wanted` of the address `host`, or a free one where somebody has it.
+    """Return `wanted` if that port of `host` is free, else a free port.
 
-    Raises LinkError where nobody can listen there, told before drones are started for it.
+    Raises LinkError if the address cannot be listened on, before any drone is started.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     for port in (wanted, 0):

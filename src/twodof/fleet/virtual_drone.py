@@ -1,4 +1,4 @@
-"""Virtual drones of a program's own: `twodof fcu` as child processes in lockstep, for as long as they are needed."""
+"""Virtual drones as child processes of a program: `twodof fcu` in lockstep, ended with the `with` block."""
 
 import re
 import selectors
@@ -16,10 +16,10 @@ from twodof.errors import LinkError
 from twodof.fleet.children import child_error
 
 START_S = 120.0
-"""How long it may take until all listen [s]: the first time it compiles flight code and rig."""
+"""Deadline for all drones to listen [s]; the first time they compile flight code and rig."""
 
 END_S = 5.0
-"""How long it may take to end [s]; then it is killed."""
+"""Time a drone has to end [s]; it is killed afterwards."""
 
 _LISTENING = re.compile(rb"listening on tcpin(\S+)\s")  # the whole of the line
 _MOST_SAID = 4000
@@ -29,7 +29,7 @@ _MOST_SAID = 4000
 def virtual_drone(
     rig: str = "lab", rings: bool = False, controllers: Iterable[str | Path] = (), options: Sequence[str] = ()
 ) -> Iterator[str]:
-    """The URL of one drone, as `virtual_drones` starts them."""
+    """Start one drone, as `virtual_drones` does, and yield its URL."""
     with virtual_drones(1, rig, rings, controllers, options) as (url,):
         yield url
 
@@ -42,12 +42,12 @@ def virtual_drones(
     controllers: Iterable[str | Path] = (),
     options: Sequence[str] = (),
 ) -> Iterator[list[str]]:
-    """The URLs of `count` drones on virtual rigs, whose time a client grants; they end with the block.
+    """Start `count` drones on virtual rigs in lockstep and yield their URLs; the drones end with the block.
 
-    They start side by side. Each listens on this machine only, on a port that the system chooses, and keeps nothing;
-    drone k has the noise of seed k + 1. `rig` is "lab", "paper" or a JSON file of rig parameters, `rings` lock the
-    cart. `controllers` fly in a sandbox: diagrams' JSON files or names of starters. `options` are further ones of
-    `twodof fcu`. Raises LinkError if one does not come up.
+    Each listens on the loopback interface, on a port that the system chooses, and keeps no files. Drone k has the noise
+    of seed k + 1. `rig` is "lab", "paper" or a JSON file of rig parameters; `rings` locks the cart. `controllers` are
+    JSON files of diagrams or names of starters, which fly in a sandbox. `options` are passed to `twodof fcu`. Raises
+    LinkError if a drone does not start.
     """
     given = ["--rings", *options] if rings else [*options]
     given += [option for name in controllers for option in ("--controller", str(name))]
@@ -67,7 +67,7 @@ def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "twodof.fleet.child", "fcu", "--listen", "tcpin://127.0.0.1:0", *options]
     return subprocess.Popen(
         command,
-        stdin=subprocess.PIPE,  # never written to: it ends with us
+        stdin=subprocess.PIPE,  # never written to: the child ends when this pipe closes
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         start_new_session=True,
@@ -76,7 +76,7 @@ def _started(options: Sequence[str]) -> subprocess.Popen[bytes]:
 
 
 def _listening(process: subprocess.Popen[bytes], rig: str, end: float) -> str:
-    """Where it listens, once it does; `end` is by when, on the monotonic clock."""
+    """Return the URL of `process` when it listens. `end` is the deadline on the monotonic clock."""
     pipe, said = process.stdout, b""
     if pipe is None:
         raise LinkError("the flight controller has no output", f"rig {rig}", "report this")
@@ -85,7 +85,7 @@ def _listening(process: subprocess.Popen[bytes], rig: str, end: float) -> str:
         while selector.select(max(0.0, end - time.monotonic())) and (piece := pipe.read(4096)):
             said = (said + piece)[-_MOST_SAID:]
             if found := _LISTENING.search(said):
-                # A pipe that nobody reads holds up who writes.
+                # A full pipe would block the drone.
                 threading.Thread(target=_drain, args=(pipe,), daemon=True).start()
                 return "tcp" + found[1].decode()
     raise child_error(said.decode(errors="replace").splitlines(), f"virtual drone on the rig {rig}")
@@ -98,7 +98,7 @@ def _drain(pipe: IO[bytes]) -> None:
 
 
 def _end(processes: Sequence[subprocess.Popen[bytes]], urls: Sequence[str]) -> None:
-    """Asks all to end, and kills those that still run after `END_S`. Only the first, which have `urls`, are drained."""
+    """Terminate the processes, and kill them after `END_S`. Threads drain the first ones, which have `urls`."""
     for process in processes:
         process.terminate()
     end = time.monotonic() + END_S
