@@ -1,4 +1,4 @@
-// Run by tests/web/test_play.py, which names a file with the closed loop as WebAssembly, what to fly, and what the native
+// Run by tests/web/test_page_code.py, which names a file with the closed loop as WebAssembly, what to fly, and what the native
 // build gave; numbers are float64 in base64.
 import { describe, expect, it } from "vitest";
 import { Program } from "../src/wasm/program";

@@ -1,4 +1,4 @@
-// The cases are Python's: tests/web/test_step_figures.py writes them to the file that it names, and runs this.
+// The cases are Python's: tests/web/test_page_code.py writes them to the file that it names, and runs this.
 import { describe, expect, it } from "vitest";
 import { History } from "../src/chart/history";
 import { StepWatch } from "../src/chart/step_watch";

@@ -6,7 +6,7 @@ import { readJson, writeJson } from "../../src/pages/diagram/model/json_text";
 /** What is kept, as text, or why not. */
 function read(typed: string, value: string, given = value): string {
   const found = readArgument(typed, readJson(value), readJson(given));
-  return "refused" in found ? found.refused : writeJson(found.value).replace(/\s*\n\s*/g, " ");
+  return "refused" in found ? found.refused : writeJson(found.value);
 }
 
 test.each([

@@ -1,4 +1,4 @@
-// Run by tests/web/test_flown_bits.py, which names a file with a compiled loop and what the native build flew.
+// Run by tests/web/test_page_code.py, which names a file with a compiled loop and what the native build flew.
 import { describe, expect, it } from "vitest";
 import type { PortableLoop } from "../../src/api/diagrams";
 import { readDiagram } from "../../src/pages/diagram/model/diagram";

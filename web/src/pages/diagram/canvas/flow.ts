@@ -4,8 +4,7 @@ import { MarkerType, Position, type Edge, type Node, type NodeHandle } from "@xy
 import { inputId, outputId, partId, wireId } from "../editor.svelte";
 import { declaredName, placeOf, pointOf, type Diagram, type Part, type Point } from "../model/diagram";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
-import type { Box, Route } from "./route";
-import type { Ends, Router } from "./router";
+import type { Box, Ends, Route, Router } from "./route";
 import { partSize, portPlace, type Size } from "./symbol";
 
 export interface PartData extends Record<string, unknown> {
@@ -309,8 +308,7 @@ function edges(
       way: ways.out === ways.in ? ways.out : "round",
     };
   });
-  router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends);
-  const left = router.work(SLICE_MS);
+  const left = router.update(new Map(nodes.map((node) => [node.id, boxOf(node)])), ends, SLICE_MS);
   const old = new Map(before.map((edge) => [edge.id, edge]));
   return { edges: wires.map((wire) => edge(wire, router.route(wire.id), marks, selected, old.get(wire.id))), left };
 }

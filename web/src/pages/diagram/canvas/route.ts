@@ -1,4 +1,4 @@
-// Where a wire bends, so that it runs through no block if that can be had with one leg moved.
+// Bends of wires: each wire moves one leg so that it crosses as few blocks as possible.
 import type { Point } from "../model/diagram";
 
 export interface Box {
@@ -7,20 +7,20 @@ export interface Box {
   readonly width: number;
   readonly height: number;
 }
-/** `x` of the upright leg of a wire that goes on to the right, or `y` of the level leg of one that goes back. */
+/** The `x` of the vertical leg of a forward wire, or the `y` of the horizontal leg of a feedback wire. */
 export interface Route {
   readonly x?: number;
   readonly y?: number;
 }
 
-export const REACH = 20; // straight out of a port, and into one
-const NAME = 16; // a block's name stands below it
+export const REACH = 20; // straight part at each port
+const NAME = 16; // height of the name below a block
 const CLEAR = 3;
-const FAR = 400; // above and below its ports a wire that goes back looks for a way
-const MOST_LEGS = 24; // tried: what a wire through a crowd costs is bounded
+const FAR = 400; // search range of a feedback wire above and below its ports
+const MOST_LEGS = 24; // candidates per wire
 
-/** The boxes that a wire between two ports may meet are those that touch this one. */
-export function region(from: Point, to: Point): Box {
+/** Return the area in which a wire between two ports may run. */
+function region(from: Point, to: Point): Box {
   const [left, right] = [from[0] + REACH, to[0] - REACH];
   const top = Math.min(from[1], to[1]) - CLEAR;
   const height = Math.abs(from[1] - to[1]) + 2 * CLEAR;
@@ -28,7 +28,7 @@ export function region(from: Point, to: Point): Box {
   return { x: right, y: top - FAR, width: left - right, height: height + 2 * FAR };
 }
 
-/** The bend of a wire between two ports that meets the fewest of the boxes; the shortest of those. */
+/** Return the bend that crosses the fewest boxes; among equals the shortest. */
 export function routed(from: Point, to: Point, boxes: readonly Box[]): Route {
   const [left, right] = [from[0] + REACH, to[0] - REACH];
   const around = region(from, to);
@@ -51,7 +51,7 @@ export function routed(from: Point, to: Point, boxes: readonly Box[]): Route {
   };
 }
 
-/** The legs that are tried: each once, the shortest ones. */
+/** Return the shortest candidate legs, each once. */
 function nearest(legs: readonly number[], middle: number, length: (leg: number) => number): number[] {
   const rated = [...new Set(legs)].filter((leg) => leg !== middle).map((leg) => [leg, length(leg)] as const);
   return rated
@@ -60,7 +60,7 @@ function nearest(legs: readonly number[], middle: number, length: (leg: number) 
     .map(([leg]) => leg);
 }
 
-export function touch(a: Box, b: Box): boolean {
+function touch(a: Box, b: Box): boolean {
   return a.x < b.x + b.width && a.x + a.width > b.x && a.y < b.y + b.height && a.y + a.height > b.y;
 }
 
@@ -74,7 +74,7 @@ function best(legs: readonly number[], boxes: readonly Box[], way: (leg: number)
   return found;
 }
 
-/** How many boxes lie on a way of level and upright legs; counted up to `enough`. */
+/** Count the boxes on a path of horizontal and vertical legs, up to `enough`. */
 export function meets(way: readonly Point[], boxes: readonly Box[], enough = Infinity): number {
   let met = 0;
   for (const box of boxes) {
@@ -87,7 +87,7 @@ export function meets(way: readonly Point[], boxes: readonly Box[], enough = Inf
 function on(way: readonly Point[], box: Box): boolean {
   for (let i = 0; i + 1 < way.length; i++) {
     const [a, b] = [way[i]!, way[i + 1]!];
-    const beside = a[0] === b[0] ? CLEAR : 0; // a level leg begins and ends at a block
+    const beside = a[0] === b[0] ? CLEAR : 0; // a horizontal leg begins and ends at a block
     if (
       Math.min(a[0], b[0]) - beside < box.x + box.width &&
       Math.max(a[0], b[0]) + beside > box.x &&
@@ -97,4 +97,70 @@ function on(way: readonly Point[], box: Box): boolean {
       return true;
   }
   return false;
+}
+
+/** Ends of a wire. Between two flipped blocks it runs to the left; between a flipped and another one it turns round. */
+export interface Ends {
+  readonly id: string;
+  readonly from: Point;
+  readonly to: Point;
+  readonly way: "right" | "left" | "round";
+}
+
+interface Routed extends Ends {
+  readonly route: Route;
+  readonly done: boolean;
+}
+
+/** Router for the wires of a sheet. Keeps a route until an end of the wire or a block near it moves. */
+export class Router {
+  private boxes: ReadonlyMap<string, Box> = new Map();
+  private wires: ReadonlyMap<string, Routed> = new Map();
+
+  /** Route new and changed wires for at most `milliseconds`. Returns true if some are left for the next call. */
+  update(boxes: ReadonlyMap<string, Box>, ends: readonly Ends[], milliseconds: number): boolean {
+    const until = performance.now() + milliseconds;
+    const changed = moved(this.boxes, boxes);
+    const all = [...boxes.values()];
+    this.boxes = boxes;
+    const route = (wire: Ends): Routed => {
+      const was = this.wires.get(wire.id);
+      const same = was?.way === wire.way && String([was.from, was.to]) === String([wire.from, wire.to]);
+      if (same && was.done && !changed.some((box) => touch(box, area(wire)))) return was;
+      if (wire.way === "round") return { ...wire, route: {}, done: true };
+      if (performance.now() >= until) return { ...wire, route: same ? was.route : {}, done: false };
+      return { ...wire, route: bend(wire, all), done: true };
+    };
+    this.wires = new Map(ends.map((wire) => [wire.id, route(wire)]));
+    return [...this.wires.values()].some((wire) => !wire.done);
+  }
+
+  route(id: string): Route {
+    return this.wires.get(id)?.route ?? {};
+  }
+}
+
+/** Return the old and the new places of boxes that came, went or moved. */
+function moved(before: ReadonlyMap<string, Box>, after: ReadonlyMap<string, Box>): Box[] {
+  const unlike = (one: ReadonlyMap<string, Box>, other: ReadonlyMap<string, Box>): Box[] =>
+    [...one].flatMap(([id, box]) => {
+      const there = other.get(id);
+      const alike = there?.x === box.x && there.y === box.y && there.width === box.width && there.height === box.height;
+      return alike ? [] : [box];
+    });
+  return [...unlike(before, after), ...unlike(after, before)];
+}
+
+// A wire to the left is routed as its mirror image.
+const mirror = ([x, y]: Point): Point => [-x, y];
+const mirrored = (box: Box): Box => ({ ...box, x: -box.x - box.width });
+
+function area({ from, to, way }: Ends): Box {
+  return way === "left" ? mirrored(region(mirror(from), mirror(to))) : region(from, to);
+}
+
+function bend({ from, to, way }: Ends, boxes: readonly Box[]): Route {
+  if (way === "right") return routed(from, to, boxes);
+  const { x, y } = routed(mirror(from), mirror(to), boxes.map(mirrored));
+  return { ...(x === undefined ? {} : { x: -x }), ...(y === undefined ? {} : { y }) };
 }

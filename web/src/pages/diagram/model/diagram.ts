@@ -64,9 +64,9 @@ export function readDiagram(text: string): Diagram {
   return diagramFrom(file["diagram"]);
 }
 
-/** The text of the file, byte for byte as Python's `to_json` writes it. */
+/** Write the diagram as the text of a file. */
 export function writeDiagram(diagram: Diagram): string {
-  return `${writeJson({ schema: SCHEMA, version: new Num(VERSION), diagram: diagramTo(diagram) })}\n`;
+  return writeJson({ schema: SCHEMA, version: new Num(VERSION), diagram: diagramTo(diagram) });
 }
 
 export function declaredName(declared: JsonObject): string {

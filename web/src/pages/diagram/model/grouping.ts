@@ -1,7 +1,7 @@
 // Blocks become a sub-diagram: what comes in and goes out of them becomes its inputs and outputs.
 import { declaredName, placeOf, type Connection, type Diagram, type Output } from "./diagram";
 import { freeName, newPart, EditFault } from "./edits";
-import { whole, type JsonObject } from "./json_text";
+import { Num, type JsonObject } from "./json_text";
 import type { Port, Shapes } from "./shapes";
 
 /** `d` with the parts called `names` in a new sub-diagram, and its name. What they share with the rest is wired again. */
@@ -82,7 +82,7 @@ function declared(name: string, port: Port): JsonObject {
   return {
     name,
     ...(port.kind === "real" ? {} : { kind: port.kind }),
-    ...(port.width === null ? {} : { width: whole(port.width) }),
+    ...(port.width === null ? {} : { width: new Num(String(port.width)) }),
     ...(port.unit === "" ? {} : { unit: port.unit }),
   };
 }
