@@ -34,6 +34,11 @@ export function apiUrl(path: string): URL {
   return new URL(`api/${path.replace(/^\//, "")}`, document.baseURI.split("#")[0]);
 }
 
+/** Return the message of anything that was thrown. */
+export function messageOf(failure: unknown): string {
+  return failure instanceof Error ? failure.message : String(failure);
+}
+
 /** Sends a request; answers the raw response. Raises ApiError for a refusal, a silence of `timeout` [s], or where `end` ends it. */
 export async function request(
   method: string,

@@ -1,4 +1,4 @@
-import { ApiError, request } from "../api/client";
+import { ApiError, request, messageOf } from "../api/client";
 import { session } from "./session.svelte";
 
 /** The key of the emergency stop, with Shift for all drones. No other control of any page may use it. */
@@ -58,7 +58,7 @@ async function killed(drone: number): Promise<string> {
       await request("POST", `drones/${drone}/kill`, undefined, TRY_S);
       return "";
     } catch (failure) {
-      why = failure instanceof ApiError ? failure.message : String(failure);
+      why = messageOf(failure);
       // What is refused stays refused; what did not arrive, or was not seen, is said again.
       if (failure instanceof ApiError && [401, 403, 404].includes(failure.status)) return why;
       await new Promise((done) => setTimeout(done, WAIT_MS));

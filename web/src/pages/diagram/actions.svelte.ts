@@ -12,6 +12,7 @@ import {
   addOutput,
   addParam,
   addPart,
+  connect,
   disconnect,
   flipParts,
   freeBorder,
@@ -25,7 +26,7 @@ import {
 } from "./model/edits";
 import { wiresAt } from "./model/ends";
 import { grouped } from "./model/grouping";
-import { real, type JsonObject } from "./model/json_text";
+import { real } from "./model/json_text";
 import { tops } from "./model/shapes";
 import { joined } from "./model/wiring";
 import type { Loose } from "./insert.svelte";
@@ -236,15 +237,22 @@ export function made(type: string, at: Point): Part | undefined {
   return newPart(editor.here, name, item, free(at));
 }
 
-function addBorder(what: "input" | "output" | "parameter"): void {
+/** Add an input, output or parameter; an input is wired to the destination `to`, an output to the source `from`. */
+export function addBorder(
+  what: "input" | "output" | "parameter",
+  verb = "add",
+  from: string | null = null,
+  to: string | null = null,
+): void {
   const stem = { input: "u", output: "y", parameter: "k" }[what];
   const outputs = new Set(editor.here.outputs.map(([name]) => name));
   const name = freeName(editor.here, stem, what === "output" ? outputs : new Set());
-  if (what === "output") editor.apply(`add output ${name}`, (d) => addOutput(d, name));
-  else {
-    const declared: JsonObject = what === "input" ? { name } : { name, value: real(1) };
-    editor.apply(`add ${what} ${name}`, (d) => (what === "input" ? addInput(d, declared) : addParam(d, declared)));
-  }
+  editor.apply(`${verb} ${what} ${name}`, (d) => {
+    if (what === "output") return addOutput(d, name, from);
+    if (what === "parameter") return addParam(d, { name, value: real(1) });
+    const after = addInput(d, { name });
+    return to === null ? after : connect(after, name, to);
+  });
   editor.select(what === "parameter" ? [] : [what === "input" ? inputId(name) : outputId(name)]);
 }
 
@@ -285,7 +293,7 @@ export function described(id: string): string {
   if (part === undefined) return name;
   const shape = editor.shapes.of(part.item);
   const kind = part.item.is === "diagram" ? "sub-diagram" : part.item.type.replace(/_/g, " ");
-  const inputs = [...new Set(shape.inputs.map((port) => port.name.split(".")[0]!))].map((port) => {
+  const inputs = tops(shape.inputs).map((port) => {
     const source = d.connections.find(([, to]) => to === `${name}.${port}`)?.[0];
     return `${port} ${source === undefined ? "not connected" : `from ${source}`}`;
   });

@@ -1,6 +1,6 @@
 // What is wrong with the diagram, as one draws: asked of the server a moment after each change.
 import * as api from "../../api/diagrams";
-import { ApiError } from "../../api/client";
+import { messageOf } from "../../api/client";
 import { editor } from "./editor.svelte";
 import type { Diagram } from "./model/diagram";
 import { loopOnSheet, placeOfFinding, seenFrom, type Place } from "./model/blame";
@@ -87,7 +87,7 @@ class Findings {
         [this.checked, this.of, this.failure] = [checked, root, ""];
       }
     } catch (failure) {
-      this.failure = failure instanceof ApiError ? failure.message : String(failure);
+      this.failure = messageOf(failure);
     } finally {
       this.busy = false;
     }

@@ -1,11 +1,11 @@
 // A block put at the loose end of a wire, into a wire, or just somewhere: found by a search where it is to stand.
-import { add, made } from "./actions.svelte";
+import { addBorder, made } from "./actions.svelte";
 import { placesOn } from "./canvas/flow";
 import { editor, outputId, partId } from "./editor.svelte";
 import { findPart, type Diagram, type Point } from "./model/diagram";
-import { addInput, addOutput, addPart, connect, freeName } from "./model/edits";
+import { addPart, connect } from "./model/edits";
 import type { Choice } from "./model/search";
-import { sourceText, tops, type Port, type Shape } from "./model/shapes";
+import { sourceText, tops } from "./model/shapes";
 
 /** A wire that waits for a block: what it comes from and what it goes to, where it has such an end; and where. */
 export interface Loose {
@@ -65,25 +65,13 @@ function sourceOf(d: Diagram, output: string): string | undefined {
   return d.outputs.find(([one]) => one === output)?.[1] ?? undefined;
 }
 
-/** Puts a block, input, output or parameter at the wire: one step to undo. */
+/** Put a block, input, output or parameter at the wire: one step to undo. */
 export function insert(type: string, { from, to, at }: Loose): void {
-  if (type === "parameter") return add(type);
-  if (type === "input") {
-    const name = freeName(editor.here, "u");
-    const edit = (d: Diagram): Diagram =>
-      to === null ? addInput(d, { name }) : connect(addInput(d, { name }), name, to);
-    editor.apply(`insert input ${name}`, edit);
-    return editor.select([`i:${name}`]);
-  }
-  if (type === "output") {
-    const name = freeName(editor.here, "y", new Set(editor.here.outputs.map(([one]) => one)));
-    editor.apply(`insert output ${name}`, (d) => addOutput(d, name, from));
-    return editor.select([`o:${name}`]);
-  }
+  if (type === "input" || type === "output" || type === "parameter") return addBorder(type, "insert", from, to);
   const part = made(type, [at[0], at[1] - 20]);
   if (part === undefined) return;
   const shape = editor.shapes.of(part.item);
-  const [input, output] = [firstOf(shape, "inputs"), firstOf(shape, "outputs")];
+  const [[input], [output]] = [tops(shape.inputs), tops(shape.outputs)];
   editor.apply(`insert ${part.name}`, (d) => {
     let after = addPart(d, part);
     if (from !== null && input !== undefined) after = connect(after, from, `${part.name}.${input}`);
@@ -91,9 +79,4 @@ export function insert(type: string, { from, to, at }: Loose): void {
     return after;
   });
   editor.select([partId(part.name)]);
-}
-
-function firstOf(shape: Shape, side: "inputs" | "outputs"): string | undefined {
-  const ports: readonly Port[] = shape[side];
-  return tops(ports)[0];
 }

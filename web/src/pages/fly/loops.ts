@@ -16,9 +16,7 @@ export interface LoopRow {
   most: number;
   /** Buttons for clean steps, in SI. */
   steps: readonly number[];
-  /** The thrust is given beside it; else the loop commands it. */
-  thrust: boolean;
-  /** It moves the cart, which the rings may lock. */
+  /** The loop moves the cart, which the rings may lock, and commands the thrust. */
   movesCart: boolean;
 }
 
@@ -35,7 +33,6 @@ export const LOOPS: readonly LoopRow[] = [
     step: 0.5 * DEG,
     most: 50 * DEG,
     steps: degrees([-10, -5, 0, 5, 10]),
-    thrust: true,
     movesCart: false,
   },
   {
@@ -47,7 +44,6 @@ export const LOOPS: readonly LoopRow[] = [
     step: 0.005,
     most: 0.4,
     steps: [-0.2, -0.1, 0, 0.1, 0.2],
-    thrust: false,
     movesCart: true,
   },
   {
@@ -59,7 +55,6 @@ export const LOOPS: readonly LoopRow[] = [
     step: 0.01,
     most: 2,
     steps: [-0.2, -0.1, 0, 0.1, 0.2],
-    thrust: false,
     movesCart: true,
   },
   {
@@ -71,7 +66,6 @@ export const LOOPS: readonly LoopRow[] = [
     step: DEG,
     most: 180 * DEG,
     steps: degrees([-30, -15, 0, 15, 30]),
-    thrust: true,
     movesCart: false,
   },
   {
@@ -83,7 +77,6 @@ export const LOOPS: readonly LoopRow[] = [
     step: 0.001,
     most: 1,
     steps: [-0.03, -0.01, 0, 0.01, 0.03],
-    thrust: true,
     movesCart: false,
   },
 ];

@@ -1,4 +1,4 @@
-import { ApiError } from "../../api/client";
+import { messageOf } from "../../api/client";
 import {
   fitLog,
   flyExperiment,
@@ -215,7 +215,7 @@ export class Identification {
   }
 
   private failed(failure: unknown): void {
-    this.failure = failure instanceof ApiError ? failure.message : String(failure);
+    this.failure = messageOf(failure);
   }
 }
 

@@ -1,4 +1,4 @@
-import { ApiError } from "../../api/client";
+import { ApiError, messageOf } from "../../api/client";
 import { listModels, type ModelRow } from "../../api/models";
 import {
   changeParameters,
@@ -134,7 +134,7 @@ export class Tuning {
       await this.refresh();
       return true;
     } catch (failure) {
-      this.failure = failure instanceof ApiError ? failure.message : String(failure);
+      this.failure = messageOf(failure);
       return false;
     } finally {
       this.sending = false;
@@ -174,7 +174,7 @@ export class Tuning {
       this.rows = await listParameters(this.drone);
       this.failure = "";
     } catch (failure) {
-      this.failure = failure instanceof ApiError ? failure.message : String(failure);
+      this.failure = messageOf(failure);
     }
   }
 
@@ -190,7 +190,7 @@ export class Tuning {
       this.refused = found.why;
     } catch (failure) {
       this.preview = undefined;
-      this.refused = failure instanceof ApiError ? failure.message : String(failure);
+      this.refused = messageOf(failure);
     } finally {
       this.previewing = false;
     }

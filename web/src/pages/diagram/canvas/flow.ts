@@ -132,37 +132,39 @@ function partNode(
 ): PartNode {
   const id = partId(part.name);
   const shape = shapes.of(part.item);
-  const fault = marks.faults.get(id) ?? "";
-  const loop = marks.loop.has(id);
   const chosen = selected.has(id);
-  const same =
-    old !== undefined &&
-    old.data.part.item === part.item &&
-    old.data.part.params === part.params &&
-    old.data.part.name === part.name &&
-    old.data.part.conditions === part.conditions &&
-    old.data.part.rate === part.rate &&
-    old.data.part.flipped === part.flipped &&
-    old.data.shape === shape &&
-    old.data.fault === fault &&
-    old.data.loop === loop;
-  if (same && old.position.x === x && old.position.y === y && (old.selected ?? false) === chosen) return old;
-  const size = partSize(part, shape);
-  const ports = { inputs: tops(shape.inputs), outputs: tops(shape.outputs) };
-  const data: PartData = same ? old.data : { part, shape, size, ...ports, fault, loop };
+  const [inputs, outputs] = [tops(shape.inputs), tops(shape.outputs)];
+  const [fault, loop] = [marks.faults.get(id) ?? "", marks.loop.has(id)];
+  const data: PartData = { part, shape, size: partSize(part, shape), inputs, outputs, fault, loop };
+  const same = old !== undefined && alike(placeless(old.data), placeless(data));
+  if (same && isAt(old, x, y, chosen)) return old;
   return {
     ...(old ?? {}),
     id,
     type: "part",
     position: { x, y },
-    ...size,
-    measured: size,
-    handles: same ? old.handles! : handles(size, data.inputs, data.outputs, part.flipped),
+    ...data.size,
+    measured: data.size,
+    handles: same ? old.handles! : handles(data.size, inputs, outputs, part.flipped),
     selected: chosen,
-    data,
+    data: same ? old.data : data,
     focusable: false,
     ariaLabel: part.name,
   };
+}
+
+/** What of a part's data is drawn, without its place. */
+function placeless({ part, shape, fault, loop }: PartData) {
+  return { ...part, position: null, presumed: null, shape, fault, loop };
+}
+
+/** Return whether two records have the same values. */
+function alike<T extends object>(one: T, other: T): boolean {
+  return (Object.keys(other) as (keyof T)[]).every((key) => one[key] === other[key]);
+}
+
+function isAt(node: SheetNode, x: number, y: number, chosen: boolean): boolean {
+  return node.position.x === x && node.position.y === y && (node.selected ?? false) === chosen;
 }
 
 function terminal(
@@ -175,10 +177,9 @@ function terminal(
   old: TerminalNode | undefined,
 ): TerminalNode {
   const fault = marks.faults.get(id) ?? "";
-  const was = old?.data;
-  const same = was !== undefined && was.fault === fault && was.port.kind === port.kind && was.port.unit === port.unit;
+  const same = old?.data.fault === fault && old.data.port.kind === port.kind && old.data.port.unit === port.unit;
   const chosen = selected.has(id);
-  if (same && old!.position.x === x && old!.position.y === y && (old!.selected ?? false) === chosen) return old!;
+  if (same && isAt(old, x, y, chosen)) return old;
   const size = { width: terminalWidth(port.name), height: TERMINAL_HEIGHT };
   const dot = { width: HANDLE, height: HANDLE, y: (TERMINAL_HEIGHT - HANDLE) / 2 };
   return {
@@ -194,7 +195,7 @@ function terminal(
         : { ...dot, id: "in", type: "target", position: Position.Left, x: -HANDLE / 2 },
     ],
     selected: chosen,
-    data: same ? was : { name: port.name, port, fault },
+    data: same ? old.data : { name: port.name, port, fault },
     focusable: false,
     ariaLabel: `${kind} ${port.name}`,
   };
@@ -365,22 +366,17 @@ function edge(
   const { id, from, to, source, sourceHandle, target, targetHandle } = wire;
   const fault = marks.loop.has(id);
   const color = marks.scoped.get(to) ?? "";
-  const selected = chosen.has(id);
-  const same =
-    was !== undefined &&
-    was.data?.route.x === route.x &&
-    was.data?.route.y === route.y &&
-    was.source === source &&
-    was.sourceHandle === sourceHandle &&
-    was.target === target &&
-    was.targetHandle === targetHandle &&
-    (was.selected ?? false) === selected &&
-    was.data?.color === color &&
-    was.data.fault === fault;
-  if (same) return was;
+  const ends = { source, sourceHandle, target, targetHandle, selected: chosen.has(id) };
+  const { x, y } = route;
+  const [old, next] = [was?.data, { color, fault, x, y }];
+  const same = was !== undefined && old !== undefined && alike<object>({ ...old, ...old.route }, next);
+  if (same && alike<object>(was, ends)) return was;
   return {
     ...(was ?? {}),
-    ...{ id, type: "wire", markerEnd: ARROW, source, sourceHandle, target, targetHandle, selected },
+    ...ends,
+    id,
+    type: "wire",
+    markerEnd: ARROW,
     data: { color, fault, route },
     class: fault ? "loop" : color === "" ? "" : "scoped",
     style: color === "" ? "" : `--wire: var(--${color})`,

@@ -56,120 +56,74 @@ function go(to: SheetNode | undefined): void {
   editor.say(described(to.id));
 }
 
-/** Handles a key on the sheet; what it takes goes no further. */
+/** Handle a key on the sheet. A key of the sheet goes no further. */
 export function keyOnSheet(event: KeyboardEvent, nodes: readonly SheetNode[]): void {
   const onWire = [...editor.selected].some((id) => id.startsWith("w:"));
   const from = nodes.find((node) => editor.selected.has(node.id) || (onWire && node.id === act.hub));
+  const action = actionOf(event, nodes, from);
+  if (action === undefined) return;
+  void action();
+  event.preventDefault();
+  event.stopPropagation();
+}
+
+/** Keys with Ctrl or Cmd. Undo, redo and save are the page's, wherever the focus is. */
+const WITH_CONTROL: Readonly<Record<string, (nodes: readonly SheetNode[]) => unknown>> = {
+  a: selectAll,
+  c: () => act.copy(),
+  x: () => act.cut(),
+  v: () => act.paste(),
+  d: () => act.duplicate(),
+  g: () => act.group(),
+  i: () => act.flip(),
+};
+/** Keys of Simulink with Ctrl and Shift. */
+const WITH_SHIFT: Readonly<Record<string, () => unknown>> = {
+  a: () => act.arrange(),
+  x: () => toast(...NOT_COMMENTED),
+  y: () => toast(...NOT_COMMENTED),
+};
+const PLAIN: Readonly<Record<string, () => unknown>> = {
+  a: () => act.focusPalette(),
+  "/": () => act.focusPalette(),
+  w: () => act.nextWire(),
+  c: () => (act.dialog = "connect"),
+  i: () => (act.inserting = looseEnd(act.middle())),
+  Enter: () => act.focusPanel(),
+  F2: () => act.focusName(),
+  o: () => editor.parts.length === 1 && act.openPart(editor.parts[0]!),
+  u: () => editor.leave(),
+  s: () => act.scope(),
+  Delete: () => act.remove(),
+  Backspace: () => act.remove(),
+  l: () => act.arrange(),
+  m: () => act.openAlignMenu(),
+  f: () => act.shownWhole++,
+  Escape: () => editor.select([]),
+  "?": () => (act.dialog = "keys"),
+};
+
+function selectAll(nodes: readonly SheetNode[]): void {
+  editor.select(nodes.filter((node) => node.id.startsWith("p:")).map((node) => node.id));
+  editor.say(`${editor.parts.length} blocks are selected`);
+}
+
+/** Find the action of a key; undefined for a key that is not the sheet's. */
+function actionOf(
+  event: KeyboardEvent,
+  nodes: readonly SheetNode[],
+  from: SheetNode | undefined,
+): (() => unknown) | undefined {
   const control = event.ctrlKey || event.metaKey;
-  const done = control ? withControl(event, nodes, from) : plain(event, nodes, from);
-  if (done) {
-    event.preventDefault();
-    event.stopPropagation();
-  }
-}
-
-function withControl(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNode | undefined): boolean {
+  const key = event.key.toLowerCase();
   if (event.key in ARROWS) {
-    go(from === undefined ? next(nodes, undefined, 1) : towards(nodes, from, event.key as Direction));
-    return true;
-  }
-  if (event.shiftKey) return withShift(event.key.toLowerCase());
-  switch (event.key.toLowerCase()) {
-    case "a":
-      editor.select(nodes.filter((node) => node.id.startsWith("p:")).map((node) => node.id));
-      editor.say(`${editor.parts.length} blocks are selected`);
-      return true;
-    case "c":
-      act.copy();
-      return true;
-    case "x":
-      act.cut();
-      return true;
-    case "v":
-      void act.paste();
-      return true;
-    case "d":
-      void act.duplicate();
-      return true;
-    case "g":
-      act.group();
-      return true;
-    case "i":
-      act.flip();
-      return true;
-  }
-  return false; // undo, redo and save are the page's, wherever the focus is
-}
-
-/** What Simulink does with Ctrl and Shift; all else is the browser's. */
-function withShift(key: string): boolean {
-  if (key === "a") void act.arrange();
-  else if (key === "x" || key === "y") toast(...NOT_COMMENTED);
-  else return false;
-  return true;
-}
-
-function plain(event: KeyboardEvent, nodes: readonly SheetNode[], from: SheetNode | undefined): boolean {
-  if (event.key in ARROWS) {
-    const [x, y] = ARROWS[event.key as Direction];
+    const direction = event.key as Direction;
+    if (control) return () => go(from === undefined ? next(nodes, undefined, 1) : towards(nodes, from, direction));
     const by = event.shiftKey ? LONG_STEP : STEP;
-    act.nudge(x * by, y * by);
-    return true;
+    return () => act.nudge(by * ARROWS[direction][0], by * ARROWS[direction][1]);
   }
-  switch (event.key) {
-    case "a":
-    case "/":
-      act.focusPalette();
-      return true;
-    case "n":
-      go(next(nodes, from, 1));
-      return true;
-    case "p":
-      go(next(nodes, from, -1));
-      return true;
-    case "w":
-      act.nextWire();
-      return true;
-    case "c":
-      act.dialog = "connect";
-      return true;
-    case "i":
-      act.inserting = looseEnd(act.middle());
-      return true;
-    case "Enter":
-      act.focusPanel();
-      return true;
-    case "F2":
-      act.focusName();
-      return true;
-    case "o":
-      if (editor.parts.length === 1) act.openPart(editor.parts[0]!);
-      return true;
-    case "u":
-      editor.leave();
-      return true;
-    case "s":
-      act.scope();
-      return true;
-    case "Delete":
-    case "Backspace":
-      act.remove();
-      return true;
-    case "l":
-      void act.arrange();
-      return true;
-    case "m":
-      act.openAlignMenu();
-      return true;
-    case "f":
-      act.shownWhole++;
-      return true;
-    case "Escape":
-      editor.select([]);
-      return true;
-    case "?":
-      act.dialog = "keys";
-      return true;
-  }
-  return false;
+  if (control && event.shiftKey) return WITH_SHIFT[key];
+  if (control) return WITH_CONTROL[key] && (() => WITH_CONTROL[key]!(nodes));
+  if (event.key === "n" || event.key === "p") return () => go(next(nodes, from, event.key === "n" ? 1 : -1));
+  return PLAIN[event.key];
 }

@@ -1,6 +1,5 @@
 // Edits: each takes a diagram and gives the one after it. What they refuse is a sentence in an EditFault.
 import {
-  CONDITIONS,
   declaredName,
   type Block,
   type Connection,
@@ -49,8 +48,13 @@ export function nameBeside(used: ReadonlySet<string>, wanted: string, also: Read
   for (let n = 2; ; n++) if (free(`${stem}_${n}`)) return `${stem}_${n}`;
 }
 
-function checkName(d: Diagram, name: string, besides = ""): void {
+/** Refuse what is not a name. */
+export function checkForm(name: string): void {
   if (!NAME.test(name)) throw new EditFault(`"${name}" is not a name: use a letter, then letters, digits or _`);
+}
+
+function checkName(d: Diagram, name: string, besides = ""): void {
+  checkForm(name);
   if (name !== besides && taken(d).has(name)) throw new EditFault(`the name ${name} is taken`);
 }
 
@@ -115,33 +119,46 @@ export function settled(d: Diagram): Diagram {
   return { ...d, parts: d.parts.map(keep) };
 }
 
-function without(positions: Positions, name: string): Positions {
-  if (positions[name] === undefined) return positions;
-  return Object.fromEntries(Object.entries(positions).filter(([one]) => one !== name));
+/** Return the part with `change`; the same part if nothing changes. */
+function updated(part: Part, change: Partial<Part>): Part {
+  const keys = Object.keys(change) as (keyof Part)[];
+  return keys.every((key) => part[key] === change[key]) ? part : { ...part, ...change };
 }
 
-function followed(positions: Positions, from: string, to: string): Positions {
-  if (positions[from] === undefined) return positions;
-  return Object.fromEntries(Object.entries(positions).map(([one, at]) => [one === from ? to : one, at]));
+/** Keep the entries for which `keep` is true; the same record if none goes. */
+function filtered<V>(record: Readonly<Record<string, V>>, keep: (key: string, value: V) => boolean): typeof record {
+  const kept = Object.entries(record).filter(([key, value]) => keep(key, value));
+  return kept.length === Object.keys(record).length ? record : Object.fromEntries(kept);
 }
 
-/** Removes parts, and every wire and condition that came from or went to them. */
+/** Rename a key; the same record if it is not there. */
+function rekeyed<V>(record: Readonly<Record<string, V>>, from: string, to: string): typeof record {
+  if (!Object.hasOwn(record, from)) return record;
+  return Object.fromEntries(Object.entries(record).map(([key, value]) => [key === from ? to : key, value]));
+}
+
+/** Change the values; the same record if none changes. */
+function mapped(record: Readonly<Record<string, string>>, change: (value: string) => string): typeof record {
+  if (Object.values(record).every((value) => change(value) === value)) return record;
+  return Object.fromEntries(Object.entries(record).map(([key, value]) => [key, change(value)]));
+}
+
+/** Remove parts with their wires and conditions. */
 export function removeParts(d: Diagram, names: ReadonlySet<string>): Diagram {
-  const gone = (source: string): boolean => names.has(source.split(".")[0] ?? "") && !isInput(d, source);
+  const parts = d.parts.filter((part) => !names.has(part.name));
+  const connections = d.connections.filter(([, to]) => !names.has(to.split(".")[0] ?? ""));
+  return withoutSources({ ...d, parts, connections }, (source) => {
+    return names.has(source.split(".")[0] ?? "") && !isInput(d, source);
+  });
+}
+
+/** Remove the wires and conditions that come from `gone` sources. */
+function withoutSources(d: Diagram, gone: (source: string) => boolean): Diagram {
   return {
     ...d,
-    parts: d.parts.filter((part) => !names.has(part.name)).map((part) => withoutConditions(part, gone)),
-    connections: d.connections.filter(([source, to]) => !gone(source) && !names.has(to.split(".")[0] ?? "")),
+    parts: d.parts.map((part) => updated(part, { conditions: filtered(part.conditions, (_, s) => !gone(s)) })),
+    connections: d.connections.filter(([source]) => !gone(source)),
     outputs: d.outputs.map(([name, source]) => [name, source !== null && gone(source) ? null : source] as const),
-  };
-}
-
-function withoutConditions(part: Part, gone: (source: string) => boolean): Part {
-  const lost = CONDITIONS.filter((key) => part.conditions[key] !== undefined && gone(part.conditions[key]));
-  if (lost.length === 0) return part;
-  return {
-    ...part,
-    conditions: Object.fromEntries(Object.entries(part.conditions).filter(([k]) => !lost.includes(k as never))),
   };
 }
 
@@ -183,7 +200,7 @@ export function renameInput(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   checkName(d, to, from);
   const inputs = d.inputs.map((one) => (declaredName(one) === from ? { ...one, name: to } : one));
-  return renamed({ ...d, inputs, inputPositions: followed(d.inputPositions, from, to) }, from, to, false);
+  return renamed({ ...d, inputs, inputPositions: rekeyed(d.inputPositions, from, to) }, from, to, false);
 }
 
 /** Follows a new name in all sources and, of a part, destinations. */
@@ -192,11 +209,7 @@ function renamed(d: Diagram, from: string, to: string, part: boolean): Diagram {
     end === from ? to : end.startsWith(`${from}.`) ? to + end.slice(from.length) : end;
   return {
     ...d,
-    parts: d.parts.map((one) => {
-      const changed = Object.entries(one.conditions).some(([, source]) => follow(source) !== source);
-      if (!changed) return one;
-      return { ...one, conditions: Object.fromEntries(Object.entries(one.conditions).map(([k, s]) => [k, follow(s)])) };
-    }),
+    parts: d.parts.map((one) => updated(one, { conditions: mapped(one.conditions, follow) })),
     connections: d.connections.map((pair) => {
       const next = [follow(pair[0]), part ? follow(pair[1]) : pair[1]] as const;
       return next[0] === pair[0] && next[1] === pair[1] ? pair : next;
@@ -211,34 +224,33 @@ export function addInput(d: Diagram, declared: JsonObject): Diagram {
 }
 
 export function removeInput(d: Diagram, name: string): Diagram {
-  const from = (source: string): boolean => source === name || source.startsWith(`${name}.`);
-  return {
-    ...d,
-    inputPositions: without(d.inputPositions, name),
-    inputs: d.inputs.filter((one) => declaredName(one) !== name),
-    parts: d.parts.map((part) => withoutConditions(part, from)),
-    connections: d.connections.filter(([source]) => !from(source)),
-    outputs: d.outputs.map(([output, source]) => [output, source !== null && from(source) ? null : source] as const),
-  };
+  const inputs = d.inputs.filter((one) => declaredName(one) !== name);
+  const inputPositions = filtered(d.inputPositions, (one) => one !== name);
+  return withoutSources({ ...d, inputs, inputPositions }, (source) => {
+    return source === name || source.startsWith(`${name}.`);
+  });
+}
+
+function checkOutput(d: Diagram, name: string): void {
+  checkForm(name);
+  if (d.outputs.some(([one]) => one === name)) throw new EditFault(`the name ${name} is taken`);
 }
 
 export function addOutput(d: Diagram, name: string, source: string | null = null): Diagram {
-  if (!NAME.test(name)) throw new EditFault(`"${name}" is not a name: use a letter, then letters, digits or _`);
-  if (d.outputs.some(([one]) => one === name)) throw new EditFault(`the name ${name} is taken`);
+  checkOutput(d, name);
   return { ...d, outputs: [...d.outputs, [name, source] as const] };
 }
 
 export function removeOutput(d: Diagram, name: string): Diagram {
   const outputs = d.outputs.filter(([one]) => one !== name);
-  return { ...d, outputs, outputPositions: without(d.outputPositions, name) };
+  return { ...d, outputs, outputPositions: filtered(d.outputPositions, (one) => one !== name) };
 }
 
 export function renameOutput(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
-  if (!NAME.test(to)) throw new EditFault(`"${to}" is not a name: use a letter, then letters, digits or _`);
-  if (d.outputs.some(([one]) => one === to)) throw new EditFault(`the name ${to} is taken`);
+  checkOutput(d, to);
   const outputs = d.outputs.map(([name, source]) => [name === from ? to : name, source] as const);
-  return { ...d, outputs, outputPositions: followed(d.outputPositions, from, to) };
+  return { ...d, outputs, outputPositions: rekeyed(d.outputPositions, from, to) };
 }
 
 /** Sets the key of what is declared (an input or parameter); undefined takes it out. */
@@ -288,7 +300,7 @@ export function setRate(part: Part, divider: number, offset: number): Part {
 
 /** Binds a parameter of a part to one of the diagram; "" frees it. */
 export function bind(part: Part, inner: string, outer: string): Part {
-  const params = Object.fromEntries(Object.entries(part.params).filter(([name]) => name !== inner));
+  const params = filtered(part.params, (name) => name !== inner);
   return { ...part, params: outer === "" ? params : { ...params, [inner]: outer } };
 }
 
@@ -307,10 +319,7 @@ export function addParam(d: Diagram, declared: JsonObject): Diagram {
 }
 
 export function removeParam(d: Diagram, name: string): Diagram {
-  const parts = d.parts.map((part) => {
-    const bound = Object.entries(part.params).filter(([, outer]) => outer === name);
-    return bound.reduce((one, [inner]) => bind(one, inner, ""), part);
-  });
+  const parts = d.parts.map((part) => updated(part, { params: filtered(part.params, (_, outer) => outer !== name) }));
   return { ...d, parts, params: d.params.filter((one) => declaredName(one) !== name) };
 }
 
@@ -318,10 +327,7 @@ export function removeParam(d: Diagram, name: string): Diagram {
 export function renameParam(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   checkName(d, to, from);
-  const parts = d.parts.map((part) => {
-    const bound = Object.entries(part.params);
-    if (!bound.some(([, outer]) => outer === from)) return part;
-    return { ...part, params: Object.fromEntries(bound.map(([inner, outer]) => [inner, outer === from ? to : outer])) };
-  });
+  const follow = (outer: string): string => (outer === from ? to : outer);
+  const parts = d.parts.map((part) => updated(part, { params: mapped(part.params, follow) }));
   return { ...d, parts, params: d.params.map((one) => (declaredName(one) === from ? { ...one, name: to } : one)) };
 }

@@ -1,7 +1,7 @@
 // The simulation: whenever the diagram or the scenario changes, the loop is flown in this browser. Values of parameters
 // are set in the program that is there; another structure is compiled by the server first.
 import * as api from "../../../api/diagrams";
-import { ApiError } from "../../../api/client";
+import { messageOf } from "../../../api/client";
 import { editor } from "../editor.svelte";
 import { findings } from "../findings.svelte";
 import type { Diagram } from "../model/diagram";
@@ -70,7 +70,7 @@ class Simulation {
     } catch (failure) {
       if (turn !== this.asked) return;
       this.began = 0;
-      this.problem = failure instanceof ApiError ? failure.message : String((failure as Error).message);
+      this.problem = messageOf(failure);
       this.busy = "";
     }
   }

@@ -3,18 +3,13 @@ import type { Excitation, Loop } from "../../../api/drones";
 
 /** A number, several of them, or a choice. `unit` "amplitude" is that of the excited loop. */
 export type Field =
-  | {
-      name: string;
-      label: string;
-      type: "number";
-      unit: string;
-      value: number;
-      low: number;
-      high: number;
-      whole?: boolean;
-    }
-  | { name: string; label: string; type: "numbers"; unit: string; values: readonly number[] }
-  | { name: string; label: string; type: "choice"; choices: readonly string[]; value: string };
+  | (Named & { type: "number"; unit: string; value: number; low: number; high: number; whole?: boolean })
+  | (Named & { type: "numbers"; unit: string; values: readonly number[] })
+  | (Named & { type: "choice"; choices: readonly string[]; value: string });
+interface Named {
+  name: string;
+  label: string;
+}
 
 export interface Kind {
   kind: string;
@@ -29,32 +24,15 @@ export const UNITS: Record<Loop, string> = { theta: "rad", q: "rad/s", M: "-", v
 const AMPLITUDES: Record<Loop, number> = { theta: 5 * DEG, q: 30 * DEG, M: 0.03, v: 0.15, x: 0.1 };
 const LARGEST: Record<Loop, number> = { theta: 50 * DEG, q: 10, M: 1, v: 2, x: 0.4 };
 
-const seconds = (name: string, label: string, value: number, low = 0): Field => ({
-  name,
-  label,
-  type: "number",
-  unit: "s",
-  value,
-  low,
-  high: 3600,
-});
-const hertz = (name: string, label: string, value: number): Field => ({
-  name,
-  label,
-  type: "number",
-  unit: "Hz",
-  value,
-  low: 0,
-  high: 125,
-});
+type NumberEntry = Extract<Field, { type: "number" }>;
+function number(name: string, label: string, unit: string, value: number, low: number, high: number): NumberEntry {
+  return { name, label, type: "number", unit, value, low, high };
+}
+const seconds = (name: string, label: string, value: number, low = 0): Field =>
+  number(name, label, "s", value, low, 3600);
+const hertz = (name: string, label: string, value: number): Field => number(name, label, "Hz", value, 0, 125);
 const whole = (name: string, label: string, value: number, low: number, high: number): Field => ({
-  name,
-  label,
-  type: "number",
-  unit: "",
-  value,
-  low,
-  high,
+  ...number(name, label, "", value, low, high),
   whole: true,
 });
 
@@ -63,15 +41,8 @@ const HOLD = 0.001;
 /** The kinds, with values to begin with that suit the loop. */
 export function kinds(loop: Loop): readonly Kind[] {
   const most = LARGEST[loop];
-  const amplitude = (name = "amplitude", label = "Amplitude"): Field => ({
-    name,
-    label,
-    type: "number",
-    unit: "amplitude",
-    value: AMPLITUDES[loop],
-    low: -most,
-    high: most,
-  });
+  const amplitude = (name = "amplitude", label = "Amplitude"): Field =>
+    number(name, label, "amplitude", AMPLITUDES[loop], -most, most);
   const slow = loop === "x" || loop === "v";
   const scale = slow ? 4 : 1;
   return [
