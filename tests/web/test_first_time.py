@@ -68,7 +68,7 @@ def test_from_up_to_a_model_and_a_controller_of_ones_own_that_fly(lab_server: La
             break
     expect(estimate).to_be_visible()
     page.get_by_role("button", name="Keep it").click()
-    page.get_by_role("tab", name="Kept models, design").click()
+    page.get_by_role("tab", name="Models and design").click()
     expect(page.get_by_role("table", name="Models that are kept")).to_contain_text("doublet")
 
     # Draw: the controller to begin with, one gain changed.

@@ -28,17 +28,17 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
     os.kill(lab_server.child("lab"), signal.SIGKILL)
-    expect(page.get_by_role("alert").get_by_text("The server is not reached.", exact=True)).to_be_visible()
+    expect(page.get_by_role("alert").get_by_text("No connection to the server.", exact=True)).to_be_visible()
     expect(page.get_by_text("its own failsafe levels it")).to_be_visible()
     # What could only fail is off, with the reason; the stop alone is tried.
     off = page.get_by_role("button", name="Disarm")
     expect(off).to_be_disabled()
-    expect(off).to_have_attribute("title", "The server is not reached.")
-    expect(page.locator("main").get_by_text("The server is not reached.", exact=True)).to_be_visible()
+    expect(off).to_have_attribute("title", "No connection to the server.")
+    expect(page.locator("main").get_by_text("No connection to the server.", exact=True)).to_be_visible()
     expect(page.get_by_role("button", name="STOP")).to_be_enabled()
     # `up` starts it again, and the page finds it by itself, at the same link.
-    expect(page.get_by_text("The server is reached again.")).to_be_visible()
-    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_hidden()
+    expect(page.get_by_text("Connected to the server again.")).to_be_visible()
+    expect(page.get_by_text("No connection to the server.", exact=True)).to_be_hidden()
     # Nobody renewed the set-point or the lease meanwhile: what the failsafe has done is said.
     expect(page.locator("[aria-label='The drone']").get_by_text("Failsafe")).to_be_visible()
     lab_server.calm()
@@ -57,7 +57,7 @@ def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, ope
     # It stayed lost for longer than the failsafe waits: what that did is in the drone's own words, and it flies again.
     # Which of the two it missed first, and whether it ever missed the other, is a matter of its own time: a loaded
     # computer gives that more slowly than the clock by which the server takes the link for lost.
-    expect(page.get_by_label("What the drone says")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
+    expect(page.get_by_label("Messages of the drone")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
     flying(page)
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
@@ -69,11 +69,11 @@ def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> 
         expect(page.get_by_role("button", name="Take command")).to_be_visible()
         page.get_by_role("button", name="Arm", exact=True).click()
         expect(page.get_by_label("Messages").get_by_text("holds the lease")).to_be_visible()
-    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    expect(page.get_by_text("Not commanded").first).to_be_visible()
     page.get_by_role("button", name="Take command").click()
     expect(page.get_by_text("You command").first).to_be_visible()
     page.get_by_role("button", name="Give it back").click()
-    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    expect(page.get_by_text("Not commanded").first).to_be_visible()
     with Drone.connect(lab_server.url) as other:  # given back is given back
         other.arm()
         expect(page.get_by_role("button", name="Disarm")).to_be_visible()
@@ -88,7 +88,7 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
     number.fill("15")  # with the cart free it runs to the rail's end
     number.press("Enter")
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_visible()
-    expect(page.get_by_label("What the drone says")).not_to_contain_text("Nothing yet")
+    expect(page.get_by_label("Messages of the drone")).not_to_contain_text("Nothing yet")
     number.fill("0")
     number.press("Enter")
     page.get_by_role("tab", name="Position").click()
@@ -103,7 +103,7 @@ def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, op
     reaches(page, "Position x", 0.0, 0.05)
     page.clock.fast_forward(60_000)  # as a browser does: timers that were due fire once, after it
     expect(page.get_by_text("This page stood still for 6")).to_be_visible()
-    expect(page.get_by_text("The server is not reached.", exact=True)).to_be_hidden()
+    expect(page.get_by_text("No connection to the server.", exact=True)).to_be_hidden()
     lab_server.tell("reset", {"x": 0.1})
     reaches(page, "Position x", 0.1, 0.03)
     page.get_by_role("button", name="Close").click()
@@ -158,7 +158,7 @@ def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: Lab
     for one in (page, watching):
         expect(one.get_by_text("This page stood still for")).to_be_visible()
         expect(one.get_by_label("Mode")).to_have_value("hold")
-    expect(page.get_by_label("What the drone says")).to_contain_text("stands still for 3 s: it is levelled")
+    expect(page.get_by_label("Messages of the drone")).to_contain_text("stands still for 3 s: it is levelled")
     assert lab_server.state["mode"] == "hold"  # and nothing that was asked before is asked again
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
     assert recorded_without_a_gap(lab_server, recording) > state["time"] - began
@@ -174,7 +174,7 @@ def test_who_is_frozen_for_a_minute_comes_back_to_a_drone_at_rest(lab_server: La
         for _ in range(60):
             signal.sigtimedwait([], 1.0)
     expect(page.get_by_text(re.compile(r"This page stood still for [6-9]\d s"))).to_be_visible()
-    expect(page.get_by_text("Nobody commands").first).to_be_visible()
+    expect(page.get_by_text("Not commanded").first).to_be_visible()
     assert recorded_without_a_gap(lab_server, recording) > 10.0
     assert not lab_server.state["armed"]
     flying(page)

@@ -57,7 +57,7 @@ def test_from_a_stored_log_to_a_controller(lab: ServedLab, open_page: OpenPage) 
     page.get_by_role("button", name="Keep it").click()
     expect(page.get_by_role("row", name=re.compile("^from the page"))).to_be_visible()
     # What was pressed is gone; the keyboard goes on at what came of it.
-    expect(page.get_by_role("tab", name="Kept models, design")).to_be_focused()
+    expect(page.get_by_role("tab", name="Models and design")).to_be_focused()
     page.get_by_role("button", name="Design it").click()
     expect(page.get_by_text("Keeps the whole family stable")).to_be_visible(timeout=LONG_MS)
     expect(page.get_by_role("button", name="Design it")).to_be_focused()

@@ -107,8 +107,8 @@ def test_steps_are_those_of_the_library_and_flights_lie_over_each_other(
 ) -> None:
     page = open_page(link(logs_server))
     for name in (FIRST, SECOND):
-        page.get_by_label(f"Lay {name} over others").check()
-    page.get_by_role("link", name="Lay 2 over each other").click()
+        page.get_by_label(f"Compare {name}").check()
+    page.get_by_role("link", name="Compare 2 logs").click()
     for name in (FIRST, SECOND):
         found = step_responses(read_log(flights / "flights" / name))
         row = page.get_by_role("row").filter(has_text=name).first
@@ -131,8 +131,8 @@ def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
     name = "my flight -new-.mat"
     expect(page.get_by_text(f"{name} is added")).to_be_visible()
     page.get_by_label("Notes").fill("Gusts from the window.")
-    page.get_by_role("button", name="Keep notes").click()
-    expect(page.get_by_text("Kept beside the log")).to_be_visible()
+    page.get_by_role("button", name="Save notes").click()
+    expect(page.get_by_text("Saved beside the log")).to_be_visible()
     notes = flights / "flights" / f"{name}.notes.txt"
     assert notes.read_text(encoding="utf-8") == "Gusts from the window."
     with page.expect_download() as got:
@@ -142,10 +142,10 @@ def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
     np.testing.assert_array_equal(read_log(tmp_path / "got.parquet")["q"].value, read_log(source)["q"].value)
     page.get_by_role("button", name="Delete", exact=True).click()
     expect(page.get_by_text(f"{name} is deleted")).to_be_visible()
-    expect(page.get_by_label(f"Lay {name} over others")).to_have_count(0)
+    expect(page.get_by_label(f"Compare {name}")).to_have_count(0)
     expect(page.get_by_role("button", name="Undo")).to_be_focused()  # what was pressed is gone
     page.keyboard.press("Enter")
-    expect(page.get_by_label(f"Lay {name} over others")).to_be_visible()
+    expect(page.get_by_label(f"Compare {name}")).to_be_visible()
     for _ in patiently():
         if notes.exists():
             break

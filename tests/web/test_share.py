@@ -17,7 +17,7 @@ def test_the_link_for_watching_shows_this_view_and_only_watches(lab_server: LabS
     page = open_page(f"{lab_server.link}#/tune?drone={lab_server.drone}")
     page.get_by_role("button", name="Share").click()
     dialog = page.get_by_role("dialog", name="Let others watch")
-    expect(dialog.get_by_text("the stop works there too")).to_be_visible()
+    expect(dialog.get_by_text("can press the stop")).to_be_visible()
     link = dialog.get_by_label("Link for watching").input_value()
     assert re.search(rf"\?token=[\w-]{{32}}#/tune\?drone={lab_server.drone}$", link)
     readable(page, "share")

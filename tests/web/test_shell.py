@@ -39,7 +39,7 @@ def files_only(built_page: Path) -> Iterator[str]:
 
 def test_without_a_server_the_frame_says_so_and_fits(files_only: str, open_page: OpenPage) -> None:
     page = open_page(files_only, expects=NO_SERVER)
-    expect(page.get_by_text("Server not reached")).to_be_visible()
+    expect(page.get_by_text("No server")).to_be_visible()
     expect(page.get_by_role("button", name="STOP F8")).to_be_visible()
     readable(page, "shell")
 

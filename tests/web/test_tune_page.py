@@ -60,7 +60,7 @@ def test_several_are_edited_sent_together_and_taken_back(lab: ServedLab, open_pa
     expect(page.get_by_text("0 to 0.12 s/rad, default 0.0854")).to_be_visible()
     edit(page, "RATE_KP", "0.07")
     edit(page, "ATT_KP", "9")
-    bar = page.get_by_label("What will be sent")
+    bar = page.get_by_label("Changes to send")
     expect(bar).to_contain_text("0.0854 → 0.07")
     expect(bar).to_contain_text("11 → 9")
     assert on_board(lab, "RATE_KP") == 0.0854, "nothing is sent yet"
@@ -111,7 +111,7 @@ def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, op
     picture(page, "tune-unstable")
     page.get_by_role("button", name="Send 3 changes").click()
     dialog = page.get_by_role("dialog")
-    send = dialog.get_by_role("button", name="Send them all the same")
+    send = dialog.get_by_role("button", name="Send anyway")
     expect(send).to_be_disabled()
     assert axe(page) == []
     dialog.get_by_role("button", name="Do not send").click()
@@ -124,7 +124,7 @@ def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, op
     for name, value in (("RATE_KP", "0.0854"), ("RATE_KD", "0"), ("ATT_KP", "11")):
         edit(page, name, value)
     page.get_by_role("button", name="Send 3 changes").click()
-    bar = page.get_by_label("What will be sent")
+    bar = page.get_by_label("Changes to send")
     expect(bar).to_contain_text("Nothing edited", timeout=LONG_MS)
     # To take that back is a change that is not kept stable: it is laid into the edits, and asked for as before.
     page.get_by_role("button", name="Undo last send").click()

@@ -114,13 +114,9 @@ if (asked.has("plot")) {
     { label: "simple", kind: "simple", x, y: x.map((t) => 1 - Math.exp(-t)) },
     { label: "grey-box", kind: "grey-box", x, y, band: { low: y.map((v) => v - 0.06), high: y.map((v) => v + 0.06) } },
   ];
-  const markers = [
-    { x: 2, label: "k_θ 4 → 5" },
-    { x: 6.5, label: "gust" },
-  ];
   mount(LinePlot, {
     target,
-    props: { label: "Step response", series, xLabel: "time [s]", yLabel: "θ [deg]", markers, file: "step" },
+    props: { label: "Step response", series, xLabel: "time [s]", yLabel: "θ [deg]", file: "step" },
   });
 }
 Object.assign(window, { bench: { history, view, latency } });

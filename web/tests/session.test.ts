@@ -63,6 +63,6 @@ describe("the chosen drone", () => {
     session.role = "watch";
     expect([session.off, session.serverLost]).toEqual(["This link can only watch.", ""]);
     tell(false, 1);
-    expect([session.off, session.serverLost]).toEqual(Array(2).fill("The server is not reached."));
+    expect([session.off, session.serverLost]).toEqual(Array(2).fill("No connection to the server."));
   });
 });

@@ -61,9 +61,9 @@ describe("an upload", () => {
     await expect(start()).rejects.toBe(ending.now.signal.reason);
   });
 
-  it("says that the server is not reached", async () => {
+  it("says that no connection to the server", async () => {
     const sent = start();
     Asked.last.onerror();
-    await expect(sent).rejects.toThrow("the server is not reached");
+    await expect(sent).rejects.toThrow("no connection to the server");
   });
 });

@@ -73,7 +73,7 @@ export function refusal(status: number, answer: unknown): ApiError {
 
 /** That it was not reached at all. */
 export function unreached(path: string): ApiError {
-  return new ApiError(0, "the server is not reached", path, "see that `twodof up` runs");
+  return new ApiError(0, "no connection to the server", path, "see that `twodof up` runs");
 }
 
 function ended(timeout: number, end: AbortSignal | undefined): AbortSignal {

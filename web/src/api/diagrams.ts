@@ -17,25 +17,11 @@ export interface CatalogueEntry {
   config: JsonObject;
 }
 
-export interface TemplatePort {
-  name: string;
-  kind: string;
-  unit: string;
-  text: string;
-}
-
-export interface Template {
-  text: string;
-  inputs: TemplatePort[];
-  outputs: TemplatePort[];
-}
-
 export interface Catalogue {
   /** Why no diagram can be simulated here; "" where it can. */
   not_simulated: string;
   blocks: CatalogueEntry[];
   starters: Record<string, { name: string; text: string }>;
-  templates: Record<string, Template>;
 }
 
 /** What is wrong or odd, and where: the path of a block, or "diagram.input". */
@@ -57,7 +43,6 @@ export interface Check {
 
 export interface KeptDiagram {
   name: string;
-  bytes: number;
   changed: number;
 }
 
@@ -142,7 +127,7 @@ export async function compileLoop(text: string, rig: string, signal: AbortSignal
   return (await (await request("POST", "diagrams/compile", { text, rig }, 40, signal)).json()) as PortableLoop;
 }
 
-/** Margins of one loop in SI units; null where there is no bound. */
+/** Margins of one loop in SI units; null for no bound. */
 export interface LoopMargins {
   about: string;
   stable: boolean;
@@ -153,8 +138,6 @@ export interface LoopMargins {
   delay_margin: number | null;
   disk_margin: number | null;
   ms: number | null;
-  mt: number | null;
-  bandwidth: number | null;
   bode: { omega: number[]; gain: number[]; phase: number[] };
 }
 
@@ -176,12 +159,7 @@ export interface Rehearsal {
   name: string;
   template: string;
   against: string;
-  costs: {
-    parameter_bytes: number;
-    state_bytes: number;
-    cortex_m7: Record<string, unknown> | null;
-    cortex_m7_missing: string | null;
-  };
+  costs: { parameter_bytes: number; state_bytes: number };
   trial: {
     margins: Record<string, Omit<LoopMargins, "bode" | "about">>;
     margins_unknown: string | null;

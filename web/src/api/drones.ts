@@ -9,10 +9,7 @@ export interface DroneState {
   link: "heard" | "lost";
   /** One of ours, not another's PX4. */
   ours: boolean;
-  autopilot: string;
   virtual: boolean;
-  /** Its time passes only while a client lets it. */
-  lockstep: boolean;
   armed: boolean;
   mode: string;
   /** "off": pressed, it may be armed. */
@@ -31,7 +28,6 @@ export interface DroneState {
   ours_leases: boolean;
   /** An experiment that this server began flies it. */
   experiment?: boolean;
-  tuning_withheld: boolean;
   controller: string;
   /** How many parameters differ from their defaults. */
   changed_parameters: number;

@@ -58,7 +58,6 @@ export interface Plan {
   kind: string;
   rig: string;
   duration: number;
-  x_start: number;
   unknowns: PlannedUnknown[];
   remark: string;
   motion: { time: number[]; theta: number[]; x: number[] };
@@ -138,11 +137,9 @@ export interface FitView {
   /** Mean and standard deviation of what was known of an unknown before the flight. */
   known_before: Record<string, [number, number]>;
   correlation: { labels: string[]; rows: (number | null)[][] };
-  condition_number: number;
   disturbance: string;
   /** The robust standard deviations are quoted, since the residuals are not white. */
   robust: boolean;
-  converged: boolean;
   informative: Informative;
   remarks: string[];
   simple: Record<string, unknown> | null;

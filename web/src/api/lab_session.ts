@@ -5,7 +5,6 @@ export interface LabSession {
   role: "command" | "watch";
   version: string;
   watch_link: string;
-  clients: number;
 }
 
 export const labSession = () => get<LabSession>("session");

@@ -61,7 +61,6 @@ export interface LogSummary {
 
 /** And what an open one shows; times in seconds of the log. */
 export interface LogFacts extends LogSummary, LogKept {
-  all_channels: { name: string; unit: string; samples: number }[];
   parameters: [string, number][];
   texts: [number, string, string][];
   changes: [number, string, number][];

@@ -52,7 +52,6 @@ const at = (name: string) => `models/${encodeURIComponent(name)}`;
 export const listModels = () => get<ModelRow[]>("models");
 export const keepModel = (job: string, name: string, overwrite = false) =>
   send<ModelRow>("POST", "models", { job, name, overwrite });
-export const bringModel = (name: string, document: unknown) => send<ModelRow>("PUT", at(name), document);
 export const deleteModel = (name: string) => send<undefined>("DELETE", at(name));
 export const designController = (model: string, asked: DesignAsked) =>
   send<Job<Designed>>("POST", `${at(model)}/controller`, asked);

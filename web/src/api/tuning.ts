@@ -61,7 +61,6 @@ export interface Preview {
   confirm: string;
   goal: number;
   level: number;
-  members: number;
   time: number[];
   bands: Record<"theta" | "q" | "M", { low: number[]; middle: number[]; high: number[] }>;
   loops: Record<string, LoopMargins>;

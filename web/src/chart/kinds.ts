@@ -27,12 +27,6 @@ export interface Series {
   dash?: readonly number[];
 }
 
-/** Something that happened at `x`. */
-export interface Marker {
-  x: number;
-  label: string;
-}
-
 /** Degrees in a radian: the `factor` of angles. */
 export const DEGREES = 180 / Math.PI;
 

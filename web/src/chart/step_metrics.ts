@@ -67,26 +67,6 @@ export function stepFigures(
   };
 }
 
-/** The steps of a set-point between levels that were each held for `held` [s]. */
-export function findSteps(time: ArrayLike<number>, value: ArrayLike<number>, held = HELD): Step[] {
-  const count = time.length;
-  const levels: { from: number; value: number }[] = [];
-  for (let from = 0, k = 1; k <= count; k += 1) {
-    if (k < count && value[k] === value[from]) continue;
-    const ends = k < count ? time[k]! : time[count - 1]!;
-    if (ends - time[from]! >= held) levels.push({ from, value: value[from]! });
-    from = k;
-  }
-  const last = count ? time[count - 1]! : NaN;
-  const steps: Step[] = [];
-  for (let k = 1; k < levels.length; k += 1) {
-    const [before, after] = [levels[k - 1]!.value, levels[k]!.value];
-    if (before !== after) steps.push({ time: time[levels[k]!.from]!, before, after, end: last });
-  }
-  steps.forEach((step, k) => (step.end = steps[k + 1]?.time ?? last));
-  return steps;
-}
-
 /** The largest |M| of a step; NaN without samples. */
 export function peakMoment(time: ArrayLike<number>, moment: ArrayLike<number>, step: Step): number {
   let peak = NaN;

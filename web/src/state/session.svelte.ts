@@ -19,7 +19,7 @@ class Session {
   readonly watchOnly = $derived(this.role === "watch" ? "This link can only watch." : "");
   connected = $state(false);
   /** Why nothing can be asked of the server now, "" while it is reached. */
-  readonly serverLost = $derived(this.connected ? "" : "The server is not reached.");
+  readonly serverLost = $derived(this.connected ? "" : "No connection to the server.");
   /** Why nothing can be changed from here now, "" where it can. The stop alone is never off. */
   readonly off = $derived(this.serverLost || this.watchOnly);
   /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
@@ -48,7 +48,7 @@ class Session {
       this.retryAt = retryAt;
       if (connected && !this.connected) {
         void this.catchUp();
-        if (this.everConnected) toast("The server is reached again.", "good");
+        if (this.everConnected) toast("Connected to the server again.", "good");
       }
       this.connected = connected;
       this.everConnected ||= connected;

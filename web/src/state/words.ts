@@ -38,9 +38,9 @@ export function failsafeWord(state: DroneState): { kind: Kind; text: string } {
 /** Who commands it. */
 export function leaseWord(state: DroneState): { kind: Kind; text: string } {
   if (state.ours_leases) return { kind: "good", text: "You command" };
-  if (state.lease_holder === null) return { kind: "plain", text: "Nobody commands" };
-  if (state.experiment) return { kind: "good", text: "Experiment commands" };
-  return { kind: "warn", text: `Client ${state.lease_holder[0]} commands` };
+  if (state.lease_holder === null) return { kind: "plain", text: "Not commanded" };
+  if (state.experiment) return { kind: "good", text: "Commanded by an experiment" };
+  return { kind: "warn", text: `Commanded by client ${state.lease_holder[0]}` };
 }
 
 export function modeWord(state: DroneState): string {

@@ -56,7 +56,7 @@ describe("a block that is clicked with Ctrl", () => {
     ]);
   });
   it("says why there is no wire", () => {
-    expect(() => wires(["p:sum"], "p:gain")).toThrow(new EditFault("gain has no input that is free"));
+    expect(() => wires(["p:sum"], "p:gain")).toThrow(new EditFault("gain has no free input"));
     expect(() => wires(["p:end"], "p:sum")).toThrow(EditFault);
     expect(() => wires(["p:sum"], "i:u")).toThrow("is an input");
   });

@@ -1,21 +1,18 @@
-import type { Series } from "../kinds";
-import { Pyramid } from "./pyramid";
+import type uPlot from "uplot";
+import { DASHES, type Series } from "../kinds";
+import { samplePath } from "./painter";
+import { colour } from "./palette";
 
-/** A curve of a static plot, made ready to be drawn fast however long it is. */
+/** Curve of a static plot. */
 export class Curve {
+  /** Number of samples. */
   readonly last: number;
-  readonly y: Pyramid;
-  readonly low: Pyramid | undefined;
-  readonly high: Pyramid | undefined;
 
   constructor(readonly series: Series) {
     this.last = Math.min(series.x.length, series.y.length);
-    this.y = filled(series.y, this.last);
-    this.low = series.band && filled(series.band.low, this.last);
-    this.high = series.band && filled(series.band.high, this.last);
   }
 
-  /** The first sample at or after `x`. */
+  /** Return the first sample at or after `x`. */
   rowAt(x: number): number {
     let low = 0;
     let high = this.last;
@@ -27,24 +24,18 @@ export class Curve {
     return low;
   }
 
-  /** y at `x`, straight between samples; NaN outside. */
+  /** Interpolate y at `x`; NaN outside. */
   at(x: number): number {
+    const { x: xs, y: ys } = this.series;
     const row = this.rowAt(x);
-    if (row >= this.last || (row === 0 && this.series.x[0] !== x)) return NaN;
-    if (this.series.x[row] === x) return this.series.y[row]!;
-    const [x0, x1] = [this.series.x[row - 1]!, this.series.x[row]!];
-    const [y0, y1] = [this.series.y[row - 1]!, this.series.y[row]!];
-    return y0 + ((y1 - y0) * (x - x0)) / (x1 - x0);
+    if (row >= this.last || (row === 0 && xs[0] !== x)) return NaN;
+    if (xs[row] === x) return ys[row]!;
+    const share = (x - xs[row - 1]!) / (xs[row]! - xs[row - 1]!);
+    return ys[row - 1]! + share * (ys[row]! - ys[row - 1]!);
   }
 }
 
-function filled(values: ArrayLike<number>, count: number): Pyramid {
-  const pyramid = new Pyramid(Math.max(1, count));
-  for (let k = 0; k < count; k += 1) pyramid.put(k, values[k]!);
-  return pyramid;
-}
-
-/** Least and greatest x of some curves; 0 to 1 where there is none. */
+/** Return the least and greatest x of the curves; 0 to 1 if there is none. */
 export function xRange(curves: readonly Curve[], log: boolean): [number, number] {
   let [low, high] = [Infinity, -Infinity];
   for (const { series, last } of curves) {
@@ -54,4 +45,47 @@ export function xRange(curves: readonly Curve[], log: boolean): [number, number]
     high = Math.max(high, series.x[last - 1]!);
   }
   return low < high ? [low, high] : log ? [0.1, 10] : Number.isFinite(low) ? [low - 0.5, low + 0.5] : [0, 1];
+}
+
+/** Return the least and greatest y of curves and bands from `low` to `high`; NaN if there is no value. */
+export function yExtent(curves: readonly Curve[], low: number, high: number): [number, number] {
+  let [least, greatest] = [NaN, NaN];
+  for (const curve of curves) {
+    const { y, band } = curve.series;
+    const to = Math.min(curve.last, curve.rowAt(high) + 1);
+    for (const values of band === undefined ? [y] : [y, band.low, band.high]) {
+      for (let row = curve.rowAt(low); row < to; row += 1) {
+        const value = values[row]!;
+        if (value !== value) continue;
+        if (!(least <= value)) least = value;
+        if (!(greatest >= value)) greatest = value;
+      }
+    }
+  }
+  return [least, greatest];
+}
+
+/** Draw a curve and its band into uPlot's axes. */
+export function paintCurve(u: uPlot, curve: Curve): void {
+  const { ctx } = u;
+  const { x, y, band, kind, dash, colour: token = kind } = curve.series;
+  const { min = 0, max = 1 } = u.scales["x"] ?? {};
+  const from = Math.max(0, curve.rowAt(min!) - 1);
+  const to = Math.min(curve.last, curve.rowAt(max!) + 1);
+  const toX = (row: number): number => u.valToPos(x[row]!, "x", true);
+  const toY = (value: number): number => u.valToPos(value, "y", true);
+  if (band) {
+    ctx.fillStyle = colour(token);
+    ctx.globalAlpha = 0.18;
+    ctx.beginPath();
+    for (let row = from; row < to; row += 1) ctx.lineTo(toX(row), toY(band.high[row]!));
+    for (let row = to - 1; row >= from; row -= 1) ctx.lineTo(toX(row), toY(band.low[row]!));
+    ctx.fill();
+    ctx.globalAlpha = 1;
+  }
+  ctx.strokeStyle = colour(token);
+  ctx.lineWidth = devicePixelRatio * (kind === "measured" ? 1 : 1.5);
+  ctx.setLineDash((dash ?? DASHES[kind] ?? []).map((one) => one * devicePixelRatio));
+  ctx.stroke(samplePath(from, to, toX, (row) => toY(y[row]!)));
+  ctx.setLineDash([]);
 }

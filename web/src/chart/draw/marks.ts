@@ -1,5 +1,4 @@
 import type uPlot from "uplot";
-import type { Marker } from "../kinds";
 import { colour } from "./palette";
 
 /** Thin vertical lines where something happened. */
@@ -18,26 +17,6 @@ export function paintMarks(u: uPlot, marks: readonly number[]): void {
   ctx.stroke();
   ctx.setLineDash([]);
   ctx.globalAlpha = 1;
-}
-
-/** As `paintMarks`, each with its label; one that would stand on its neighbour's is left out. */
-export function paintLabels(u: uPlot, markers: readonly Marker[]): void {
-  paintMarks(
-    u,
-    markers.map((one) => one.x),
-  );
-  const { ctx, bbox } = u;
-  ctx.fillStyle = colour("soft");
-  ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
-  ctx.textAlign = "left";
-  ctx.textBaseline = "bottom";
-  let free = -Infinity;
-  for (const { x, label } of [...markers].sort((a, b) => a.x - b.x)) {
-    const left = u.valToPos(x, "x", true) + 4 * devicePixelRatio;
-    if (left < free) continue;
-    ctx.fillText(label, left, bbox.top + bbox.height - 3 * devicePixelRatio);
-    free = left + ctx.measureText(label).width + 4 * devicePixelRatio;
-  }
 }
 
 /** Vertical lines for cursors, with the letters A and B. */

@@ -17,23 +17,17 @@ export function room(): Columns {
   return { count: 0, place: new Float64Array(WIDEST), edge: new Float64Array(WIDEST) };
 }
 
-/**
- * Finds which rows fall on which pixel column. For a linear scale the columns stand on multiples of their width in x,
- * so that a curve that moves does not flicker.
- */
-export function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns, linear: boolean): void {
+/** Find the rows of each pixel column. Columns stand on multiples of their width, so a moving curve does not flicker. */
+export function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns): void {
   const { left, width } = u.bbox;
   const { min = 0, max = 1 } = u.scales["x"] ?? {};
   const count = Math.min(WIDEST - 1, Math.max(1, Math.round(width / devicePixelRatio)) + 1);
   const step = (max! - min!) / (count - 1);
-  const start = linear ? Math.floor(min! / step) * step : 0;
+  const start = Math.floor(min! / step) * step;
   for (let k = 0; k <= count; k += 1) {
-    const x = linear ? start + k * step : u.posToVal(left + (k / (count - 1)) * width, "x", true);
+    const x = start + k * step;
     into.edge[k] = rowAt(x);
-    if (k < count)
-      into.place[k] = linear
-        ? left + ((x + step / 2 - min!) / (max! - min!)) * width
-        : left + (k / (count - 1)) * width;
+    if (k < count) into.place[k] = left + ((x + step / 2 - min!) / (max! - min!)) * width;
   }
   into.count = count;
 }

@@ -14,7 +14,6 @@ export interface PlotOptions {
   /** Asked for at each frame: what a plot shows may change. */
   labels: () => readonly [x: string, y: string];
   xLog?: boolean;
-  yLog?: boolean;
   /** Charts with the same key show the pointer at the same x. */
   key?: string;
 }
@@ -68,7 +67,7 @@ export class Plot {
         cursor,
         scales: {
           x: { time: false, auto: false, distr: options.xLog ? 3 : 1 },
-          y: { auto: false, distr: options.yLog ? 3 : 1 },
+          y: { auto: false },
         },
         series: [{}],
         axes: [

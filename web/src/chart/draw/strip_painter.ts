@@ -34,7 +34,7 @@ export class StripPainter {
     const { min = 0, max = 1 } = u.scales["y"] ?? {};
     const { min: x0 = 0, max: x1 = 1 } = u.scales["x"] ?? {};
     const perX = bbox.width / (x1! - x0!);
-    columnsOf(u, (x) => history.rowAt(x), this.columns, true);
+    columnsOf(u, (x) => history.rowAt(x), this.columns);
     const from = Math.max(history.first, history.rowAt(x0!) - 1);
     const to = Math.min(history.last, history.rowAt(x1!) + 1);
     const crowded = to - from > CROWDED * this.columns.count;

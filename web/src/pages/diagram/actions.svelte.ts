@@ -152,7 +152,7 @@ class Acts {
     const part = findPart(editor.here, name);
     const port = id.startsWith("p:") && part !== undefined ? tops(editor.shapes.of(part.item).outputs)[0] : undefined;
     if (id.startsWith("p:") && port === undefined) return editor.say(`${name} has no output`);
-    if (source === undefined || source === null) return editor.say("nothing flows there");
+    if (source === undefined || source === null) return editor.say("this wire carries no signal");
     scopes.toggle(part !== undefined && port !== undefined ? `${name}.${port}` : source);
   }
 
@@ -284,7 +284,7 @@ export function described(id: string): string {
   const d = editor.here;
   if (id.startsWith("i:")) {
     const to = d.connections.filter(([source]) => source.split(".")[0] === name).map(([, end]) => end);
-    return `input ${name}, ${to.length === 0 ? "goes nowhere" : `to ${to.join(", ")}`}`;
+    return `input ${name}, ${to.length === 0 ? "not connected" : `to ${to.join(", ")}`}`;
   }
   if (id.startsWith("o:")) {
     return `output ${name}, ${d.outputs.find(([one]) => one === name)?.[1] ?? "not connected"}`;
@@ -300,5 +300,5 @@ export function described(id: string): string {
   const readers = d.connections.filter(([source]) => source.split(".")[0] === name).map(([, to]) => to);
   const outputs = d.outputs.filter(([, source]) => source?.split(".")[0] === name).map(([one]) => `output ${one}`);
   const to = [...readers, ...outputs];
-  return [`${name}, ${kind}`, ...inputs, to.length === 0 ? "read by nobody" : `to ${to.join(", ")}`].join("; ");
+  return [`${name}, ${kind}`, ...inputs, to.length === 0 ? "not read" : `to ${to.join(", ")}`].join("; ");
 }

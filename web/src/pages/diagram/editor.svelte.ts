@@ -141,7 +141,7 @@ class Editor {
   redo(): void {
     const step = this.history.redo();
     if (step === undefined) return this.say("nothing to redo");
-    this.show(step.after, `done again: ${step.called}`);
+    this.show(step.after, `redone: ${step.called}`);
   }
 
   private show(diagram: Diagram, said: string): void {

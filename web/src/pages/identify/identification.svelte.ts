@@ -62,7 +62,7 @@ export class Identification {
   });
   running = $state.raw<Running | undefined>(undefined);
   /** What is said of a button that would begin something else meanwhile. */
-  readonly waits = "Something runs already.";
+  readonly waits = "Another job is running.";
   /** Why the last thing failed, and which. */
   failure = $state("");
   readonly experiment = $derived(this.choices?.experiments.find((one) => one.name === this.name));

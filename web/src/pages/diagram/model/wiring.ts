@@ -11,13 +11,11 @@ export function joined(d: Diagram, shapes: Shapes, from: readonly string[], to: 
   const free = freeInputs(d, shapes, to);
   const name = to.slice(2);
   if (free.length === 0) {
-    throw new EditFault(
-      to.startsWith("i:") ? `${name} is an input: it takes no wire` : `${name} has no input that is free`,
-    );
+    throw new EditFault(to.startsWith("i:") ? `${name} is an input: it takes no wire` : `${name} has no free input`);
   }
   const read = outputsRead(d, shapes);
   const sources = from.flatMap((id) => outputOf(d, shapes, id, read) ?? []);
-  if (sources.length === 0) throw new EditFault("what is selected has no output");
+  if (sources.length === 0) throw new EditFault("the selection has no output");
   const wires = sources.slice(0, free.length).map((source, i): Connection => [source, free[i]!]);
   return wires.reduce((after, wire) => connect(after, ...wire), d);
 }

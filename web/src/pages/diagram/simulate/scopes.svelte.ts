@@ -31,7 +31,7 @@ class Scopes {
   /** Shows the signal of a source on the open sheet, or hides it; says which. */
   toggle(source: string): void {
     const origin = originOf(editor.root, editor.path, source, editor.shapes);
-    if (origin === undefined) return editor.say("nothing flows there yet");
+    if (origin === undefined) return editor.say("this wire carries no signal yet");
     const there = this.all.filter((one) => key(one) !== key(origin));
     if (there.length < this.all.length) {
       this.all = there;
