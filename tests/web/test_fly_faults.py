@@ -57,7 +57,7 @@ def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, ope
     # It stayed lost for longer than the failsafe waits: what that did is in the drone's own words, and it flies again.
     # Which of the two it missed first, and whether it ever missed the other, is a matter of its own time: a loaded
     # computer gives that more slowly than the clock by which the server takes the link for lost.
-    expect(page.get_by_label("Messages of the drone")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
+    expect(page.get_by_label("Log of the drone")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
     flying(page)
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
@@ -65,7 +65,7 @@ def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, ope
 def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=REFUSED)
     with Drone.connect(lab_server.url):
-        expect(page.get_by_text("commands").first).to_be_visible()
+        expect(page.get_by_text("Commanded by").first).to_be_visible()
         expect(page.get_by_role("button", name="Take command")).to_be_visible()
         page.get_by_role("button", name="Arm", exact=True).click()
         expect(page.get_by_label("Messages").get_by_text("holds the lease")).to_be_visible()
@@ -88,7 +88,7 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
     number.fill("15")  # with the cart free it runs to the rail's end
     number.press("Enter")
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_visible()
-    expect(page.get_by_label("Messages of the drone")).not_to_contain_text("Nothing yet")
+    expect(page.get_by_label("Log of the drone")).not_to_contain_text("Nothing yet")
     number.fill("0")
     number.press("Enter")
     page.get_by_role("tab", name="Position").click()
@@ -158,7 +158,7 @@ def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: Lab
     for one in (page, watching):
         expect(one.get_by_text("This page stood still for")).to_be_visible()
         expect(one.get_by_label("Mode")).to_have_value("hold")
-    expect(page.get_by_label("Messages of the drone")).to_contain_text("stands still for 3 s: it is levelled")
+    expect(page.get_by_label("Log of the drone")).to_contain_text("stands still for 3 s: it is levelled")
     assert lab_server.state["mode"] == "hold"  # and nothing that was asked before is asked again
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
     assert recorded_without_a_gap(lab_server, recording) > state["time"] - began
