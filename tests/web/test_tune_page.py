@@ -107,7 +107,7 @@ def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, op
     expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)
     for name, value in (("RATE_KP", "0.12"), ("RATE_KD", "0.003"), ("ATT_KP", "15")):
         edit(page, name, value)
-    expect(page.get_by_text("Not kept stable")).to_be_visible(timeout=LONG_MS)
+    expect(page.get_by_text("Not stable for all drones")).to_be_visible(timeout=LONG_MS)
     picture(page, "tune-unstable")
     page.get_by_role("button", name="Send 3 changes").click()
     dialog = page.get_by_role("dialog")
