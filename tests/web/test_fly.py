@@ -43,7 +43,7 @@ def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.02)
     number.fill("0.3")  # typed and left: nothing may jump
     page.get_by_label("Thrust", exact=True).or_(page.get_by_role("tab", name="Position")).first.focus()
-    expect(number).to_have_accessible_description(re.compile("Not given yet: Enter gives it"))
+    expect(number).to_have_accessible_description(re.compile("Not applied yet: Enter applies it"))
     assert lab_server.state["setpoint"]["value"] == 0.0
     page.get_by_role("button", name="0.00", exact=True).click()
     number.press("Escape")

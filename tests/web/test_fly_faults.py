@@ -29,7 +29,7 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     flying(page)
     os.kill(lab_server.child("lab"), signal.SIGKILL)
     expect(page.get_by_role("alert").get_by_text("No connection to the server.", exact=True)).to_be_visible()
-    expect(page.get_by_text("its own failsafe levels it")).to_be_visible()
+    expect(page.get_by_text("its failsafe levels it")).to_be_visible()
     # What could only fail is off, with the reason; the stop alone is tried.
     off = page.get_by_role("button", name="Disarm")
     expect(off).to_be_disabled()
