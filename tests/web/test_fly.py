@@ -150,9 +150,7 @@ def test_who_only_watches_sees_cannot_touch_and_may_stop(lab_server: LabServer, 
     lab_server.tell("arm")
     page.get_by_role("button", name=STOP).click()  # but whoever stands beside it may stop it
     lab_server.until(killed=True, armed=False)
-    expect(page.get_by_label("Log of the drone")).to_contain_text(
-        "the emergency stop was pressed by who watches at"
-    )
+    expect(page.get_by_label("Log of the drone")).to_contain_text("the emergency stop was pressed by who watches at")
 
 
 def test_the_rig_is_reset_to_where_it_is_asked(lab_server: LabServer, open_page: OpenPage) -> None:
