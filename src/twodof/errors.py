@@ -19,7 +19,7 @@ def shown(value: object) -> str:
 
 
 def listed(names: Iterable[str], most: int = 20) -> str:
-    """The first of `names`, separated by commas, and how many more there are. "none" if there are none."""
+    """Join the first of `names` by commas and add the number of the others; "none" without any."""
     rest = iter(names)
     rows = list(islice(rest, most))
     more = sum(1 for _ in rest)
@@ -27,7 +27,7 @@ def listed(names: Iterable[str], most: int = 20) -> str:
 
 
 def nearest(name: object, known: Iterable[str], most: int = 20) -> str:
-    """`listed`, those of the `known` names first that look like `name`: what a message says of an unknown one."""
+    """List the `known` names for an error about an unknown `name`, the most similar ones first."""
     names, given = list(known), str(name)[:200].casefold()
     compared = names if len(names) <= _COMPARED else [one for one in names if one[:2].casefold() == given[:2]]
     folded: dict[str, list[str]] = {}
@@ -38,13 +38,13 @@ def nearest(name: object, known: Iterable[str], most: int = 20) -> str:
 
 
 def outside(value: float, low: float, high: float, unit: str = "") -> str:
-    """What is wrong with a value that is not within its bounds. Whole numbers are written with all digits."""
+    """Describe a value outside its bounds. Integers are written with all digits."""
     given, least, most = (str(n) if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
     return f"{given} is outside {least} to {most} {unit}".rstrip()
 
 
 def printable(text: object) -> str:
-    """What somebody else's file or the wire says, without what a terminal would act on; lines stay lines."""
+    """Replace control characters in text from a file or the wire; keep line breaks."""
     return "".join(c if c.isprintable() or c == "\n" else " " for c in str(text))
 
 

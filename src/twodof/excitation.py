@@ -103,7 +103,7 @@ class Excitation(ABC):
         """Largest absolute value."""
 
     def _check(self) -> None:  # noqa: B027
-        """Checks the subclass's values that are not numbers within `bounds`, and brings them into their final types."""
+        """Check the values of a subclass that `bounds` does not cover, and convert them to their final types."""
 
     @abstractmethod
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -127,7 +127,7 @@ class Excitation(ABC):
         return np.where(playing, self._wave(np.where(playing, phase, 0)), 0.0)
 
     def samples(self, period: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times [s] and values (n,) on a grid of `period` [s], from the start to the end inclusive."""
+        """Return times [s] and values (n,) on a grid of `period` [s], from the start to the end inclusive."""
         if not SHORTEST_HOLD_S <= period <= MAX_DURATION_S:
             raise self._mistake("period", f"{period:g} s", f"give {SHORTEST_HOLD_S:g} s or more")
         time = period * np.arange(int(np.floor(self.duration / period + 1e-9)) + 1, dtype=np.float64)
@@ -191,7 +191,7 @@ class _Held(Excitation):
         return np.asarray(levels)[np.searchsorted(np.cumsum(holds)[:-1], us, side="right")]
 
     def edges(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Times [s] at which the value changes, and the value from then on: a player needs to know no more."""
+        """Return the times [s] at which the value changes, and the value from then on."""
         holds = self._levels()[0]
         starts = np.concatenate(([0], np.cumsum(holds)))
         turns = np.arange(self.repeat)[:, None] * (int(starts[-1]) + _us(self.pause))
@@ -426,7 +426,7 @@ KINDS: Mapping[str, type[Excitation]] = MappingProxyType(
 
 
 def from_dict(values: Mapping[str, Any]) -> Excitation:
-    """An excitation from the values of `to_dict`. Raises ExperimentError."""
+    """Return the excitation with the values of `to_dict`. Raises ExperimentError."""
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ExperimentError(f"unknown kind {kind!r}", "excitation", f"there are: {', '.join(KINDS)}")
@@ -443,7 +443,7 @@ def from_dict(values: Mapping[str, Any]) -> Excitation:
 
 
 def from_json(text: str) -> Excitation:
-    """An excitation from the text of `to_json`. Raises ExperimentError."""
+    """Return the excitation with the text of `to_json`. Raises ExperimentError."""
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as reason:
@@ -454,7 +454,7 @@ def from_json(text: str) -> Excitation:
 
 
 def _as_float(value: Real) -> float:
-    """A number as a float; a whole one that is too large for it is infinite."""
+    """Convert a number to float; an integer that is too large becomes infinite."""
     try:
         return float(value)
     except OverflowError:

@@ -56,7 +56,7 @@ class Parameter:
             raise ParameterError("default and bounds must be whole numbers of 32 bits", self.name)
 
     def kept(self, value: float) -> float:
-        """A value within the bounds as a set keeps it: int for int32, else float."""
+        """Convert a value to the type that a set stores: int for int32, else float."""
         return int(value) if self.kind == "int32" else float(value)
 
 
@@ -250,7 +250,7 @@ PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 
 
 def float32_decimal(value: float) -> float:
-    """The shortest decimal among the numbers that float32 rounds as it does `value`; what is not a number stays."""
+    """Return the shortest decimal that float32 rounds as it rounds `value`; return NaN and infinities unchanged."""
     if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
         return value
     return float(str(np.float32(value)))
@@ -274,7 +274,7 @@ class ParameterSet(Mapping[str, float]):
         self.revision = 0
 
     def __getitem__(self, name: str) -> float:
-        """A value, by either name. Raises ParameterError for an unknown one."""
+        """Return a value, by either name. Raises ParameterError for an unknown one."""
         return self._values[self.row(name).name]
 
     def __iter__(self) -> Iterator[str]:
@@ -298,7 +298,7 @@ class ParameterSet(Mapping[str, float]):
         return dict(self._values)
 
     def set(self, name: str, value: float) -> None:
-        """Changes one value. Raises ParameterError as `update` does."""
+        """Change one value. Raises ParameterError as `update` does."""
         self.update({name: value})
 
     def update(self, changes: Mapping[str, float]) -> None:
@@ -317,11 +317,11 @@ class ParameterSet(Mapping[str, float]):
         self.update({row.name: row.default for row in self._rows.values()})
 
     def to_json(self) -> str:
-        """The values as JSON; numbers read back to the same bits."""
+        """Return the values as JSON; numbers read back to the same bits."""
         return json.dumps({"version": _VERSION, "parameters": self.snapshot()}, indent=2)
 
     def load_json(self, text: str) -> None:
-        """Takes the values of a JSON text over; what it does not name stays.
+        """Set the values that a JSON text names.
 
         Raises ParameterError, and then changes nothing.
         """
@@ -337,7 +337,7 @@ class ParameterSet(Mapping[str, float]):
         self.update(values)
 
     def check(self, changes: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
-        """The changes that are right, by main name and as they would be kept, and what is wrong with the others."""
+        """Return the valid changes, by main name and converted, and descriptions of the invalid ones."""
         good: dict[str, float] = {}
         faults = []
         for name, value in changes.items():
@@ -358,7 +358,7 @@ class ParameterSet(Mapping[str, float]):
         return good
 
     def _fault(self, name: str, value: float) -> str:
-        """What is wrong with a value, or ""."""
+        """Describe the fault of a value; "" without one."""
         if name not in self:
             return f"no such parameter, there are {', '.join(self._rows)}"
         row = self.row(name)

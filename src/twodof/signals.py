@@ -387,7 +387,7 @@ BY_MAT = MappingProxyType({row.mat: row for row in TOPICS})
 
 
 def topic(name: str) -> Topic:
-    """The row of a signal, by its name (`imu.gyro`) or its .mat channel (`gyr`).
+    """Return the row of a signal, by its name (`imu.gyro`) or its .mat channel (`gyr`).
 
     Raises LogError for an unknown name.
     """
@@ -398,6 +398,6 @@ def topic(name: str) -> Topic:
 
 
 def unit_of(mat: str) -> str:
-    """Unit of a .mat channel, or "" for one that TOPICS does not know."""
+    """Return the unit of a .mat channel, "" for an unknown one."""
     row = BY_MAT.get(mat)
     return row.unit if row else ""

@@ -49,7 +49,7 @@ class ChargeEstimate:
 
 
 def estimate_charge(flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, float]) -> ChargeEstimate:
-    """The charge with which the noise-free `rig` comes closest to the flight, each channel over its own spread.
+    """Return the charge with which the noise-free `rig` comes closest to the flight, each channel over its own spread.
 
     It uses the estimates *inside* the window, so the FIT with it is not a prediction. The rig's charge 1 is the mean of
     the flights that it was calibrated on. The deviation takes misfits of one second as one (as `calibrate` does).
@@ -170,7 +170,7 @@ _ITERATIONS = 30
 
 
 def to_rig(unknowns: Mapping[str, float]) -> dict[str, float]:
-    """The rig parameters that `UNKNOWNS` stand for, with the masses and the arm of the built-in table."""
+    """Return the rig parameters of `UNKNOWNS`, with the masses and the arm of the built-in table."""
     built = {row.name: row.default for row in TABLE}
     mass = built["mass_drone"] + built["mass_cart"]
     u = unknowns
@@ -223,7 +223,7 @@ class Calibration:
 def find_flights(
     folder: str | Path, flights: Sequence[CalibrationFlight] = FLIGHTS
 ) -> dict[CalibrationFlight, LoggedFlight]:
-    """The flights' logs in `folder`, read. Raises LogError if one is missing or broken."""
+    """Read the flights' logs in `folder`. Raises LogError if one is missing or broken."""
     return {f: LoggedFlight(read_log(Path(folder) / f"{f.name}.mat"), NAMED[f.gains], f.window) for f in flights}
 
 
@@ -246,7 +246,7 @@ def calibrate(
     runs = 1 + (len(flights) if leave_one_out and len(flights) > 1 else 0)
 
     def solve(run: int, what: str, on: Mapping[CalibrationFlight, LoggedFlight], start: Array) -> _Solution:
-        """The minimisation number `run`; it tells how far all have come by its own iterations."""
+        """Run the minimisation number `run`, and report the progress of all by its iterations."""
 
         def tell(part: float) -> None:
             if progress is not None:

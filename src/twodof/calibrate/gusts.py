@@ -76,7 +76,7 @@ class GustEstimate:
 def measure_gusts(
     log: FlightLog | str | Path, stretches: Sequence[tuple[float, float]], rig: Mapping[str, float], free: bool = False
 ) -> GustEstimate:
-    """The gusts in the `stretches` [s] of level flight of a log, by the rotors and stiffness of `rig`.
+    """Return the gusts in the `stretches` [s] of level flight of a log, by the rotors and stiffness of `rig`.
 
     `free` says that the cart is not locked; its answer to the pitch then halves the stiffness about. On the simulated
     `lab` rig with gusts of 1.8 rad/s2 and .1 s, 20 s of hold give 1.70 +- .10 and .11 +- .03: 5 % too little. Raises
@@ -131,7 +131,7 @@ def _disturbance(log: FlightLog, t0: float, t1: float, rig: Mapping[str, float],
 
 
 def _acceleration(log: FlightLog, time: Array, rig: Mapping[str, float]) -> Array:
-    """The pitch acceleration [rad/s2] by the rotors, at ticks, from the logged commands."""
+    """Return the pitch acceleration [rad/s2] by the rotors at ticks, from the logged commands."""
     from scipy.signal import lfilter  # imported late: most commands start without it
 
     def arrived(name: str) -> Array:
@@ -180,5 +180,5 @@ def gust_fits(
 def gust_ceiling(
     flight: LoggedFlight, loop: ClosedLoop, rig: Mapping[str, float], seeds: int = SEEDS
 ) -> dict[str, float]:
-    """The median of `gust_fits` by channel [%]. In open loop single flights are far from it."""
+    """Return the median of `gust_fits` by channel [%]. In open loop single flights are far from it."""
     return {name: float(np.median(fits)) for name, fits in gust_fits(flight, loop, rig, seeds).items()}

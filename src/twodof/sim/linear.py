@@ -81,7 +81,7 @@ def cascade_margins(
     rig: str | Mapping[str, float] = "lab",
     loops: Sequence[str] = tuple(LOOPS),
 ) -> dict[str, LoopMargins]:
-    """The margins of each of `loops` as it flies, see `cascade_loop`: `cascade_margins(rig="paper")["rate"].disk`."""
+    """Return the margins of each of `loops` as it flies: `cascade_margins(rig="paper")["rate"].disk`."""
     flown = tuple(controllers)
     return {loop: margins(cascade_loop(loop, gains, flown, rig)) for loop in loops}
 
@@ -100,7 +100,7 @@ _NEW_SAMPLE = 2**32 - 1  # of the range sensor's clock: it turns at the next tic
 
 
 def linear_rig(values: Mapping[str, float]) -> LinearModel:
-    """The linear model of the rig with the parameters `values`, with the inputs fore and aft and the outputs `SIGNALS`.
+    """Return the linear model of the rig `values`, from the inputs fore and aft to the outputs `SIGNALS`.
 
     Raises DiagramError where the rig has no slope in hover, such as on a stop.
     """
@@ -138,7 +138,7 @@ def _rig_and_estimator() -> Diagram:
 
 
 def _joined(moved: LinearModel, seen: LinearModel) -> LinearModel:
-    """The commands held over the ticks of a step, and at each step's start the samples of what has moved."""
+    """Hold the commands over the ticks of a step, and sample the outputs at its start."""
     a, b = moved.a, moved.b[:, :2]
     step, drive = np.eye(len(a)), np.zeros_like(b)
     for _ in range(SAMPLE[0]):
@@ -201,7 +201,7 @@ def publishing_ages() -> tuple[float, ...]:
 
 
 def _published(model: LinearModel) -> LinearModel:
-    """The model with v and x as they are published, on the mean."""
+    """Return the model with v and x as they are published, on average."""
     shares = publishing_ages()
     n, oldest = len(model.a), len(shares) - 1
     late = [READ.index("v"), READ.index("x")]
@@ -224,7 +224,7 @@ _ARMED, _HELD = 1000, 10**6  # steps since arming, and of the level hold: more t
 
 
 def linear_controller(mode: str, gains: Gains = DEFAULT, controllers: Iterable[Diagram] = ()) -> LinearModel:
-    """The flight core's controllers in `mode` ("rate", ...), level and at their set-points, at 250 Hz.
+    """Return the flight core's controllers in `mode` ("rate", ...), level and at their set-points, at 250 Hz.
 
     The inputs are those of `linear_rig.SIGNALS`, the outputs fore and aft. `controllers` fly in place of the stock
     ones, as in `flight.core`. Raises DiagramError for a diagram that fits no template. Raises it also where a

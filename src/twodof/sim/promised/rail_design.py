@@ -70,7 +70,7 @@ class _Search:
         self._members, self._seed = members, seed
 
     def judge(self, x: Array) -> float:
-        """The largest miss, as the logarithm of a ratio; below 0 where all is met. Raises _Met where that is enough."""
+        """Return the largest miss as a log ratio, below 0 if every bound is met. Raises _Met if that suffices."""
         gains = self.gains(x)
         linear, flown = self.asked.of_loops, self.asked.of_step
         rows: tuple[Requirement, ...] = ()
@@ -93,7 +93,7 @@ class _Search:
         return worst
 
     def gains(self, x: Array) -> Gains:
-        """The gains of logarithms: of the velocity's Kp and Ki, and of the position's Kp where that is searched."""
+        """Return the gains from their logarithms: velocity Kp and Ki, and position Kp if it is searched."""
         kp, ki, *position = (float(f"{v:.4g}") for v in np.exp(x))
         return replace(self._kept, velocity=(kp, ki), position=position[0] if position else self._kept.position)
 

@@ -78,7 +78,7 @@ class RailFamily:
         return [self._rig(drawn.one(k), cart[k], base) for k in range(count)]
 
     def nominal(self) -> dict[str, float]:
-        """The rig that is the estimate itself."""
+        """Return the rig with the estimated values."""
         base = dict(load_rig(self.base).snapshot())
         return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base)
 
