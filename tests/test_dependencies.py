@@ -72,7 +72,7 @@ def _plain(name: str) -> str:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("program", ["cli.fly", "cli.fcu", "lab.serve"])
+@pytest.mark.parametrize("program", ["cli.fly", "cli.fcu", "lab.server"])
 def test_a_flight_and_the_lab_start_without_scipy(program: str) -> None:
     """Its import takes half a second to two seconds of processor time, in each command and each virtual drone."""
     code = f"import sys, twodof.{program}; print([n for n in sys.modules if n == 'scipy'])"
