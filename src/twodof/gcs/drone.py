@@ -315,7 +315,7 @@ class Drone(LatestEstimates, SyncFace):
             runner.close()
             if any(other.has_lease(refusal) for other in cls._open):
                 remedy = "this program has it: close() the Drone that it has, or go on with that"
-                raise Rejected(refusal.what, refusal.where, remedy) from refusal
+                raise Rejected(refusal.what, refusal.where, remedy, refusal.code) from refusal
             raise
         except BaseException:
             runner.close()

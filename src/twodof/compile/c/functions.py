@@ -15,6 +15,7 @@ COMMENTS = {
     "integration": "/* the continuous states of the next tick */",
     "disabled states": "/* what is disabled keeps its continuous states */",
     "next tick": "/* the next tick */",
+    "next states": "/* the next tick */",
     "pieces": "/* what it does, in pieces */",
 }
 """The comments above statements of no single block, by their role."""

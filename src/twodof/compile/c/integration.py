@@ -337,7 +337,7 @@ class IntegrationEmitter:
             tests = " && ".join(step.signal(e) for e in node.guard.enables)
             enables = frozenset(name_of(step.signal(e)) for e in node.guard.enables)
             step.renderer.out.append(Branch(f"!({tests})", body, role="disabled states", reads=enables))
-        step.renderer.out.append(Call(f"s->x = {x};", role="next tick", reads=reads))
+        step.renderer.out.append(Call(f"s->x = {x};", role="next states", reads=reads))
 
     def declarations(self) -> list[str]:
         """Return the members of the struct Held; an array is held by its address."""

@@ -60,9 +60,14 @@ class _Pieces:
                 self._hand(name)
 
     def _divide(self, body: list[Statement], calls: list[Statement]) -> None:
-        """Cut a body; a long guarded part is cut too, and stays under its condition."""
+        """Cut a body; a long guarded part is cut too, and stays under its condition.
+
+        The continuous states of a step, `x`, are a variable of one piece: it reaches from the integration to their
+        store in `s`.
+        """
         piece: list[Statement] = []
         length = 0
+        integrating = False
 
         def end() -> None:
             nonlocal piece, length
@@ -74,7 +79,8 @@ class _Pieces:
 
         for statement in body:
             size = _length([statement])
-            if isinstance(statement, Branch) and statement.role == "condition" and size > PIECE:
+            integrating = (integrating or statement.role == "integration") and statement.role != "next states"
+            if not integrating and isinstance(statement, Branch) and statement.role == "condition" and size > PIECE:
                 end()
                 inner: list[Statement] = []
                 self._divide(statement.then, inner)
@@ -82,7 +88,7 @@ class _Pieces:
                 continue
             piece.append(statement)
             length += size
-            if length >= PIECE:
+            if length >= PIECE and not integrating:
                 end()
         end()
 
