@@ -135,11 +135,13 @@ def read(terminal: int) -> str:
 
 
 @pytest.mark.long
-def test_the_table_follows_a_drone() -> None:
-    """On a terminal of 140 x 12 without colour; Ctrl-C gives the screen back and ends with 0."""
+@pytest.mark.parametrize("columns", [80, 140])
+def test_the_table_follows_a_drone(columns: int) -> None:
+    """Without colour; Ctrl-C gives the screen back and ends with 0."""
     ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 12, 140, 0, 0))
-    environment = {k: v for k, v in os.environ.items() if k != "FORCE_COLOR"}
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 12, columns, 0, 0))
+    from_outside = ("FORCE_COLOR", "COLUMNS", "LINES", "TTY_COMPATIBLE")  # would stand above what the terminal says
+    environment = {k: v for k, v in os.environ.items() if k not in from_outside}
     environment |= {"TERM": "xterm-256color", "NO_COLOR": "1"}
     with on_board(lockstep=True, index=6) as there, Drone.connect(there.url) as pilot:
         pilot.run(0.2)
@@ -149,6 +151,7 @@ def test_the_table_follows_a_drone() -> None:
             for _ in patiently():
                 raw += read(ours)
                 pilot.run(0.1)
+                assert process.poll() is None, plain(raw)
                 if any(re.search(r"disarmed +manual +[+-]\d", frame) for frame in plain(raw).split("drone")):
                     break
             process.send_signal(signal.SIGINT)
@@ -158,6 +161,6 @@ def test_the_table_follows_a_drone() -> None:
                     break
             assert process.returncode == 0
     os.close(ours)
-    for word in ("theta, deg", "battery", "last words", f"7 {there.url}"):
+    for word in ("theta, deg", "battery", "Ctrl-C ends", f"7 {there.url}" if columns > 80 else "7"):
         assert word in plain(raw)
     assert not re.search(r"\x1b\[[0-9;]*[34][0-9]", raw)

@@ -13,8 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Group
 from rich.live import Live
 from rich.table import Table
+from rich.text import Text
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, run_until_signal
 from twodof.cli.output import Json, one_line, print_json, table_console
@@ -237,23 +239,22 @@ async def _show(drones: Sequence[WatchedDrone], every: float | None, json: bool)
             await asyncio.sleep(every or _LINES_S)
     with Live(console=console, screen=True, auto_refresh=False, transient=True) as live:
         while True:
-            live.update(table(drones), refresh=True)
+            live.update(screen(drones), refresh=True)
             await asyncio.sleep(every or _TABLE_S)
 
 
-def table(drones: Sequence[WatchedDrone]) -> Table:
-    """Return the table of all drones."""
-    made = Table(
-        "drone", "state", "mode", box=None, pad_edge=False, caption="Ctrl-C ends watching", caption_justify="left"
-    )
+def screen(drones: Sequence[WatchedDrone]) -> Group:
+    """Return the table of all drones, and the last words of each below it."""
+    table = Table("drone", box=None, pad_edge=False)
+    for head in ("state", "mode"):  # "disarmed" and "offboard" stay whole on 80 columns, where a URL is cut
+        table.add_column(head, min_width=8)
     for head in ("theta, deg", "q, deg/s", "x, m", "battery", "age, s"):
-        made.add_column(head, justify="right", no_wrap=True)
-    made.add_column("last words")
+        table.add_column(head, justify="right", no_wrap=True)
+    words = []
     for one in drones:
         state = DroneState() if one.drone is None else one.drone.state
-        alarm = not one.is_heard or state.killed or bool(state.safety.reason)
-        last = one.texts[-1] if one.texts else None
-        made.add_row(
+        alarm = "bold red" if not one.is_heard or state.killed or state.safety.reason else ""
+        table.add_row(
             _name(one),
             _state(one, state),
             state.mode,
@@ -262,10 +263,12 @@ def table(drones: Sequence[WatchedDrone]) -> Table:
             _number(one.value("estimate.x"), 1.0, "+.3f"),
             _battery(state),
             f"{one.age:.1f}",
-            "" if last is None else one_line(f"{last['severity']}: {last['text']}"),
-            style="bold red" if alarm else "",
+            style=alarm,
         )
-    return made
+        if one.texts:
+            said = f"{one.system or one.url} {one.texts[-1]['severity']}: {one.texts[-1]['text']}"
+            words.append(Text(one_line(said), alarm))
+    return Group(table, "", *words, "Ctrl-C ends watching")
 
 
 def _name(one: WatchedDrone) -> str:
