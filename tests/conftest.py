@@ -92,7 +92,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """What stands now stays to the end: thousands of tests, which every full collection would look through again."""
+    """Keep the thousands of collected tests out of every later garbage collection."""
     gc.freeze()
 
 

@@ -12,7 +12,7 @@ from tests.patience import patiently
 
 
 def alive(process: int) -> bool:
-    """Whether a process runs; one that ended and was not waited for (by its parent or heir) does not."""
+    """Return True if a process runs; False for one that ended, even if its parent has not waited for it."""
     try:
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""What the package imports is declared in pyproject.toml: an installed package has what it needs."""
+"""Every package that twodof imports is declared in pyproject.toml."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 
 
 def statements(body: Iterable[ast.AST]) -> Iterator[ast.AST]:
-    """Those of a module, at any depth; what stands within an expression is no import."""
+    """Yield all statements of a module, at any depth."""
     for node in body:
         yield node
         for part in ("body", "orelse", "handlers", "finalbody"):

@@ -202,21 +202,21 @@ def test_schroeders_phases_lower_the_crest() -> None:
         (lambda: Doublet(20.0, 1.0, unit="rad"), "if 20 is in degrees, give 0.3491"),
         (lambda: Doublet(1.1, 1.0), "doublet.amplitude: peak 1.1 - is not within 0 to 1"),
         (lambda: Impulse(0.0, 1.0), "choose one that is not zero"),
-        (lambda: Impulse(float("nan"), 1.0), "impulse.amplitude: nan is no finite number"),
-        (lambda: Impulse("0.1", 1.0), "impulse.amplitude: '0.1' is no finite number"),
-        (lambda: Impulse(True, 1.0), "impulse.amplitude: True is no finite number"),
+        (lambda: Impulse(float("nan"), 1.0), "impulse.amplitude: nan is not a finite number"),
+        (lambda: Impulse("0.1", 1.0), "impulse.amplitude: '0.1' is not a finite number"),
+        (lambda: Impulse(True, 1.0), "impulse.amplitude: True is not a finite number"),
         (lambda: Impulse(0.1, 0.0), "impulse.width: 0 is outside 0.001"),
         (lambda: Impulse(0.1, -1.0), "impulse.width: -1 is outside"),
         (lambda: Impulse(0.1, 1.0, unit="deg"), "impulse.unit: unknown unit 'deg' .use one of -, rad"),
         (lambda: Impulse(0.1, 1.0, repeat=0), "impulse.repeat: 0 is outside 1"),
-        (lambda: Impulse(0.1, 1.0, repeat=1.5), "impulse.repeat: 1.5 is no whole number"),
+        (lambda: Impulse(0.1, 1.0, repeat=1.5), "impulse.repeat: 1.5 is not a whole number"),
         (lambda: Impulse(0.1, 1000.0, repeat=10), "impulse.duration: 10000 s"),
         (lambda: Steps((), 1.0), "steps.levels: 0 numbers"),
-        (lambda: Steps(0.1, 1.0), "steps.levels: 0.1 is no list of numbers"),
-        (lambda: Steps((0.1, float("inf")), 1.0), "steps.levels: inf is no finite number"),
+        (lambda: Steps(0.1, 1.0), "steps.levels: 0.1 is not a list of numbers"),
+        (lambda: Steps((0.1, float("inf")), 1.0), "steps.levels: inf is not a finite number"),
         (lambda: Steps(np.array([0.1j]), 1.0), "steps.levels: an array of numpy.s type complex128 is given"),
         (lambda: Sweep(0.1, 0.0, 1.0, 5.0, "logarithmic"), "cannot start or end at 0 Hz"),
-        (lambda: Sweep(0.1, 0.0, 0.0, 5.0), "is no signal"),
+        (lambda: Sweep(0.1, 0.0, 0.0, 5.0), "gives no signal"),
         (lambda: Sweep(0.1, 1.0, 200.0, 5.0), "sweep.end_hz: 200 is outside 0 to 125"),
         (lambda: Sweep(0.1, 1.0, 2.0, 5.0, "cubic"), "unknown law 'cubic'"),
         (lambda: Prbs(0.1, 0.1, 2), "prbs.order: 2 is outside 3 to 16"),
@@ -244,8 +244,8 @@ def test_mistakes_say_what_and_where(make: Callable[[], object], says: str) -> N
         ({"kind": ["doublet"]}, "unknown kind"),
         ({"version": 2}, "version 2 is not 1"),
         ({"amplitud": 0.1}, "unknown value 'amplitud'"),
-        ({"amplitude": "0.1"}, "no finite number"),
-        ({"amplitude": None}, "no finite number"),
+        ({"amplitude": "0.1"}, "not a finite number"),
+        ({"amplitude": None}, "not a finite number"),
         ({"unit": ["rad"]}, "unknown unit"),
     ],
 )
@@ -266,7 +266,7 @@ def test_numpy_gives_the_same_excitation(signal: Excitation) -> None:
 
 def test_json_that_is_none() -> None:
     for text in ("", "[]", "1", "{", "[" * 100_000):
-        with pytest.raises(ExperimentError, match=r"is no JSON|is no table of values"):
+        with pytest.raises(ExperimentError, match=r"is not JSON|is not a table of values"):
             from_json(text)
     with pytest.raises(ExperimentError, match="a value is missing"):
         from_dict({"kind": "doublet", "version": 1, "amplitude": 0.1})

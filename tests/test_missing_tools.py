@@ -44,7 +44,7 @@ print(json.dumps(said))
 
 
 def user(hidden: list[str], targets: list[str], folder: Path, **programs: str) -> dict[str, list[Any]]:
-    """What `build` gives or says for each of `targets`, in a process of its own."""
+    """Return the result or error of `build` for each of `targets`, in another process."""
     for name, text in programs.items():
         file = folder / name.replace("_", "-")
         file.write_text(f"#!/bin/sh\n{text}\n")

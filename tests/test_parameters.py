@@ -71,8 +71,8 @@ def test_json_keeps_every_bit(change: dict[str, float]) -> None:
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("{", "is no JSON"),
-        ("[" * 100_000, "is no JSON"),
+        ("{", "is not JSON"),
+        ("[" * 100_000, "is not JSON"),
         ("[]", "is not of version 1"),
         (json.dumps({"version": 1}), "has no table"),
         (json.dumps({"version": 1, "parameters": {"ATT_KP": 99}}), "99 is outside 0 to 15 1/s"),

@@ -1,4 +1,4 @@
-"""docs/explanation/physics.md against the code: its tables, its laws derived anew, the road to the paper's models."""
+"""docs/explanation/physics.md against the code: its tables, its laws derived again, the road to the paper's models."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ def test_the_paper_rig_at_a_constant_pitch_is_the_papers_velocity(whole: Compile
 
 
 def k_v_rest(k_v: float, theta: float) -> float:
-    """What a delay of part of a tick leaves: part of one tick of acceleration."""
+    """A delay of part of a tick leaves an error of part of one tick of acceleration."""
     return k_v * theta * TICK
 
 

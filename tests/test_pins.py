@@ -1,4 +1,4 @@
-"""Nothing is downloaded but what is pinned with a hash: the files of pins, and every line that installs something."""
+"""Every download is pinned with a hash."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ Drawn = list[tuple[float, int, str]]
 
 
 def examples() -> Drawn:
-    """What a test is given."""
+    """Return the examples that hypothesis gives to a test."""
     found: Drawn = []
 
     @given(st.floats(allow_nan=False), st.integers(), st.text())

@@ -1,4 +1,4 @@
-"""What no wheel brings (tools/*.sh, tests/toolchains.py): if missing, installed, named or a failure; never silent."""
+"""Programs that no wheel brings: a missing one is installed, or named, or a failure, but never passed over."""
 
 from __future__ import annotations
 

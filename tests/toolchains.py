@@ -1,4 +1,4 @@
-"""What no wheel brings: without it a test is skipped, saying so, or fails where it must be there."""
+"""Programs that no wheel brings: a test without one is skipped with the reason, or fails in CI."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ PACKAGES = {
 
 
 def required() -> bool:
-    """Whether a missing program is a failure: in continuous integration, where nothing is skipped for want of it."""
+    """Return True in continuous integration, where a missing program is a failure."""
     return os.environ.get("TWODOF_REQUIRE_TOOLS") == "1" or os.environ.get("CI") == "true"
 
 
 def missing(*programs: str) -> list[str]:
-    """Those of `programs` that are not there."""
+    """Return the `programs` that are missing."""
     return [program for program in programs if shutil.which(program) is None]
 
 

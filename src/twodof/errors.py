@@ -1,4 +1,4 @@
-"""The few errors this package raises: each says what went wrong, where, and what to do about it."""
+"""Errors that twodof raises: each says what went wrong, where, and what to do about it."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class CompileError(TwodofError):
 
 
 class ControllerFault(TwodofError):
-    """A compiled program went wrong while it ran where it can: out of fuel or memory, a fault of the processor."""
+    """A compiled program was stopped while it ran: out of fuel or memory, or a fault of the processor."""
 
 
 class LogError(TwodofError):

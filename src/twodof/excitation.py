@@ -149,7 +149,7 @@ class Excitation(ABC):
     def _whole(self, name: str, low: int, high: int) -> None:
         value = getattr(self, name)
         if isinstance(value, bool) or not isinstance(value, Integral):
-            raise self._mistake(name, f"{value!r} is no whole number")
+            raise self._mistake(name, f"{value!r} is not a whole number")
         whole = int(value)
         if not low <= whole <= high:
             raise self._mistake(name, f"{whole} is outside {low} to {high}")
@@ -158,7 +158,7 @@ class Excitation(ABC):
     def _numbers(self, name: str) -> tuple[float, ...]:
         values = getattr(self, name)
         if isinstance(values, str) or not isinstance(values, Iterable):
-            raise self._mistake(name, f"{values!r} is no list of numbers")
+            raise self._mistake(name, f"{values!r} is not a list of numbers")
         numbers = tuple(self._real(name, value) for value in values)
         if not 1 <= len(numbers) <= MAX_PARTS:
             raise self._mistake(name, f"{len(numbers)} numbers", f"give 1 to {MAX_PARTS}")
@@ -167,7 +167,7 @@ class Excitation(ABC):
 
     def _real(self, name: str, value: Any) -> float:
         if isinstance(value, bool) or not isinstance(value, Real) or not isfinite(number := _as_float(value)):
-            raise self._mistake(name, f"{value!r:.80} is no finite number")
+            raise self._mistake(name, f"{value!r:.80} is not a finite number")
         return number
 
 
@@ -307,7 +307,7 @@ class Sweep(Excitation):
         if self.law == "logarithmic" and not min(self.start_hz, self.end_hz) > 0.0:
             raise self._mistake("law", "a logarithmic sweep cannot start or end at 0 Hz", "use 'linear'")
         if max(self.start_hz, self.end_hz) == 0.0:
-            raise self._mistake("end_hz", "a sweep from 0 to 0 Hz is no signal", "give a frequency")
+            raise self._mistake("end_hz", "a sweep from 0 to 0 Hz gives no signal", "give a frequency")
 
     @property
     def pattern(self) -> float:
@@ -447,9 +447,9 @@ def from_json(text: str) -> Excitation:
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as reason:
-        raise ExperimentError(f"is no JSON: {reason}", "excitation", "write it with to_json") from reason
+        raise ExperimentError(f"is not JSON: {reason}", "excitation", "write it with to_json") from reason
     if not isinstance(values, dict):
-        raise ExperimentError("is no table of values", "excitation", "write it with to_json")
+        raise ExperimentError("is not a table of values", "excitation", "write it with to_json")
     return from_dict(values)
 
 

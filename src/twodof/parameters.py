@@ -1,6 +1,6 @@
-"""Every parameter of the flight code, one row each, and ParameterSet: values that are bounded and change together.
+"""Table of the flight code's parameters, and `ParameterSet`: bounded values that change together.
 
-A row says where the parameter stands in the flight code, what MAVLink calls it, its default, bounds, unit and text.
+A row has the path in the flight code, the MAVLink name, default, bounds, unit and text of a parameter.
 The blocks of the flight code, the gains, the vehicle's list, its metadata and the tables of the documentation derive
 from the rows. A row without a wire name is set by its path in a simulation, and not in flight.
 
@@ -27,10 +27,9 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Parameter:
-    """One tunable number: `low` <= value <= `high` in `unit`; one of kind "int32" is a whole number.
+    """Tunable number with `low` <= value <= `high` in `unit`; of kind "int32" a whole number.
 
-    `path` is where it stands in the flight code, "" for one that does not. `tuning`: to change it is to tune, which
-    needs no lease.
+    `path` is its place in the flight code, "" for none. A `tuning` parameter may be changed without the lease.
     """
 
     name: str
@@ -328,7 +327,7 @@ class ParameterSet(Mapping[str, float]):
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as reason:
-            raise ParameterError(f"is no JSON: {reason}", "parameters", "write it with to_json") from reason
+            raise ParameterError(f"is not JSON: {reason}", "parameters", "write it with to_json") from reason
         if not isinstance(content, dict) or content.get("version") != _VERSION:
             raise ParameterError(f"is not of version {_VERSION}", "parameters", "write it with to_json")
         values = content.get("parameters")

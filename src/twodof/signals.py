@@ -1,8 +1,7 @@
-"""TOPICS: one row a signal, with its name, unit, rate, source on board, MAVLink fields, ROS topic and .mat channel.
+"""Table of all signals, `TOPICS`, and the constants that all rooms share: modes, control period, gravity, rail.
 
-Before them stand the facts that signals are stated by: the modes, the control period, gravity, the rail's middle.
-
-The channels of logs, the columns of full-rate samples and what the ground reads from a message derive from the rows.
+A row of the table names the signal everywhere: on board, in MAVLink, in ROS and in a .mat file. The channels of logs,
+the columns of full-rate samples and the decoding of messages on the ground derive from the rows.
 
 Names, units and axes are those of the drone's own logs: SI and radians, axes forward-right-down, theta > 0
 nose-up, x along the rail with 0 at its middle. MAVLink messages are those of the `common` dialect wherever
@@ -16,7 +15,7 @@ from types import MappingProxyType
 from twodof.errors import LogError
 
 MODES = ("off", "open-loop", "rate", "attitude", "velocity", "position")
-"""What the flight controller closes; the topic `state.mode` carries the index into this tuple."""
+"""Modes by the innermost to the outermost closed loop; the topic `state.mode` carries the index into this tuple."""
 
 OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
 """The modes by number; from `VELOCITY` on the cart moves along the rail."""
@@ -36,7 +35,7 @@ GRAVITY = 9.81
 """Standard gravity as the course rounds it [m/s2]."""
 
 RAIL_CENTRE = 0.50
-"""What the range sensor measures with the cart at the middle of the rail [m]: x = dist - 0.50."""
+"""Reading of the range sensor with the cart at the middle of the rail [m]: x = dist - 0.50."""
 
 HOVER = 0.4
 """The thrust command at which the drone is flown, and at which its trim and friction are stated."""
@@ -44,16 +43,16 @@ HOVER = 0.4
 
 @dataclass(frozen=True)
 class Topic:
-    """One signal: what it is called in each place it appears.
+    """Signal with its names on board, in MAVLink, in ROS and in logs.
 
     `fields` is empty for a scalar; `rate_hz` is the nominal rate, 0 for one that is sent on events. `onboard` is False
-    for what the flight controller can never read: the simulation's ground truth.
+    for the simulation's ground truth, which the flight controller cannot read.
 
     `source` has a name for each number of a sample: that of the value in a control step (`theta`, `acc_x`, `mode`).
-    `places` says for each where it stands in the MAVLink message; none: it travels in TWODOF_BATCH alone. `later` is
-    how much later [s] the drone's logs stamp it than the moment M of the same step. `when` says in which steps it is
-    new: "" in each, the flag of its sensor ("imu_new", "dist_new") where that gave a sample, "published" where the
-    estimator publishes.
+    `places` has its field in the MAVLink message for each; a signal without travels in TWODOF_BATCH only. `later` is
+    the delay of its stamp in the drone's logs after that of the moment M in the same step [s]. `when` names the flag
+    that marks the steps with a new value: "" for every step, "imu_new" or "dist_new" for a sensor's sample,
+    "published" for an estimate.
     """
 
     name: str
@@ -72,17 +71,17 @@ class Topic:
 
     @property
     def own_rate(self) -> bool:
-        """Whether its sensor has a rate of its own, and `when` is the flag of its samples."""
+        """Return True if its sensor has its own rate, with `when` as the flag of its samples."""
         return self.when not in ("", "imu_new", "published")
 
     @property
     def width(self) -> int:
-        """Numbers in one sample."""
+        """Return how many numbers a sample has."""
         return max(1, len(self.fields))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Column names in a table, such as `imu.gyro_y`; one for each number in a sample."""
+        """Return the column names in a table, such as `imu.gyro_y`; one for each number in a sample."""
         return tuple(f"{self.name}_{field}" for field in self.fields) or (self.name,)
 
 
@@ -93,7 +92,7 @@ Q_AGE = 0.35e-3
 """How old q is when the drone computes M [s], by the stamps in its logs."""
 
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
-"""What a drone says in words is one of these, by syslog's number."""
+"""Severities of a drone's status texts, by syslog's number."""
 
 TOPICS: tuple[Topic, ...] = (
     Topic(

@@ -362,8 +362,8 @@ def test_rubbish_is_refused(data: bytes) -> None:
 @pytest.mark.parametrize(
     ("data", "what"),
     [
-        (b"{", "excitation: is no JSON (write it with to_json)"),
-        (b"[]", "excitation: is no table of values (write it with to_json)"),
+        (b"{", "excitation: is not JSON (write it with to_json)"),
+        (b"[]", "excitation: is not a table of values (write it with to_json)"),
         (
             Sweep(0.1, 5e-324, 1.0, 5.0, law="logarithmic").to_json().encode(),
             "sweep: a value is not finite (choose other frequencies)",

@@ -58,9 +58,9 @@ def prepare(definition: bytes) -> SampledExcitation:
     try:
         values = json.loads(definition.decode())
     except (ValueError, RecursionError) as reason:
-        raise ExperimentError("is no JSON", "excitation", "write it with to_json") from reason
+        raise ExperimentError("is not JSON", "excitation", "write it with to_json") from reason
     if not isinstance(values, dict):
-        raise ExperimentError("is no table of values", "excitation", "write it with to_json")
+        raise ExperimentError("is not a table of values", "excitation", "write it with to_json")
     effort = _effort(values) if values.get("kind") == Multisine.kind else 0.0
     if effort > MOST_EFFORT:
         raise ExperimentError(
