@@ -7,10 +7,9 @@ import re
 import time
 from typing import Any
 
-import numpy as np
 import pytest
 
-from tests.compile.differential import KINDS, Case, differences, emitted, reference_run
+from tests.compile.differential import KINDS, Case, emitted, reference_run
 from tests.toolchains import need
 from twodof.blocks import Block, Diagram, Port, State, atan, int32, maximum, minimum, sqrt, store, to_int32, where
 from twodof.compile.c.emitter import emit
@@ -128,69 +127,6 @@ def test_branches_change_no_bit(kind: str, first: int, count: int, precision: st
     assert not KINDS[kind].differences(cases, expected, programs)
 
 
-class Clamped(Block):
-    """One of two dear values; `form` says what hangs on the condition."""
-
-    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
-    outputs = (Port("y"),)
-
-    def __init__(self, form: str) -> None:
-        self.form = form
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        dear = atan(u.u)
-        dear = dear / (dear + u.v)
-        if self.form == "and":
-            return where(u.on & (dear < dear * u.v), 1.0, 0.0)
-        if self.form == "or":
-            return where(u.on | (dear < dear * u.v), 1.0, 0.0)
-        if self.form == "shared":
-            return where(u.on, dear, u.u) + dear
-        if self.form == "twice":  # what hangs on the condition again hangs on what did not
-            return where(u.on, dear + 1.0, u.u) + where(u.on, where(u.on, dear + 1.0, u.u) * u.v * dear, u.v)
-        if self.form == "between":
-            first = where(u.on, dear * dear, u.u)
-            return where(u.on, dear / atan(first * u.v), u.v) + first * u.v
-        return where(u.on, dear * dear, u.u)
-
-
-@pytest.mark.parametrize(
-    ("form", "within"), [("where", True), ("and", True), ("or", True), ("shared", False), ("twice", False)]
-)
-def test_what_is_read_on_one_side_alone_stands_there(form: str, within: bool) -> None:
-    lines = [line for line in lines_of(Clamped(form)) if "td_atan(" in line]
-    assert len(lines) == 1
-    assert lines[0].startswith(" " * 8) == within
-
-
-class Resting(Block):
-    """Six operations that are read where `test` holds."""
-
-    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
-    outputs = (Port("y", "bool"),)
-
-    def __init__(self, test: str) -> None:
-        self.test = test
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        test = {"==": u.u == 0.0, "<": u.u < 0.0, "== and": u.on & (u.u == 0.0), "!=": ~(u.u != 0.0)}[self.test]
-        return test & (u.v * u.v + u.v * 3.0 <= u.v - 2.0)
-
-
-@pytest.mark.parametrize(("test", "within"), [("==", True), ("<", False), ("== and", True), ("!=", True)])
-def test_little_work_stands_in_a_branch_only_where_its_condition_seldom_holds(test: str, within: bool) -> None:
-    """The processor guesses such a branch right; of an inequality it may be wrong half of the time."""
-    lines = [line for line in lines_of(Resting(test)) if "u->v * u->v" in line]
-    assert len(lines) == 1
-    assert lines[0].startswith(" " * 8) == within
-
-
-@pytest.mark.parametrize("form", ["between", "twice"])
-def test_what_two_branches_share_is_computed_once(form: str) -> None:
-    lines = [line for line in lines_of(Clamped(form)) if "td_atan(u->u" in line]
-    assert len(lines) == 1
-
-
 class Modes(Block):
     """A value for each mode, dear ones."""
 
@@ -240,10 +176,3 @@ def test_a_long_chain_on_one_condition_takes_its_time_only() -> None:
     start = time.process_time()
     emit([program])
     assert time.process_time() - start < 5.0
-
-
-def test_a_long_chain_has_the_same_bits() -> None:
-    rows = [{"u": 0.3 * np.cos(k), "v": 0.1, "on": k % 3 > 0} for k in range(6)]
-    cases = [Case(alone(Chain(40)), [], rows, {})]
-    expected = [reference_run(case, "float64", "rk4") for case in cases]
-    assert not differences(cases, expected, emitted(cases, "float64", "rk4"), KINDS["gcc-O0"].target)

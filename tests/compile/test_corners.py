@@ -21,7 +21,9 @@ from twodof.blocks import (
     State,
     array_of,
     fold,
+    minimum,
     store,
+    sum,
     to_int32,
     to_real,
     vector,
@@ -167,3 +169,33 @@ def test_corners_have_the_bits_of_the_reference(precision: str, integrator: str,
         for path in program.states:
             pair = (np.atleast_1d(np.array(m.state(path))) for m in (theirs, ours))
             assert same(*pair).all(), (k, path)
+
+
+class OwnReader(Block):
+    """`shown`, `long` and the next state read what `kept` gives, by way of a wire from this output to an input."""
+
+    inputs = (Port("back", shape=(3, 3)), Port("z"))
+    outputs = (Port("kept", shape=(3, 3)), Port("shown"), Port("long", width=12))
+    states = (State("x", 0.5, shape=(3, 3)), State("n"))
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        total = sum(u.back @ u.back)
+        return {"kept": x.x + 1.0, "shown": total * total, "long": array_of(12, lambda i: total + u.back[i // 4, 0])}
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"x": minimum(5.0, u.back * u.z), "n": x.n + u.back[1, 1]}
+
+
+def test_a_block_that_reads_its_own_output_computes_that_first() -> None:
+    d = Diagram("own")
+    d.input("z")
+    d.add("block", OwnReader(), z="z")
+    d.connect("block.kept", "block.back")
+    for name in ("kept", "shown", "long"):
+        d.output(name, f"block.{name}")
+    reference, native = Reference(d, 0.1).machine(), build(d, 0.1, optimise="-O1").machine()
+    for k in range(4):
+        expected, found = reference.step({"z": 0.3 * k}), native.step({"z": 0.3 * k})
+        for name in expected:
+            assert np.array_equal(np.asarray(expected[name]), np.asarray(found[name]))
+    assert native.state("block.n") == reference.state("block.n")

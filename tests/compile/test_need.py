@@ -8,7 +8,7 @@ import pytest
 
 from tests.compile.differential import Case, emitted, same
 from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, where
-from twodof.blocks.library import Constant, Gain, Trigonometry, ZeroOrderHold
+from twodof.blocks.library import Trigonometry, ZeroOrderHold
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram
 from twodof.compile.c.emitter import emit
@@ -86,24 +86,6 @@ def test_a_block_runs_only_where_the_selected_signal_needs_it() -> None:
     step = step_of(d, log=["before.y"])
     assert not within(step, "td_sin(")
     assert within(step, "td_atan(")
-
-
-def test_a_cheap_block_in_between_does_not_hide_the_selection() -> None:
-    d = Diagram("d")
-    d.input("u")
-    d.input("on", "bool")
-    last = "u"
-    for k in range(8):
-        d.add(f"sine{k}", Trigonometry("sin"), u=last)
-        last = f"sine{k}"
-    d.add("gain", Gain(2.0), u=last)
-    d.add("choice", Choice(2), on="on", a="gain", b="u")
-    d.add("mode", Constant(4, "int32"))
-    d.connect("mode", "choice.mode")
-    d.output("y", "choice.y")
-    lines = [line for line in step_of(d).splitlines() if "td_sin(" in line]
-    assert lines
-    assert all(line.startswith(" " * 8) for line in lines)
 
 
 class Counter(Block):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from time import process_time
 from typing import Any
 
 import numpy as np
@@ -128,27 +127,3 @@ def test_unknown_paths_are_answered_with_the_same_words_everywhere(make: Any) ->
 )
 def test_an_unknown_name_in_a_diagram_is_answered_with_the_nearest(call: Callable[[], object], text: str) -> None:
     assert first_error(call).startswith(text)
-
-
-@pytest.mark.parametrize("make", [Reference, build])
-def test_an_unknown_source_is_answered_with_the_nearest(make: Any) -> None:
-    found = []
-    for source in ("ctl.m", "memry", "R"):
-        d = diagram()
-        d.add("late", Gain(), u=source)
-        found.append(first_error(lambda d=d: make(d, 0.1)))
-    assert found == [
-        "loop: 'ctl' has no output 'm' (outputs: M, through)",
-        "loop: there is no input or part 'memry' (there are: memory, five, low, ctl, late, r)",
-        "loop: there is no input or part 'R' (there are: r, five, low, ctl, memory, late)",
-    ]
-
-
-def test_the_nearest_of_many_names_is_found_in_a_moment() -> None:
-    d = Diagram("many")
-    for i in range(3000):
-        d.add(f"part_{i}", Constant(1.0))
-    d.add("last_of_all", Constant(1.0))
-    before = process_time()
-    assert "there are: last_of_all, part_0, " in first_error(lambda: d.connect("nobody", "last_of_al.u"))
-    assert process_time() - before < 0.5

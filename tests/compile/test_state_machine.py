@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import random
 
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,15 +22,6 @@ def test_a_machine_does_what_its_table_says(r: random.Random, precision: str) ->
     found = reference_run(case, precision, "rk4").signals
     for k, row in enumerate(told_by_the_table(table, case.rows)):
         assert {n: found[f"inner.machine.{n}"][k].item() for n in row} == row, k
-
-
-@pytest.mark.soak
-def test_many_machines_do_what_their_tables_say() -> None:
-    for seed in range(150):
-        case, table = machine_case(random.Random(seed), "machine", 120)
-        found = reference_run(case, "float64", "rk4").signals
-        for k, row in enumerate(told_by_the_table(table, case.rows)):
-            assert {n: found[f"inner.machine.{n}"][k].item() for n in row} == row, (seed, k)
 
 
 def test_the_random_machines_take_nearly_all_their_transitions() -> None:

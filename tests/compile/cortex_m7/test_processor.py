@@ -151,13 +151,6 @@ def test_what_the_emulator_said_before_its_end_is_read(monkeypatch: pytest.Monke
         assert not alive(emulator)
 
 
-def test_an_endless_step_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(board, "SILENCE", 1.0)
-    endless = image(STEP + '{ for (;;) __asm__ volatile(""); }')
-    with Processor(endless) as processor, pytest.raises(ControllerFault, match="said nothing for 1 s"):
-        steps(processor)
-
-
 @pytest.mark.parametrize(
     ("script", "words"),
     [
@@ -200,13 +193,6 @@ def test_without_qemu_the_error_names_its_package(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(CompileError, match="apt-get install qemu-system-arm"):
         Processor(made)
-
-
-def test_other_sizes_than_the_image_has_are_refused() -> None:
-    made = image(ADD)
-    wrong = Image(**{**vars(made), "sizes": ((4, 8, 16, 8, 8),)})
-    with Processor(wrong) as processor, pytest.raises(CompileError, match="other sizes"):
-        processor.run(0, pair(), pair(rows=2), pair(), pair(), 1)
 
 
 def test_structs_that_the_memory_cannot_hold_are_refused_before() -> None:

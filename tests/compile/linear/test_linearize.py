@@ -1,10 +1,8 @@
-"""Exact linear models: against equations, python-control, finite differences of the compiled step, the course."""
+"""Exact linear models: against equations, python-control and the published margins of the course."""
 
 from __future__ import annotations
 
 import math
-import random
-from functools import reduce
 from time import process_time
 from typing import Any
 
@@ -13,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.compile.linear.linear_diagrams import DT, Smooth, chain, pendulum, same_response
-from twodof.blocks import Block, Diagram, Port, array_of, fold, real
+from tests.compile.linear.linear_diagrams import DT, chain, pendulum, same_response
+from tests.compile.test_loops import powers
+from twodof.blocks import Block, Diagram
 from twodof.blocks import library as lib
-from twodof.compile import build
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError
@@ -106,8 +104,6 @@ def test_a_delay_of_arrays_and_a_mean() -> None:
     same_response(mean, lambda z: (1 + z**-1 + z**-2 + z**-3) / 4, rtol=1e-11)
 
 
-# python-control
-
 A2, F2, B2, C2 = [[0, 1], [-2, -3]], [[0.5, 1], [0, 0.2]], [[0], [1]], [[1, 1]]
 
 
@@ -136,23 +132,6 @@ def test_the_linear_blocks_are_python_controls(block: Block, system: Any) -> Non
     assert model.to_control().dt == system.dt
 
 
-def test_a_loop_is_python_controls_feedback() -> None:
-    """Continuous blocks only: closed by hand and closed by python-control, the same poles."""
-    d = Diagram("loop")
-    d.input("r")
-    d.add("error", lib.Sum("+-"), a="r", b="plant")
-    d.add("lead", lib.TransferFunction((3.0, 12.0), (1.0, 20.0)), u="error")
-    d.add("plant", lib.TransferFunction((5.0,), (1.0, 2.0, 1.0)), u="lead")
-    d.output("y", "plant")
-    loop = control.tf([3.0, 12.0], [1.0, 20.0]) * control.tf([5.0], [1.0, 2.0, 1.0])
-    closed = control.feedback(loop, 1)
-    model = linearize(d, DT)
-    np.testing.assert_allclose(np.sort_complex(model.poles()), np.sort_complex(closed.poles()), rtol=1e-9)
-    same_response(model, lambda s: closed(s))
-    opened = linearize(d, DT, inputs=["error.y"], outputs=["error.y"])
-    same_response(opened, lambda s: -loop(s))
-
-
 MU, W, XI = 358.5, 3.437, 0.0836
 
 
@@ -172,10 +151,6 @@ def course_loop(plant: Block, integrator: Block) -> Diagram:
     d.output("q", "plant")
     d.output("theta_out", "theta")
     return d
-
-
-def continuous_course_loop() -> Diagram:
-    return course_loop(lib.TransferFunction((MU, 0.0), (1.0, 2 * XI * W, W * W)), lib.Integrator())
 
 
 def margins(cut: LinearModel) -> tuple[float, float, float]:
@@ -217,123 +192,12 @@ def test_the_margins_of_the_course() -> None:
     assert phase == pytest.approx(71.5, abs=0.05)
 
 
-def test_a_sampled_loop_has_the_margins_that_python_control_finds() -> None:
-    """The same PID and delay before the continuous plant: python-control's exact hold, to the accuracy of RK4."""
-    model = linearize(continuous_course_loop(), DT, at={"attitude.k": 0.0}, inputs=["pid.M"], outputs=["pid.M"])
-    z = control.tf([1.0, 0.0], [1.0], DT)
-    pid = 0.08535 + 0.25103 * DT * z / (z - 1) + 0.000541 * (z - 1) / ((0.01 + DT) * z - 0.01)
-    plant = control.c2d(control.tf([MU, 0.0], [1.0, 2 * XI * W, W * W]), DT)
-    # RK4 misses (W DT)^5 / 120 = 4e-12 of the state a step; the integral over the slow poles multiplies that.
-    same_response(model, lambda s: -(pid * plant * z**-5)(s), rtol=1e-7)
-
-
-# The compiled step
-
-
-def smooth_diagram(seed: int) -> Diagram:
-    r = random.Random(seed)
-    d = Diagram(f"smooth{seed}")
-    sources = [d.input("u"), d.input("w")]
-    for i in range(5):
-        block = r.choice(
-            [
-                lambda: Smooth(False, r.randrange(10**6)),
-                lambda: Smooth(True, r.randrange(10**6)),
-                lambda: lib.Pid(0.3, 0.2, 0.01, 20.0),
-                lambda: lib.UnitDelay(0.1),
-                lambda: lib.FractionalDelay(0.6 * DT),
-                lambda: lib.LowPass(20.0),
-                lambda: lib.FirstOrder(1.5, 0.3),
-                lambda: lib.Product("*"),
-            ]
-        )()
-        d.add(f"s{i}", lib.Sum("+-"), a=r.choice(sources), b=r.choice(sources))
-        part = d.add(f"b{i}", block)
-        d.connect(f"s{i}", f"{part}.{block.inputs[0].name}")
-        sources += [f"{part}.{o.name}" for o in block.outputs]
-    for i, source in enumerate(sources[-3:]):
-        d.output(f"y{i}", source)
-    return d
-
-
-@pytest.mark.parametrize("seed", range(12))
-def test_random_smooth_diagrams_agree_with_differences_of_the_compiled_step(seed: int) -> None:
-    """x[k + 1] and y of the machine code at x + h and x - h, for each scalar state and input."""
-    d = smooth_diagram(seed)
-    at = {"u": 0.2, "w": -0.3}
-    model = linearize(d, DT, at=at, time="discrete", keep_all=True)
-    machine = build(d, DT).machine()
-    scalars = [n for n in model.states if "[" not in n]
-    rows = [model.states.index(n) for n in scalars]
-
-    def after(name: str, shift: float) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
-        machine.reset()
-        inputs = dict(at)
-        if name in inputs:
-            inputs[name] += shift
-        else:
-            machine.set_state(name, machine.state(name) + shift)
-        y = machine.step(inputs)
-        return np.array([machine.state(n) for n in scalars]), np.array([y[n] for n in model.outputs])
-
-    h = 1e-5  # errors: third derivatives times h^2 and roundings 1e-16 / h, both near 1e-10
-    for matrix_x, matrix_y, names in ((model.a, model.c, model.states), (model.b, model.d, model.inputs)):
-        for j, name in enumerate(names):
-            if "[" in name:
-                continue
-            up, down = after(name, h), after(name, -h)
-            np.testing.assert_allclose(matrix_x[rows, j], (up[0] - down[0]) / (2 * h), atol=2e-8)
-            np.testing.assert_allclose(matrix_y[:, j], (up[1] - down[1]) / (2 * h), atol=2e-8)
-    machine.reset()
-    stepped = machine.step(at)
-    for name in model.outputs:
-        assert model.output_values[name] == pytest.approx(stepped[name], rel=1e-13, abs=1e-15)
-
-
-def test_a_model_follows_the_compiled_diagram_over_many_steps() -> None:
-    """Delay, PID and continuous plant together: a linear diagram and its model answer alike for a thousand steps."""
-    d = continuous_course_loop()
-    model = linearize(d, DT)
-    u = np.random.Generator(np.random.PCG64(3)).standard_normal((1000, 2))
-    out = build(d, DT).machine().run(1000, {"q0": u[:, 0], "theta0": u[:, 1]})
-    x = np.zeros(len(model.a))
-    y = np.empty((1000, 2))
-    for k in range(1000):
-        y[k] = model.c @ x + model.d @ u[k]
-        x = model.a @ x + model.b @ u[k]
-    for j, name in enumerate(model.outputs):
-        # Some hundred steps of memory, each with roundings of numbers below 10.
-        np.testing.assert_allclose(out[name], y[:, j], atol=1e-11)
-
-
-class Power(Block):
-    """u to the power 7 by six chained products of 3x3 matrices, each a loop of loops."""
-
-    inputs = (Port("u", width=9),)
-    outputs = (Port("y", width=9),)
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        def product(a: Any, b: Any) -> Any:
-            def element(i: Any) -> Any:
-                row, column = i // 3 * 3, i % 3
-                return fold(3, [real(0.0)], lambda k, s: [s + a[row + k] * b[k * 3 + column]])[0]
-
-            return array_of(9, element)
-
-        return reduce(product, [u.u] * 7)
-
-
-def test_chained_products_of_matrices_cost_what_their_arithmetic_does() -> None:
+def test_chained_products_cost_what_their_arithmetic_does() -> None:
     """The slope of U^7 is the sum of U^i dU U^(6 - i); row by row that of a dU b is kron(a, b^T)."""
-    d = Diagram("power")
-    d.input("u", width=9)
-    d.add("b", Power(), u="u")
-    d.output("y", "b")
     u = np.random.Generator(np.random.PCG64(5)).uniform(-0.7, 0.7, (3, 3))
     start = process_time()
-    model = linearize(d, DT, at={"u": u.ravel().tolist()})
+    model = linearize(powers(6), DT, at={"a": u.ravel().tolist(), "b": u.ravel().tolist()})
     assert process_time() - start < 1.0  # of five products it took minutes, of six hours
-    powers = [np.linalg.matrix_power(u, i) for i in range(7)]
-    np.testing.assert_allclose(
-        model.d, sum(np.kron(powers[i], powers[6 - i].T) for i in range(7)), rtol=1e-12, atol=1e-15
-    )
+    powered = [np.linalg.matrix_power(u, i) for i in range(7)]
+    slopes = [np.kron(powered[i], powered[6 - i].T) for i in range(7)]
+    np.testing.assert_allclose(model.d, np.hstack([slopes[0], sum(slopes[1:])]), rtol=1e-12, atol=1e-15)

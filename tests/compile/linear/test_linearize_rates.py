@@ -120,7 +120,7 @@ def smooth_diagram(seed: int) -> Diagram:
     return d
 
 
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(2, 30))])
+@pytest.mark.parametrize("seed", [*range(1, 5), *(pytest.param(n, marks=pytest.mark.soak) for n in range(5, 30))])
 def test_over_a_period_each_column_is_a_difference_of_the_compiled_steps(seed: int) -> None:
     """The slopes change from tick to tick as the point moves: states after a period, outputs at its start."""
     d = smooth_diagram(seed)
@@ -150,6 +150,10 @@ def test_over_a_period_each_column_is_a_difference_of_the_compiled_steps(seed: i
                 up, down = after(name, h), after(name, -h)
                 np.testing.assert_allclose(to_x[rows, j], (up[0] - down[0]) / (2 * h), atol=1e-7)
                 np.testing.assert_allclose(to_y[:, j], (up[1] - down[1]) / (2 * h), atol=1e-7)
+    machine.reset()
+    stepped = machine.step(at)
+    for name in model.outputs:
+        assert model.output_values[name] == pytest.approx(stepped[name], rel=1e-13, abs=1e-15)
 
 
 def test_what_holds_over_the_start_of_a_period_is_a_state() -> None:

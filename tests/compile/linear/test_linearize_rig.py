@@ -103,22 +103,6 @@ def flights(model: LinearModel, at: dict[str, Any], outputs: list[str], small: f
     return (flight(1.0) - flight(-1.0)) / 2.0, expected
 
 
-STEADY = {"noise": 0.0, "resistance": 0.0, "capacity": 1e9, "charge_start": 0.9}  # the supply stays as it is
-
-
-@pytest.mark.soak
-def test_the_rig_and_its_gyro_fly_as_the_model_of_four_ticks_says() -> None:
-    outputs = [*TRUTH, "gyro_y"]
-    at = HOVER | STEADY
-    model = linearize(rig(), BASE_DT, at=at, inputs=["fore", "aft", *AIR], outputs=outputs)
-    assert model.dt == pytest.approx(4 * BASE_DT)
-    found, expected = flights(model, at, outputs, 1e-6)
-    scale = np.abs(expected).max(axis=0)
-    assert scale.min() > 0.0
-    # Halves of differences: of the squares nothing is left, of the cubes 1e-12; roundings of 1e-16 beside 1e-6.
-    np.testing.assert_allclose(found / scale, expected / scale, atol=1e-7)
-
-
 @pytest.mark.soak
 def test_the_whole_rig_flies_as_the_model_of_its_common_period_says() -> None:
     """Battery, accelerometer and gyro with it: 40 ms, in which the load passes the battery once."""
@@ -145,21 +129,6 @@ def test_the_range_sensors_own_clock_is_refused_with_the_outputs_that_do_without
         linearize(rig(), BASE_DT, at=HOVER)
     assert found.value.where == "range"
     assert "ask for the outputs acc_x, acc_z, gyro_y, theta, q, x, v, load, voltage, charge only" in found.value.remedy
-
-
-def sensor(noise: float) -> LinearModel:
-    """The gyro alone, from the commands."""
-    cut = ["fore", "aft", "battery.supply", "turbulence.moment"]
-    return linearize(rig(), BASE_DT, at=HOVER | {"noise": noise}, inputs=cut, outputs=["gyro_y"])
-
-
-@pytest.mark.soak
-def test_a_quantised_sensor_is_a_remark() -> None:
-    """The slope of a rounding is 0: with its noise the gyro is quantised."""
-    model = sensor(1.0)
-    assert not model.c.any()
-    assert "numbers are rounded in imu" in model.remarks["gyro_y"]
-    assert set(model.remarks) == {"gyro_y", *model.inputs}
 
 
 def test_on_a_stop_and_held_by_friction_it_is_refused() -> None:

@@ -11,7 +11,6 @@ import pytest
 from scipy.linalg import expm
 
 from tests.compile.linear.linear_diagrams import DT
-from twodof.compile import build
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import DiagramError
@@ -67,22 +66,6 @@ PLANTS: dict[str, tuple[Structure, dict[str, float], Any, Any, Any, Any]] = {
         free_response(),
         hanging(),
         [[0, 1], [SOFT, -2 * XI * W]],
-        [[0], [130.0]],
-        np.eye(2),
-        [[0], [0]],
-    ),
-    "rail as it is": (
-        rail(),
-        {},
-        [[0, 0, 0], [0, 0, 1], [-K, 0, -P]],
-        [[1], [0], [0]],
-        np.eye(3),
-        np.zeros((3, 1)),
-    ),
-    "free_response at rest without friction": (
-        free_response(),
-        {"coulomb": 0.0, "hardening": 2.0},
-        PITCH,
         [[0], [130.0]],
         np.eye(2),
         [[0], [0]],
@@ -144,87 +127,3 @@ def test_held_by_dry_friction_it_is_refused() -> None:
         linearize(free_response().diagram, DT)
     assert found.value.where == "plant"
     assert "take out the friction" in found.value.remedy
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_a_structure_flies_as_its_model_does(name: str) -> None:
-    """Half the difference of two flights of the compiled program, of small inputs u and -u about the point."""
-    structure, at, *_ = PLANTS[name]
-    model = structure_model(name)
-    (port,) = structure.inputs
-    machine = build(structure.diagram, DT).machine()
-    small = np.random.Generator(np.random.PCG64(2)).standard_normal(300) * 1e-5
-    small[:100] = 1e-5  # a step first
-
-    def flight(sign: float) -> Array:
-        machine.set_many({n: v for n, v in at.items() if n != port})
-        machine.reset()
-        machine.run(70, {port: at.get(port, 0.0)})  # the ring is full, the point is an equilibrium
-        out = machine.run(300, {port: at.get(port, 0.0) + sign * small})
-        return np.array([out[n] for n in structure.outputs]).T
-
-    moved = (flight(1.0) - flight(-1.0)) / 2.0
-    x, expected = np.zeros(len(model.a)), np.empty_like(moved)
-    for k in range(300):
-        expected[k] = model.c @ x + model.d[:, 0] * small[k]
-        x = model.a @ x + model.b[:, 0] * small[k]
-    assert np.abs(moved).max(axis=0).min() > 0.0
-    # Roundings of numbers of about 1 in each of 370 steps, and the cube of the small motion.
-    np.testing.assert_allclose(moved, expected, atol=1e-12)
-
-
-IN_FLIGHT: dict[str, tuple[Structure, dict[str, float]]] = {
-    "rail": (
-        rail(thrust=True),
-        {"q": 0.3, "M": 0.05, "T": 0.42, "theta_0": 0.2, "v_0": 0.4, "coulomb": 0.3, "tau": 0.0062},
-    ),
-    "free_response": (free_response(), {"M": 0.02, "q_0": 1.3, "theta_0": -0.2}),
-}
-
-
-@pytest.mark.parametrize("name", IN_FLIGHT)
-def test_in_flight_each_column_is_a_difference_of_the_compiled_step(name: str) -> None:
-    """With sliding friction, sines and thrust: next states and outputs for each state, sample and input at +-h."""
-    structure, at = IN_FLIGHT[name]
-    inputs = {n: at.get(n, 0.0) for n in structure.inputs}
-    starts = {n: v for n, v in at.items() if n not in inputs}
-    machine = build(structure.diagram, DT).machine()
-    machine.set_many(starts)
-    machine.reset()
-    point: dict[str, Any] = {f"plant.{n[:-2]}": v for n, v in starts.items() if n.endswith("_0")}
-    point |= {f"plant.{n}": 0.0 for n in structure.outputs if f"plant.{n}" not in point}
-    machine.run(70, inputs)
-    rings = [n for n in structure.diagram.parts if n in ("delay", "rotors")]
-    kept = {f"{r}.past": np.array(machine.state(f"{r}.past")) for r in rings}
-    now = {r: int(machine.state(f"{r}.position")) for r in rings}
-    model = linearize(structure.diagram, DT, at={**at, **point, **{n: list(v) for n, v in kept.items()}})
-    assert not any(np.ptp(v) for v in kept.values())
-    assert sum("past" in n for n in model.states) >= 2
-
-    def place(name: str, ahead: int) -> tuple[str, int]:
-        """The ring and the place of a sample's name, \"delay.past[k-2]\"."""
-        path, _, age = name.partition("[k-")
-        ring = path.partition(".")[0]
-        return path, (now[ring] + ahead - int(age[:-1])) % len(kept[path])
-
-    def after(name: str, shift: float) -> tuple[Array, Array]:
-        for r, position in now.items():
-            machine.set_state(f"{r}.position", position)
-            machine.set_state(f"{r}.past", kept[f"{r}.past"])
-        for path, value in point.items():
-            machine.set_state(path, value + (shift if path == name else 0.0))
-        if "[k-" in name:
-            path, at_place = place(name, 0)
-            machine.set_state(path, kept[path] + shift * np.eye(len(kept[path]))[at_place])
-        y = machine.step({n: v + (shift if n == name else 0.0) for n, v in inputs.items()})
-        new = [machine.state(p)[i] for p, i in (place(n, 1) for n in model.states if "[k-" in n)]
-        found = iter(new)
-        x = np.array([next(found) if "[k-" in n else machine.state(n) for n in model.states])
-        return x, np.array([y[n] for n in model.outputs])
-
-    h = 1e-5
-    for to_x, to_y, names in ((model.a, model.c, model.states), (model.b, model.d, model.inputs)):
-        for j, column in enumerate(names):
-            up, down = after(column, h), after(column, -h)
-            np.testing.assert_allclose(to_x[:, j], (up[0] - down[0]) / (2 * h), atol=2e-8)
-            np.testing.assert_allclose(to_y[:, j], (up[1] - down[1]) / (2 * h), atol=2e-8)

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.blocks.library.samples import ROOMS, random_inputs, room
+from tests.blocks.library.samples import random_inputs
 from tests.compile import examples
 from tests.compile.differential import same
 from twodof.blocks import Diagram
-from twodof.blocks.expressions import numbers
 from twodof.compile import CompiledMachine, CompiledProgram, build
-from twodof.compile.c.emitter import emit
-from twodof.compile.native import Native
-from twodof.compile.program.lower import lower
-from twodof.compile.target import Target
-from twodof.compile.wasm.target import Wasm
 from twodof.flight.core import core
 from twodof.rig.rig import BASE_DT
 from twodof.signals import PERIOD
@@ -30,14 +24,6 @@ pytestmark = pytest.mark.slow
 
 PRECISIONS = ("float64", "float32")
 EXAMPLES = (examples.loop, examples.switched, examples.edge, examples.delay)
-
-
-def batch(diagrams: list[Diagram], dt: float, precision: str, target: Target) -> Iterator[CompiledMachine]:
-    """Machines of `diagrams`, all compiled from one source."""
-    with numbers.precision(precision):
-        programs = emit([lower(d, dt) for d in diagrams], precision)
-    for program, backend in zip(programs, target.compile(programs), strict=True):
-        yield CompiledProgram(program, backend).machine()
 
 
 def everything(machine: CompiledMachine, runs: list[dict[str, Any]], steps: int) -> dict[str, NDArray[Any]]:
@@ -55,19 +41,6 @@ def differing(first: dict[str, NDArray[Any]], second: dict[str, NDArray[Any]]) -
 def typed(inputs: dict[str, NDArray[Any]], precision: str) -> dict[str, NDArray[Any]]:
     with np.errstate(over="ignore"):  # 1e300 is infinite in float32
         return {n: v.astype(precision) if v.dtype.kind == "f" else v for n, v in inputs.items()}
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_every_block_of_the_library_gives_the_bits_of_native_code(precision: str) -> None:
-    """With NaN, infinities, subnormals, signed zeros and integers of all sizes among the inputs."""
-    diagrams = [room(name) for name in ROOMS]
-    machines = zip(*(batch(diagrams, 0.004, precision, t) for t in (Native(), Wasm())), strict=True)
-    for diagram, (native, sandboxed) in zip(diagrams, machines, strict=True):
-        runs = [
-            typed(random_inputs(diagram, 200, seed, strange), precision) for seed, strange in ((1, False), (2, True))
-        ]
-        assert differing(everything(native, runs, 200), everything(sandboxed, runs, 200)) == [], diagram.name
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -109,11 +82,3 @@ def test_single_steps_and_runs_of_any_length_are_the_same(make: Callable[[], Dia
     ours = program.machine()
     assert differing(native.run(steps, held), ours.run(steps, held)) == []
     assert differing(native.run(1, {}), ours.run(1, {})) == []
-
-
-def test_instances_do_not_share_anything() -> None:
-    program = build(examples.delay(3), 0.01, target="wasm")
-    one, two = program.machine(), program.machine()
-    one.run(5, {"u": 1.0})
-    assert two.run(5, {"u": 0.0})["y"].tolist() == [0.0] * 5
-    assert one.step({})["y"] == 1.0

@@ -7,7 +7,6 @@ import functools
 import gc
 import importlib
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,27 +163,6 @@ def test_arrays_on_the_memory_outlive_the_machine() -> None:
     assert len(others) == 5
 
 
-def test_the_second_time_no_compiler_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path))
-    first = compile_module([emit_program(examples.loop(), 0.01)])
-
-    def never(*_: object) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(compilers, "compile_c", never)
-    again = compile_module([emit_program(examples.loop(), 0.01)])
-    assert again.data == first.data
-    assert [file.suffix for file in tmp_path.iterdir()] == [".wasm"]
-
-
-def test_the_same_diagram_gives_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    made = []
-    for name in ("one", "two"):
-        monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / name))
-        made.append(compile_module([emit_program(examples.loop(), 0.01)]).data)
-    assert made[0] == made[1]
-
-
 def test_without_wasmtime_the_error_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     def missing(name: str) -> Any:
         raise ModuleNotFoundError(f"No module named {name!r}")
@@ -204,8 +182,3 @@ def test_without_a_compiler_the_error_says_what_to_install(name: str | None, mon
         find_wasm_compiler(name)
     with pytest.raises(CompileError, match=r"pip install (wasmtime )?ziglang"):
         build(Diagram("empty"), 0.01, target="wasm", compiler=name)
-
-
-def test_an_unknown_target_is_named_with_those_that_there_are() -> None:
-    with pytest.raises(CompileError, match=r"no target 'fortran'.*native, wasm"):
-        build(examples.loop(), 0.01, target="fortran")
