@@ -84,12 +84,6 @@ def test_a_mistake_of_the_caller_is_not_tried_again(tmp_path: Path) -> None:
     assert made.starts == 1
 
 
-def test_the_lease_has_lapsed_before_it_starts_again() -> None:
-    assert (
-        RestartPolicy().first > 3.0
-    )  # docs/reference/protocol.md: an armed drone's lease lives 3 s without its holder
-
-
 def test_a_flood_of_words_is_cut_and_does_not_hold_it_up(tmp_path: Path) -> None:
     said: list[str] = []
     text = """

@@ -145,18 +145,6 @@ def test_companions_in_a_circle_pass_nothing_round_for_ever() -> None:
     run_virtual(work())
 
 
-def test_a_companion_that_is_its_own_flight_controller_passes_nothing_round_for_ever() -> None:
-    async def work() -> None:
-        async with Companion("mem://own", [Serve("memin://own", "none")]) as companion:
-            await until(lambda: companion.line.transport is not None)
-            async with Listener(await open_transport("mem://own"), beats=False) as client:
-                client.command(512, 148.0)
-                await asyncio.sleep(5.0)
-                assert companion.line.counts.sent < 100
-
-    run_virtual(work())
-
-
 def test_only_what_comes_again_from_others_goes_round() -> None:
     ends = Ends("none", "none")
     ends.settle()

@@ -65,56 +65,6 @@ def test_a_line_that_is_cut_is_told_and_opened_again() -> None:
     run_virtual(work())
 
 
-def test_what_broke_off_with_the_line_does_not_say_that_it_stands() -> None:
-    async def work() -> None:
-        loop = asyncio.get_running_loop()
-
-        def beat(number: int) -> bytes:
-            return encode(message("HEARTBEAT", type=2, autopilot=12), 1, 1, number)
-
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            server.setblocking(False)
-            async with (
-                Companion(f"tcp://127.0.0.1:{server.getsockname()[1]}", CLIENTS) as companion,
-                Listener(await open_transport("mem://clients")) as client,
-            ):
-                vehicle, _ = await loop.sock_accept(server)
-                await loop.sock_sendall(vehicle, beat(0))
-                await until(lambda: texts(client) == ["flight controller heard"])
-                before = companion.router.counts.from_vehicle
-                await loop.sock_sendall(vehicle, b"\xfd\xff\0\0" + beat(1))  # looks like the beginning of a long frame
-                server.close()  # nobody is there when it is opened again
-                vehicle.close()
-                await until(lambda: companion.lost == 1)
-                await asyncio.sleep(1.0)
-                assert companion.router.counts.from_vehicle == before
-                assert texts(client).count("flight controller heard") == 1
-
-    asyncio.run(work())
-
-
-def test_what_waited_when_the_line_was_cut_is_not_sent_after_it() -> None:
-    async def work() -> None:
-        vehicle = Vehicle(await open_transport("memin://fcu"))
-        async with (
-            Companion("mem://fcu", CLIENTS, line_rate=1000.0) as companion,
-            Listener(await open_transport("mem://clients"), system=9, beats=False) as client,
-        ):
-            await asyncio.sleep(3.0)
-            for number in range(30):
-                client.connection.send(message("MANUAL_CONTROL", target=1, x=number))
-            await until(lambda: len(vehicle.heard("MANUAL_CONTROL")) > 3)
-            await vehicle.close()
-            async with Vehicle(await open_transport("memin://fcu")) as back:
-                await until(lambda: len(back.received) > 5)
-                await asyncio.sleep(3.0)
-                assert back.heard("MANUAL_CONTROL") == []
-                assert companion.line.counts.cut > 0
-                assert companion.line.counts.stale == 0  # thrown away by the cut, not because it grew old
-
-    run_virtual(work())
-
-
 def test_a_vehicle_that_falls_silent_is_told_of() -> None:
     async def work() -> None:
         async with (
@@ -184,21 +134,6 @@ def test_nothing_speaks_for_a_client_that_fell_silent() -> None:
             await asyncio.sleep(10.0)
             assert {(one.frame.system, one.frame.component) for one in vehicle.received} == {(1, 191)}
             assert len(companion.clients) == 1
-
-    run_virtual(work())
-
-
-def test_a_client_that_closes_is_forgotten_and_so_are_its_streams() -> None:
-    async def work() -> None:
-        async with (
-            Vehicle(await open_transport("memin://fcu")) as vehicle,
-            Companion("mem://fcu", CLIENTS) as companion,
-        ):
-            async with Listener(await open_transport("mem://clients")) as client:
-                client.command(511, 30.0, 4000.0)
-                await until(lambda: vehicle.asked.get(30) == 4000.0)
-            await until(lambda: vehicle.asked[30] == -1.0)
-            assert companion.clients == []
 
     run_virtual(work())
 

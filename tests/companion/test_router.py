@@ -5,7 +5,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.companion.ends import SYSTEM, Ends, frame, names
-from twodof.companion.client import MOST_IDENTITIES
 from twodof.link.mavlink.enums import COMPANION
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
@@ -89,25 +88,6 @@ def test_clients_speak_to_each_other_only_by_name() -> None:
     assert ends.up.sent == []  # it was not for the vehicle
 
 
-def test_what_a_client_sends_to_itself_does_not_come_back() -> None:
-    ends = Ends("none")
-    ends.says(ends.clients[0], "HEARTBEAT", 250)
-    ends.settle()
-    ends.says(ends.clients[0], "PING", 250, target_system=250, target_component=190)
-    assert ends.heard(ends.clients[0]) == []
-
-
-def test_a_component_of_the_drone_that_is_not_there_is_not_taken_for_another() -> None:
-    ends = Ends("none")
-    ends.clients[0].on_board = True
-    ends.says(ends.clients[0], "HEARTBEAT", SYSTEM, 192)
-    ends.settle()
-    ends.vehicle("COMMAND_ACK", command=400, target_system=SYSTEM, target_component=195)
-    assert ends.heard(ends.clients[0]) == []
-    ends.vehicle("COMMAND_ACK", command=400, target_system=SYSTEM, target_component=192)
-    assert names(ends.heard(ends.clients[0])) == ["COMMAND_ACK"]
-
-
 @pytest.mark.parametrize(("command", "first"), [(400, 0.0), (185, 1.0)])
 def test_a_kill_overtakes_a_flood_of_its_own_sender(command: int, first: float) -> None:
     ends = Ends("none", line_rate=5760.0)
@@ -172,13 +152,6 @@ def test_what_was_thinned_out_does_not_count_as_lost_and_what_was_lost_does(even
                 gap = (got.sequence - last[0] - 1) % 256
                 assert gap == lost - last[1]
             last = got.sequence, lost
-
-
-def test_one_clients_faces_are_bounded() -> None:
-    ends = Ends("none")
-    for system in range(2, 200):
-        ends.says(ends.clients[0], "HEARTBEAT", system)
-    assert len(ends.clients[0].identities) == MOST_IDENTITIES
 
 
 def test_a_client_that_left_gets_nothing_and_wants_nothing() -> None:

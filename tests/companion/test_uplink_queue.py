@@ -14,7 +14,6 @@ from twodof.companion.uplink_queue import (
     MOST_QUEUED_BYTES,
     NETWORK_FRAME,
     NETWORK_RATE,
-    QUANTUM,
     STALE_S,
     UplinkQueue,
 )
@@ -40,10 +39,6 @@ def run(line: UplinkQueue, now: float, until: float) -> float:
         assert delay > 0.0
         now += delay
     return now
-
-
-def test_one_turn_is_enough_for_any_frame() -> None:
-    assert QUANTUM >= LONGEST_FRAME
 
 
 @given(

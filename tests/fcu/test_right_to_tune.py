@@ -2,12 +2,8 @@
 
 from typing import Any
 
-import pytest
-
 from tests.faults.virtual_time import run_virtual
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
-from twodof.errors import ParameterError
-from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import float_of_int, message
@@ -58,12 +54,6 @@ def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
             assert {name: store[name] for name in SAFETY} == SAFETY
 
     run_virtual(work())
-
-
-def test_logs_are_not_bounded_in_flight_even_by_who_commands() -> None:
-    store = ParameterStore()
-    with pytest.raises(ParameterError, match="SDLOG_DIRS_MAX"):
-        store.update({"SDLOG_DIRS_MAX": 1}, armed=True)
 
 
 def test_the_gains_of_the_loops_are_what_is_for_tuning() -> None:

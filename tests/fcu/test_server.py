@@ -200,19 +200,6 @@ def test_services_hear_of_peers_that_leave_and_messages_to_them_are_nothing() ->
     assert left.count(left[0]) == 1, "once"
 
 
-def test_messages_that_nobody_takes_are_counted() -> None:
-    async def work(world: World) -> None:
-        await world.server.listen("memin://nobody")
-        client = await world.client("mem://nobody")
-        for _ in range(3):
-            client.send(message("MISSION_COUNT", target_system=1, target_component=1, count=1))
-        while world.server.ignored < 3:
-            await asyncio.sleep(0.001)
-        await client.close()
-
-    assert run(work).server.ignored == 3
-
-
 def test_a_link_that_was_cut_is_opened_again() -> None:
     async def work(world: World) -> None:
         for first in (True, False):

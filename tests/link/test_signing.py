@@ -216,10 +216,6 @@ def test_a_forged_stamp_shuts_nobody_out() -> None:
     assert mine.check(signed(ours)) is SigningVerdict.ACCEPTED
 
 
-def test_another_key_is_none() -> None:
-    assert signing(Key(bytes(32))).check(signed(signing())) is SigningVerdict.FORGED
-
-
 def test_a_peer_may_be_a_year_ahead_and_all_follow() -> None:
     """What was refused of a wrong clock could be replayed when its time has come, so hardly anything is."""
     day = 24 * 3600 * PER_SECOND
@@ -385,19 +381,6 @@ def test_a_key_shows_nowhere(caplog: pytest.LogCaptureFixture) -> None:
         pickle.dumps(KEY)
     with pytest.raises(TypeError, match="not pickled"):
         copy.copy(KEY)
-
-
-def test_stamps_survive_a_restart(tmp_path: Path) -> None:
-    """The promise in one example; `Receiver` looks for a sequence that breaks it."""
-    first, theirs = signing(path=tmp_path / "stamps"), signing()
-    heard = [signed(theirs, sequence) for sequence in range(20)]
-    assert all(first.check(frame) is SigningVerdict.ACCEPTED for frame in heard)
-    kill(first.stamps)
-    again = signing(clock=Clock(START - 30 * PER_SECOND), path=tmp_path / "stamps")
-    assert {again.check(frame) for frame in heard} == {SigningVerdict.REPEATED}
-    assert theirs.check(signed(again, system=2)) is SigningVerdict.ACCEPTED
-    assert again.check(signed(theirs)) is SigningVerdict.ACCEPTED  # it has heard us once
-    again.close()
 
 
 def test_a_file_of_stamps_by_stream_is_read(tmp_path: Path) -> None:

@@ -11,13 +11,13 @@ from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, arm
 from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
-from twodof.fcu.command.result import CommandResult, failed, rejected
+from twodof.fcu.command.result import CommandResult, rejected
 from twodof.fcu.command.setpoints import HORIZON
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink import modes
 from twodof.link.mavlink.enums import MavResult
 from twodof.link.mavlink.setpoints import SetPoint
-from twodof.signals import ATTITUDE, POSITION
+from twodof.signals import POSITION
 
 REJECTED = MavResult.TEMPORARILY_REJECTED
 WHO = "system 250, component 190 holds"
@@ -235,12 +235,6 @@ def test_a_stick_beyond_its_end_is_none(pitch: float, thrust: float) -> None:
     assert cockpit.commander.refused == {RefusalReason.INVALID: 1}
 
 
-def test_a_loop_that_is_none_is_no_set_point() -> None:
-    assert not SetPoint(0).sound
-    assert not SetPoint(6).sound
-    assert all(SetPoint(loop).sound for loop in (None, 1, 2, 3, 4, 5))
-
-
 # What a refusal leaves as it was.
 
 
@@ -261,19 +255,6 @@ def test_a_start_that_is_refused_marks_the_excitation_that_it_names_and_no_other
     revision = cockpit.commander.excitation.player.revision
     assert not started(cockpit, loop=2).accepted
     assert cockpit.commander.excitation.player.revision == revision
-
-
-def test_a_start_of_another_while_one_plays_leaves_that_alone() -> None:
-    cockpit = playing()
-    before = (
-        cockpit.commander.excitation.player.state,
-        cockpit.commander.excitation.player.transfer,
-        cockpit.commander.excitation.player.revision,
-    )
-    assert not started(cockpit, transfer=8).accepted
-    player = cockpit.commander.excitation.player
-    assert (player.state, player.transfer, player.revision) == before
-    assert started(cockpit).accepted, "its own start, repeated"
 
 
 def test_a_stick_that_is_refused_keeps_nobody_from_arming() -> None:
@@ -302,13 +283,6 @@ def test_the_answer_to_an_arming_stays_until_the_next() -> None:
     assert cockpit.commander.arming.answer.accepted, "a disarming does not undo that it was armed"
 
 
-def test_an_arming_that_was_ended_says_so() -> None:
-    cockpit = on_the_ground()
-    cockpit.commander.arming.arm(ME)
-    cockpit.commander.arming.disarm(OTHER)
-    assert cockpit.commander.arming.answer == failed("disarmed before it had armed")
-
-
 def test_what_is_asked_before_the_first_tick_is_asked_at_once() -> None:
     for ask in (
         lambda one: one.setpoint(ME, LEVEL_FLIGHT),
@@ -317,16 +291,3 @@ def test_what_is_asked_before_the_first_tick_is_asked_at_once() -> None:
         commander = Cockpit().commander
         assert ask(commander).accepted
         assert commander.set_mode(ME, modes.OFFBOARD).accepted, "it has been streamed"
-
-
-def test_a_set_point_for_the_very_next_tick_is_one_at_once() -> None:
-    cockpit = armed()
-    assert cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.2, thrust=0.4), cockpit.tick).accepted
-    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
-    assert cockpit.run().theta0 == 0.2
-
-
-def test_a_centred_stick_before_any_estimate_holds_the_middle() -> None:
-    commander = Cockpit().commander
-    assert commander.set_mode(ME, modes.POSITION).accepted
-    assert commander.sticks(ME, 0.0, 0.0).accepted

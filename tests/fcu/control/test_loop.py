@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import secrets
 import time
 from types import SimpleNamespace
 
@@ -198,50 +197,3 @@ def test_late_steps_on_the_ground_are_counted_and_not_told(monkeypatch: pytest.M
     Clock(monkeypatch, tuple(range(ARM_AT - 10)))
     fly(made, ARM_AT - 5)
     assert (made.timing.overruns, made.remarks) == (ARM_AT - 10, [])
-
-
-def test_each_step_goes_to_who_listens_and_to_who_asked_for_it() -> None:
-    made, _, _ = bare()
-    heard: list[ControlStep] = []
-    made.bus.subscribe(ControlStep, heard.append)
-    assert [made.step() for _ in range(3)] == heard
-    assert made.latest is heard[-1]
-    assert (made.tick, made.granted) == (3, 0)
-
-
-def test_what_stopped_a_controller_is_said_once_each_time() -> None:
-    made, _, code = bare()
-    said = [(2, "controller stopped: out of fuel")]
-    for fault, times in (("", 0), ("out of fuel", 1), ("out of fuel", 1), ("", 1), ("out of fuel", 2)):
-        code.user_fault = fault
-        made.step()
-        assert made.remarks == times * said
-
-
-@pytest.mark.parametrize("lockstep", [True, False])
-def test_a_sandbox_is_timed_where_time_is_real(lockstep: bool) -> None:
-    made, _, code = bare(lockstep)
-    assert code.sandbox.timed == (not lockstep)
-    made.step()
-    another, native = Code(), Code()
-    made.replace(another)
-    assert another.sandbox.timed == (not lockstep)
-    assert (made.code, another.took_over) == (another, code)
-    native.sandbox = None
-    made.replace(native)
-    assert (made.code, native.took_over) == (native, another)
-    fly(made, ARM_AT + 2)
-    with pytest.raises(ParameterError) as refused:
-        made.replace(code)
-    assert str(refused.value) == "controller: it is armed (disarm first)"
-    with pytest.raises(ParameterError) as refused:
-        made.reset(1, 0.0, 1.0, rings=True)
-    assert str(refused.value) == "reset: it is armed (disarm first)"
-
-
-@pytest.mark.parametrize(("drawn", "number"), [(0, 1), (2**32 - 2, 2**32 - 1)])
-def test_the_number_of_a_start_is_never_0(drawn: int, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    below: list[int] = []
-    monkeypatch.setattr(secrets, "randbelow", lambda most: below.append(most) or drawn)
-    made, _, _ = bare()
-    assert (made.started_as, below) == (number, [2**32 - 1])

@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
@@ -60,17 +59,6 @@ def test_a_thread_that_waits_has_all_of_its_time() -> None:
         for _ in patiently():  # until it has come to wait
             if looks(seen, 20) == [1.0] * 20:
                 break
-
-
-def test_one_that_has_ended_does_nothing_any_more() -> None:
-    """Who waits for its sign of life waits in vain, as for one that hangs."""
-    numbers = list[int]()
-    with thread(computes, lambda: numbers.append(threading.get_native_id())) as seen:
-        seen.own()
-    for _ in patiently():  # `join` returns while the system still runs its last steps
-        if not Path(f"/proc/self/task/{numbers[0]}").exists():
-            break
-    assert [seen.own(), seen.own()] == [1.0, 1.0]
 
 
 def test_one_that_computes_has_what_it_runs() -> None:

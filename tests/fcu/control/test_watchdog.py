@@ -54,14 +54,6 @@ def test_it_trips_at_the_fifth_look_without_a_beat_once_and_again_after_they_cam
         assert stops == [*range(1, trip + 1)], "once"
 
 
-def test_a_beat_before_the_fifth_look_is_enough(watchdog: Watchdog, stops: list[int]) -> None:
-    watchdog.beat()
-    for _ in range(20):
-        look(watchdog, LOOKS - 1)
-        watchdog.beat()
-    assert stops == []
-
-
 def test_a_tenth_of_a_second() -> None:
     """docs/explanation/safety.md; a pause in which this thread stands too, to collect garbage say, is one look."""
     assert (LOOK_S, LOOKS) == (0.02, 5)

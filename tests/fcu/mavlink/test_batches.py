@@ -103,15 +103,6 @@ def test_position_and_velocity_are_new_where_the_estimator_has_published() -> No
     assert np.isfinite(rows(world)[1][:, 0]).sum() == pytest.approx(100, abs=LATEST_TICKS)
 
 
-def test_all_channels_fill_a_message_with_whole_rows() -> None:
-    world = World(profile={})
-    assert subscribe(world, ALL) == MavResult.ACCEPTED
-    world.run(250)
-    got = world.taken("TWODOF_BATCH")
-    assert len(got) == 125
-    assert {one.rows for one in got} == {2}
-
-
 def test_one_subscription_a_client() -> None:
     world = World(profile={})
     subscribe(world, channel_mask(["estimate.q"]), peer="one")
@@ -167,10 +158,3 @@ def test_a_client_that_goes_gets_no_more() -> None:
 )
 def test_subscriptions_that_make_no_sense(params: tuple[float, ...]) -> None:
     assert World().command(511, BATCH, *params) == MavResult.DENIED
-
-
-def test_the_interval_is_told() -> None:
-    world = World()
-    subscribe(world, 1, 8000.0)
-    world.command(510, BATCH)
-    assert world.taken("MESSAGE_INTERVAL")[0].interval_us == 8000

@@ -35,14 +35,6 @@ def test_every_command_is_acknowledged_once_to_who_sent_it(number: int, params: 
     assert world.taken("COMMAND_ACK") == []
 
 
-def test_what_is_not_supported_is_said_so_and_nobody_is_asked() -> None:
-    world = World()
-    for number in (0, 16, 20, 21, 22, 178, 192, 209, 241, 310, 420, 2500, 31010, 65535):
-        assert world.command(number) == MavResult.UNSUPPORTED
-    assert world.commander.asked == []
-    assert world.texts() == ""
-
-
 def test_commands_for_others_are_none_of_ours() -> None:
     world = World()
     for system, component in ((2, 1), (1, 2), (2, 0), (255, 190)):
@@ -126,20 +118,6 @@ def test_a_refusal_says_why_to_who_asked() -> None:
     assert pieces[0].id > 0
 
 
-def test_arming_in_progress_is_answered_when_it_is_decided() -> None:
-    world = World()
-    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
-    assert world.command(400, 1.0) == -1  # a tick later, in real time: nothing before
-    world.run(2)
-    assert world.taken("COMMAND_ACK") == []
-    world.commander.answer = rejected("tilted")
-    world.run()
-    assert [ack.result for ack in world.taken("COMMAND_ACK", "client")] == [MavResult.TEMPORARILY_REJECTED]
-    assert world.texts() == "tilted"
-    world.run(5)
-    assert world.taken("COMMAND_ACK") == []
-
-
 def test_what_was_refused_in_the_end_is_not_accepted_when_it_is_repeated() -> None:
     world = World()
     world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
@@ -161,15 +139,6 @@ def test_disarming_does_not_wait_for_an_arming_in_progress(lockstep: bool) -> No
     world.commander.verdict = CommandResult(MavResult.ACCEPTED)
     assert world.command(400, 0.0) == MavResult.ACCEPTED
     assert [one[0] for one in world.commander.asked] == ["arm", "disarm"]
-
-
-def test_in_lockstep_the_client_is_told_that_time_must_run() -> None:
-    world = World(lockstep=True)
-    world.commander.verdict = world.commander.answer = CommandResult(MavResult.IN_PROGRESS)
-    assert world.command(400, 1.0) == MavResult.IN_PROGRESS
-    world.commander.answer = CommandResult(MavResult.ACCEPTED)
-    world.run()
-    assert [ack.result for ack in world.taken("COMMAND_ACK")] == [MavResult.ACCEPTED]
 
 
 def test_a_repetition_is_acknowledged_and_not_carried_out_again() -> None:
@@ -216,22 +185,6 @@ def test_in_lockstep_where_time_stands_equal_frames_of_two_sessions_are_two_comm
     world.say(arm, sequence=7)
     world.say(arm, sequence=7)
     assert len(world.commander.asked) == 2
-
-
-def test_what_was_refused_is_tried_again() -> None:
-    world = World()
-    world.commander.verdict = REFUSED
-    assert world.command(400, 1.0) == MavResult.TEMPORARILY_REJECTED
-    world.commander.verdict = CommandResult(MavResult.ACCEPTED)
-    assert world.command(400, 1.0, confirmation=1) == MavResult.ACCEPTED
-    assert len(world.commander.asked) == 2
-
-
-def test_questions_are_answered_as_often_as_they_come() -> None:
-    world = World()
-    for confirmation in range(3):
-        assert world.command(512, 148.0, confirmation=confirmation) == MavResult.ACCEPTED
-    assert len(world.taken("AUTOPILOT_VERSION")) == 3
 
 
 def test_termination_is_a_kill_and_0_releases_it() -> None:
@@ -342,13 +295,6 @@ def test_a_new_client_is_greeted_at_once() -> None:
     world.say(message("HEARTBEAT"), "new")
     world.say(message("HEARTBEAT"), "new")
     assert len(world.taken("HEARTBEAT", "new")) == 1
-
-
-def test_while_time_stands_heartbeat_is_sent_when_asked() -> None:
-    world = World(lockstep=True)
-    for service in world.services:
-        service.idle()
-    assert len(world.taken("HEARTBEAT", None)) == 1
 
 
 def test_remarks_go_to_everybody_in_words() -> None:

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.fcu.command.cockpit import ME, OTHER
+from tests.fcu.command.cockpit import ME
 from tests.fcu.mavlink.desk import TARGET, Desk
 from tests.patience import patiently
-from twodof.excitation import Impulse, Multisine
+from twodof.excitation import Multisine
 from twodof.fcu.command.excitation_player import DONE, PLAYING, READY, RECEIVING, REFUSED, STOPPED
 from twodof.link.mavlink.messages import excite, message
 from twodof.signals import PERIOD
@@ -75,18 +75,6 @@ def test_it_plays_its_bits_from_the_tick_of_its_start_and_tells_each_change() ->
     assert [one.tick for one in told] == [begin, begin + 250]
 
 
-def test_while_it_plays_it_tells_so_once_a_second() -> None:
-    desk = Desk(lockstep=True)
-    desk.arm()
-    for piece in pieces(Impulse(0.1, 4.9)):
-        desk.say(piece)
-    desk.say(start())
-    states(desk)
-    desk.run(1300)
-    told = [one.state for one in desk.taken("TWODOF_EXCITE_STATUS")]
-    assert told == [PLAYING, *[PLAYING] * 4, DONE]
-
-
 def test_in_real_time_it_is_written_out_beside_the_loop() -> None:
     desk = Desk(lockstep=False)
     desk.arm()
@@ -132,16 +120,6 @@ def test_stop_stops_and_forgets() -> None:
     assert states(desk)[-1] == STOPPED
 
 
-def test_one_without_the_lease_does_nothing() -> None:
-    desk = ready()
-    for sent in (*pieces(transfer=8), start(), message("TWODOF_EXCITE", action=2, **TARGET)):
-        desk.say(sent, OTHER, "other")
-    desk.run(5)
-    assert desk.commander.excitation.player.state == READY
-    assert desk.commander.excitation.player.transfer == 7
-    assert all("system 250" in text for text in desk.told)
-
-
 @pytest.mark.parametrize(
     "text", ["{", "[]", '{"kind": "impulse", "version": 1}', json.dumps({"kind": "no", "version": 1}), "\x00"]
 )
@@ -159,19 +137,6 @@ def test_a_definition_that_is_none_is_refused_with_the_reason(text: str) -> None
     assert states(desk) == [REFUSED]
     desk.say(start(transfer=9))
     assert desk.run().mode == 0
-
-
-def test_a_restart_forgets_the_definition() -> None:
-    desk = ready()
-    desk.commander.arming.disarm(ME)
-    desk.run()
-    desk.controller.reset(1, 0.0, 1.0, False)
-    desk.arm()
-    desk.say(start())
-    assert states(desk)[-1] == REFUSED
-    for piece in pieces():
-        desk.say(piece)
-    assert states(desk)[-1] == READY
 
 
 FLOATS = st.floats(width=32) | st.sampled_from([float("nan"), float("inf"), 0.4])

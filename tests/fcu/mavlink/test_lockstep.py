@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.desk import TARGET, Desk
 from twodof.errors import RefusalReason
-from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.link.mavlink import setpoints
 from twodof.link.mavlink.messages import message
 
@@ -45,26 +44,6 @@ def test_the_lease_is_asked_for_and_given_up() -> None:
     assert desk.taken("TWODOF_LEASE")[0].holder_system == ME[0]
     desk.say(ask(2))
     assert desk.taken("TWODOF_LEASE")[0].holder_system == 0
-
-
-def test_in_lockstep_a_holder_that_died_gives_way_to_who_asks_three_seconds_later() -> None:
-    """Its lease counts ticks, and only it could grant them. `idle` comes once in a second of standing time."""
-    desk = Desk(lockstep=True)
-    desk.say(grant(10))
-    desk.run_granted()
-    assert desk.commander.lease.holder == ME
-    lease = desk.services[0]
-    for left in (490, 250, 0):  # of the two seconds after its last command ten ticks have run
-        desk.say(ask(), OTHER, "other")
-        assert desk.taken("TWODOF_LEASE")[-1].holder_system == ME[0]
-        lease.idle()
-        assert desk.commander.lease.left == left
-    desk.say(ask(), OTHER, "other")
-    assert desk.taken("TWODOF_LEASE")[-1].holder_system == OTHER[0]
-    desk.say(grant(20), OTHER, "other")
-    desk.run_granted()
-    desk.say(grant(30))
-    assert desk.controller.granted == 20
 
 
 def test_in_lockstep_one_who_thinks_for_long_loses_nothing_if_nobody_else_asks() -> None:
@@ -124,41 +103,12 @@ def test_a_grant_is_answered_once_its_ticks_have_run() -> None:
     assert (told.tick, told.until, told.number) == (10, 10, 5)
 
 
-def test_one_that_was_granted_before_is_answered_at_once() -> None:
-    desk = Desk(lockstep=True)
-    desk.say(grant(10))
-    desk.run_granted()
-    desk.taken("TWODOF_TICK")
-    desk.say(grant(7, 9))
-    (told,) = desk.taken("TWODOF_TICK")
-    assert (told.tick, told.until, told.number) == (10, 10, 9)
-
-
-def test_a_grant_is_bounded_and_says_how_far_it_goes() -> None:
-    desk = Desk(lockstep=True)
-    desk.say(grant(2**32 - 1))
-    assert desk.controller.granted == MOST_GRANTED
-    desk.run_granted()
-    (told,) = desk.taken("TWODOF_TICK")
-    assert told.until == told.tick == MOST_GRANTED
-
-
 def test_grants_that_overlap_are_answered_in_order() -> None:
     desk = Desk(lockstep=True)
     for number, until in enumerate((10, 5, 8)):
         desk.say(grant(until, number))
     desk.run_granted()
     assert [one.number for one in desk.taken("TWODOF_TICK")] == [1, 2, 0]
-
-
-def test_time_is_its_holders_alone() -> None:
-    desk = Desk(lockstep=True)
-    desk.say(ask())
-    desk.say(grant(10, 3), OTHER, "other")
-    assert desk.controller.granted == 0
-    (told,) = desk.taken("TWODOF_TICK")  # so that it does not wait
-    assert (told.tick, told.until, told.number) == (0, 0, 3)
-    assert "system 250" in desk.told[0]
 
 
 def test_in_real_time_nothing_is_granted() -> None:

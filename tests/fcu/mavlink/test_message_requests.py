@@ -23,12 +23,6 @@ def test_what_can_be_streamed_can_be_asked_for(number: int) -> None:
     assert world.taken(name, "client") == []
 
 
-def test_what_was_not_measured_yet_is_refused_for_now() -> None:
-    world = World()
-    assert world.command(512, 30.0) == MavResult.TEMPORARILY_REJECTED
-    assert "let time run" in world.texts()
-
-
 @pytest.mark.parametrize("number", [33, 24, 411000, -1, float("nan"), float("inf"), 1e30, 54207])
 def test_what_there_is_not_is_unsupported(number: float) -> None:
     assert World().command(512, number) == MavResult.UNSUPPORTED
@@ -64,15 +58,6 @@ def test_the_version_claims_what_there_is() -> None:
     }
     assert got.flight_sw_version >> 8 == 1 << 16 | 16 << 8 | 1
     assert got.uid > 0
-
-
-def test_another_service_adds_what_it_gives() -> None:
-    world = World()
-    world.px4.requests.on(
-        "COMPONENT_METADATA", lambda command: None if command.params[1] else [message("COMPONENT_METADATA")]
-    )
-    assert world.command(512, 397.0) == MavResult.ACCEPTED
-    assert world.command(512, 397.0, 1.0) == MavResult.DENIED
 
 
 def test_each_vehicle_has_a_number_of_its_own() -> None:

@@ -85,33 +85,6 @@ def test_streams_tell_what_flies() -> None:
     flown("streams", what)
 
 
-def test_arming_is_in_progress_until_the_failsafe_has_answered() -> None:
-    async def what(drone: VirtualDrone, client: Client) -> None:
-        client.say("TWODOF_LEASE", action=1, duration_ms=30_000)
-        await client.run(250)
-        assert await client.command(400, 1.0) == 5
-        client.say("TWODOF_GRANT", until=252, number=1)
-        assert (await client.wait("COMMAND_ACK")).result == 0
-        beat = await client.wait("HEARTBEAT")
-        assert beat.base_mode & 128
-        assert await client.command(400, 0.0) == 0
-        await client.run(255)
-        beats = [one for one in client.came if one.get_type() == "HEARTBEAT"]
-        assert not beats[-1].base_mode & 128
-
-    flown("arming", what)
-
-
-def test_a_parameter_that_is_set_flies() -> None:
-    async def what(drone: VirtualDrone, client: Client) -> None:
-        code = drone.controller.code
-        client.say("PARAM_SET", param_id="FC_PARAM_4", param_value=0.0625, param_type=9)
-        await client.wait("PARAM_VALUE", lambda value: value.param_id == "FC_PARAM_4")
-        assert code.parameter("RATE_KP") == 0.0625
-
-    flown("parameters", what)
-
-
 def test_a_restart_by_command_begins_at_tick_0() -> None:
     async def what(drone: VirtualDrone, client: Client) -> None:
         client.say("TWODOF_LEASE", action=1, duration_ms=30_000)

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.parameters.tuned import tuned
-from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.parameter_service import (
     A_TICK,
     DOES_NOT_EXIST,
@@ -117,34 +116,6 @@ def test_setting_the_hash_stops_the_list() -> None:
     assert world.commander.asked == []
 
 
-def test_a_client_that_goes_takes_its_list_along() -> None:
-    world = World()
-    ask_list(world)
-    world.run()
-    world.services[0].gone("client")
-    world.sent.clear()
-    assert listed(world) == []
-
-
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
-def test_each_is_read_by_name_and_by_index(row: Any) -> None:
-    world = World()
-    index = world.store.index(row.name)
-    world.say(message("PARAM_REQUEST_READ", param_id=row.name, param_index=-1, **US), "asks")
-    world.say(message("PARAM_REQUEST_READ", param_index=index, **US), "asks")
-    by_name, by_index = world.taken("PARAM_VALUE", "asks")
-    assert by_name.param_id == by_index.param_id == row.name
-    assert by_name.param_index == by_index.param_index == index
-    assert bits(by_name) == bits(by_index)
-
-
-def test_the_hash_is_read_by_name() -> None:
-    world = World()
-    world.say(message("PARAM_REQUEST_READ", param_id="_HASH_CHECK", param_index=-1, **US))
-    (got,) = world.taken("PARAM_VALUE")
-    assert bits(got) == struct.pack("<I", world.store.hash_check())
-
-
 @pytest.mark.parametrize(
     ("name", "index"), [("NONSENSE", -1), ("", -1), ("", len(ROWS)), ("", 32767), ("RATE_KP", 9999)]
 )
@@ -189,15 +160,6 @@ def test_a_change_is_told_to_everybody_under_all_its_names_and_takes_no_lease() 
     assert world.commander.asked == [("tune", CLIENT, "parameters")]
 
 
-def test_what_is_set_to_the_same_is_answered_to_who_asked() -> None:
-    world = World()
-    set_to(world, "RATE_KP", 0.0625)
-    world.sent.clear()
-    set_to(world, "RATE_KP", 0.0625, peer="asks")
-    assert [one.param_id for one in world.taken("PARAM_VALUE", "asks")] == ["RATE_KP"]
-    assert world.taken("PARAM_VALUE", None) == []
-
-
 @pytest.mark.parametrize(
     ("name", "value", "kind", "error", "answered"),
     [
@@ -224,17 +186,6 @@ def test_refusals(name: str, value: float, kind: int, error: int, answered: bool
     assert dict(world.store) == before
 
 
-def test_who_is_not_let_tune_changes_nothing() -> None:
-    world = World()
-    world.commander.verdict = rejected("system 7 holds the lease and withholds tuning")
-    before = dict(world.store)
-    set_to(world, "RATE_KP", 0.0625)
-    assert [one.error for one in world.taken("PARAM_ERROR")] == [PERMISSION_DENIED]
-    assert [one.param_id for one in world.taken("PARAM_VALUE")] == ["RATE_KP"]
-    assert "system 7" in world.texts()
-    assert dict(world.store) == before
-
-
 def test_what_wants_disarming_is_refused_while_armed() -> None:
     locked = next(row for row in ROWS if row.disarmed and row.kind == "float" and not row.fixed)
     world = World()
@@ -256,19 +207,6 @@ def test_others_parameters_are_none_of_ours(system: int, component: int) -> None
     world.run(10)
     assert world.taken("PARAM_VALUE") == world.taken("PARAM_ERROR") == []
     assert world.store["RATE_KP"] != 0.0625
-
-
-def test_all_components_are_us_too() -> None:
-    world = World()
-    world.say(message("PARAM_REQUEST_READ", param_id="RATE_KP", param_index=-1, target_system=1))
-    assert len(world.taken("PARAM_VALUE")) == 1
-
-
-def test_what_qgroundcontrol_cannot_miss_is_there() -> None:
-    wanted = "BAT_LOW_THR BAT_CRIT_THR BAT_EMERGEN_THR CAL_ACC0_ID CAL_GYRO0_ID SENS_BOARD_ROT SENS_BOARD_X_OFF"
-    wanted += " SENS_BOARD_Y_OFF SENS_BOARD_Z_OFF SENS_DPRES_OFF TRIG_MODE UAVCAN_ENABLE SYS_PARAM_VER SYS_AUTOSTART "
-    wanted += " ".join(f"CAL_MAG{n}_{what}" for n in range(4) for what in ("ID", "ROT"))
-    assert set(wanted.split()) <= {row.name for row in ROWS}
 
 
 def test_other_controllers_bring_another_list_also_to_who_is_being_sent_one() -> None:
@@ -293,15 +231,3 @@ def test_other_controllers_bring_another_list_also_to_who_is_being_sent_one() ->
     assert [row.param_id for row in rest] == [row.name for row in ROWS]
     set_to(world, "TMI_LAW_ABOVE", 6.0)
     assert world.taken("PARAM_ERROR")[-1].error == DOES_NOT_EXIST
-
-
-def test_an_int32_of_a_controller_travels_with_its_bits_and_a_flag_is_one() -> None:
-    world = World()
-    world.store.carry(user_parameters([tuned()]))
-    for name, value in (("TMI_LAW_STEPS", -5), ("TMI_LAW_MASK", 2**31 - 1), ("TMI_LAW_INVERTED", 1)):
-        set_to(world, name, float_of_int(value), INT32)
-        assert world.store[name] == value
-    set_to(world, "TMI_LAW_INVERTED", float_of_int(2), INT32)
-    assert world.taken("PARAM_ERROR")[-1].error == OUT_OF_RANGE
-    set_to(world, "TMI_LAW_STEPS", 3.0)
-    assert world.taken("PARAM_ERROR")[-1].error == TYPE_MISMATCH

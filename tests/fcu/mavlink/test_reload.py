@@ -91,17 +91,6 @@ def test_nobody_arms_while_a_controller_is_built(tmp_path: Path, monkeypatch: py
     asyncio.run(session())
 
 
-def test_the_reason_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def session() -> None:
-        gate = Gate(monkeypatch)
-        async with being_built(tmp_path, gate) as (drone, client):
-            assert drone.commander.arming.arm((250, 1)).text == "not armed: a controller is being built"
-            gate.open.set()
-            assert await answer(client) == MavResult.ACCEPTED
-
-    asyncio.run(session())
-
-
 @pytest.mark.parametrize("there", [False, True])
 def test_who_asks_first_is_told_all_that_is_missing_at_once_and_nothing_is_built(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, there: bool

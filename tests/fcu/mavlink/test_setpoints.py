@@ -70,14 +70,6 @@ def test_a_pitch_survives_its_quaternion(theta: float) -> None:
     assert setpoints.pitch(q) == pytest.approx(theta, abs=2e-7 / math.cos(theta))
 
 
-def test_level_is_exactly_level() -> None:
-    desk = flying()
-    desk.say(setpoints.attitude_target(0.3, 0.4, **TARGET))
-    desk.run()
-    desk.say(LEVEL)
-    assert desk.run().theta0 == 0.0
-
-
 @settings(max_examples=40)
 @given(roll=st.floats(-3.1, 3.1), pitch=st.floats(-1.5, 1.5), yaw=st.floats(-3.1, 3.1), length=st.floats(0.1, 10.0))
 def test_of_an_attitude_only_the_pitch_counts(roll: float, pitch: float, yaw: float, length: float) -> None:
@@ -129,12 +121,6 @@ def test_what_is_not_flown_is_refused_in_words(fields: dict[str, Any]) -> None:
     assert desk.commander.refused[RefusalReason.NOTHING] == 1
 
 
-def test_nan_is_as_good_as_ignored_in_a_position_target() -> None:
-    desk = flying()
-    desk.say(message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=1, x=math.nan, vx=0.1, **TARGET))
-    assert desk.run().mode == VELOCITY
-
-
 @pytest.mark.parametrize("number", [math.nan, math.inf])
 @pytest.mark.parametrize(
     "fields",
@@ -159,22 +145,6 @@ def test_an_attitude_target_with_what_is_no_number_is_refused(fields: dict[str, 
     desk.say(message("SET_ATTITUDE_TARGET", **fields, **TARGET))
     assert desk.run()._replace(link_new=False) == before
     assert desk.commander.refused == {RefusalReason.INVALID: 1}
-
-
-@pytest.mark.parametrize("q", [[0, 0, 0, 0], [math.nan, 0, 0, 0], [1e30, 0, 0, 0]])
-def test_a_quaternion_that_is_none_is_refused(q: list[float]) -> None:
-    desk = flying()
-    before = desk.run()
-    desk.say(message("SET_ATTITUDE_TARGET", type_mask=7, q=q, thrust=0.5, **TARGET))
-    assert desk.run()._replace(link_new=False) == before
-    assert desk.commander.refused == {RefusalReason.INVALID: 1}
-
-
-def test_a_velocity_in_the_bodys_frame_is_one_along_the_rail() -> None:
-    desk = flying()
-    desk.say(message("SET_POSITION_TARGET_LOCAL_NED", coordinate_frame=8, type_mask=7 | 448, vx=0.1, **TARGET))
-    asked = desk.run()
-    assert (asked.mode, asked.v0) == (VELOCITY, float32(0.1))
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.fcu.mavlink.world import World, step
+from tests.fcu.mavlink.world import World
 from twodof.fcu.mavlink.clients import SILENT_TICKS
 from twodof.fcu.mavlink.streams import next_due
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.rates import GROUND, ONBOARD, PROFILES
+from twodof.link.mavlink.rates import PROFILES
 from twodof.signals import TICK_NS
 
 pytestmark = pytest.mark.slow
@@ -149,18 +149,6 @@ def test_intervals_that_make_no_sense(params: tuple[float, ...], result: int) ->
     assert world.command(511, *params) == result
 
 
-def test_a_sensors_message_is_not_sent_twice_for_one_sample() -> None:
-    world = World()
-    world.say(OURS)
-    world.run(1, dist_new=True)
-    world.run(249)
-    assert len(world.taken("DISTANCE_SENSOR")) == len(world.taken("TWODOF_TOF")) == 1
-    world.sent.clear()
-    world.run(250, imu_new=False)
-    # One at most: of the last sample, if it was not sent yet, and with its own time.
-    assert [one.time_usec for one in world.taken("HIGHRES_IMU")] in ([], [249 * 4000])
-
-
 def test_each_range_sample_is_sent_once() -> None:
     world = World()
     world.say(OURS)
@@ -168,13 +156,6 @@ def test_each_range_sample_is_sent_once() -> None:
         world.run(1, dist_new=tick % 13 == 0, dist=0.001 * tick)
     ticks = [got.tick for got in world.taken("TWODOF_TOF")]
     assert ticks == [tick for tick in range(500) if tick % 13 == 0]
-
-
-def test_range_samples_at_an_interval_are_thinned() -> None:
-    world = World()
-    assert world.command(511, TOF, 1e6) == 0
-    world.run(2500, dist_new=True)
-    assert len(world.taken("TWODOF_TOF")) == 10
 
 
 def test_who_does_not_know_our_messages_gets_none_of_them() -> None:
@@ -215,23 +196,6 @@ def test_the_failsafe_is_told_at_once_and_flapping_flags_ten_times_a_second() ->
     for tick in range(250):
         world.run(1, action=1, state=3, armed=True, reason=4, causes=4 | (tick & 1) << 5)
     assert 10 <= len(world.taken("TWODOF_SAFETY")) <= 12
-
-
-def test_rig_lease_and_open_loop_are_told_at_each_change() -> None:
-    world = World()
-    world.say(OURS)
-    world.run(2)
-    world.sent.clear()
-    world.controller.hardware.rings = True
-    world.commander.lease.holder, world.commander.lease.left = (250, 1), 500
-    world.commander.openloop = world.commander.openloop._replace(revision=1, M=0.25, openloop=True)
-    world.run()
-    assert world.taken("TWODOF_RIG")[0].flags & 1
-    lease = world.taken("TWODOF_LEASE")[0]
-    assert (lease.holder_system, lease.holder_component, lease.duration_ms) == (250, 1, 2000)
-    loop = world.taken("TWODOF_OPENLOOP")[0]
-    assert (loop.M, loop.openloop, loop.enableM) == (0.25, 1, 0)
-    assert "TWODOF_OPENLOOP" not in {one.get_type() for one, _ in world.sent}
 
 
 @pytest.mark.parametrize("which", ["rig", "lease", "open loop"])
@@ -296,38 +260,6 @@ def test_time_that_begins_anew_keeps_the_streams() -> None:
     assert stamps[0] < 20
 
 
-def test_after_a_restart_nothing_of_before_is_told() -> None:
-    world = World()
-    world.say(OURS)
-    world.run(100, dist_new=True)
-    for service in world.services:
-        service.restart()
-    assert world.command(512, 30.0) == world.command(512, 132.0) == 1  # nothing was measured yet
-
-
-def test_ticks_that_were_left_out_leave_the_streams_as_they_are() -> None:
-    world = World()
-    world.say(OURS)
-    world.run(100)
-    world.controller.tick += 57
-    world.sent.clear()
-    world.run(500)
-    assert len(world.taken("ATTITUDE")) == 200
-
-
-def test_time_stamps_wrap() -> None:
-    world = World()
-    world.say(OURS)
-    first = 2**30 - 5  # 4 ms each: 2^32 ms
-    for tick in range(first, first + 30):
-        for service in world.services:
-            service.after(step(tick, theta=0.1))
-    got = world.taken("ATTITUDE")
-    assert got
-    assert all(one.time_boot_ms == (one.time_boot_ms & 0xFFFFFFFF) for one in got)
-    assert {one.time_boot_ms < 1000 for one in got} == {True, False}
-
-
 def test_request_data_stream_is_taken_and_changes_nothing() -> None:
     world = World()
     world.say(OURS)
@@ -335,9 +267,3 @@ def test_request_data_stream_is_taken_and_changes_nothing() -> None:
     assert world.say(message("REQUEST_DATA_STREAM", req_stream_id=1, req_message_rate=50, start_stop=1, **target))
     world.run(250)
     assert len(world.taken("SYS_STATUS")) == 5
-
-
-def test_every_profile_names_messages_that_exist() -> None:
-    world = World()
-    for profile in (ONBOARD, GROUND):
-        assert set(profile) <= world.px4.telemetry.messages

@@ -6,7 +6,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
-from tests.fcu.parameters.tuned import tuned
 from twodof.fcu.command.result import rejected
 from twodof.fcu.mavlink.parameter_service import (
     BEGIN,
@@ -24,7 +23,6 @@ from twodof.fcu.mavlink.parameter_service import (
     TYPE_MISMATCH,
 )
 from twodof.fcu.parameters.parameter_store import ParametersChanged
-from twodof.fcu.parameters.user_parameters import user_parameters
 from twodof.link.mavlink.messages import message
 
 US = {"target_system": 1, "target_component": 1}
@@ -120,15 +118,6 @@ def test_a_commit_that_comes_again_is_answered_again_and_not_done_again() -> Non
     assert world.store["RATE_KP"] == 0.05
 
 
-def test_a_number_may_be_used_again_after_a_new_beginning() -> None:
-    world = World()
-    for value in (0.05, 0.0625):
-        transact(world, BEGIN)
-        put(world, "RATE_KP", value)
-        assert transact(world, COMMIT, count=1).result == NO_ERROR
-        assert world.store["RATE_KP"] == value
-
-
 def test_roll_back_forgets() -> None:
     world = World()
     before = dict(world.store)
@@ -154,17 +143,6 @@ def test_senders_do_not_mix() -> None:
     assert world.store["VEL_KP"] != 1.5
     assert transact(world, COMMIT, count=1, source=OTHER).result == NO_ERROR
     assert world.store["VEL_KP"] == 1.5
-
-
-def test_who_is_not_let_tune_changes_nothing() -> None:
-    world = World()
-    world.commander.verdict = rejected("system 7 holds the lease and withholds tuning")
-    before = dict(world.store)
-    transact(world, BEGIN)
-    put_all(world, GOOD)
-    assert transact(world, COMMIT, count=3).result == PERMISSION_DENIED
-    assert dict(world.store) == before
-    assert "system 7" in world.texts()
 
 
 def test_one_that_is_not_for_tuning_makes_the_whole_a_command_and_its_refusal_says_so() -> None:
@@ -212,15 +190,3 @@ def test_any_order_of_anything_leaves_a_whole_set(data: st.DataObject) -> None:
             fields = {"transaction": number, "count": data.draw(st.integers(0, 3)), "action": action}
             world.say(message("TWODOF_PARAM_TRANSACTION", **US, **fields), source=source)
         assert dict(world.store) == wholes[-1]
-
-
-def test_a_transaction_about_a_controller_that_is_gone_changes_nothing() -> None:
-    world = World()
-    world.store.carry(user_parameters([tuned()]))
-    assert transact(world, BEGIN).result == NO_ERROR
-    put_all(world, {"TMI_LAW_ABOVE": 5.0, "RATE_KP": 0.0625})
-    before = world.store["RATE_KP"]
-    world.store.carry([])
-    answer = transact(world, COMMIT, count=2)
-    assert (answer.result, answer.param_id) == (DOES_NOT_EXIST, "TMI_LAW_ABOVE")
-    assert world.store["RATE_KP"] == before

@@ -240,36 +240,6 @@ def test_in_lockstep_nothing_is_dropped_however_slow_the_disk(tmp_path: Path, mo
     assert steps_in(path)["tick"].tolist() == [*range(2000)]
 
 
-def test_in_lockstep_nobody_waits_for_room_that_was_made_a_moment_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The queue is full when the loop looks, and empty when it begins to wait: nothing would ever wake it."""
-
-    class Late(threading.Event):
-        def clear(self) -> None:
-            while log._queue:
-                log._wake.set()
-                time.sleep(0.001)
-            time.sleep(0.02)  # and the writer waits for more
-            super().clear()
-
-    monkeypatch.setattr(logger, "LONGEST_QUEUE", 50)
-    monkeypatch.setattr(logger, "LOCKSTEP_WAIT_S", 1.0)
-    with OnboardLogger(tmp_path, ParameterStore(values=ALWAYS), lockstep=True) as log:
-        log._room = Late()
-        for tick in range(200):
-            log.step(plain_step(tick))
-    assert (log.dropped, log.missed) == (0, 0)
-
-
-def test_the_control_loop_is_cheap_and_lockstep_fast(tmp_path: Path) -> None:
-    """5000 rows a second of processor time are 20 times real time; 230,000 were measured, disk included."""
-    steps = [plain_step(tick) for tick in range(10_000)]
-    begin = time.process_time()
-    logged(tmp_path, steps, **ALWAYS)
-    assert len(steps) / (time.process_time() - begin) > 5000
-
-
 def test_the_oldest_logs_go(tmp_path: Path) -> None:
     (tmp_path / "log_00001.ulg").symlink_to("/etc/passwd")
     (tmp_path / "mine.txt").write_text("mine")

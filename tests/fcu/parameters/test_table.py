@@ -25,10 +25,6 @@ def test_names_are_distinct_sorted_and_fit_param_id() -> None:
     assert all(1 <= len(name.encode()) <= NAME_LENGTH for name in names)
 
 
-def test_everything_is_explained_and_in_a_group() -> None:
-    assert [row.name for row in wire_rows(1) if not row.text or not row.group] == []
-
-
 def test_what_qgroundcontrol_cannot_miss_is_there_with_px4s_type() -> None:
     rows = {row.name: row.kind for row in wire_rows(1)}
     assert {name: rows.get(name) for name in QGROUNDCONTROL} == QGROUNDCONTROL
@@ -47,10 +43,6 @@ def test_the_drones_own_names_are_rows_of_their_own() -> None:
         if row.drone:
             assert (rows[row.drone].of, rows[row.drone].default) == (row.name, row.default)
             assert (rows[row.drone].low, rows[row.drone].high) == (row.low, row.high)
-
-
-def test_the_system_id_is_the_vehicles() -> None:
-    assert {row.name: row.default for row in wire_rows(7)}["MAV_SYS_ID"] == 7
 
 
 def test_bounds_of_int32_are_no_signalling_nan() -> None:

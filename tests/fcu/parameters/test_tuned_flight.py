@@ -227,32 +227,3 @@ def test_a_log_lists_what_flies_and_notes_what_begins_to_fly_in_its_midst(tmp_pa
     assert {name for _, name, _ in found[0].changes} == names
     assert found[0].changes[-1] == (9 * TICK_US, "TMI_LAW_ABOVE", 5.0)
     assert found[1].parameters["TMI_LAW_ABOVE"] == 5.0
-
-
-def test_who_takes_over_takes_the_gains_and_not_what_another_controller_was_tuned_to() -> None:
-    before, after = FlightCode([tuned()], trusted=True), FlightCode([tuned()], trusted=True)
-    before.set_parameters({ABOVE: 5.0, "POS_KP": 0.5})
-    after.take_over(before)
-    assert (after.parameter(ABOVE), after.parameter("POS_KP")) == (2.0, 0.5)
-
-
-def test_without_a_file_too_a_controller_that_comes_back_flies_as_it_was_tuned() -> None:
-    store, own = ParameterStore(), user_parameters([tuned()])
-    store.carry(own)
-    store.set("TMI_LAW_ABOVE", 5.0)
-    store.carry([])
-    store.carry(own)
-    assert store["TMI_LAW_ABOVE"] == 5.0
-
-
-def test_disarmed_a_sandbox_that_stopped_begins_anew_with_the_next_value(monkeypatch: pytest.MonkeyPatch) -> None:
-    code = FlightCode([tuned()])
-    assert code.sandbox is not None
-
-    def stops() -> None:
-        raise ControllerFault("it used up its fuel", "prepare")
-
-    monkeypatch.setattr(code.sandbox.machine.instance, "prepare", stops)
-    code.set_parameters({ABOVE: 3.0})
-    assert code.user_fault == ""
-    assert code.parameter(ABOVE) == 3.0

@@ -59,13 +59,6 @@ def test_names_and_bounds_are_those_of_the_module_for_px4(name: str) -> None:
         assert wire == [np.float32(value) for value in (theirs.low, theirs.default, theirs.high)]
 
 
-def test_three_of_one_name_are_told_apart() -> None:
-    found = user_parameters([with_names(["k"], kind, "same") for kind in ALL])
-    names = [row.name for own in found for row in own.rows]
-    assert names[0] == "TSA_PART0_K"
-    assert len(set(names)) == 3
-
-
 def test_types_bounds_and_texts() -> None:
     (own,) = user_parameters([tuned()])
     rows = {row.user_path.removeprefix(f"{KIND}.law."): row for row in own.rows}
@@ -109,16 +102,6 @@ def test_a_hostile_diagram_of_ten_thousand_parameters_is_bounded() -> None:
     assert len(metadata_files(store.rows)["parameters.json"]) < stock + 500 * MOST
     # All are enforced, those that are not shown too: they stay at their defaults.
     assert len(store.user_values()) == MOST
-
-
-def test_texts_of_a_stranger_carry_nothing_into_a_terminal() -> None:
-    d = with_names(["k"])
-    d.param("k", 0.5, unit="\x1b[2J", text="\x1b[31m" + "red" * 200)
-    (own,) = user_parameters([d])
-    for row in own.rows:
-        assert row.text.isprintable()
-        assert row.unit.isprintable()
-        assert len(row.text) <= 160
 
 
 def test_an_array_is_shown_whole_or_not_at_all() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from twodof.errors import LinkError
 from twodof.link.mavlink import dialect, framing
-from twodof.link.mavlink.framing import LONGEST_FRAME, Frame, Parser, decode, encode
+from twodof.link.mavlink.framing import LONGEST_FRAME, Parser, decode, encode
 from twodof.link.mavlink.messages import message
 
 pytestmark = pytest.mark.slow
@@ -300,9 +300,3 @@ def test_the_worst_rubbish_costs_linear_time() -> None:
     small, large = (min(each) for each in zip(*costs, strict=True))
     assert large < 48 * small  # 16 for linear, 256 for quadratic
     assert large < 1.0  # measured .04 s
-
-
-def test_a_frame_is_small_and_says_nothing_it_does_not_hold() -> None:
-    frame = Parser().feed(encode(message("HEARTBEAT"), 3, 4, 5))[0]
-    assert frame == Frame(frame.raw, 2, 0, 3, 4, 5, False)
-    assert frame.payload == frame.raw[10:-2]

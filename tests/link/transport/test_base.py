@@ -13,14 +13,11 @@ from typing import Any
 
 import pytest
 
-from tests.faults.transport import Faults, FaultyTransport
-from tests.faults.virtual_time import run_virtual
 from tests.link.ends import SOON, gather, run
 from twodof.errors import LinkError, LinkLost
 from twodof.link.transport import base as bounds
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Transport
-from twodof.link.transport.memory import memory_pair
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 
@@ -279,22 +276,6 @@ def test_udp_outlives_a_peer_that_is_not_there() -> None:
     run(work())
 
 
-def test_a_reader_that_sleeps_costs_bounded_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounds, "MOST_PACKETS", 100)
-
-    async def work() -> None:
-        here, there = memory_pair()
-        for number in range(1000):
-            here.send(number.to_bytes(2, "little"))
-        assert there.counts.dropped_in == 900
-        first = there.receive_now()
-        assert first is not None
-        assert int.from_bytes(first.data, "little") == 900  # the oldest went
-        await here.close()
-
-    run(work())
-
-
 def test_a_serial_line_is_raw_at_its_speed_and_exclusive(tmp_path: Path) -> None:
     async def work() -> None:
         master, slave = os.openpty()
@@ -364,42 +345,3 @@ def test_memory_reaches_across_threads() -> None:
     assert run(client()) == b"cba"
     other.join(SOON)
     assert not other.is_alive()
-
-
-def test_memory_keeps_order_and_needs_no_time() -> None:
-    async def work() -> None:
-        here, there = memory_pair()
-        for number in range(500):
-            here.send(bytes([number % 256]))
-        got = [there.receive_now() for _ in range(500)]
-        assert [p.data[0] for p in got if p] == [number % 256 for number in range(500)]
-        await here.close()
-        with pytest.raises(LinkLost, match="the other end was closed"):
-            there.receive_now()
-
-    run(work())
-
-
-def test_faults_are_the_same_for_the_same_seed_and_as_many_as_asked() -> None:
-    async def work(seed: int) -> list[int]:
-        here, there = memory_pair()
-        faulty = FaultyTransport(here, Faults(loss=0.3, duplicate=0.1, jitter=0.2, reorder=0.1), seed)
-        for number in range(1000):
-            faulty.send(number.to_bytes(2, "little"))
-            await asyncio.sleep(0.004)
-        await asyncio.sleep(1000.0)
-        got = []
-        while packet := there.receive_now():
-            got.append(int.from_bytes(packet.data, "little"))
-        await faulty.close()
-        return got
-
-    start = time.monotonic()
-    first = run_virtual(work(1))
-    assert time.monotonic() - start < 500.0  # a quarter of an hour of virtual time
-    assert first == run_virtual(work(1))
-    assert first != run_virtual(work(2))
-    # 1000 packets at 30 % loss: 700 with a standard deviation of 14.5, of which five
-    assert abs(len(set(first)) - 700) < 73
-    assert len(first) > len(set(first))  # some came twice
-    assert first != sorted(first)  # and some out of order

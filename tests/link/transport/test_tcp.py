@@ -241,21 +241,3 @@ def test_one_address_takes_not_all_places_from_another(monkeypatch: pytest.Monke
                 one.close()
 
     run(work())
-
-
-def test_a_server_that_closes_is_seen_by_its_clients_after_what_it_said() -> None:
-    async def work() -> None:
-        there = await open_transport("tcpin://:0")
-        assert isinstance(there, TcpTransport)
-        async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
-            while not there.peers:
-                await asyncio.sleep(0.01)
-            there.send(b"goodbye")
-            await there.close()
-            assert await gather(here, 7) == b"goodbye"
-            with pytest.raises(LinkLost, match="the other side closed the connection"):
-                await here.receive(SOON)
-        with pytest.raises(LinkLost, match="nobody answered"):
-            await open_transport(here.url, timeout=0.1)  # the port is free
-
-    run(work())

@@ -149,12 +149,6 @@ def test_a_datagram_costs_no_more_than_so_many_checksums(data: bytes) -> None:
     assert parser.waiting == 0
 
 
-def test_rubbish_before_a_frame_in_a_datagram_is_passed_over_still() -> None:
-    parser = Parser()
-    frame = encode(TICK, 9, 9, 0)
-    assert [one.raw for one in parser.feed(b"\xfe\x01rubbish\xfd" + frame * 3 + b"\xfd", whole=True)] == [frame] * 3
-
-
 def test_a_datagram_longer_than_a_network_carries_is_dropped() -> None:
     async def work() -> None:
         async with await open_transport("udpin://:0") as there:
@@ -186,24 +180,6 @@ def test_peers_take_turns_by_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
         while (packet := inbox.take()) is not None:
             taken += str(packet.peer)[0]
         assert taken == "ppppppfw" + 3 * "ppppppf" + "www"
-
-    run(work())
-
-
-def test_peers_take_turns_and_keep_their_order(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bounds, "TURN_BYTES", 1)  # a packet each
-
-    async def work() -> None:
-        inbox = Inbox(TransportCounts())
-        for number in range(3):
-            inbox.put(Packet(b"a%d" % number, "a"))
-        inbox.put(Packet(b"b0", "b"))
-        inbox.put(Packet(b"c0", "c"))
-        inbox.put(Packet(b"b1", "b"))
-        taken = [packet.data for _ in range(6) if (packet := inbox.take())]
-        assert taken == [b"a0", b"b0", b"c0", b"a1", b"b1", b"a2"]
-        assert inbox.take() is None
-        assert inbox.waits_of("a") == 0
 
     run(work())
 
@@ -302,19 +278,5 @@ def test_a_kill_behind_thirty_floods_acts_before_their_first_frame() -> None:
             assert before == 0
             for one in (*floods, other):
                 await one.close()
-
-    run(work())
-
-
-def test_one_packet_larger_than_all_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    """However little room there is, what came last is there."""
-    monkeypatch.setattr(bounds, "MOST_BYTES", 10)
-
-    async def work() -> None:
-        inbox = Inbox(TransportCounts())
-        for peer in ("a", "b", "b", "a"):
-            inbox.put(Packet(bytes(20), peer))
-        assert inbox.take() == Packet(bytes(20), "a")
-        assert inbox.take() is None
 
     run(work())

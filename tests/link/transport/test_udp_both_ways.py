@@ -104,14 +104,6 @@ def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() -> None:
     run(work())
 
 
-def test_a_port_that_is_taken_is_told() -> None:
-    async def work() -> None:
-        with plain() as (_, port), pytest.raises(LinkError, match="another port"):
-            await open_transport(f"udp://127.0.0.1:1?bind={port}")
-
-    run(work())
-
-
 def test_a_broadcast_ends_while_somebody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     async def work() -> None:
         with plain("0.0.0.0") as (listener, port):
