@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from twodof.errors import LogError
-from twodof.flightlog.seen import log_of_rows
+from twodof.flightlog.log import log_of_rows
 
 
 def test_each_column_is_the_channel_of_its_mat_name_without_its_gaps() -> None:

@@ -24,19 +24,19 @@ DEADLINE_S = 10.0
 
 @dataclass(frozen=True)
 class Acknowledged:
-    """What is on the disk: the first `position` bytes of the file, `samples` of those accepted, in their order."""
+    """Part of a recording that is on the disk: the first `position` bytes, and the first `samples` accepted ones."""
 
     position: int = 0
     samples: int = 0
 
 
 class AppendOnlyFile(ABC):
-    """Writes what a producer hands over to a new file; a child says what is handed over and how it is encoded.
+    """Writer of a new file; a child class says what a producer hands over and how it is encoded.
 
-    Every `flush_s` at the latest, or when `part_bytes` wait, what is there is written and synced. More than
-    `capacity_bytes` never wait: `full` says whether a sample beyond is dropped and counted, or waits for the disk.
-    Safe to use from several threads. A process that forks keeps it in the parent only. With `overwrite` the file begins
-    beside its place, and takes the place of one that is there when its head is on the disk.
+    Waiting samples are written and synced every `flush_s` [s], or as soon as `part_bytes` wait. At most
+    `capacity_bytes` wait; beyond, `full` decides whether a sample is dropped and counted, or waits for the disk.
+    Safe to use from several threads; after a fork it belongs to the parent. With `overwrite` the file begins beside its
+    place, and replaces an existing file when its head is on the disk.
     """
 
     def __init__(
@@ -60,11 +60,11 @@ class AppendOnlyFile(ABC):
         self._changed = threading.Condition()
         self._waiting_bytes = 0
         self.accepted = 0
-        """Samples taken so far; those not acknowledged yet wait in memory."""
+        """Samples taken so far; samples that are not acknowledged yet wait in memory."""
         self.acknowledged = Acknowledged()
-        """What is on the disk now, and stays readable from now on."""
+        """Part that is on the disk, and stays readable from now on."""
         self.failure: RecordingError | None = None
-        """Why the recording ended before it was closed; None while it goes on."""
+        """Reason for an end before the recording was closed; None while it goes on."""
         self._asked = 0
         self._closing = self._ended = self._fine = False
         self._descriptor = create(self._begun, self.path)  # never in the place of another recording
@@ -72,24 +72,24 @@ class AppendOnlyFile(ABC):
 
     @abstractmethod
     def _take(self) -> object:
-        """Empties the buffer and returns what was in it, None for nothing. Called with the lock held."""
+        """Empty the buffer and return its content, None for nothing. Called with the lock held."""
 
     @abstractmethod
     def _encode(self, taken: object) -> bytes:
-        """The next bytes of the file. Called without the lock."""
+        """Return the next bytes of the file. Called without the lock."""
 
     def _ending(self) -> bytes:
-        """The last bytes of the file."""
+        """Return the last bytes of the file."""
         return b""
 
     def _kept(self) -> None:  # noqa: B027
-        """Told when everything encoded so far is on the disk."""
+        """Note that everything encoded so far is on the disk."""
 
     def _undone(self) -> None:  # noqa: B027
-        """Told when what was encoded since the last `_kept` is not in the file."""
+        """Forget the parts encoded since the last `_kept`: they are not in the file."""
 
     def flush(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
-        """Waits until everything accepted so far is on the disk. Raises RecordingError, at the deadline at last."""
+        """Wait until everything accepted so far is on the disk. Raises RecordingError, also at the deadline."""
         with self._changed:
             goal = self.accepted
             self._asked = max(self._asked, goal)
@@ -101,7 +101,7 @@ class AppendOnlyFile(ABC):
             return self.acknowledged
 
     def close(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
-        """Writes what waits and the file's end. Raises RecordingError; a second call only returns."""
+        """Write the waiting samples and the file's end. Raises RecordingError; a second call only returns."""
         with self._changed:
             if self._closing:
                 return self.acknowledged
@@ -120,12 +120,12 @@ class AppendOnlyFile(ABC):
         try:
             self.close()
         except RecordingError:
-            # What went wrong in the block says more; `failure` still has ours.
+            # The exception of the block says more; `failure` still has this one.
             if kind is None:
                 raise
 
     def _admit(self, size: int) -> bool:
-        """Whether `size` more bytes may wait, with the lock held. Raises RecordingError once the recording ended."""
+        """Return True if `size` more bytes may wait. Raises RecordingError after the end. Called with the lock held."""
         self._check()
         if self._closing:
             raise RecordingError("the recording is closed", str(self.path), "start another one")
@@ -159,7 +159,7 @@ class AppendOnlyFile(ABC):
         )
 
     def _start(self, head: bytes) -> None:
-        """Writes the head and the folder's entry through to the disk, then begins. Raises RecordingError."""
+        """Write the head and the folder's entry through to the disk, then start the thread. Raises RecordingError."""
         try:
             self._write(head)
             if self._begun != self.path:
@@ -227,7 +227,7 @@ class AppendOnlyFile(ABC):
         os.fsync(self._descriptor)
 
     def _fail(self, refusal: OSError, samples: int) -> None:
-        """Takes back the part that did not fit and, where the disk allows it, gives the file a proper end."""
+        """Remove the part that did not fit and, where the disk allows it, write the end of the file."""
         there = self.acknowledged
         failure = RecordingError(
             f"the disk refused: {refusal.strerror}; {there.samples} of {samples} samples are in the file",

@@ -1,8 +1,8 @@
 """Files that are either there whole or not there: written beside their place, then renamed into it.
 
-Every command and every function that writes a file that the user names has one rule. A file that is there is kept,
-unless `--force` or `overwrite=True` says that it may be lost. `numbered` gives a session that repeats new names. What
-twodof keeps for itself (its caches, a drone's state) is replaced without a question.
+One rule holds for every command and function that writes a file named by the user: an existing file is kept, unless
+`--force` or `overwrite=True` is given. `numbered` gives new names to a session that repeats. Files of twodof's own
+(caches, a drone's state) are replaced without a question.
 """
 
 import errno
@@ -20,21 +20,21 @@ REPLACE = "name another file, or replace it with --force (in Python overwrite=Tr
 
 
 def check_free(path: str | Path, overwrite: bool = False) -> None:
-    """That no file is at `path`, or that it may be lost. Raises LogError."""
+    """Check that no file is at `path`, or that it may be overwritten. Raises LogError."""
     if not overwrite and Path(path).exists():
         raise LogError("is there already", str(path), REPLACE)
 
 
 def numbered(path: str | Path) -> Path:
-    """The first of `name.ext`, `name-2.ext`, `name-3.ext`, ... that is not there yet, for a session that repeats."""
+    """Return the first of `name.ext`, `name-2.ext`, `name-3.ext`, ... that does not exist yet."""
     first = Path(path)
     names = chain((first,), (first.with_name(f"{first.stem}-{number}{first.suffix}") for number in count(2)))
     return next(name for name in names if not name.exists())
 
 
 def partial_of(path: str | Path) -> Path:
-    """Where a file begins that is to take the place of `path`: beside it. Raises LogError where a folder is there."""
-    # A link is followed, so that what it points at is replaced and not the link.
+    """Return the name under which a file begins that will replace `path`. Raises LogError for a folder."""
+    # A link is followed: its target is replaced, not the link.
     target = Path(path).resolve()
     if target.is_dir():
         raise LogError("is a directory", str(path), "name a file")
@@ -42,7 +42,7 @@ def partial_of(path: str | Path) -> Path:
 
 
 def create(begun: Path, path: str | Path) -> int:
-    """The descriptor of a new file `begun`, which becomes `path`. Raises LogError, also if it is there."""
+    """Create the file `begun`, which becomes `path`, and return its descriptor. Raises LogError, also if it exists."""
     try:
         # os.open, and not tempfile, so that the user's umask decides who may read the result.
         return os.open(begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
@@ -55,11 +55,11 @@ def create(begun: Path, path: str | Path) -> int:
 
 @contextmanager
 def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[IO[Any]]:
-    """Opens a file for writing that takes the place of `path` only when the block ends well.
+    """Open a file for writing that replaces `path` only when the block ends without an exception.
 
-    Whatever ends the block otherwise, Ctrl-C included, leaves what was at `path` as it was and no other file
-    behind. Text is UTF-8 with `\\n` line ends. When it returns, the file and its name are on the disk (fsync of the
-    file, then of its folder). Raises LogError where the file system refuses.
+    After an exception, Ctrl-C included, `path` is unchanged and no other file is left. Text is UTF-8 with the line ends
+    of Unix. On return the file and its name are on the disk (fsync of the file, then of its folder). Raises LogError
+    where the file system refuses.
     """
     target, partial = Path(path).resolve(), partial_of(path)
     descriptor = create(partial, path)
@@ -81,7 +81,7 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
 
 
 def make_folder(folder: Path) -> None:
-    """Makes `folder` and those above it that are missing, and has them on the disk. Raises OSError, LogError."""
+    """Make `folder` and its missing parents, through to the disk. Raises OSError, LogError."""
     missing = [one for one in (folder, *folder.parents) if not one.exists()]
     folder.mkdir(parents=True, exist_ok=True)
     for one in missing:
@@ -89,7 +89,7 @@ def make_folder(folder: Path) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Has what was renamed, made or deleted in `folder` on the disk. Raises LogError where the file system refuses."""
+    """Sync the entries of `folder` to the disk. Raises LogError where the file system refuses."""
     try:
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)

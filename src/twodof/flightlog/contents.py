@@ -1,4 +1,4 @@
-"""What a log holds, in one table: channels, gaps, stretches with thrust, events, and which experiment it looks like."""
+"""Table of contents of a log: channels, gaps, stretches with thrust, events, and the experiments found in it."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
@@ -35,8 +35,8 @@ _SWEEP_PAUSE_S = 0.5
 class DetectedExcitation:
     """An excitation found in a log: `name` is mode and shape, such as `attitude-steps`.
 
-    `amplitude` is the farthest level from where it began, in the unit of `channel`; `edges` are the times of
-    its steps [s], for a sweep of its first and last change; `window` is what to look at [s].
+    `amplitude` is the largest distance from the first level, in the unit of `channel`. `edges` are the times of its
+    steps [s]; of a sweep, of its first and last change. `window` is the stretch to look at [s].
     """
 
     name: str
@@ -49,12 +49,12 @@ class DetectedExcitation:
 
     @property
     def duration(self) -> float:
-        """From the first to the last edge [s]."""
+        """Return the time from the first to the last edge [s]."""
         return self.edges[-1] - self.edges[0]
 
 
 def excitations(log: FlightLog) -> list[DetectedExcitation]:
-    """Every excitation found in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
+    """Return the excitations in a log, in order of time. Raises LogError if `T`, `q0` or `theta0` is missing."""
     found = []
     edges = openloop_edges(log) if "lmnf" in log else []
     for stretch in modes(log):
@@ -70,9 +70,9 @@ def excitations(log: FlightLog) -> list[DetectedExcitation]:
 
 
 def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
-    """The longest excitation that is called `name`: in full (`attitude-steps`) or by shape (`doublet`).
+    """Return the longest excitation called `name`: in full (`attitude-steps`) or by shape (`doublet`).
 
-    One or several doublets answer to either name. Raises LogError, saying what was found, if there is none.
+    Singular and plural find both. Raises LogError, with the names of those found, if there is none.
     """
     found = excitations(log)
     wanted = name.removesuffix("s")
@@ -84,12 +84,12 @@ def find_excitation(log: FlightLog, name: str) -> DetectedExcitation:
 
 
 def describe(log: FlightLog) -> dict[str, Any]:
-    """A log in figures, as JSON values.
+    """Return a log in figures, as JSON values.
 
     Keys: `source`, `provenance`, `span_s`, `duration_s`; `channels` (name, unit, fields, samples, rate_hz, span_s,
-    gaps, gaps_armed, missing, longest_gap_s); `gaps` (the first MAX_LISTED); `armed_s`; `modes`; `modes_unclear` (why
-    none could be found, or ""); `events`; `excitations`; `experiment`
-    (the longest excitation, or None). What a log lacks the channels for is an empty list.
+    gaps, gaps_armed, missing, longest_gap_s); `gaps` (the first MAX_LISTED); `armed_s`; `modes`; `modes_unclear` (the
+    reason why none could be found, or ""); `events`; `excitations`; `experiment` (the longest excitation, or None).
+    An entry for which the log lacks the channels is an empty list.
     """
     gaps = {name: log.gap_table(name) for name in log}
     rows = ((name, zip(*(column[:MAX_LISTED].tolist() for column in gaps[name]), strict=True)) for name in gaps)
@@ -150,20 +150,20 @@ def _open_loop(log: FlightLog, stretch: Stretch, edges: Sequence[Event]) -> Dete
     # The message that opened the loop is up to 20 ms older than the first M made from it.
     first = bisect_left(edges, stretch.t0 - 0.02, key=lambda event: event.time)
     last = bisect_right(edges, stretch.t1, key=lambda event: event.time)
-    # What the failsafe asks for while the loop is open is no part of what was played.
+    # The failsafe's moments while the loop is open are not part of the excitation.
     ends = _first_act(log, stretch)
     steps = [event for event in edges[first:last] if event.channel == "lmnf.M" and event.time < ends]
     if not steps:
         return None
     shape = _shape(steps, stretch.t1)
     start, stop = window(log, steps)
-    # What follows an impulse is what it was flown for.
+    # An impulse is flown for the free response after it.
     stop = min(stretch.t1 if shape == "impulse" else stop, ends)
     return _excitation("open-loop", shape, steps, (start, stop))
 
 
 def _first_act(log: FlightLog, stretch: Stretch) -> float:
-    """When the failsafe first acts in `stretch` [s]; infinity where it does not, or the log does not tell."""
+    """Return the time [s] of the failsafe's first act in `stretch`; infinity for none, or without channel `safety`."""
     if "safety" not in log:
         return np.inf
     safety = log["safety"].slice(stretch.t0, stretch.t1)
@@ -204,7 +204,7 @@ def _excitation(mode: str, shape: str, steps: Sequence[Event], bounds: tuple[flo
 
 
 def _shape(steps: Sequence[Event], end: float) -> str:
-    """impulse, doublet(s), 3-2-1-1 or steps, from the levels between the first and the last edge."""
+    """Return "impulse", "doublet(s)", "3-2-1-1" or "steps", from the levels between the first and the last edge."""
     base = steps[0].before
     reach = max(abs(event.after - base) for event in steps)
     # Levels come back through float32: a thousandth of the amplitude is no level of its own.

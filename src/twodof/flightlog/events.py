@@ -1,4 +1,4 @@
-"""What happened when: thrust switched, set-points stepped, the loop opened; which loop was closed."""
+"""Events of a flight (thrust switched, set-points stepped, loop opened), and the stretches of each mode."""
 
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -24,12 +24,12 @@ MAX_EVENTS = 100_000
 """Most events of one kind: one a second in a flight of a day."""
 
 SETPOINTS = {"rate": "q0", "attitude": "theta0", "velocity": "v0", "position": "x0"}
-"""The channel that a closed loop's set-point from outside is in, by mode."""
+"""Channel of a closed loop's set-point, by mode."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened at `time` [s]: a channel went from `before` to `after`."""
+    """Change of a channel at `time` [s] from `before` to `after`."""
 
     time: float
     kind: str
@@ -48,12 +48,12 @@ class Stretch:
 
     @property
     def duration(self) -> float:
-        """Length [s]."""
+        """Return the length [s]."""
         return self.t1 - self.t0
 
 
 def thrust_edges(log: FlightLog) -> list[Event]:
-    """Where thrust was switched on and off. Raises LogError without channel `T`."""
+    """Return the switches of the thrust. Raises LogError without channel `T`."""
     channel = log["T"]
     edges = np.flatnonzero(np.diff((channel.value > 0.0).astype(np.int8))) + 1
     _check_count(edges.size, "changes of the thrust", f"{log.source}: T")
@@ -62,14 +62,14 @@ def thrust_edges(log: FlightLog) -> list[Event]:
 
 
 def _event(time: NDArray[np.float64], value: NDArray[np.float64], kind: str, name: str, at: np.intp) -> Event:
-    """The change to sample `at` from the one before it."""
+    """Return the change to sample `at` from the sample before it."""
     return Event(float(time[at]), kind, name, float(value[at - 1]), float(value[at]))
 
 
 def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: float = 0.0) -> list[Event]:
-    """Steps of a set-point between levels that were each held for `held_s` [s] or more.
+    """Return the steps of a set-point between levels that were each held for `held_s` [s] or more.
 
-    Steps of at most `minimum` (in the channel's unit) are passed over. Raises LogError.
+    Steps of at most `minimum` (in the channel's unit) are left out. Raises LogError.
     """
     channel = log[name]
     if len(channel) < 2:
@@ -86,9 +86,9 @@ def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: floa
 
 
 def steps_by(log: FlightLog, name: str, size: float, lasting: float, tolerance: float = 0.05) -> list[Event]:
-    """The steps of a set-point by `size`, up or down, that are followed for `lasting` [s] before the next one.
+    """Return the steps of a set-point by `size`, up or down, whose new level lasts for `lasting` [s] or more.
 
-    `tolerance` is of the size, as a share of it. Raises LogError.
+    `tolerance` is a share of the size. Raises LogError.
     """
     steps = setpoint_steps(log, name)
     ends = [*(step.time for step in steps[1:]), float(log[name].time[-1])] if steps else []
@@ -100,9 +100,9 @@ def steps_by(log: FlightLog, name: str, size: float, lasting: float, tolerance: 
 
 
 def openloop_edges(log: FlightLog) -> list[Event]:
-    """Where the open-loop message opened or closed the loop, or changed M or T while it was open.
+    """Return the open-loop messages that opened or closed the loop, or changed M or T while it was open.
 
-    Times are those of the message; M follows one or two samples later. Raises LogError without `lmnf`.
+    Each event has the time of its message; M follows one or two samples later. Raises LogError without `lmnf`.
     """
     channel = log["lmnf"]
     opened = channel.field("openloop") > 0.0
@@ -120,12 +120,12 @@ def openloop_edges(log: FlightLog) -> list[Event]:
 
 
 def modes(log: FlightLog) -> list[Stretch]:
-    """Which loop was closed when, in order and without holes, on the set-points' time stamps.
+    """Return the stretches of each mode, in order and without holes, on the set-points' time stamps.
 
-    The channel `mode` says it where there is one. Else it is found from what was flown. The loop is open where M is
-    what the latest open-loop message says or, without such messages, where M stands still. It is off where thrust is
-    off. Of the loops, the closed one is that whose set-point is held, since a loop computes the set-points below it at
-    every sample. A stretch under 0.1 s counts to the one before. Raises LogError if `T`, `q0` or `theta0` is not there.
+    The channel `mode` decides if the log has it. Otherwise the mode is found from other channels. The loop is open
+    where M equals that of the latest open-loop message or, without such messages, where M stands still. The mode is off
+    where thrust is off. Of the loops, the closed one has a held set-point, since a loop computes the set-points below
+    it at every sample. A stretch under 0.1 s joins the one before. Raises LogError without `T`, `q0` or `theta0`.
     """
     if "mode" in log:
         time, code = log["mode"].time, log["mode"].value.astype(np.intp)
@@ -154,7 +154,7 @@ def modes(log: FlightLog) -> list[Stretch]:
 
 
 def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
-    """The mode (n,) at each `time` (n,) [s], as an index into `signals.MODES`; "off" outside the span of `modes`.
+    """Return the mode (n,) at each `time` (n,) [s], as an index into `signals.MODES`; outside of `modes` it is "off".
 
     A step's set-points are stamped some microseconds after its M: ask half a period after M's stamp. Raises as `modes`.
     """
@@ -165,9 +165,9 @@ def mode_at(log: FlightLog, time: NDArray[np.float64]) -> NDArray[np.int32]:
 
 
 def window(log: FlightLog, events: Sequence[Event], before: float = 0.3, after: float = 2.0) -> tuple[float, float]:
-    """From `before` the first event to `after` the last [s], within the stretch with thrust that holds them.
+    """Return the window from `before` the first event to `after` the last [s], within their stretch with thrust.
 
-    A flight without thrust is bounded by the log instead. Raises LogError without an event.
+    Without thrust the ends of the log bound it instead. Raises LogError without an event.
     """
     if not events:
         raise LogError("no event to put a window around", log.source, "describe(log) lists the log's events")
@@ -198,7 +198,7 @@ def _mode_codes(log: FlightLog) -> NDArray[np.intp]:
 
 
 def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """At which of the times a set-point was in a run of equal values of HELD_S or more; all, if not logged."""
+    """Return True for the times in a run of equal values of HELD_S or more; for all if the set-point is not logged."""
     if name in ("v0", "x0") and name not in log:
         return np.ones(time.shape, dtype=bool)
     channel = log[name]
@@ -212,9 +212,9 @@ def _held(log: FlightLog, name: str, time: NDArray[np.float64]) -> NDArray[np.bo
 
 
 def _open(log: FlightLog, time: NDArray[np.float64], on: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where M is what the latest message says: a message that is not repeated expires on board after 0.5 s.
+    """Return True for the times at which M equals the latest message's; a message expires on board after 0.5 s.
 
-    Where no messages were logged: where M stands still, which no loop's does, with the thrust on or M not 0.
+    Without logged messages: at which M stands still, which no loop's does, with the thrust on or M not 0.
     """
     if "M" not in log or not len(log["M"]):
         return np.zeros(time.shape, dtype=bool)
@@ -238,5 +238,5 @@ def _check_count(count: int, what: str, where: str) -> None:
 
 
 def _run_starts(values: NDArray[np.generic]) -> NDArray[np.intp]:
-    """Index of the first of each run of equal values."""
+    """Return the index of the first of each run of equal values."""
     return np.concatenate(([0], np.flatnonzero(values[1:] != values[:-1]) + 1)).astype(np.intp)

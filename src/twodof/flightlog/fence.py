@@ -1,10 +1,10 @@
 """Fence around strangers' files: a warm process reads each in a child with limits of memory, processor and time.
 
 The libraries that read logs trust them: a file of a few kilobytes can take gigabytes, run for minutes or end the
-process. So no such library runs in the process that asked. The warm process imports the library once; for each file it
-forks a child with limits. What comes back is JSON and arrays of numbers, never objects that could run code.
+process. So they run in a process of their own. The warm process imports the library once and forks a child with limits
+for each file. The answer is JSON and arrays of numbers, never objects that could run code.
 
-The limits grow with the file, so that a long flight is read and a small file cannot ask for much. A child may take
+The limits grow with the file: a long flight is read, and a small file cannot ask for much. A child may take
 `CPU_S` and a second for each `BYTES_PER_S`, ten times that by the clock, and `MEMORY` with `MEMORY_PER_BYTE`. Its
 answer holds at most `ANSWER` and `ANSWER_PER_BYTE` of samples and `MOST_TEXT` of JSON.
 """
@@ -48,7 +48,7 @@ _KINDS = ("<f8", "<u8", "|u1")
 _REMEDY = "this is not a flight log, or it is damaged: export or record it again"
 
 Answer: TypeAlias = tuple[Any, Sequence[NDArray[Any]]]
-"""What a reader returns: JSON values, and arrays of float64, uint64 or uint8."""
+"""Result of a reader: JSON values, and arrays of float64, uint64 or uint8."""
 Reader: TypeAlias = Callable[..., Answer]
 
 
@@ -134,14 +134,10 @@ class Fence:
                 socket.send_fds(control, [json.dumps(request).encode() + b"\n"], [file, theirs])
             finally:
                 os.close(theirs)
-            try:
+            found = None
+            with suppress(EOFError):
                 found = _receive(ours, size, end)
-                status = 0
-            except EOFError:
-                found = None
-                status = _status(control, end)
-            else:
-                status = _status(control, end)
+            status = _status(control, end)
             whole = True
         except TimeoutError:
             raise LogError(f"is not read within {seconds:g} s", where, _REMEDY) from None
@@ -152,7 +148,7 @@ class Fence:
             if not whole:
                 self.close()
         if found is None:
-            raise LogError(_how_it_ended(status, size), where, _REMEDY)
+            raise LogError(*_how_it_ended(status, size, where))
         plain, arrays = found
         if "error" in plain:
             what, where, remedy = plain["error"]
@@ -226,14 +222,15 @@ def _limit(size: int) -> None:
         used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     memory = used + MEMORY + MEMORY_PER_BYTE * size
     seconds = _processor_time(size)
-    for kind, most in (
-        (resource.RLIMIT_AS, memory),
-        (resource.RLIMIT_CPU, seconds),
-        (resource.RLIMIT_FSIZE, 0),
-        (resource.RLIMIT_CORE, 0),
+    # At the soft limit of processor time comes SIGXCPU, which says so; at the hard one SIGKILL, which does not.
+    for kind, soft, hard in (
+        (resource.RLIMIT_AS, memory, memory),
+        (resource.RLIMIT_CPU, seconds, seconds + 1),
+        (resource.RLIMIT_FSIZE, 0, 0),
+        (resource.RLIMIT_CORE, 0, 0),
     ):
-        with suppress(ValueError, OSError):  # macOS knows no limit of address space
-            resource.setrlimit(kind, (most, most))
+        with suppress(ValueError, OSError):  # macOS has no limit of address space
+            resource.setrlimit(kind, (soft, hard))
 
 
 def _processor_time(size: int) -> int:
@@ -288,7 +285,7 @@ def _fill(pipe: int, buffer: memoryview, end: float) -> None:
 
 
 def _status(control: socket.socket, end: float) -> int:
-    """Return how the child has ended, as `os.waitstatus_to_exitcode` says it."""
+    """Return the exit code of the child, negative for a signal."""
     control.settimeout(max(_ANSWER_TIME_S, end - time.monotonic()))
     line = control.recv(100)
     if not line:
@@ -296,9 +293,15 @@ def _status(control: socket.socket, end: float) -> int:
     return int(line)
 
 
-def _how_it_ended(status: int, size: int) -> str:
-    if status in (-signal.SIGXCPU, -signal.SIGKILL):
-        return f"takes more than {_processor_time(size)} s of processor time to read"
-    if status < 0:
-        return f"ends its reader by the signal {signal.Signals(-status).name}"
-    return _too_large(size)
+def _how_it_ended(status: int, size: int, where: str) -> tuple[str, str, str]:
+    """Return what, where and remedy for a child that ended with `status` before it had answered."""
+    if status == -signal.SIGKILL:
+        what = "the process that read it was killed, perhaps because the computer has run out of memory"
+        return what, where, "close other programs and read it again"
+    if status == -signal.SIGXCPU:
+        what = f"takes more than {_processor_time(size)} s of processor time to read"
+    elif status < 0:
+        what = f"ends its reader by the signal {signal.Signals(-status).name}"
+    else:
+        what = _too_large(size)
+    return what, where, _REMEDY

@@ -15,7 +15,7 @@ from twodof.flightlog import fence
 from twodof.flightlog.atomic import check_free, partial_of
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_encoder import Attachment
-from twodof.flightlog.sanitise import naming_file
+from twodof.flightlog.provenance import naming_file
 
 
 class _Format(NamedTuple):

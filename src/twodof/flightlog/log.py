@@ -1,15 +1,16 @@
-"""FlightLog: what happened in a flight, as channels that each have their own time stamps, unit and gaps."""
+"""Flight logs: channels with their own time stamps, units and gaps, and the provenance of the whole."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import LogError, shown
-from twodof.signals import BY_MAT
+from twodof.errors import LogError, listed, nearest, shown
+from twodof.signals import BY_MAT, TOPICS, Topic
 
 How = Literal["hold", "next", "nearest", "linear"]
 
@@ -26,10 +27,12 @@ MAX_STRETCHES = 10_000
 # drone's own intervals stray by up to a third of a period (x and v) and a lost sample doubles one.
 GAP_FACTOR = 1.5
 
+_BY_COLUMN: Mapping[str, Topic] = MappingProxyType({row.columns[0]: row for row in TOPICS if row.width == 1})
+
 
 @dataclass(frozen=True)
 class Gap:
-    """Samples that are missing from a channel, between the stamps `t0` and `t1` [s] of its neighbours."""
+    """Missing samples of a channel, between the stamps `t0` and `t1` [s] of their neighbours."""
 
     channel: str
     t0: float
@@ -39,7 +42,7 @@ class Gap:
 
     @property
     def duration(self) -> float:
-        """Time without a sample [s]."""
+        """Return the time without a sample [s]."""
         return self.t1 - self.t0
 
 
@@ -47,9 +50,9 @@ class Gap:
 class Channel:
     """Samples of one signal.
 
-    `time` (n,) [s], strictly increasing; `value` (n,) or (n, k) in `unit`; `fields` names the k columns where
-    they have names. Arrays are copied and read-only. Raises LogError for time that does not increase, for NaN
-    or infinity, for shapes that do not match and for absurd sizes; `name` is what the message calls it.
+    `time` (n,) [s] is strictly increasing. `value` (n,) or (n, k) is in `unit`. `fields` names the k columns, if they
+    have names, and `name` is the channel's name in error messages. Arrays are copied and read-only. Raises LogError for
+    time that does not increase, NaN, infinity, shapes that do not match, and more than MAX_SAMPLES samples.
     """
 
     time: NDArray[np.float64]
@@ -86,22 +89,22 @@ class Channel:
         return len(self.time)
 
     def field(self, name: str) -> NDArray[np.float64]:
-        """One named column, (n,), such as `log["lmnf"].field("M")`. Raises LogError if there is none."""
+        """Return one named column (n,), such as `log["lmnf"].field("M")`. Raises LogError for an unknown name."""
         if name not in self.fields:
             what = f"no field {name!r}"
             raise LogError(what, self.name or "channel", f"there are: {', '.join(self.fields) or 'none'}")
         return self.value if self.value.ndim == 1 else self.value[:, self.fields.index(name)]
 
     def period(self) -> float:
-        """Sampling period [s]: mean of the intervals without a lost sample; NaN for fewer than two samples."""
+        """Return the mean of the intervals without a lost sample [s]; NaN for fewer than two samples."""
         steps = np.diff(self.time)
         return float(np.mean(steps[steps <= GAP_FACTOR * np.median(steps)])) if steps.size else float("nan")
 
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
-        """Which sample stands for each time of `t` (m,) [s]; -1 where none does. Raises LogError.
+        """Return the index of the sample that stands for each time of `t` (m,) [s], -1 for none. Raises LogError.
 
         `hold` is the latest sample at or before t, `next` the first at or after t. `nearest` is the
-        closer of the two, or the earlier one of two that are equally close.
+        closer of the two; of two that are equally close, the earlier.
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")
@@ -120,7 +123,7 @@ class Channel:
         raise LogError(f"no pairing called {how!r}", self.name, "use 'hold', 'next', 'nearest' or 'linear'")
 
     def slice(self, t0: float, t1: float) -> "Channel":
-        """The samples with t0 <= time <= t1 [s]."""
+        """Return the samples with t0 <= time <= t1 [s]."""
         a, b = np.searchsorted(self.time, [t0, t1], side="left")
         b += int(b < len(self.time) and self.time[b] == t1)
         return replace(self, time=self.time[a:b], value=self.value[a:b])
@@ -128,10 +131,10 @@ class Channel:
 
 @dataclass(frozen=True, eq=False)
 class FlightLog:
-    """Channels by the drone's .mat names (`theta`, `q`, `M`, ...) and where they came from.
+    """Channels by the drone's .mat names (`theta`, `q`, `M`, ...), and their provenance.
 
-    `provenance` holds JSON values only: `file` (name, sha256, format) and `history` (files it was made from). It also
-    holds `seed`, `versions`, and what the maker of the log added. Raises LogError without a channel.
+    `provenance` holds JSON values: `file` (name, sha256, format), `history` (the files before it), `seed`, `versions`,
+    and entries of the log's maker. Raises LogError without a channel.
     """
 
     channels: dict[str, Channel]
@@ -148,13 +151,13 @@ class FlightLog:
             raise LogError(f"{len(named)} channels", self.source, f"at most {MAX_CHANNELS} are accepted")
         for name, channel in named.items():
             for one in (name, channel.unit, *channel.fields):
-                if len(one) > MAX_NAME or not _is_text(one):
+                if len(one) > MAX_NAME or any("\ud800" <= letter <= "\udfff" for letter in one):
                     raise LogError(f"the name or unit {shown(one)}", shown(name), f"at most {MAX_NAME} letters of text")
         object.__setattr__(self, "channels", named)
         object.__setattr__(self, "provenance", dict(self.provenance))
 
     def __getitem__(self, name: str) -> Channel:
-        """A channel. Raises LogError, saying what there is, if the log lacks it."""
+        """Return a channel. Raises LogError, with the names of all channels, if the log lacks it."""
         try:
             return self.channels[name]
         except KeyError:
@@ -168,22 +171,22 @@ class FlightLog:
 
     @property
     def source(self) -> str:
-        """Name of the file it came from, for messages; "log" where it came from none."""
+        """Return the name of the file that was read, for messages; "log" without a file."""
         file = self.provenance.get("file")
         return str(file.get("name", "log")) if isinstance(file, Mapping) else "log"
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time stamp of any channel [s]. Raises LogError if every channel is empty."""
+        """Return the first and last time stamp of any channel [s]. Raises LogError if every channel is empty."""
         filled = [channel.time for channel in self.channels.values() if len(channel)]
         if not filled:
             raise LogError("no channel holds a sample", self.source)
         return min(float(time[0]) for time in filled), max(float(time[-1]) for time in filled)
 
     def slice(self, t0: float, t1: float) -> "FlightLog":
-        """The samples with t0 <= time <= t1 [s] of every channel; one without any stays, empty.
+        """Return the samples with t0 <= time <= t1 [s] of every channel; a channel may become empty.
 
-        Raises LogError for an empty window and for one without a sample.
+        Raises LogError for an empty window and for a window without a sample.
         """
         start, end = self.span
         if not t0 < t1:
@@ -195,7 +198,7 @@ class FlightLog:
         return FlightLog(cut, {**self.provenance, "slice_s": [float(t0), float(t1)]})
 
     def resample(self, name: str, t: ArrayLike, how: How = "hold", max_age: float | None = None) -> NDArray[np.float64]:
-        """Values of a channel at the times `t` (m,) [s]: (m,), or (m, k) for one with k columns.
+        """Return the values of a channel at the times `t` (m,) [s], of shape (m,) or (m, k) for k columns.
 
         `how` is "hold" (latest sample at or before t), "next" (first at or after), "nearest" or "linear"
         (between the two neighbours). Nothing is extrapolated: raises LogError where no sample stands for a
@@ -229,10 +232,10 @@ class FlightLog:
         return np.where(share == 0.0, channel.value[low], between)
 
     def gaps(self, name: str) -> list[Gap]:
-        """Where samples of a channel are missing: intervals over 1.5 periods. Raises LogError.
+        """Return the gaps of a channel: intervals over 1.5 periods. Raises LogError.
 
-        A channel that is sent on events (`lmnf`), or is too irregular to have a period, has no gaps. `armed`
-        says that the gap touches a stretch with thrust (False where the log has no `T`).
+        A channel that is sent on events (`lmnf`), or is too irregular to have a period, has no gaps. `armed` is True
+        for a gap that touches a stretch with thrust, False for a log without `T`.
         """
         t0, t1, missing, armed = self.gap_table(name)
         rows = zip(t0.tolist(), t1.tolist(), missing.tolist(), armed.tolist(), strict=True)
@@ -241,7 +244,7 @@ class FlightLog:
     def gap_table(
         self, name: str
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-        """`gaps` as arrays (n,): t0, t1, missing, armed."""
+        """Return `gaps` as arrays (n,): t0, t1, missing, armed."""
         channel = self[name]
         row = BY_MAT.get(name)
         none = np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.bool_)
@@ -262,10 +265,10 @@ class FlightLog:
         return t0, t1, lost, starts[first] < t1
 
     def armed(self) -> list[tuple[float, float]]:
-        """Stretches with thrust: stamps [s] of the first and last sample with T > 0. Raises LogError without `T`.
+        """Return the stretches with thrust: stamps [s] of the first and last sample with T > 0.
 
-        The list is empty for an experiment flown with the rotors off, such as the free response. Raises LogError for
-        more than MAX_STRETCHES: such a log is of something else.
+        The list is empty for an experiment with the rotors off, such as the free response. Raises LogError without `T`,
+        and for more than MAX_STRETCHES stretches.
         """
         return list(self._armed)
 
@@ -281,7 +284,7 @@ class FlightLog:
 
 
 def _floats(values: ArrayLike, where: str) -> NDArray[np.float64]:
-    """A read-only float64 copy."""
+    """Return a read-only float64 copy."""
     try:
         if np.iscomplexobj(values):
             raise TypeError("complex numbers")
@@ -290,15 +293,6 @@ def _floats(values: ArrayLike, where: str) -> NDArray[np.float64]:
         raise LogError(f"not real numbers: {reason}", where) from reason
     copy.flags.writeable = False
     return copy
-
-
-def _is_text(text: str) -> bool:
-    """Whether any file can hold it: half of a surrogate pair is not a letter."""
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.float64], what: str) -> None:
@@ -311,3 +305,76 @@ def _check_finite(values: NDArray[np.float64], where: str, time: NDArray[np.floa
             where,
             "leave the sample out together with its time stamp: the channel then has a gap there",
         )
+
+
+def sanitise(
+    time: NDArray[np.float64], value: NDArray[np.float64], unit: str, fields: tuple[str, ...], name: str
+) -> tuple[Channel, dict[str, int]]:
+    """Return the channel of samples in any order, and the counts of samples that it cannot hold.
+
+    `time` (n,) [s], `value` (n,) or (n, k). `not_finite` and `repeated` count samples that are left out; of samples
+    with one stamp the first received is kept. `reordered` counts samples received after a later one. Raises LogError as
+    Channel does.
+    """
+    counts: dict[str, int] = {}
+    finite = np.isfinite(time) & (np.isfinite(value) if value.ndim == 1 else np.isfinite(value).all(axis=1))
+    if not finite.all():
+        counts["not_finite"] = int((~finite).sum())
+        time, value = time[finite], value[finite]
+    if (np.diff(time) < 0.0).any():
+        counts["reordered"] = int((time < np.maximum.accumulate(time)).sum())
+        order = np.argsort(time, kind="stable")
+        time, value = time[order], value[order]
+    fresh = np.concatenate(([True], np.diff(time) > 0.0))[: len(time)]
+    if not fresh.all():
+        counts["repeated"] = int((~fresh).sum())
+        time, value = time[fresh], value[fresh]
+    return Channel(time, value, unit, fields, name), counts
+
+
+def log_of_rows(data: bytes, columns: Sequence[str], provenance: Mapping[str, Any]) -> FlightLog:
+    """Return the log of a plot's rows, as the page sends them to be kept.
+
+    `columns` are scalar signals of TOPICS by column name. `data` is little-endian: float64[n] times [s], rising, then
+    float32[n] of each column, NaN for no value. Raises LogError for an unknown or repeated column, bytes that are not
+    whole rows, and times that do not rise.
+    """
+    unknown = [name for name in columns if name not in _BY_COLUMN]
+    if unknown:
+        raise LogError(f"no column {unknown[0]!r:.80}", "export", f"there are {nearest(unknown[0], _BY_COLUMN)}")
+    if not columns or len(set(columns)) < len(columns):
+        raise LogError(f"columns: {listed(columns)}", "export", "give one or more, each once")
+    row = 8 + 4 * len(columns)
+    count, rest = divmod(len(data), row)
+    if rest or not count:
+        raise LogError(f"{len(data)} bytes are not whole rows of {row}", "export", "send times, then column by column")
+    time = np.frombuffer(data, "<f8", count)
+    if not np.isfinite(time).all() or np.any(np.diff(time) <= 0.0):
+        raise LogError("a time is not finite or does not rise", "export", "send rows in the order of their times")
+    channels = {}
+    for name, values in zip(columns, np.frombuffer(data, "<f4", offset=8 * count).reshape(-1, count), strict=True):
+        topic, there = _BY_COLUMN[name], ~np.isnan(values)
+        channels[topic.mat] = Channel(time[there], values[there].astype(np.float64), topic.unit, name=topic.mat)
+    return FlightLog(channels, dict(provenance))
+
+
+def decimate(
+    time: NDArray[np.float64], value: NDArray[np.float64], most: int
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return about `most` (2 or more) of the points `time` (n,), `value` (n,) of a line that look like all of them.
+
+    Of each bucket the lowest point, the highest and the first NaN are kept; NaN interrupts the line. The first and the
+    last point are kept too.
+    """
+    count = len(time)
+    if count <= most:
+        return time, value
+    size = -(-count // max(1, most // 2))
+    low, high = np.where(np.isnan(value), np.inf, value), np.where(np.isnan(value), -np.inf, value)
+    kept = [0, count - 1]
+    for start in range(0, count, size):
+        part = slice(start, start + size)
+        kept += [start + int(np.argmin(low[part])), start + int(np.argmax(high[part]))]
+        kept += [start + int(hole) for hole in np.flatnonzero(np.isnan(value[part]))[:1]]
+    index = np.unique(kept)
+    return time[index], value[index]

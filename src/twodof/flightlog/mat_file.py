@@ -64,7 +64,7 @@ def decode_vectors(data: bytes, where: str, time: str) -> FlightLog:
     """
     held = _variables(data, where)
     if time not in held:
-        raise LogError(f"there is no variable {shown(time)}", where, f"there are: {nearest(time, held)}")
+        raise LogError(f"variable {shown(time)} is missing", where, f"there are: {nearest(time, held)}")
     vectors = {name: vector for name, value in held.items() if (vector := _vector(value)) is not None}
     if time not in vectors:
         raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")

@@ -1,7 +1,7 @@
-"""Decoder of MCAP files: it walks the records and says of a damaged file what is lost.
+"""Decoder of MCAP files: it walks the records, and lists the lost parts of a damaged file.
 
-The library `mcap` reads the records and inflates the chunks. The walk is our own, because the library ends at the first
-damage, and because runs of messages of one stream become a table at once (the library takes one message at a time).
+The library `mcap` reads the records and inflates the chunks. The walk is our own for two reasons. The library ends at
+the first damage, and it takes one message at a time, where here a run of messages becomes a table at once.
 """
 
 import re
@@ -30,7 +30,7 @@ from twodof.flightlog.mcap_stream import (
     McapStream,
     parse,
 )
-from twodof.flightlog.sanitise import RECOVER, Loss
+from twodof.flightlog.provenance import RECOVER, Loss
 
 UNVERIFIED_NOTE = "twodof.unverified"
 """The table that keeps the rows of a table whose checksum is wrong, so that no reader takes them for true."""
@@ -205,7 +205,7 @@ class _Walk:
             raise LogError(f"{total} messages of {self._stated} are there", self._where, RECOVER)
 
     def _check_schemas(self) -> None:
-        """Name the schemas that are not those of their topics; they are made anew when the file is written."""
+        """List damaged schemas as lost; the writer replaces them."""
         for number, stream in self.contents.streams.items():
             schema = self._schemas.get(self._schema_of[number])
             expected = stream.schema, "ros2msg", stream.definition.encode()

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.log import FlightLog
+from twodof.flightlog.log import FlightLog, sanitise
 from twodof.flightlog.mcap_decoder import UNVERIFIED_NOTE, McapContents, scan
 from twodof.flightlog.mcap_encoder import McapEncoder, McapSamples
 from twodof.flightlog.mcap_stream import nanoseconds, seconds, streams_of
-from twodof.flightlog.sanitise import noted, sanitise
+from twodof.flightlog.provenance import noted
 
 NOTE = "twodof"
 END_NOTE = "twodof.end"

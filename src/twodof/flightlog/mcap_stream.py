@@ -2,11 +2,11 @@
 
 Messages are ROS 2's (schema `ros2msg`, encoding `cdr`), because Foxglove Studio and rosbags read them as they are. A
 message is a CDR head of four bytes and then float64 values. All are aligned, so a run of messages is one table of fixed
-rows. Units and the names of the drone's channels, for which ROS has no place, travel as JSON in the channel's metadata.
+rows. Units and the names of the drone's channels have no place in ROS: they are JSON in the channel's metadata.
 
 Time is a whole number of nanoseconds; in a FlightLog it is that number / 1e9, rounded once, exact to the bit up to
-104 days. Some stamps are not given back by this rule: the drone's own are microseconds * 1e-6, often one bit beside.
-A channel with such a stamp is `stamped`: each of its messages also carries the stamp itself, as a field `time` [s].
+104 days. Not every stamp survives this: the drone's own are microseconds * 1e-6, often one bit beside. A channel with
+such a stamp is `stamped`: each of its messages also carries the stamp itself, as a field `time` [s].
 """
 
 import json
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError, listed, shown
 from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
-from twodof.flightlog.sanitise import RECOVER
+from twodof.flightlog.provenance import RECOVER
 from twodof.signals import BY_MAT, Topic, topic
 
 PACKAGE = "twodof_msgs/msg"
@@ -50,12 +50,12 @@ class McapStream:
 
     @property
     def fits(self) -> bool:
-        """Whether what is written of it can be read again."""
+        """Return True if its messages can be read again."""
         return 1 <= self.width <= MAX_WIDTH and len(self.fields) in (0, self.width) and 0 < len(self.mat) <= MAX_NAME
 
     @property
     def row(self) -> np.dtype[np.void]:
-        """A message record: its head, the CDR head, the stamp if there is one, the values."""
+        """Return the layout of a message record: its head, the CDR head, the stamp if there is one, the values."""
         stamp = [("stamp", "<f8")] if self.stamped else []
         head = [("op", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")]
         times = [("log_time", "<u8"), ("publish_time", "<u8")]
@@ -63,17 +63,17 @@ class McapStream:
 
     @property
     def content_bytes(self) -> int:
-        """Length of a message record's content."""
+        """Return the length of a message record's content."""
         return _MESSAGE_HEAD_BYTES + 4 + 8 * (self.width + self.stamped)
 
     @property
     def record_bytes(self) -> int:
-        """Length of a message record."""
+        """Return the length of a message record."""
         return RECORD_HEAD_BYTES + self.content_bytes
 
     @property
     def definition(self) -> str:
-        """The schema, as ROS 2 writes messages; units are comments."""
+        """Return the schema, as ROS 2 writes messages; units are comments."""
         note = f"  # {_comment(self.unit)}" if self.unit else ""
         lines = [f"# {_comment(self.about)}"] if self.about else []
         lines += ["float64 time  # s, the stamp to its last bit"] if self.stamped else []
@@ -85,13 +85,13 @@ class McapStream:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What else the channel's record keeps."""
+        """Return the metadata of the channel's record."""
         kept = {"name": self.mat, "unit": self.unit, "fields": self.fields, "width": self.width}
         return {KEY: json.dumps({**kept, "stamped": self.stamped, "about": self.about, "schema": self.schema})}
 
 
 def stream_of(row: Topic) -> McapStream:
-    """The stream of a signal of TOPICS: `/imu/gyro`, `twodof_msgs/msg/ImuGyro`."""
+    """Return the stream of a signal of TOPICS: `/imu/gyro`, `twodof_msgs/msg/ImuGyro`."""
     parts = re.split(r"[._]", row.name)
     return McapStream(
         "/" + row.name.replace(".", "/"),
@@ -105,7 +105,7 @@ def stream_of(row: Topic) -> McapStream:
 
 
 def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
-    """Streams by the name under which samples are given; a text is a signal of TOPICS, by name or .mat channel.
+    """Return streams by the name under which samples are given; a text is a signal of TOPICS, by name or .mat channel.
 
     Raises LogError for a signal that is unknown or named twice and for a stream that could not be read again.
     """
@@ -127,7 +127,7 @@ def named(streams: Iterable[str | Topic | McapStream]) -> dict[str, McapStream]:
 
 
 def streams_of(log: FlightLog) -> dict[str, McapStream]:
-    """The stream of each channel of a log; those that TOPICS does not know get topics `/other/...`."""
+    """Return the stream of each channel of a log; channels that are not in TOPICS get topics `/other/...`."""
     found: dict[str, McapStream] = {}
     if len(log.channels) > MAX_CHANNELS:
         raise LogError(f"{len(log.channels)} channels", log.source, f"at most {MAX_CHANNELS} are written")
@@ -146,7 +146,7 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
 
 
 def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str) -> McapStream | None:
-    """The stream that a channel's record describes; None for a topic that is not ours. Raises LogError.
+    """Return the stream that a channel's record describes; None for a foreign topic. Raises LogError.
 
     `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
     """
@@ -168,7 +168,7 @@ def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str],
 
 
 def ros_names(fields: Iterable[str]) -> list[str]:
-    """Names that ROS accepts: lower case, digits and single underscores, each once."""
+    """Return names that ROS accepts: lower case, digits and single underscores, each once."""
     names: list[str] = []
     for field in fields:
         apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", field).lower()
@@ -180,14 +180,14 @@ def ros_names(fields: Iterable[str]) -> list[str]:
 
 
 def nanoseconds(time: NDArray[np.float64], where: str) -> NDArray[np.uint64]:
-    """Whole nanoseconds closest to stamps [s]. Raises LogError for one before 0 or after the year 2262."""
+    """Return the whole nanoseconds closest to stamps [s]. Raises LogError before 0 and after the year 2262."""
     if time.size and (time[0] < 0.0 or time[-1] >= 2.0**63 / 1e9):
         raise LogError(f"stamps from {time[0]!s} to {time[-1]!s} s", where, "MCAP counts from 0: shift the time")
     return np.rint(time * 1e9).astype(np.uint64)
 
 
 def seconds(time_ns: NDArray[np.uint64]) -> NDArray[np.float64]:
-    """Stamps [s] of whole nanoseconds."""
+    """Return the stamps [s] of whole nanoseconds."""
     return time_ns.astype(np.float64) / 1e9
 
 

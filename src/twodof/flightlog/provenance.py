@@ -1,4 +1,4 @@
-"""Provenance of a log: the file read, its checksum, the files it was made from, the versions at work."""
+"""Opening of the files that are read, and the provenance of a log: file, checksum, history, versions."""
 
 import hashlib
 import json
@@ -7,7 +7,9 @@ import platform
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -20,6 +22,28 @@ MAX_FILE_BYTES = 1 << 29
 """Largest log file that is read, in bytes."""
 MAX_DEPTH = 32
 """Deepest nesting of provenance: each level is indented where it is printed."""
+RECOVER = "get what is sound with: twodof log recover"
+"""The remedy for a file that was cut off or damaged; `naming_file` adds the file's name."""
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A part of a file that cannot be used: `size` bytes from byte `at` on."""
+
+    at: int
+    size: int
+    why: str
+
+
+@contextmanager
+def naming_file(path: str | Path) -> Iterator[None]:
+    """Add the name of the file to the remedy RECOVER of a LogError, so that the command can be copied."""
+    try:
+        yield
+    except LogError as reason:
+        if reason.remedy != RECOVER:
+            raise
+        raise LogError(reason.what, reason.where, f"{RECOVER} {quote(str(path))}") from reason
 
 
 def versions() -> dict[str, str]:
@@ -113,3 +137,9 @@ def from_json(text: str, where: str) -> dict[str, Any]:
     if level:
         raise LogError(f"the provenance kept in the file is nested over {MAX_DEPTH} deep", where)
     return kept
+
+
+def noted(kept: dict[str, Any], counts: dict[str, dict[str, int]]) -> dict[str, Any]:
+    """Return provenance with the counts of `sanitise` by channel under "left_out", without empty ones."""
+    some = {name: row for name, row in counts.items() if row}
+    return {**kept, "left_out": some} if some else kept

@@ -1,8 +1,8 @@
-"""The public flight logs of a real drone: where they are, and how to get at them.
+"""Public flight logs of a real drone: their addresses, and the search for them.
 
-Seven logs of an ANT-X 2DoF Drone, published under the MIT licence in two repositories of M. Di Mauro. They
-are not part of this package. A log is looked for in the folder that TWODOF_FLIGHT_DATA names, then in the cache, and
-else downloaded; its checksum is verified each time.
+Seven logs of an ANT-X 2DoF Drone, published under the MIT licence in two repositories of M. Di Mauro. They are not part
+of this package. A log is searched in the folder TWODOF_FLIGHT_DATA, then in the cache, and downloaded otherwise. Its
+checksum is verified each time.
 """
 
 import hashlib
@@ -36,8 +36,8 @@ _ESTIMATION = (
 class PublicLog:
     """One published log: our name for it, its address and its checksum.
 
-    `gains` names the set it was flown with. In `window` [s on the log's axis] a simulation is compared with it; the
-    channels `compared` are those that count there.
+    `gains` names the gains it was flown with. A simulation is compared with it in `window` [s, on the log's axis] by
+    the channels `compared`.
     """
 
     name: str
@@ -114,7 +114,7 @@ PUBLIC_LOGS: Mapping[str, PublicLog] = MappingProxyType({row.name: row for row i
 
 
 def find(name: str, deadline_s: float = 60.0) -> Path:
-    """The file of a public log, downloaded into the cache if it is not at hand.
+    """Return the file of a public log, after a download into the cache if it is not on this computer.
 
     `name` is one of PUBLIC_LOGS, with or without ".mat". Raises LogError for an unknown name, for a wrong
     checksum, and for a log that is not found and not downloaded within `deadline_s` seconds.
@@ -126,9 +126,9 @@ def find(name: str, deadline_s: float = 60.0) -> Path:
 
 
 def available() -> dict[str, Path]:
-    """The public logs that are at hand without a network, by name.
+    """Return the files of the public logs that are on this computer, by name.
 
-    Raises LogError for a file that bears a log's name but not its checksum.
+    Raises LogError for a file with a log's name and another checksum.
     """
     found = {name: _at_hand(row) for name, row in PUBLIC_LOGS.items()}
     return {name: path for name, path in found.items() if path is not None}
@@ -142,14 +142,14 @@ def _at_hand(row: PublicLog) -> Path | None:
 
 
 def cache_folder() -> Path:
-    """Where downloaded logs are kept: below XDG_CACHE_HOME, or ~/.cache."""
+    """Return the folder of downloaded logs: below XDG_CACHE_HOME, or ~/.cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "twodof" / "flight-data"
 
 
 def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
-    """Downloads a log into `folder` and returns its path; nothing is kept unless its checksum is right.
+    """Download a log into `folder` and return its path; nothing is kept unless its checksum is right.
 
-    Raises DownloadError where that does not succeed within `deadline_s` seconds.
+    Raises DownloadError if that does not succeed within `deadline_s` seconds.
     """
     remedy = f"set {VARIABLE} to a folder that holds {row.name}.mat, or try again with a network"
     received: list[bytes | Exception] = []
@@ -174,7 +174,7 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
 
 
 def _receive(url: str, deadline_s: float) -> bytes | Exception:
-    """What the address holds, or why not."""
+    """Return the content of an address, or the exception that prevented it."""
     data = bytearray()
     end = time.monotonic() + deadline_s
     try:
@@ -194,7 +194,7 @@ def _receive(url: str, deadline_s: float) -> bytes | Exception:
 
 
 def _folders() -> list[Path]:
-    """Where a log may lie, in order."""
+    """Return the folders to search, in order."""
     named = os.environ.get(VARIABLE)
     if named:
         return [Path(named), cache_folder()]

@@ -2,7 +2,7 @@
 
 Schemas, channels, provenance and attachments come first. Then come chunks with checksums, one each quarter of a second
 by default, each followed by its index and an fsync. So `recovery.recover` finds every acknowledged sample, however the
-process or the machine ends, and takes nothing else for one.
+process or the machine ends, and nothing false.
 """
 
 import json
@@ -26,7 +26,7 @@ _LATEST_NS = (1 << 63) - 1
 
 
 class _Slot:
-    """The samples of a stream that wait to be written."""
+    """Samples of a stream that wait to be written."""
 
     def __init__(self, number: int, stream: McapStream) -> None:
         self.number, self.width = number, stream.width
@@ -42,16 +42,16 @@ class _Slot:
 
 
 class Recorder(AppendOnlyFile):
-    """Records samples of topics into a new MCAP file, for `with`.
+    """Recorder of samples of topics into a new MCAP file, for `with`.
 
     `topics`: names of TOPICS (`imu.gyro`), rows of TOPICS, or streams that you describe. `provenance` holds JSON values
     (seed, parameters, versions, ...), `attachments` files such as the diagram. Both reach the disk before the first
-    sample. Values are recorded as they come, NaN included; read_mcap says what it leaves out.
+    sample. Values are recorded as they come, NaN included; `read_log` leaves NaN out and counts it.
 
     `full="drop"`, the default, is for a caller that must not wait. It drops samples that do not fit into
     `capacity_bytes`, counts them by topic in `dropped` and keeps the counts in the file. `full="wait"` waits for the
-    disk, as lockstep needs it. Raises LogError if the file exists or cannot be made, RecordingError when the disk
-    refuses or is silent.
+    disk, for flights in lockstep. Raises LogError if the file exists or cannot be made, RecordingError when the disk
+    refuses or does not answer.
     """
 
     def __init__(
@@ -77,12 +77,12 @@ class Recorder(AppendOnlyFile):
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Samples that were not taken because the disk was too slow, by topic; topics without any are left out."""
+        """Return the counts of samples dropped because of a slow disk, by topic; topics without any are left out."""
         with self._changed:
             return {name: slot.dropped for name, slot in self._slots.items() if slot.dropped}
 
     def write(self, topic: str, time_ns: int, values: float | Sequence[float]) -> bool:
-        """Takes a sample, `values` a number or one for each field in the topic's unit; False if it was dropped.
+        """Take a sample, `values` a number or one for each field in the topic's unit; return False if it was dropped.
 
         `time_ns` is the flight's time, 0 <= time_ns < 2^63. Raises LogError for an unknown topic or values that do
         not fit it, RecordingError once the recording has ended.
@@ -105,7 +105,7 @@ class Recorder(AppendOnlyFile):
         return True
 
     def write_many(self, topic: str, time_ns: ArrayLike, values: ArrayLike) -> bool:
-        """Takes `values` (n,) or (n, k) at the times `time_ns` (n,), all or none; False if they were dropped.
+        """Take `values` (n,) or (n, k) at the times `time_ns` (n,), all or none; return False if they were dropped.
 
         Raises as `write` does.
         """
@@ -127,9 +127,10 @@ class Recorder(AppendOnlyFile):
         return True
 
     def note(self, name: str, value: object) -> None:
-        """Keeps a JSON value that is known at the end only, in the log's provenance under `name`.
+        """Keep a JSON value that is known at the end only, in the log's provenance under `name`.
 
-        It stands behind the last sample: a recording that is cut off has it not. Raises LogError for what is no JSON.
+        It is written after the last sample, so a recording that is cut off lacks it. Raises LogError for a value that
+        JSON cannot hold.
         """
         kept_json({name: value}, str(self.path))
         self._notes[name] = value

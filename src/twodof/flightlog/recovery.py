@@ -17,7 +17,7 @@ from twodof.flightlog.mcap_decoder import McapContents, scan
 from twodof.flightlog.mcap_encoder import Attachment, McapSamples
 from twodof.flightlog.mcap_file import RECOVERED_NOTE, to_log, write_contents, write_mcap
 from twodof.flightlog.mcap_stream import McapStream
-from twodof.flightlog.sanitise import Loss
+from twodof.flightlog.provenance import Loss
 
 NO_CHECKSUMS = "every value: a ULog has no checksums"
 

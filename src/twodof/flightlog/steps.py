@@ -1,4 +1,4 @@
-"""Channels of a flight of which every step is known, simulated or logged on board, stamped as the drone's logs are."""
+"""Channels of a flight from its steps, simulated or logged on board, with the time stamps of the drone's logs."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,15 +13,14 @@ BOOT = 10.0
 """Time stamp of tick 0 [s]: the drone's logs count from when the flight controller booted."""
 
 STEP_TOPIC = "twodof_step"
-"""The ULog topic with every step of the flight code; what was asked for has names that begin with `ASKED`."""
+"""The ULog topic with every step of the flight code; names of its set-points begin with `ASKED`."""
 ASKED = "asked_"
 
 TRUTH = ("theta", "q", "x", "v")
 """Names of a virtual rig's true state, [rad], [rad/s], [m], [m/s]; `rig.rig.TRUTH`."""
 
 SAFETY = ("action", "reasons", "causes")
-"""Fields of the channel `safety`: an index into flight.causes.ACTIONS, and masks of its CAUSES, of those that decided
-it and of those that hold."""
+"""Fields of the channel `safety`: index into ACTIONS, mask of the deciding CAUSES, mask of all CAUSES that hold."""
 
 _SLOWEST_HZ = 10.0
 """Below this a signal is logged after the events and the truth."""
@@ -34,11 +33,11 @@ _LOGGED = sorted(
     (row for row in TOPICS if row.source and row.rate_hz),
     key=lambda row: (row.rate_hz < _SLOWEST_HZ, _ORDER.get(row.when, 2), row.source[0] in _COMPUTED),
 )
-"""The signals that a step tells, in the order of a log's channels; the open-loop messages are events."""
+"""The signals of a step, in the order of a log's channels; the open-loop messages are events."""
 
 
 class OpenLoopMessages:
-    """The open-loop messages of a flight: where the loop opens, closes or M steps, and 50 a second while it is open.
+    """Open-loop messages of a flight: one when the loop opens, closes or M steps, and 50 a second while it is open.
 
     The steps of a flight may come in several parts.
     """
@@ -49,7 +48,10 @@ class OpenLoopMessages:
     def sent(
         self, mode: NDArray[Any], M: NDArray[np.float64], T: NDArray[np.float64]
     ) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
-        """In which of the next steps (n,) there is a message, and the messages (m, 5); none where M or T is NaN."""
+        """Return a flag for each of the next steps (n,), and the messages (m, 5) of the flagged steps.
+
+        A step with NaN in M or T has no message.
+        """
         opened = mode == OPEN_LOOP
         changed = np.diff(opened.astype(np.int8), prepend=self._was) != 0
         stepped = opened & (np.append(self._before, M[:-1]) != M)
@@ -65,12 +67,13 @@ class OpenLoopMessages:
 def step_channels(
     tick: NDArray[np.int64], out: Mapping[str, NDArray[Any]], mode: NDArray[np.int32]
 ) -> dict[str, Channel]:
-    """The channels of the steps whose signals (n,) are `out`. `tick` (n,) rises; ticks may be missing.
+    """Return the channels of the steps whose signals (n,) are `out`. `tick` (n,) rises; ticks may be missing.
 
-    `out` holds the measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge. It may hold acc_y, gyro_x and
-    gyro_z too. It holds the flight code's outputs: theta, q, x, v, theta0, q0, x0, v0, M, T. Of a simulation it also
-    holds the truth (true_theta, ...). Samples that are not finite, which a user's controller may give, are left out: a
-    gap.
+    `out` holds:
+    - measurements: acc_x, acc_z, gyro_y, dist, dist_new, voltage, charge; if known acc_y, gyro_x, gyro_z;
+    - outputs of the flight code: theta, q, x, v, theta0, q0, x0, v0, M, T;
+    - of a simulation the truth: true_theta and so on.
+    NaN and infinity, which a user's controller may give, are left out as gaps.
     """
     time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
     out = {**out, "mode": mode.astype(np.float64), "-|T|": -np.abs(out["T"])}
@@ -97,30 +100,30 @@ def step_channels(
 
 
 def truth_channels(tick: NDArray[np.int64], state: Mapping[str, NDArray[Any]]) -> dict[str, Channel]:
-    """The channels of a virtual rig's true state (`TRUTH`): `state` (n,) has the values at the rising `tick` (n,)."""
+    """Return the channels of a virtual rig's true `state` (n,), named as in `TRUTH`, at the rising `tick` (n,)."""
     time = np.asarray(BOOT + PERIOD * tick, dtype=np.float64)
     rows = {name: topic(f"truth.{name}").mat for name in state}
     return {row: _channel(row, time, state[name]) for name, row in rows.items()}
 
 
 def safety_channel(tick: NDArray[np.int64], values: NDArray[np.float64]) -> Channel:
-    """What the failsafe did at `tick` (n,), rising, and why: `values` (n, 3) of `SAFETY`."""
+    """Return the channel `safety`: the failsafe's `values` (n, 3) of `SAFETY` at the rising `tick` (n,)."""
     return Channel(np.asarray(BOOT + PERIOD * tick, dtype=np.float64), values, "", SAFETY, "safety")
 
 
 def is_published(tick: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """In which steps the estimator publishes x and v: 100 Hz out of 250, two of five."""
+    """Return True for the steps in which the estimator publishes x and v: 100 Hz out of 250, two of five."""
     return (2 * (tick + 1)) % 5 < 2
 
 
 def shift(name: str) -> float:
-    """How much later [s] than M of the same step a .mat channel is stamped; negative for what was measured before."""
+    """Return the delay [s] of a .mat channel's stamp after M's of the same step; negative for measurements."""
     row = BY_MAT.get(name)
     return row.later if row else 0.0
 
 
 def _published(tick: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Where an estimate of x and v was published, and where it is first read: in the next step, if that is there."""
+    """Return the steps in which an estimate of x and v was published, and the next steps, which first read it."""
     at = np.flatnonzero(is_published(tick[:-1]) & (np.diff(tick) == 1))
     return at, at + 1
 

@@ -1,10 +1,10 @@
 """Flight logs as tables, for pandas, MATLAB, R, spreadsheets: Parquet and CSV.
 
-Two forms are written and read. The *long* (tidy) form is the default, because every channel has its own time stamps:
-a row for each number, with the columns `channel`, `field` (empty for a scalar), `time` and `value`. The *wide* form,
-which other programs write too, has a row for each time stamp. Its first column is `time [s]`. The other columns are
-called as the channel and its unit, `theta [rad]`, or `gyr.y [rad/s]` for a channel with fields. An empty cell says that
-the channel has no sample at that time.
+Two forms are written and read. The *long* (tidy) form is the default, because every channel has its own time stamps. It
+has a row for each number, with the columns `channel`, `field` (empty for a scalar), `time` and `value`. The *wide*
+form, common among other programs, has a row for each time stamp. Its first column is `time [s]`. The other columns are
+named after channel and unit, `theta [rad]`, or `gyr.y [rad/s]` for a channel with fields. An empty cell means that the
+channel has no sample at that time.
 
 Units and provenance travel as one line of JSON: in Parquet's schema metadata, in CSV behind `#` in the first line. Both
 forms read back bit for bit.

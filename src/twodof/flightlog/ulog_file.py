@@ -16,8 +16,8 @@ from pyulog.exceptions import ULogException
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
-from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.sanitise import RECOVER, Loss, noted, sanitise
+from twodof.flightlog.log import Channel, FlightLog, sanitise
+from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
 from twodof.flightlog.ulog_writer import HEADER, LETTERS, MAGIC, MARK, MESSAGE, OWN
 from twodof.signals import BY_MAT, PERIOD, SEVERITIES, TOPICS

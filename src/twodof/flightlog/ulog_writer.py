@@ -1,7 +1,6 @@
 """Writer of ULog, PX4's log format, for the on-board log of the virtual flight controller and for other logs.
 
-It writes what PX4's tools need: flags, formats, information, parameters, records, texts, dropouts and marks to
-synchronise on. A mark follows each part that goes to the disk; the part is acknowledged when it is there. The library
+A mark to synchronise on follows each part that goes to the disk; the part is acknowledged when it is there. The library
 pyulog writes only logs that it has read before.
 
 Source: PX4 user guide, "ULog file format", version 1. All numbers are little-endian; a message is a length (u16), a
@@ -63,19 +62,19 @@ LEVELS: Mapping[str, int] = {"error": 3, "warning": 4, "info": 6, "debug": 7}
 
 
 def topic_format(topic: Topic) -> tuple[str, str]:
-    """Name and description of the records of a signal of TOPICS, in the precision in which it is computed."""
+    """Return name and description of the records of a signal of TOPICS, in the precision in which it is computed."""
     names = topic.fields or ("value",)
     return topic.name.replace(".", "_"), "uint64_t timestamp;" + "".join(f"double {name};" for name in names)
 
 
 class ULogWriter(AppendOnlyFile):
-    """Writes records into a new ULog file, for `with`.
+    """Writer of records into a new ULog file, for `with`.
 
     `formats` describes each topic's records by name, such as `uint64_t timestamp;float[3] xyz;`: basic types,
-    `timestamp` [us] first. By default there is one for each signal of TOPICS that the flight controller knows. `info`:
-    texts and whole numbers; `parameters`: int for PX4's int32, float for its float, which it rounds to. `full`,
-    `capacity_bytes` and `flush_s` are Spool's; the time over which records were dropped is logged as such. Raises
-    LogError for what ULog cannot hold or a file that exists, RecordingError when the disk refuses.
+    `timestamp` [us] first. By default there is one for each signal of TOPICS that the flight controller has. `info`
+    holds texts and whole numbers; `parameters` int for PX4's int32, float for its float. `full`, `capacity_bytes` and
+    `flush_s` are AppendOnlyFile's; the time over which records were dropped is logged as a dropout. Raises LogError for
+    values that ULog cannot hold and for a file that exists, RecordingError when the disk refuses.
     """
 
     def __init__(
@@ -106,12 +105,12 @@ class ULogWriter(AppendOnlyFile):
         self._buffer = bytearray()
         self._dropped_since: int | None = None
         self.dropped = 0
-        """Records, texts and changes that were not taken because the disk was too slow."""
+        """Records, texts and changes dropped because of a slow disk."""
         super().__init__(path, flush_s, capacity_bytes, full)
         self._start(head + added + MARK)
 
     def write(self, name: str, timestamp_us: int, values: Sequence[float]) -> bool:
-        """Takes a record: one number for each element after `timestamp`; False if it was dropped.
+        """Take a record, one number for each element after `timestamp`; return False if it was dropped.
 
         Raises LogError for a name without a format or values that do not fit it, RecordingError after a failure.
         """
@@ -124,13 +123,13 @@ class ULogWriter(AppendOnlyFile):
         return self._put(_message("D", payload), timestamp_us)
 
     def layout(self, name: str) -> np.dtype[np.void]:
-        """How numpy has the records of the topic `name`. Raises LogError for one without a format."""
+        """Return numpy's layout of the records of the topic `name`. Raises LogError for a topic without a format."""
         if name not in self._layouts:
             raise LogError(f"no topic {shown(name)}", self._where, "describe it when the log is opened")
         return self._layouts[name]
 
     def write_many(self, name: str, rows: NDArray[np.void]) -> bool:
-        """Takes records (n,) laid out as `layout(name)`, all or none; False if they were dropped. Raises as `write`."""
+        """Take records (n,) of `layout(name)`, all or none; return False if they were dropped. Raises as `write`."""
         layout = self.layout(name)
         if rows.dtype != layout or rows.ndim != 1:
             raise LogError(f"records of {rows.dtype}, shape {rows.shape}", f"{self._where}: {name}", "see layout()")
@@ -144,11 +143,11 @@ class ULogWriter(AppendOnlyFile):
         return self._put(whole.tobytes(), int(rows["timestamp"][-1]), len(rows))
 
     def dropout(self, lost_ms: int, timestamp_us: int) -> bool:
-        """Takes the mark that nothing could be logged for `lost_ms` before `timestamp_us`."""
+        """Log that nothing could be logged for `lost_ms` before `timestamp_us`."""
         return self._put(_dropout(lost_ms), _whole(timestamp_us, 64, self._where))
 
     def text(self, level: str, timestamp_us: int, line: str) -> bool:
-        """Takes a line for the log's reader, of a level of LEVELS. Raises LogError for another level."""
+        """Log a line of text of a level of LEVELS. Raises LogError for another level."""
         if level not in LEVELS:
             raise LogError(f"no level {shown(level)}", self._where, f"use {', '.join(LEVELS)}")
         stamp = _whole(timestamp_us, 64, self._where)
@@ -156,7 +155,7 @@ class ULogWriter(AppendOnlyFile):
         return self._put(_message("L", body), stamp)
 
     def parameter(self, name: str, value: float, timestamp_us: int) -> bool:
-        """Takes a change of a parameter. Raises LogError for one that ULog cannot hold."""
+        """Log a change of a parameter. Raises LogError for a value that ULog cannot hold."""
         return self._put(self._parameter(name, value), _whole(timestamp_us, 64, self._where))
 
     def _put(self, made: bytes, stamp_us: int, count: int = 1) -> bool:
@@ -256,10 +255,10 @@ def _whole(value: int, bits: int, where: str, signed: bool = False) -> int:
 
 
 def write_ulg(log: FlightLog, path: str | Path) -> tuple[str, ...]:
-    """Writes the log into a new ULog file that `read_ulog` reads; returns the channels that ULog cannot name.
+    """Write a log into a new ULog file and return the names of the channels that are left out, not being in TOPICS.
 
-    Stamps are rounded to microseconds. Words and the parameters at the start go with it. Raises LogError where the log
-    has none of our signals or a time before 0, and where the file exists; RecordingError where the disk refuses.
+    Stamps are rounded to microseconds. Texts and the parameters at the start go with it. Raises LogError for a log
+    without a signal of TOPICS, for a time before 0 and for a file that exists, RecordingError when the disk refuses.
     """
     topics = {name: BY_MAT[name] for name in log if name in BY_MAT and len(log[name])}
     if not topics:
@@ -313,9 +312,9 @@ _FIRST_RECORDS = frozenset(b"DLO")
 
 
 class ULogFragment(NamedTuple):
-    """Bytes of a log; `first` is where the first message begins in them, NO_MESSAGE if none does.
+    """Bytes of a log; `first` is the place of the first message that begins in them, or NO_MESSAGE.
 
-    `described`: it belongs to what stands before the first record, without which nothing can be read.
+    `described` marks the parts before the first record, without which nothing can be read.
     """
 
     data: bytes
@@ -324,7 +323,7 @@ class ULogFragment(NamedTuple):
 
 
 class ULogFragments:
-    """Takes the bytes of a file in their order and gives them in pieces; places count from the file's first byte."""
+    """Cutter of a file's bytes into fragments; places count from the file's first byte."""
 
     def __init__(self) -> None:
         self._bytes = bytearray()
@@ -335,11 +334,11 @@ class ULogFragments:
 
     @property
     def waiting(self) -> int:
-        """Bytes that were taken and not given."""
+        """Return the number of bytes that were fed and not returned."""
         return len(self._bytes)
 
     def feed(self, data: bytes) -> None:
-        """Takes what follows."""
+        """Append the file's next bytes."""
         self._bytes += data
         end = self._given + len(self._bytes)
         while self._next + MESSAGE.size <= end:
@@ -350,7 +349,7 @@ class ULogFragments:
             self._next += MESSAGE.size + length
 
     def next(self) -> ULogFragment | None:
-        """The next piece, None while there is none; the first record begins one."""
+        """Return the next fragment, None while there is none; the first record begins one."""
         at = self._given
         end = min(at + MOST, at + len(self._bytes), self._next)
         described = self._records is None or at < self._records

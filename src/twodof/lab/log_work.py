@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.files import read_log, write_log
-from twodof.flightlog.log import FlightLog
-from twodof.flightlog.thinning import thinned
+from twodof.flightlog.log import FlightLog, decimate
 from twodof.flightlog.ulog_writer import write_ulg
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view
@@ -235,7 +234,7 @@ def _told(found: FlightView, points: int) -> dict[str, Any]:
 
 
 def _curve(curve: Curve, points: int) -> dict[str, Any]:
-    time, value = thinned(curve.time, curve.value, min(points, MOST_POINTS))
+    time, value = decimate(curve.time, curve.value, min(points, MOST_POINTS))
     packed = {"time": time.astype("<f8"), "value": value.astype("<f4")}
     return {
         "label": curve.label,

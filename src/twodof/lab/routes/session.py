@@ -14,8 +14,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
 from twodof.flightlog.files import write_log
+from twodof.flightlog.log import log_of_rows
 from twodof.flightlog.provenance import versions
-from twodof.flightlog.seen import log_of_rows
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, takes
 from twodof.lab.lab import CurrentLab
 from twodof.lab.telemetry_client import MalformedRequest, MostClients, TelemetryClient

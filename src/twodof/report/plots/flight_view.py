@@ -15,8 +15,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, named_cau
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.events import MAX_EVENTS, modes
 from twodof.flightlog.files import check_folder
-from twodof.flightlog.log import FlightLog
-from twodof.flightlog.thinning import thinned
+from twodof.flightlog.log import FlightLog, decimate
 from twodof.report.content import Span
 from twodof.signals import BY_MAT, BY_NAME
 
@@ -226,7 +225,7 @@ def cut_curve(
         at = np.searchsorted(time, after[inside])
         time = np.insert(time, at, 0.5 * (before[inside] + after[inside]))
         value = np.insert(value, at, np.nan)
-    return thinned(time, value, MOST_POINTS)
+    return decimate(time, value, MOST_POINTS)
 
 
 def _few(what: str, bands: tuple[Span, ...], notes: list[str]) -> tuple[Span, ...]:
