@@ -1,8 +1,10 @@
-"""A module of a work item in flight: what commander, sensors and pilot publish, and what the host makes of it."""
+"""Publications of commander, sensors and pilot for a work item in flight, and the host's outputs for its inputs."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,7 +25,7 @@ def quaternion(theta: float) -> list[float]:
 
 
 def mode(bench: Bench, armed: bool = True, rates: bool = True, attitude: bool = True, rail: bool = False) -> None:
-    """What the commander says."""
+    """Publish the commander's mode."""
     bench.publish("actuator_armed", armed=armed)
     bench.publish(
         "vehicle_control_mode",
@@ -48,8 +50,17 @@ def fly(bench: Bench, steps: int, theta_0: float = 0.1, thrust: float = 0.4, eve
         measure(bench, 0.05 * math.sin(0.3 * k), 0.2 * math.cos(0.3 * k))
 
 
-def replayed(diagram: Diagram, log: tuple[str, ...], rows: Any) -> dict[str, Any]:
-    """What the host computes of the inputs in the module's messages."""
+def replayed(
+    diagram: Diagram, log: tuple[str, ...], rows: Any, changes: Mapping[int, Mapping[str, Any]] | None = None
+) -> dict[str, Any]:
+    """Return the host's outputs for the inputs in the module's messages, with parameters that change at some rows."""
     machine = build(diagram, DT, "float32", log).machine()
     inputs = {name: np.ascontiguousarray(rows[f"in_{name.lower()}"]) for name in diagram.inputs}
-    return machine.run(len(rows), inputs)
+    changes = {0: {}, **(changes or {})}
+    parts = []
+    for start, end in pairwise([*sorted(changes), len(rows)]):
+        machine.set_many(changes[start])
+        if start == 0:
+            machine.reset()  # initial states may be parameters
+        parts.append(machine.run(end - start, {name: column[start:end] for name, column in inputs.items()}))
+    return {path: np.concatenate([part[path] for part in parts]) for path in parts[0]}

@@ -86,10 +86,6 @@ def test_px4s_flags_alone_change_bits(tmp_path: Path) -> None:
     assert differing(swings(), tmp_path, ()) == ["y"]
 
 
-def test_no_flag_of_px4s_is_given_again() -> None:
-    assert not set(EXACT) & set(PX4_FLAGS.split())
-
-
 def test_nothing_is_called_but_memory_functions(tmp_path: Path) -> None:
     d = Diagram("root")
     d.input("q")

@@ -14,7 +14,7 @@ from tests.compile.px4.modules import PITCH_LOG, pitch, rail
 from twodof.blocks import Block, Diagram, Param, Port
 from twodof.blocks.library import Convert
 from twodof.compile.px4.export import Px4Module, make_module
-from twodof.compile.px4.parameters import LARGEST_FLOAT, MOST, UNITS, decimals, number
+from twodof.compile.px4.parameters import MOST, number
 from twodof.errors import DiagramError
 from twodof.flight.starters import STARTERS, starter
 
@@ -58,10 +58,6 @@ def definitions(module: Px4Module) -> dict[str, Any]:
 @pytest.mark.parametrize("name", STARTERS)
 def test_the_starters_parameters_are_valid(name: str) -> None:
     definitions(make_module(starter(name)))
-
-
-def test_the_units_written_are_those_of_all_versions() -> None:
-    assert set(UNITS.values()) <= ALLOWED
 
 
 def test_parameters_of_all_types() -> None:
@@ -154,17 +150,6 @@ def test_signals_of_the_kinds_beside_real_are_refused() -> None:
         make_module(d, ["wide.y"])
 
 
-def test_integer_bounds_are_the_diagrams() -> None:
-    rows = definitions(with_params(Param("n", 2, "int32", low=2, high=3.0), Param("m", -5, "int32")))
-    assert (rows["TMA_B_N"]["min"], rows["TMA_B_N"]["max"]) == (2, 3)
-    assert "min" not in rows["TMA_B_M"]
-
-
-def test_a_default_out_of_bounds_is_refused() -> None:
-    with pytest.raises(DiagramError, match=r"default 2\.0 is outside \[0\.0, 1\.0\]"):
-        with_params(Param("a", 2.0, low=0.0, high=1.0))
-
-
 def test_too_many_parameters_are_refused() -> None:
     with pytest.raises(DiagramError, match="parameters for PX4"):
         with_params(*(Param(f"p{i}") for i in range(MOST + 1)))
@@ -177,18 +162,3 @@ def test_a_number_in_yaml_is_read_back_as_the_same_float32(value: float) -> None
     assert type(read) is float
     # PX4 prints it with Python's str into C, whose compiler rounds the double to a float
     assert np.float32(float(str(read))).tobytes() == np.float32(value).tobytes()
-
-
-def test_infinite_bounds_are_the_largest_floats_in_c_and_none_in_yaml() -> None:
-    module = with_params(Param("free", 1.0))
-    row = module.parameters[0]
-    assert (row.low, row.high) == (-LARGEST_FLOAT, LARGEST_FLOAT)
-    assert not {"min", "max"} & set(definitions(module)["TMA_B_FREE"])
-    assert "-0x1.fffffep+127f, 0x1.fffffep+127f" in module.files["src/modules/twodof_many/twodof_many.c"]
-
-
-@pytest.mark.parametrize(
-    ("default", "places"), [(0.0, 3), (11.0, 3), (0.0854, 5), (0.00054, 7), (1e-20, 8), (-300.0, 3)]
-)
-def test_decimals_show_four_digits_of_the_default(default: float, places: int) -> None:
-    assert decimals(default) == places
