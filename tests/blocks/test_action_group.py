@@ -52,12 +52,6 @@ def test_what_cannot_be_chosen_from_is_refused(actions: dict[str, Diagram], opti
     assert caught.value.remedy
 
 
-def test_each_input_of_a_merge_has_one_writer() -> None:
-    group = action_group("group", {"a": action("a")}, action("b"))
-    with pytest.raises(DiagramError, match="fed twice"):
-        group.connect("otherwise.y", "merge_y.a")
-
-
 def test_an_action_may_read_a_matrix() -> None:
     size = Diagram("size")
     size.input("m", shape=(2, 2))

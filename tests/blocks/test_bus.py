@@ -17,11 +17,10 @@ from tests.compile.typed_signals import RATES, STATE, Mode, bused
 from twodof.blocks import Block, Bus, Diagram, Param, Port, State
 from twodof.blocks.action_group import action_group
 from twodof.blocks.bus import MAX_LEVELS, expanded, grouped
-from twodof.blocks.library import BusAssign, BusCreate, BusSelect, Constant, Gain, Merge, UnitDelay, ZeroOrderHold
+from twodof.blocks.library import BusAssign, BusCreate, BusSelect, Gain, UnitDelay, ZeroOrderHold
 from twodof.blocks.reference import Reference
 from twodof.blocks.schema import from_json, to_json
 from twodof.compile import build
-from twodof.compile.linear.linearize import linearize
 from twodof.compile.program.check import check
 from twodof.errors import DiagramError
 from twodof.report.diagram_svg import draw
@@ -285,11 +284,6 @@ def test_a_held_bus_is_one_wire_in_the_file_the_picture_and_the_c() -> None:
     assert found["attitude.dcm"][0].tolist() == VALUE["dcm"]
 
 
-def test_the_linear_model_sees_the_fields() -> None:
-    d = held()
-    assert "attitude.rates.p" in linearize(d, 0.1, outputs=["p"]).inputs
-
-
 def test_action_groups_merge_buses() -> None:
     def action(name: str, gain: float) -> Diagram:
         d = Diagram(name)
@@ -303,18 +297,6 @@ def test_action_groups_merge_buses() -> None:
     for machine in (Reference(d, 0.1).machine(), build(from_json(to_json(d)), 0.1).machine()):
         assert machine.step({"r": {"p": 2.0, "count": 4}, "if_fast": True}) == {"r.p": 6.0, "r.count": 4}
         assert machine.step({"if_fast": False}) == {"r.p": 1.0, "r.count": 4}
-
-
-def test_a_bus_of_names_is_one_of_reals() -> None:
-    d = Diagram("d")
-    d.add("made", BusCreate(["a", "b"]), a=d.add("one", Constant(1.5)), b=d.add("two", Constant(2.5)))
-    d.add("merged", Merge(2, {"a": 9.0}, Bus("bus", [Port("a"), Port("b")])))
-    off = d.add("off", Constant(False, "bool"))
-    d.connect("made", "merged.a", "merged.b")
-    d.connect(off, "merged.a_acts", "merged.b_acts")
-    d.output("y", "merged")
-    d.output("b", "made.b")
-    assert build(d, 0.1).machine().step() == {"y.a": 9.0, "y.b": 0.0, "b": 2.5}
 
 
 def test_a_file_bounds_its_buses() -> None:
@@ -391,9 +373,3 @@ def test_an_array_of_buses_is_given_as_a_list_or_field_by_field() -> None:
         machine = Reference(d, 0.01).machine()
         assert machine.step(inputs) == {"y.p": [1.0, 2.0], "y.count": [0, 5]}
         assert machine.step(inputs) == {"y.p": [3.0, 4.0], "y.count": [7, -1]}
-
-
-def test_one_bus_is_not_an_array() -> None:
-    for reads, text in ((lambda u: u.a[0], "a scalar"), (lambda u: list(u.a), "a scalar has no length")):
-        with pytest.raises(DiagramError, match=text):
-            _ = Gives(reads).trace

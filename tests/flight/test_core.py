@@ -103,12 +103,6 @@ def test_the_level_hold_finds_the_trim_and_the_open_loop_starts_from_it() -> Non
     assert np.abs(opened).max() < 5e-3
 
 
-def test_without_the_trim_the_open_loop_falls_off_level() -> None:
-    m, axis = compiled().machine(), PitchAxis(m_0=-0.0103)
-    fly(m, axis, 3000, mode=ATTITUDE, thrust=0.4)
-    assert np.abs(fly(m, axis, 250, mode=OPEN_LOOP, thrust=0.4, use_trim=False)).max() > 0.3
-
-
 def test_an_excitation_is_added_to_the_trim() -> None:
     m, axis = compiled().machine(), PitchAxis(m_0=0.02)
     fly(m, axis, 3000, mode=ATTITUDE, thrust=0.4)

@@ -7,7 +7,7 @@ import pytest
 
 from twodof.blocks import Diagram
 from twodof.blocks.block import check_steady
-from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.errors import ExperimentError, ParameterError
 from twodof.flight.failsafe.state_machine import FLYING
@@ -15,7 +15,6 @@ from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.parameters import lab, paper
 from twodof.rig.steady_state import trim_moment
 from twodof.signals import HOVER, MODES
-from twodof.sim import closed_loop as module
 from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 
 pytestmark = pytest.mark.slow
@@ -178,17 +177,3 @@ def test_on_the_paper_rig_the_rings_hold_the_cart_and_the_loop_is_linear() -> No
     # What is not linear: sin and cos at .02 rad in the estimator, 2e-4, and the thrust's M^2.
     assert np.abs(responses[0] - responses[1]).max() < 1e-3
     assert MODES[3] == "attitude"
-
-
-def test_an_interpreted_loop_is_not_kept_as_a_compiler_may_be_installed(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, ...]] = []
-
-    def interpreted(diagram: Diagram, dt: float, precision: str, log: tuple[str, ...], **_: object) -> Reference:
-        asked.append(log)
-        return Reference(diagram, dt, precision, log)
-
-    monkeypatch.setattr(module, "build", interpreted)
-    monkeypatch.setattr(ReferenceMachine, "run", lambda *_: {})  # it takes seconds to settle, which is not asked here
-    for log in (("mode_held.y",), ["mode_held.y"]):  # a list is as good as a tuple
-        ClosedLoop(log=log)  # type: ignore[arg-type]
-    assert asked == [("mode_held.y",)] * 2

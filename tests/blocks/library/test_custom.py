@@ -63,14 +63,6 @@ def test_it_travels_as_its_expressions() -> None:
     assert to_json(again) == text
 
 
-def test_a_truth_asked_of_a_signal_is_an_error_that_says_where() -> None:
-    def bad(a: Any) -> Any:
-        return a if a > 0 else -a
-
-    with pytest.raises(DiagramError, match=r"(?s)bad.*test_custom\.py:\d+.*where\("):
-        run_y(function_block(bad), np.ones(1))
-
-
 def test_mistakes_in_arguments_are_refused() -> None:
     for make, message in (
         (lambda: function_block(lambda *a: a[0]), r"\*a"),

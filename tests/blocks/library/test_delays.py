@@ -76,11 +76,6 @@ def test_a_fractional_delay_on_the_grid_is_a_delay(samples: int, direct: bool) -
     np.testing.assert_array_equal(y, shifted(u, samples, 0.5))
 
 
-def test_a_delay_of_zero_is_none() -> None:
-    u = noise(10)
-    np.testing.assert_array_equal(run_y(FractionalDelay(0.0), u), u)
-
-
 def test_a_delay_that_breaks_loops_is_at_least_one_tick() -> None:
     u = noise(10)
     assert FractionalDelay(direct=False).trace.feedthrough["y"] == frozenset()
@@ -131,18 +126,6 @@ def test_a_delayed_lag_follows_the_exact_zero_order_hold(tau: float) -> None:
     np.testing.assert_allclose(x, expected, rtol=0, atol=1e-9)
 
 
-def test_the_response_is_continuous_in_the_delay() -> None:
-    u = noise(40)
-
-    def response(tau: float) -> np.ndarray:
-        return Reference(delayed_into(FirstOrder(1.0, 0.1), tau), 0.01).machine().run(40, {"u": u})["x"]
-
-    middle = response(0.03)
-    for tau in (0.03 - 1e-7, 0.03 + 1e-7):
-        # The state moves by at most |u| / T dtau at each edge.
-        assert np.max(np.abs(response(tau) - middle)) < 40 * 3 / 0.1 * 1e-7
-
-
 def test_a_hold_samples_a_continuous_signal_at_its_own_ticks() -> None:
     d = Diagram("sampled")
     d.input("u")
@@ -169,14 +152,6 @@ def test_a_rate_transition_gives_the_sample_before() -> None:
     rows = Reference(d, 1.0).machine().run(10)
     assert rows["fast"].tolist() == [-1, 0, 0, 2, 2, 4, 4, 6, 6, 8]
     assert rows["slow"].tolist() == [-1, -1, -1, -1, -1, -1, -1, -1, 2, 2]
-
-
-def test_a_signal_of_another_rate_needs_a_crossing() -> None:
-    d = Diagram("two_rates")
-    d.add("clock", Time(), rate=(2, 0))
-    d.add("memory", UnitDelay(), u="clock.y")
-    with pytest.raises(DiagramError, match=r"memory"):
-        Reference(d, 1.0)
 
 
 def test_mistakes_in_arguments_are_refused() -> None:

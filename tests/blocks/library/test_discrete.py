@@ -1,6 +1,5 @@
 """Discrete linear blocks against scipy.signal and python-control."""
 
-import control
 import numpy as np
 import pytest
 from hypothesis import given
@@ -106,13 +105,6 @@ def test_a_transfer_function_is_dlsim(numerator: list[float], denominator: list[
     expected = signal.lfilter(padded, bottom, u)
     assert_close(run_y(block, u), expected)
     assert bool(block.trace.feedthrough["y"]) == (len(top) == len(bottom))
-
-
-def test_a_transfer_function_is_python_control() -> None:
-    top, bottom = [0.3, -0.1], [1.0, -1.4, 0.6, -0.05]
-    u = noise(80)
-    expected = control.forced_response(control.tf(top, bottom, DT), DT * np.arange(80), u).outputs
-    assert_close(run_y(DiscreteTransferFunction(top, bottom), u, DT), expected)
 
 
 @pytest.mark.parametrize(("inputs", "outputs", "direct"), [(1, 1, True), (2, 3, True), (3, 1, False), (1, 2, False)])

@@ -6,7 +6,6 @@ import pytest
 from twodof.blocks import Block, Diagram
 from twodof.blocks.library import (
     Concatenate,
-    Constant,
     Demux,
     Logic,
     Maximum,
@@ -92,18 +91,3 @@ def test_a_port_after_z_is_named_by_its_number_and_those_before_keep_their_lette
     assert [port.name for port in Demux(28).outputs][25:] == ["z", "u27", "u28"]
     with pytest.raises(DiagramError, match=rf"number of ports=1001 \(give an integer within 1 .. {MAX_PORTS}\)"):
         Sum("+" * 1001)
-
-
-def test_each_of_three_hundred_inputs_of_a_switch_is_chosen() -> None:
-    most = 300
-    switch = MultiportSwitch(most)
-    d = Diagram("wide")
-    d.input("index", "int32")
-    d.add("switch", switch, index="index")
-    for i, port in enumerate(switch.inputs[1:]):
-        d.add(f"c_{i}", Constant(float(i)))
-        d.connect(f"c_{i}", f"switch.{port.name}")
-    d.output("y", "switch")
-    index = np.array([-(2**31), -1, *range(0, most, 7), 149, 150, 151, most - 1, most, 2**31 - 1])
-    machine = Reference(d, 0.01).machine()
-    assert machine.run(len(index), {"index": index})["y"].tolist() == np.clip(index, 0, most - 1).tolist()

@@ -209,12 +209,6 @@ def test_a_block_made_from_one_of_the_library_travels_as_its_own() -> None:
         assert Reference(made, 0.1).machine().step({"u_in": 1.0})["y_out"] == 6.0
 
 
-def test_a_long_table_is_taken_at_once() -> None:
-    times = np.arange(20_000) * 0.01
-    table = Table(times, np.sin(times))
-    assert table.params[1].value == np.sin(times).tolist()
-
-
 class Weighted(Block):
     """An array of numpy among recorded values."""
 
@@ -235,12 +229,6 @@ def test_a_method_computes_with_an_array_of_numpy_in_both_precisions(precision: 
     expected = (real(0.1) * u + real(0.7)).tolist()
     for machine in (Reference(d, 0.1, precision).machine(), build(d, 0.1, precision).machine()):
         assert machine.run(len(u), {"u_in": u})["y_out"].tolist() == expected
-
-
-def test_an_array_of_no_dimension_is_a_number() -> None:
-    d = alone(function_block(lambda u: np.array(2.0) * u - np.array(1)))
-    for machine in (Reference(d, 0.1).machine(), build(d, 0.1).machine()):
-        assert machine.step({"u_in": 3.0}) == {"y_out": 5.0}
 
 
 def test_an_integer_of_numpy_in_a_method_is_refused_with_the_remedy() -> None:

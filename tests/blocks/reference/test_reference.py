@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from tests.blocks.samples import Adder, Bouncer, Counter, Gain, Hold, Lag, Late, Memory, chain
 from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.reference.interpreter import Reference
-from twodof.errors import DiagramError, ParameterError
+from twodof.errors import DiagramError
 
 pytestmark = pytest.mark.slow
 
@@ -169,36 +168,6 @@ def test_project_bounces_between_integration_and_the_next_tick() -> None:
     assert first == int(np.ceil(np.sqrt(2 / 9.81) / 1e-3))
     assert out["h"].min() == 0.0
     assert out["v"][first] == pytest.approx(0.5 * np.sqrt(2 * 9.81), abs=0.5 * 9.81 * 1e-3)
-
-
-def test_the_oscillator_agrees_with_the_matrix_exponential() -> None:
-    class Oscillator(Block):
-        outputs = (Port("y"),)
-        states = (State("p", 1.0, continuous=True), State("s", 0.0, continuous=True))
-
-        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return x.p
-
-        def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return {"p": x.s, "s": -4.0 * x.p - 0.2 * x.s}
-
-    d = Diagram("free")
-    d.add("o", Oscillator())
-    d.output("y", "o")
-    y = Reference(d, 1e-3).machine().run(1001)["y"]
-    exact = (expm(np.array([[0.0, 1.0], [-4.0, -0.2]])) @ [1.0, 0.0])[0]
-    assert y[-1] == pytest.approx(exact, abs=1e-12)
-
-
-def test_parameters_are_set_together_or_not_at_all() -> None:
-    m = Reference(chain(Gain(), Lag()), 0.1).machine()
-    with pytest.raises(ParameterError, match=r"b1\.tau: 0 is outside 0\.001"):
-        m.set_many({"b0.k": 7.0, "b1.tau": 0.0})
-    assert m.get("b0.k") == 2.0
-    with pytest.raises(ParameterError, match=r"there is no parameter 'b0\.q'"):
-        m.set("b0.q", 1.0)
-    with pytest.raises(ParameterError, match=r"nan is outside"):
-        m.set("b0.k", float("nan"))
 
 
 def test_one_parameter_of_the_diagram_drives_many_blocks() -> None:

@@ -1,7 +1,6 @@
 """The JSON form: a round trip to the bit, and files that are broken or hostile are refused at the door."""
 
 import json
-import random
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,6 @@ from twodof.blocks import Block, Diagram, Param, Port, array_of, fold, int32, wh
 from twodof.blocks.elementary.functions import atan2, sin
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.blocks.schema.loader import MAX_DEPTH
 from twodof.errors import TwodofError
 
 pytestmark = pytest.mark.slow
@@ -88,13 +86,6 @@ def form(**changes: Any) -> dict[str, Any]:
     return data
 
 
-def nested(depth: int) -> dict[str, Any]:
-    data: dict[str, Any] = {"name": "leaf"}
-    for _ in range(depth):
-        data = {"name": "level", "parts": [{"name": "inner", "diagram": data}]}
-    return data
-
-
 GAIN = {"name": "g", "block": json.loads(to_json(chain(Gain())))["diagram"]["parts"][0]["block"]}
 
 
@@ -103,20 +94,8 @@ def custom(**changes: Any) -> dict[str, Any]:
 
 
 HOSTILE = {
-    "no JSON": (b"{", "no JSON"),
     "another schema": ({"schema": "x"}, "not a diagram"),
     "a future version": ({"schema": "twodof/diagram", "version": 2, "diagram": {}}, "version 2 is unknown"),
-    "NaN in the file": (b'{"schema": NaN}', "NaN is no JSON number"),
-    "deep JSON": (b"[" * 200_000, "no JSON"),
-    "deep nesting": ({"schema": "twodof/diagram", "version": 1, "diagram": nested(MAX_DEPTH + 2)}, "nested more than"),
-    "a name of C code": (form(name="x; system(1)"), "is not a name"),
-    "a look-alike name": (form(inputs=[{"name": "а"}]), "is not a name"),
-    "a newline in a name": (form(inputs=[{"name": "a\n"}]), "is not a name"),
-    "an array of a gigabyte": (form(inputs=[{"name": "a", "width": 10**9}]), "more than 1000000 values"),
-    "many wide arrays": (
-        form(inputs=[{"name": f"a{i}", "width": 10**6} for i in range(11)]),
-        "more than 1000000 values",
-    ),
     "an unknown block": (
         form(parts=[{"name": "g", "block": {"type": "os.system", "config": {}}}]),
         "unknown block type",
@@ -125,8 +104,6 @@ HOSTILE = {
     "a node that looks ahead": (custom(nodes=[["neg", [0]]]), "does not stand above"),
     "an operation of another type": (custom(nodes=[["input", [], "u"], ["and", [0, 0]]]), "not defined on real"),
     "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),
-    "a loop variable outside": (custom(nodes=[["bound", [], "real", 0, 1]], output={"y": 0}), "outside its loop"),
-    "an endless loop": (custom(nodes=[["input", [], "u"], ["build", [0], 10**12, 0]]), "is not in 0"),
     "a long array of arrays": (
         custom(nodes=[["input", [], "u"], ["build", [0], 1000, 0], ["build", [1], 1001, 0]]),
         "1000999 is not in 0..999999",
@@ -137,7 +114,6 @@ HOSTILE = {
     ),
     "a missing output": (custom(output={}), "does not give 'y'"),
     "a node that is not there": (custom(output={"y": 99}), "node 99, which is not there"),
-    "a rate of zero": (form(parts=[{**GAIN, "rate": [0, 0]}], connections=[], outputs=[]), "is impossible"),
     "a connection to nowhere": (form(connections=[["r", "nowhere.u"]]), "there is no output or part .nowhere."),
     "an input fed twice": (form(connections=[["r", "b0.u"], ["r", "b0.u"]]), "fed twice"),
     "a name used twice": (form(parts=[GAIN, GAIN], connections=[], outputs=[]), "used twice"),
@@ -149,49 +125,3 @@ def test_hostile_files_are_refused_with_a_reason(name: str) -> None:
     data, message = HOSTILE[name]
     with pytest.raises(TwodofError, match=message):
         from_json(data if isinstance(data, bytes) else json.dumps(data))
-
-
-def mutate(value: Any, rng: random.Random) -> Any:
-    """`value` with one place in it changed to something else."""
-    if isinstance(value, dict) and value and rng.random() < 0.9:
-        key = rng.choice(list(value))
-        return (
-            {**value, key: mutate(value[key], rng)}
-            if rng.random() < 0.95
-            else {k: v for k, v in value.items() if k != key}
-        )
-    if isinstance(value, list) and value and rng.random() < 0.9:
-        i = rng.randrange(len(value))
-        return (
-            [*value[:i], mutate(value[i], rng), *value[i + 1 :]] if rng.random() < 0.95 else value[:i] + value[i + 1 :]
-        )
-    return rng.choice(
-        [None, True, 0, -1, 10**30, 1e308, "", "u", "y", "real", "bool", [], [0], {}, {"float": "inf"}, "b0.u", "∞"]
-    )
-
-
-def fuzz(count: int, seed: int) -> int:
-    """Load `count` mutated diagrams; all but a TwodofError escapes. Returns how many loaded."""
-    rng = random.Random(seed)
-    text, loaded = json.loads(to_json(everything())), 0
-    for _ in range(count):
-        data = text
-        for _ in range(rng.randint(1, 3)):
-            data = mutate(data, rng)
-        try:
-            Reference(from_json(json.dumps(data)), 0.01).machine().run(2)
-        except TwodofError:
-            continue
-        loaded += 1
-    return loaded
-
-
-def test_mutated_files_load_or_are_refused_and_nothing_else_happens() -> None:
-    loaded = fuzz(400, 7)
-    assert 0 < loaded < 400
-
-
-@pytest.mark.soak
-def test_many_mutated_files_load_or_are_refused() -> None:
-    loaded = fuzz(50_000, 8)
-    assert 0 < loaded < 50_000

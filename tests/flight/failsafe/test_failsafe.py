@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from tests.flight.failsafe.expr_arrays import tell
 from tests.toolchains import need
-from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.instances import Instances
@@ -41,11 +40,6 @@ def test_the_ports_are_those_that_are_documented() -> None:
     assert [(p.kind, p.unit) for p in diagram.inputs.values()] == [(kind, unit) for _, kind, unit, _ in rows]
     assert sorted(diagram.outputs) == sorted(name for name, *_ in (*OUTPUTS, *SAFETY_OUTPUTS))
     assert PERIOD == TEMPLATE_PERIOD
-
-
-def test_it_travels_as_json() -> None:
-    text = to_json(failsafe())
-    assert to_json(from_json(text)) == text
 
 
 def hostile(rng: np.random.Generator, kind: str, sound: float, wild: NDArray[Any]) -> NDArray[Any]:
@@ -120,19 +114,6 @@ def imu_at_rest(rng: np.random.Generator, n: int) -> dict[str, NDArray[Any]]:
     """What the IMU gives in n samples at rest and level: all three axes move."""
     noise = {name: 0.01 * rng.standard_normal(n) for name in ("acc_x", "acc_z", "gyro_y")}
     return noise | {"acc_z": noise["acc_z"] - 9.81}
-
-
-def test_what_passes_has_its_bits() -> None:
-    rng = np.random.default_rng(2)
-    n = 2000
-    commands = {name: rng.random(n) for name in ("fore", "aft", "M", "T")}
-    healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": True, "voltage": 12.0}
-    late = np.arange(n)
-    asked = {"arm": late > 0, "mode": np.where(late > 1, 3, 0), "thrust": np.where(late > 1, 0.4, 0.0)}
-    out = build(failsafe(), PERIOD).machine().run(n, healthy | asked | commands | imu_at_rest(rng, n))
-    for name, given in commands.items():
-        assert out[name][1:].tobytes() == given[1:].tobytes()
-        assert out[name][0] == 0.0
 
 
 def test_it_costs_less_than_a_percent_of_the_processors_time() -> None:
@@ -237,24 +218,6 @@ def test_an_axis_of_the_imu_that_repeats_itself_alone_is_lost_in_a_tenth_of_a_se
     begun = np.flatnonzero(out["action"] == OFF)
     assert begun[0] + 1 == 26  # in its first tick it differs from the sample before
     assert out["reason"][-1] == BIT["imu_lost"]
-
-
-@pytest.mark.parametrize("voltage", [13.6, 1e6, float("inf"), NAN, -1.0, -float("inf")])
-def test_a_voltage_that_the_pack_cannot_have_is_a_sensor_that_has_failed(voltage: float) -> None:
-    out = flown(130, voltage=voltage)
-    assert np.flatnonzero(out["action"] == DESCEND)[0] + 1 == 125
-    assert out["reason"][-1] & BIT["battery_critical"]
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"dist": NAN}, {"dist": float("inf")}, {"dist_age": NAN}, {"dist_age": -0.1}, {"dist_age": 0.3}]
-)
-def test_a_range_that_is_no_number_or_of_no_age_corrects_nothing_and_is_lost(wrong: dict[str, float]) -> None:
-    out = flown(70, **wrong)
-    assert not out["range_taken"].any()
-    assert not out["range_age"].any()
-    assert np.flatnonzero(out["action"] == DESCEND)[0] + 1 == 60
-    assert out["reason"][-1] == BIT["range_lost"]
 
 
 def test_a_range_that_is_not_believed_corrects_nothing_while_it_is_armed_only() -> None:

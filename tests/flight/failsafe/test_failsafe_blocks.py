@@ -7,17 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from tests.flight.failsafe.block_meanings import MEANINGS, Meaning
 from tests.flight.failsafe.expr_arrays import graph_of, mutants, mutants_on_arrays, on_arrays
 from tests.flight.failsafe.unrolled import unrolled
-from twodof.blocks import Block, Diagram
-from twodof.compile import build
-from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags
-from twodof.signals import PERIOD
 
 pytestmark = pytest.mark.slow
 
@@ -114,63 +108,3 @@ def test_no_mutant_of_a_block_survives_but_those_explained(meaning: Meaning) -> 
         seen = {what for what, out in mutants_on_arrays(graph, left, some) if differing(out, meant)}
         left = [(what, mutant) for what, mutant in left if what not in seen]
     assert {what.partition(" ")[2] for what, _ in left} == set(meaning.equivalent)
-
-
-def single(bits: int, low: float, high: float) -> st.SearchStrategy[list[float]]:
-    """Sequences of numbers of 32 or 64 bits, often the same ones again, some of them no numbers."""
-    number = st.floats(low, high, width=bits)
-    return st.lists(st.one_of(number, st.sampled_from([low, high, float("nan")])), min_size=1, max_size=60)
-
-
-def machine_of(block: Block, precision: str) -> Any:
-    """The compiled block alone, with its memory."""
-    d = Diagram("flags")
-    for port in block.inputs:
-        d.input(port.name, port.kind, unit=port.unit)
-    d.add("block", block, inputs={port.name: port.name for port in block.inputs})
-    for port in block.outputs:
-        d.output(port.name, f"block.{port.name}")
-    return build(d, PERIOD, precision).machine()
-
-
-MACHINES = {
-    (block, precision): machine_of(block(), precision)
-    for block in (BatteryFlags, PlaceFlags)
-    for precision in ("float32", "float64")
-}
-
-
-def from_power_on(block: type[Block], precision: str, **inputs: Any) -> dict[str, NDArray[Any]]:
-    """The outputs of a compiled block, step after step."""
-    machine = MACHINES[block, precision]
-    machine.reset()
-    out: dict[str, NDArray[Any]] = machine.run(max(np.size(column) for column in inputs.values()), inputs)
-    return out
-
-
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@settings(max_examples=40)
-@given(data=st.data())
-def test_a_low_voltage_counts_until_it_is_above_by_the_margin(precision: str, data: st.DataObject) -> None:
-    number = np.dtype(precision).type
-    values = data.draw(single(32 if precision == "float32" else 64, 10.875, 11.5))
-    flag = ~from_power_on(BatteryFlags, precision, voltage=np.array(values))["full"]
-    low, recovered = number(11.1), number(11.1) + number(0.2)
-    before = False
-    for value, raised in zip(values, flag, strict=True):
-        assert raised == (not number(value) >= (recovered if before else low))
-        before = raised
-
-
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-@settings(max_examples=40)
-@given(data=st.data())
-def test_the_pitch_limit_lets_go_only_below_its_margin(precision: str, data: st.DataObject) -> None:
-    number = np.dtype(precision).type
-    values = data.draw(single(32 if precision == "float32" else 64, -1.0, 1.0))
-    flag = from_power_on(PlaceFlags, precision, theta=np.array(values), q=0.0, x=0.0, v=0.0, rings=True)["pitch_near"]
-    before = False
-    for value, raised in zip(values, flag, strict=True):
-        limit = number(0.8) - number(0.1) if before else number(0.8)
-        assert raised == bool(abs(number(value)) > limit)
-        before = raised
