@@ -22,8 +22,7 @@ from twodof.flightlog.mcap_stream import stream_of
 from twodof.flightlog.ulog_file import PX4_SOURCES
 from twodof.gcs.recording import SAFETY
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.dialect import FILES
-from twodof.link.mavlink.rates import GROUND, ONBOARD
+from twodof.link.mavlink.dialect import FILES, GROUND, ONBOARD
 from twodof.parameters import TUNABLES
 from twodof.rig.parameters import CONDITIONS, NAMES, TABLE, load_rig, origins
 from twodof.rig.rig import PARTS, rig_params

@@ -22,7 +22,7 @@ from typing import Any
 
 from bench.measure import Figure
 from bench.stack.programs import START_S, port, running
-from twodof.link.mavlink.enums import GROUND_STATION
+from twodof.link.mavlink.dialect import GROUND_STATION
 from twodof.link.mavlink.framing import encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps, write_key

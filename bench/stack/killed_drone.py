@@ -13,7 +13,7 @@ from pathlib import Path
 
 from bench.stack.drone_process import say
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.link.mavlink.enums import GROUND_STATION
+from twodof.link.mavlink.dialect import GROUND_STATION
 from twodof.link.signing import Signing, Stamps, read_key
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.companion.ends import SYSTEM, Ends, frame, names
-from twodof.link.mavlink.enums import COMPANION
+from twodof.link.mavlink.dialect import COMPANION
 from twodof.link.mavlink.framing import Parser, encode
 from twodof.link.mavlink.messages import message
 

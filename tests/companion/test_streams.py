@@ -11,9 +11,9 @@ from tests.companion.ends import SYSTEM, Ends, names
 from twodof.companion.client import EVERY, GROUPS, PROFILES, CompanionClient, profile
 from twodof.gcs.full_rate import BatchRows
 from twodof.link.mavlink import dialect
+from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
 from twodof.link.mavlink.framing import decode
 from twodof.link.mavlink.messages import batch, channel_mask
-from twodof.link.mavlink.rates import PROFILES as VEHICLE_PROFILES
 
 TO = {"target_system": SYSTEM, "target_component": 1}
 ATTITUDE, BATCH = 30, 54203

@@ -7,7 +7,7 @@ from typing import Any
 
 from tests.fcu.command.cockpit import ME
 from tests.fcu.sent_message import SentMessage
-from twodof.fcu.command.result import Source
+from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode

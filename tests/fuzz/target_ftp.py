@@ -27,7 +27,7 @@ def packet(op: int, data: bytes = b"", session: int = 0, offset: int = 0) -> byt
 def seeds() -> list[bytes]:
     """A session that reads, one that writes, one that asks for what is not there."""
     read = (
-        packet(FtpOperation.LIST, b"/log")
+        packet(FtpOperation.LIST, b"/etc/extras")
         + packet(FtpOperation.OPEN_RO, b"/etc/extras/all.bin")
         + packet(FtpOperation.READ, b"", 0, 9)
     )

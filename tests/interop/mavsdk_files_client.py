@@ -30,7 +30,7 @@ ULOG = b"ULog\x01\x12\x35"
 
 async def files(ftp: FtpAsync, folder: Path) -> None:
     """Down and up again."""
-    for path in ("/", "/etc/extras", "/log"):
+    for path in ("/", "/etc/extras"):
         listed = await within(ftp.list_directory(path))
         say(
             "list",

@@ -40,8 +40,8 @@ def saw(fcu_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, lis
 
 def test_it_lists_the_tree(saw: dict[str, list[Any]]) -> None:
     files = metadata_files(ParameterStore().rows)
-    root, extras, _ = saw["list"]
-    assert root["entries"] == [["DIRECTORY", name, 0] for name in ("controllers", "etc", "log")]
+    root, extras = saw["list"]
+    assert root["entries"] == [["DIRECTORY", name, 0] for name in ("controllers", "etc")]
     assert extras["entries"] == [["FILE", name, len(content)] for name, content in sorted(files.items())]
 
 

@@ -16,7 +16,7 @@ from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.flight.templates import ATTITUDE
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.sim.virtual_drone import VirtualDrone
 
 pytestmark = pytest.mark.slow

@@ -15,9 +15,9 @@ from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, R
 from twodof.companion.companion import Companion
 from twodof.companion.links import Serve, px4_links
 from twodof.fleet.local_drone import MOST_DRONES
-from twodof.link.mavlink.enums import COMPANION
+from twodof.link.mavlink.dialect import COMPANION
 from twodof.link.signing import Signing, Stamps, read_key
-from twodof.link.transport.ports import FLIGHT_CONTROLLER
+from twodof.link.transport.url import Port
 
 companion = typer.Typer(add_completion=False, rich_markup_mode=None)
 # Where the app comes to: this machine only, at a port that is free.
@@ -52,7 +52,7 @@ def route(
     fcu: Annotated[
         str | None,
         typer.Option(
-            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{FLIGHT_CONTROLLER} + index."
+            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{Port.FLIGHT_CONTROLLER} + index."
         ),
     ] = None,
     index: Index = 0,
@@ -90,7 +90,9 @@ def route(
         *(Serve(url, "ground") for url in ground or ()),
     ]
     serve = tuple(chosen) or px4_links(index, open_)
-    options = _Options(fcu or f"tcp://127.0.0.1:{FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json)
+    options = _Options(
+        fcu or f"tcp://127.0.0.1:{Port.FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json
+    )
     context.obj = options
     if context.invoked_subcommand is None:
         raise typer.Exit(asyncio.run(run_until_signal(_route(options))) or 0)

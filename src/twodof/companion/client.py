@@ -8,10 +8,9 @@ from types import MappingProxyType
 from twodof.companion.frame_fields import renumbered, time_us
 from twodof.errors import LinkError, LinkLost, listed, shown
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID, RATES
+from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
 from twodof.link.mavlink.framing import Frame
-from twodof.link.mavlink.rates import PROFILES as VEHICLE_PROFILES
-from twodof.link.mavlink.rates import RATES
 from twodof.link.transport.base import Transport
 
 Identity = tuple[int, int]

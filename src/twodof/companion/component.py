@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from twodof.companion import frame_fields
 from twodof.companion.client import CompanionClient
 from twodof.companion.router import Router
-from twodof.link.mavlink.enums import COMPANION, NO_AUTOPILOT, MavResult, MavSeverity
+from twodof.link.mavlink.dialect import COMPANION, NO_AUTOPILOT, MavResult, MavSeverity
 from twodof.link.mavlink.framing import Frame, decode
 from twodof.link.mavlink.messages import message, statustext
 

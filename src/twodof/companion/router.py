@@ -13,7 +13,7 @@ from twodof.companion.client import SILENT_S, CompanionClient, Identity, Wish, g
 from twodof.companion.frame_fields import CommandFields
 from twodof.companion.streams import Streams, whole, wish_of
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink.enums import AUTOPILOT, COMPANION, MavResult
+from twodof.link.mavlink.dialect import AUTOPILOT, COMPANION, MavResult
 from twodof.link.mavlink.framing import Frame, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Signing

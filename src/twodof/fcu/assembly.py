@@ -1,6 +1,6 @@
 """The flight controller's program put together: store, commander, control loop, links, services and controllers."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
@@ -9,26 +9,76 @@ from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import ControllerIdentity, Controllers, controller_identity
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import Hardware, VirtualHardware
-from twodof.fcu.control.loop import FlightController
-from twodof.fcu.event_bus import OnboardEventBus
-from twodof.fcu.mavlink.clients import LeaseService
+from twodof.fcu.control.loop import FlightController, OnboardEventBus
+from twodof.fcu.mavlink.batches import BatchService
+from twodof.fcu.mavlink.clients import Clients, LeaseService
+from twodof.fcu.mavlink.command_service import CommandService, StatusTextService, StorageMonitor, TextSent
+from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.file_tree import FileTree, Metadata
 from twodof.fcu.mavlink.ftp import FileTransfer
 from twodof.fcu.mavlink.lockstep import LockstepService
 from twodof.fcu.mavlink.log_download import LogDownload
 from twodof.fcu.mavlink.log_stream import LogStreamService
-from twodof.fcu.mavlink.service import Service, VehicleAddress
-from twodof.fcu.mavlink.services import MavlinkServices
+from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, VersionService
+from twodof.fcu.mavlink.parameter_service import ParameterService, TransactionService
+from twodof.fcu.mavlink.service import Link, Service, VehicleAddress
 from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
-from twodof.fcu.mavlink.status_text import StorageMonitor, TextSent
-from twodof.fcu.mavlink.vehicle_commands import ReloadCommand
+from twodof.fcu.mavlink.streams import ChangeDetector, Heartbeat, StreamService
+from twodof.fcu.mavlink.vehicle_commands import ArmingCommands, ModeService, ReloadCommand, StorageCommand
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
 from twodof.fcu.server import Server
-from twodof.link.mavlink.enums import MavSeverity
-from twodof.link.mavlink.rates import ONBOARD
+from twodof.link.mavlink.dialect import ONBOARD, MavSeverity
 from twodof.link.signing import Signing
 from twodof.signals import TICK_MS
+
+
+class MavlinkServices:
+    """The services of one vehicle, in the order in which they get messages; made once, then `services`.
+
+    `commands.on`, `requests.on` and `telemetry` are open to further services, such as log download.
+
+    `restart` begins the flight controller anew (command 246). `identity` says which controller flies. `lost` counts
+    what clients did not take. `truth` is the virtual rig's state.
+    """
+
+    def __init__(
+        self,
+        link: Link,
+        system: int,
+        controller: FlightController,
+        commander: Commander,
+        store: ParameterStore,
+        restart: Callable[[], None] | None = None,
+        identity: Callable[[], ControllerIdentity] = ControllerIdentity,
+        lost: Callable[[], int] = lambda: 0,
+        truth: Callable[[], tuple[float, float, float, float]] | None = None,
+        profile: Mapping[int, float] = ONBOARD,
+    ) -> None:
+        us, bus = VehicleAddress(system), store.bus
+        self.commands = CommandService(link, us, bus, controller.lockstep)
+        self.telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
+        self.requests = MessageRequests(link, self.commands, self.telemetry)
+        VersionService(self.requests, system, controller.hardware.name)
+        ArmingCommands(self.commands, commander, restart)
+        StorageCommand(self.commands, commander, store, controller.lockstep)
+        heartbeat = Heartbeat(link, bus, self.telemetry, commander)
+        modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
+        batches = BatchService(link, bus, commander)
+        changes = ChangeDetector(controller, commander)
+        parameters = ParameterService(link, us, self.commands, controller, commander, store)
+        self.services: list[Service] = [  # in the order in which a server asks them
+            Clients(bus, controller.lockstep),
+            self.commands,
+            TransactionService(link, us, self.commands, parameters),
+            parameters,
+            modes,
+            MissionService(link, us),
+            StreamService(link, bus, self.commands, self.telemetry, changes, batches, profile),
+            batches,
+            heartbeat,
+            StatusTextService(link, bus, commander.remarks),
+        ]
 
 
 class ActiveConfiguration:
@@ -93,7 +143,7 @@ class Assembly:
     """The program of a drone: MAVLink system `system` on `hardware`.
 
     `state` is the folder of what it keeps: parameters.json, logs/, controllers/ (uploads); None keeps nothing.
-    `rates` are those of the streams that every client gets (link/mavlink/rates.py). `signing` is asked of every
+    `rates` are those of the streams that every client gets (link/mavlink/dialect.py). `signing` is asked of every
     client. `fresh` begins with all parameters at their defaults and without uploads. `close` ends what runs outside
     the event loop; the server closes by itself.
     """
@@ -151,7 +201,7 @@ class Assembly:
         metadata = Metadata(self.store, lambda: TICK_MS * self.controller.tick)
         px4.requests.on("COMPONENT_METADATA", metadata.message)
         uploads = None if state is None else state / "controllers"
-        tree = FileTree(lambda: metadata.files, log.folder if log else None, uploads)
+        tree = FileTree(lambda: metadata.files, uploads)
         streamed, downloaded = [], []
         if log is not None:
             streamed = [LogStreamService(server, us, px4.commands, log, commander.lease.take, lockstep)]

@@ -13,10 +13,10 @@ from twodof.fcu.control.loop import FlightController, TimeRestarted
 from twodof.fcu.control.real_time import Pacer, Watchdog
 from twodof.fcu.mavlink.service import Service
 from twodof.link.connection import Connection, Received
-from twodof.link.mavlink.enums import AUTOPILOT
+from twodof.link.mavlink.dialect import AUTOPILOT
+from twodof.link.mavlink.framing import looks_like_a_stop
 from twodof.link.signing import Signing
 from twodof.link.transport import open_transport
-from twodof.link.transport.stop_frames import looks_like_a_stop
 from twodof.link.transport.url import parse
 from twodof.signals import TICK_NS
 

@@ -19,7 +19,7 @@ from typing import cast
 
 from twodof.errors import TwodofError
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.link.mavlink.enums import APP, GROUND_STATION
+from twodof.link.mavlink.dialect import APP, GROUND_STATION
 
 FINE, RAISED, NO_APP = 0, 1, 2
 

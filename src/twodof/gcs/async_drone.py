@@ -21,13 +21,13 @@ from twodof.gcs.recording import Recording, record
 from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.enums import GROUND_STATION
+from twodof.link.mavlink.dialect import GROUND_STATION
 from twodof.link.mavlink.messages import channel_mask, message
 from twodof.link.signing import Key, read_key
-from twodof.link.transport import ports
 from twodof.link.transport.base import Transport
+from twodof.link.transport.url import Port
 
-DEFAULT_URL = f"udpin://127.0.0.1:{ports.ONBOARD}"
+DEFAULT_URL = f"udpin://127.0.0.1:{Port.ONBOARD}"
 _REFUSED = 16
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _WORTH_SAYING_S = 0.5

@@ -12,18 +12,18 @@ from typing import Any, NamedTuple
 from twodof.errors import LinkError, LinkLost, shown
 from twodof.gcs.drone_state import word_of
 from twodof.link.connection import Connection
-from twodof.link.mavlink.enums import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
+from twodof.link.mavlink.dialect import AUTOPILOT, GROUND_STATION, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import mode_name
-from twodof.link.transport import open_transport, ports
+from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.url import parse
+from twodof.link.transport.url import Port, parse
 
 LISTENED = (
-    ("udp", ports.COMPANION_ONBOARD),
-    ("udp", ports.COMPANION_GROUND),
-    ("tcp", ports.COMPANION_TCP),
-    ("tcp", ports.FLIGHT_CONTROLLER),
+    ("udp", Port.COMPANION_ONBOARD),
+    ("udp", Port.COMPANION_GROUND),
+    ("tcp", Port.COMPANION_TCP),
+    ("tcp", Port.FLIGHT_CONTROLLER),
 )
 """Where PX4, the companion and the flight controller listen, + i for drone i."""
 DRONES = 8
@@ -52,11 +52,11 @@ LOOPBACK = "127.0.0.1"
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     """Where `discover` looks: ports of this machine to which drones send, and those of `hosts` at which they listen."""
-    places = [f"udpin://127.0.0.1:{ports.ONBOARD + i}" for i in range(drones)]
+    places = [f"udpin://127.0.0.1:{Port.ONBOARD + i}" for i in range(drones)]
     for host in hosts:
         for i in range(drones):
             places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
-    return [*places, f"udpin://127.0.0.1:{ports.GROUND_STATION}"]
+    return [*places, f"udpin://127.0.0.1:{Port.GROUND_STATION}"]
 
 
 async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | None]:
@@ -70,10 +70,10 @@ async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | No
     except LinkError as error:
         address, cause = parse(url), error.__cause__
         taken = isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE
-        index = address.port - ports.ONBOARD
-        if not taken or address.kind != "udpin" or not 0 <= index < ports.GROUND_STATION - ports.ONBOARD:
+        index = address.port - Port.ONBOARD
+        if not taken or address.kind != "udpin" or not 0 <= index < Port.GROUND_STATION - Port.ONBOARD:
             raise
-        return await open_transport(f"udp://{LOOPBACK}:{ports.COMPANION_ONBOARD + index}", timeout), error
+        return await open_transport(f"udp://{LOOPBACK}:{Port.COMPANION_ONBOARD + index}", timeout), error
 
 
 async def discover(

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 from twodof.errors import LinkLost, Timeout, TwodofError
 from twodof.gcs.identity import give_back
 from twodof.link.connection import Connection, Received
-from twodof.link.mavlink.enums import AUTOPILOT, NO_AUTOPILOT
+from twodof.link.mavlink.dialect import AUTOPILOT, NO_AUTOPILOT
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import SigningVerdict
 

@@ -22,7 +22,7 @@ from twodof.fcu.control.flight_code import MEASURED, FlightCode
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.server import Server
-from twodof.link.mavlink.rates import PROFILES
+from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab, load_rig

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from twodof.fcu.command.command_lease import CommandResult, Source
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT

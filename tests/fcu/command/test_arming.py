@@ -5,7 +5,7 @@ import pytest
 from tests.fcu.command.cockpit import COMPANION, LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
 from twodof.errors import RefusalReason
 from twodof.fcu.command.arming import ArmingControl
-from twodof.fcu.command.result import failed, rejected
+from twodof.fcu.command.command_lease import failed, rejected
 from twodof.fcu.command.setpoints import FRESH, OPENLOOP, STICKS
 from twodof.fcu.control.hardware import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
@@ -13,7 +13,7 @@ from twodof.flight.failsafe.state_machine import DISARMED, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.flight.failsafe.state_machine import REFUSED as REFUSED_BY_FAILSAFE
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 

@@ -11,10 +11,9 @@ from tests.fcu.command.cockpit import COMPANION, ME, OTHER, Cockpit, armed
 from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.fcu.command.arming import PATIENCE
-from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST
+from twodof.fcu.command.command_lease import COMMANDING, HEARD, LONGEST, Source
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import MOST_EFFORT, PLAYING, written_out
-from twodof.fcu.command.result import Source
 from twodof.fcu.command.setpoints import CAPACITY, FRESH, HORIZON
 from twodof.fcu.control.loop import MOST_GRANTED
 from twodof.flight.failsafe.state_machine import OFF

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
 from twodof.errors import RefusalReason
+from twodof.fcu.command.command_lease import MOST_REMARKS
 from twodof.fcu.command.setpoints import (
     CAPACITY,
     FRESH,
@@ -17,13 +18,12 @@ from twodof.fcu.command.setpoints import (
     VELOCITY_AT_FULL,
     SetPoint,
 )
-from twodof.fcu.command.vehicle_state import MOST_REMARKS
 from twodof.fcu.control.hardware import ControlInput
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, LEVEL
 from twodof.flight.failsafe.state_machine import OFF as STOPPED_BY_FAILSAFE
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 # Set-points and offboard.

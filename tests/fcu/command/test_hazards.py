@@ -19,7 +19,7 @@ from twodof.fcu.parameters.table import VehicleParameter
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, LEVEL
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavCmd, MavResult
+from twodof.link.mavlink.dialect import MavCmd, MavResult
 from twodof.link.mavlink.messages import float_of_int, message
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.parameters import FLIGHT_PARAMETERS

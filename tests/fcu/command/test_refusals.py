@@ -10,12 +10,12 @@ import pytest
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
+from twodof.fcu.command.command_lease import CommandResult, rejected
 from twodof.fcu.command.excitation_player import READY, REFUSED, written_out
-from twodof.fcu.command.result import CommandResult, rejected
 from twodof.fcu.command.setpoints import HORIZON
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import POSITION
 

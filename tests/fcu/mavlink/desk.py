@@ -8,8 +8,8 @@ from typing import Any
 from tests.fcu.command.cockpit import ME, Failsafe
 from tests.fcu.sent_message import SentMessage
 from twodof.errors import ParameterError, RefusalReason
+from twodof.fcu.command.command_lease import CommandResult, Source
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import FlightController, TimeRestarted

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
-from twodof.fcu.command.result import CommandResult, denied, rejected
+from twodof.fcu.command.command_lease import CommandResult, denied, rejected
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.messages import message
 
 REFUSED = rejected("somebody else holds the lease")

@@ -2,7 +2,6 @@
 
 import struct
 import zlib
-from contextlib import suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -13,15 +12,11 @@ from hypothesis import strategies as st
 from pymavlink.mavftp import MAVFTP
 
 from tests.fcu.mavlink.world import CLIENT, World
-from tests.fcu.steps import plain_step
 from tests.patience import PATIENCE_S, patiently
-from twodof.fcu.command.result import rejected
+from twodof.fcu.command.command_lease import rejected
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
 from twodof.fcu.mavlink.ftp import BURST_BYTES, MOST_CLIENTS, MOST_SESSIONS, UPLOAD_S, FileTransfer, burst_packets
 from twodof.fcu.mavlink.service import VehicleAddress
-from twodof.fcu.onboard_log.log_writer import LogFolder
-from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, FtpPacket, read_packet
 from twodof.link.mavlink.messages import message
 
@@ -36,12 +31,9 @@ class Server(World):
 
     def __init__(self, folder: Path, lockstep: bool = True) -> None:
         super().__init__(lockstep=lockstep)
-        with OnboardLogger(folder / "log", ParameterStore(), lockstep=True) as log:
-            for tick in range(50):
-                log.step(plain_step(tick, armed=True))
         self.controllers = folder / "state" / "controllers"
         self.made = dict(MADE)
-        tree = FileTree(lambda: self.made, LogFolder(folder / "log"), self.controllers)
+        tree = FileTree(lambda: self.made, self.controllers)
         self.now = 100.0
         given = self, VehicleAddress(1), tree, self.commander.lease.take, self.px4.commands.explain, lockstep
         self.ftp = FileTransfer(*given, clock=lambda: self.now)
@@ -123,12 +115,9 @@ def test_the_whole_tree_is_seen(server: Server) -> None:
         assert answer.data[0] == FtpError.END
         return found
 
-    assert names("/") == [b"Dcontrollers", b"Detc", b"Dlog"]
+    assert names("/") == [b"Dcontrollers", b"Detc"]
     assert names("/etc") == names("etc/") == [b"Dextras"]
     assert names("/etc/extras") == [b"Fall.bin\t76800", b"Fempty.json\t0", b"Fsmall.json\t2"]
-    (log,) = names("/log")
-    assert log.startswith(b"Flog_00001.ulg\t")
-    assert names("/fs/microsd/log") == [log]
     assert names("/controllers") == []
 
 
@@ -202,14 +191,11 @@ def test_pymavlinks_client_reads_checks_and_sends(
     master = Master(server)
     monkeypatch.setattr("pymavlink.mavftp.time", master)
     client = MAVFTP(master, 1, 1)
-    assert client.cmd_list(["/log"]).error_code == 0
-    assert [(one.name, one.is_dir) for one in client.list_result] == [("log_00001.ulg", False)]
-    size = client.list_result[0].size_b
-    client.cmd_get(["/log/log_00001.ulg", str(tmp_path / "got.ulg")])
+    assert client.cmd_list(["/etc/extras"]).error_code == 0
+    assert [(one.name, one.size_b) for one in client.list_result] == [(name, len(MADE[name])) for name in sorted(MADE)]
+    client.cmd_get(["/etc/extras/all.bin", str(tmp_path / "got.bin")])
     assert client.process_ftp_reply("OpenFileRO", timeout=PATIENCE_S).error_code == 0
-    (log,) = (tmp_path / "log").iterdir()
-    assert (tmp_path / "got.ulg").read_bytes() == log.read_bytes()
-    assert size == len(log.read_bytes())
+    assert (tmp_path / "got.bin").read_bytes() == ALL
     (tmp_path / "mine.json").write_bytes(ALL[:5000])
     client.cmd_put([str(tmp_path / "mine.json"), "/controllers/mine.json"])
     assert client.process_ftp_reply("CreateFile", timeout=PATIENCE_S).error_code == 0
@@ -318,7 +304,6 @@ def test_writing_needs_the_lease_and_reading_does_not(server: Server) -> None:
 OUTSIDE = [
     "/etc/passwd",
     "/etc/extras/../../etc/passwd",
-    "/log/../../../etc/passwd",
     "../../etc/passwd",
     "/controllers/../secret.json",
     "/controllers/link.json",
@@ -326,9 +311,8 @@ OUTSIDE = [
     "/controllers/a/b.json",
     "/controllers/a.py",
     "/controllers/" + "a" * 60 + ".json",
-    "/log/../state/secret.json",
-    "/log/.",
-    "/log",
+    "/controllers/.",
+    "/controllers",
     "/",
     "",
     "/etc/extras/all.bin/",
@@ -384,28 +368,17 @@ def test_a_request_that_comes_again_is_not_carried_out_again(server: Server) -> 
     assert server.raw(ending)[0].op == server.raw(ending)[0].op == FtpOperation.ACK
 
 
-def open_files(folder: Path) -> int:
-    """How many files of a folder are open in this process, in which others come and go."""
-    count = 0
-    for entry in Path("/proc/self/fd").iterdir():
-        with suppress(OSError):  # closed since
-            count += entry.readlink().is_relative_to(folder)
-    return count
-
-
-def test_sessions_and_clients_are_bounded_and_files_are_let_go(server: Server, tmp_path: Path) -> None:
-    log = b"/log/log_00001.ulg"
+def test_sessions_and_clients_are_bounded(server: Server) -> None:
     for _ in range(3 * MOST_SESSIONS):
-        assert server.one(FtpOperation.OPEN_RO, log).op == FtpOperation.ACK
+        assert server.one(FtpOperation.OPEN_RO, b"/etc/extras/all.bin").op == FtpOperation.ACK
     assert server.ftp.sessions == MOST_SESSIONS
     for client in range(3 * MOST_CLIENTS):
-        server.ask(FtpOperation.OPEN_RO, log, peer=f"client {client}")
+        server.ask(FtpOperation.OPEN_RO, b"/etc/extras/all.bin", peer=f"client {client}")
     assert server.ftp.sessions <= MOST_CLIENTS + MOST_SESSIONS
-    assert 0 < open_files(tmp_path) <= MOST_CLIENTS + MOST_SESSIONS
     for client in range(3 * MOST_CLIENTS):
         server.ftp.gone(f"client {client}")
     server.ftp.gone("client")
-    assert (server.ftp.sessions, open_files(tmp_path)) == (0, 0)
+    assert server.ftp.sessions == 0
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -416,7 +389,7 @@ def test_sessions_and_clients_are_bounded_and_files_are_let_go(server: Server, t
             st.tuples(
                 st.integers(0, 16),
                 st.integers(0, 5),
-                st.sampled_from([b"/log", b"/controllers/a.json", b"/etc/extras/all.bin", b"\xff/\0"]),
+                st.sampled_from([b"/", b"/controllers/a.json", b"/etc/extras/all.bin", b"\xff/\0"]),
                 st.integers(0, 300),
             ).map(lambda r: struct.pack("<HBBBBBxI", r[3], r[1], r[0], len(r[2]), 0, 0, r[3]) + r[2]),
         ),

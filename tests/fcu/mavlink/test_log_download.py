@@ -13,7 +13,7 @@ from tests.faults.virtual_time import run_virtual
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import patiently
-from twodof.fcu.command.result import CommandResult, rejected
+from twodof.fcu.command.command_lease import CommandResult, rejected
 from twodof.fcu.mavlink.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
 from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger

@@ -5,7 +5,7 @@ import pytest
 from tests.fcu.mavlink.world import World
 from twodof.fcu.mavlink.message_requests import VersionService
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.messages import message
 
 AUTOPILOT_VERSION = 148

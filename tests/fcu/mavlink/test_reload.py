@@ -22,7 +22,7 @@ from twodof.fcu.mavlink.vehicle_commands import ASK
 from twodof.flight.controller_store import ControllerStore
 from twodof.flight.starters import starter
 from twodof.link.connection import Connection
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.transport import open_transport
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from twodof.fcu.mavlink.services import MavlinkServices
+from twodof.fcu.assembly import MavlinkServices
 from twodof.link.mavlink import dialect
 from twodof.sim.virtual_drone import VirtualDrone
 

@@ -14,10 +14,10 @@ import pytest
 
 from tests.fcu.mavlink.world import World
 from tests.patience import PATIENCE_S, patiently
-from twodof.fcu.command.result import rejected
+from twodof.fcu.command.command_lease import rejected
 from twodof.fcu.parameters import parameter_store as store_module
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.link.mavlink.enums import MavResult
+from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.messages import message
 
 STORAGE = 245

@@ -7,7 +7,7 @@ import pytest
 from tests.fcu.mavlink.world import step
 from tests.fcu.steps import plain_step
 from twodof.errors import ParameterError
-from twodof.fcu.mavlink.status_text import LOOK_TICKS, StorageMonitor
+from twodof.fcu.mavlink.command_service import LOOK_TICKS, StorageMonitor
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParameterStore
 

@@ -11,8 +11,8 @@ from tests.fcu.mavlink.world import World
 from twodof.fcu.mavlink.clients import SILENT_TICKS
 from twodof.fcu.mavlink.streams import next_due
 from twodof.link.mavlink import dialect
+from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.rates import PROFILES
 from twodof.signals import TICK_NS
 
 pytestmark = pytest.mark.slow

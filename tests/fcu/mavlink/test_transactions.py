@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import CLIENT, World
-from twodof.fcu.command.result import rejected
+from twodof.fcu.command.command_lease import rejected
 from twodof.fcu.mavlink.parameter_service import (
     BEGIN,
     COMMIT,

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from tests.fcu.sent_message import SentMessage
-from twodof.fcu.command.result import DONE, CommandResult, Source
+from twodof.fcu.assembly import MavlinkServices
+from twodof.fcu.command.command_lease import DONE, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import LoopTiming
-from twodof.fcu.mavlink.services import MavlinkServices
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink import modes

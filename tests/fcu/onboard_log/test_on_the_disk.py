@@ -29,7 +29,7 @@ def erased(folder: Path) -> None:
 
 def removed(folder: Path) -> None:
     (folder / "mine.json").touch()
-    FileTree(dict, controllers=folder).remove("/controllers/mine.json")
+    FileTree(dict, folder).remove("/controllers/mine.json")
 
 
 def back_to_stock(folder: Path) -> None:
@@ -39,7 +39,7 @@ def back_to_stock(folder: Path) -> None:
 
 CHANGES: dict[str, Callable[[Path], object]] = {
     "atomic_write": saved,
-    "upload by FTP": lambda folder: FileTree(dict, controllers=folder).upload("/controllers/mine.json", b"{}"),
+    "upload by FTP": lambda folder: FileTree(dict, folder).upload("/controllers/mine.json", b"{}"),
     "removal by FTP": removed,
     "flashing": lambda folder: ControllerStore(folder).flash(starter("lqr-attitude")),
     "back to stock": back_to_stock,

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from concurrent.futures import ThreadPoolExecutor
+from enum import IntEnum
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from twodof.errors import LinkError, RefusalReason
 from twodof.fcu.command import excitation_player
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES
 from twodof.link.mavlink import dialect
+from twodof.link.mavlink.dialect import GROUND, ONBOARD, RATES, MavCmd, MavResult, MavSeverity
 from twodof.signals import TOPICS
 
 pytestmark = pytest.mark.slow
@@ -120,6 +122,20 @@ def test_every_constant_of_common_has_common_s_value() -> None:
             assert theirs == value, entry.name
             compared += 1
     assert compared > 350
+
+
+@pytest.mark.parametrize("ours", [MavCmd, MavResult, MavSeverity])
+def test_our_enumerations_have_the_dialects_numbers(ours: type[IntEnum]) -> None:
+    prefix = {MavCmd: "MAV_CMD", MavResult: "MAV_RESULT", MavSeverity: "MAV_SEVERITY"}[ours]
+    for member in ours:
+        assert getattr(dialect.load(), f"{prefix}_{member.name}") == member
+
+
+def test_rates_name_messages_and_a_slow_link_gets_no_more() -> None:
+    known = dialect.load().mavlink_map
+    assert {row.number: row.name for row in RATES} == {row.number: known[row.number].msgname for row in RATES}
+    assert len({row.number for row in RATES}) == len(RATES)
+    assert all(rate <= ONBOARD[number] for number, rate in GROUND.items())
 
 
 def spelled(enum: str) -> dict[str, int]:

@@ -13,10 +13,9 @@ import pytest
 
 from tests.link.ends import SOON, run
 from tests.patience import patiently
-from twodof.link.mavlink.framing import encode
+from twodof.link.mavlink.framing import encode, looks_like_a_stop
 from twodof.link.mavlink.messages import message
 from twodof.link.transport import open_transport, udp
-from twodof.link.transport.stop_frames import looks_like_a_stop
 from twodof.link.transport.udp import UdpTransport
 
 pytestmark = pytest.mark.slow

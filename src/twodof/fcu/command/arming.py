@@ -2,15 +2,13 @@
 
 from collections.abc import Callable
 
-from twodof.fcu.command.command_lease import CommandLease
-from twodof.fcu.command.result import DONE, CommandResult, Source, failed, rejected
+from twodof.fcu.command.command_lease import DONE, CommandLease, CommandResult, Source, VehicleState, failed, rejected
 from twodof.fcu.command.setpoints import SetpointManager
-from twodof.fcu.command.vehicle_state import VehicleState
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.flight.failsafe.causes_and_actions import BIT, named_causes
 from twodof.flight.failsafe.state_machine import DISARMED, MAY_TURN, REFUSED
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavResult, MavSeverity
+from twodof.link.mavlink.dialect import MavResult, MavSeverity
 
 PATIENCE = 25
 """Ticks within which the failsafe has answered; it does in the tick in which it is asked."""

@@ -1,12 +1,97 @@
 """The lease: who may command, and whether the drone hears it. The rules are those of docs/reference/protocol.md."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from twodof.errors import RefusalReason
-from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
-from twodof.fcu.command.vehicle_state import VehicleState
-from twodof.link.mavlink.enums import MavSeverity
+from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.hardware import Hardware
+from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, LEVEL
+from twodof.link.mavlink.dialect import MavResult, MavSeverity
 from twodof.signals import PERIOD
+
+Source = tuple[int, int]
+"""Who sent a message: MAVLink system and component."""
+
+
+class CommandResult(NamedTuple):
+    """The answer to a command: a MAV_RESULT, and why it was refused, as a `text` for people and a code for programs."""
+
+    result: MavResult
+    text: str = ""
+    reason: RefusalReason = RefusalReason.OTHER
+
+    @property
+    def accepted(self) -> bool:
+        """Return whether it was done."""
+        return self.result == MavResult.ACCEPTED
+
+    @property
+    def in_progress(self) -> bool:
+        """Return whether the answer comes later."""
+        return self.result == MavResult.IN_PROGRESS
+
+
+DONE = CommandResult(MavResult.ACCEPTED)
+
+
+def denied(text: str = "", reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
+    """Return the answer to what makes no sense, now or later."""
+    return CommandResult(MavResult.DENIED, text, reason)
+
+
+def rejected(text: str, reason: RefusalReason = RefusalReason.OTHER) -> CommandResult:
+    """Return the answer to what cannot be done now."""
+    return CommandResult(MavResult.TEMPORARILY_REJECTED, text, reason)
+
+
+def failed(text: str = "") -> CommandResult:
+    """Return the answer to what was tried and did not succeed."""
+    return CommandResult(MavResult.FAILED, text)
+
+
+def unsupported(text: str = "") -> CommandResult:
+    """Return the answer to what the drone does not do."""
+    return CommandResult(MavResult.UNSUPPORTED, text)
+
+
+ACTING = (LEVEL, BRAKE, DESCEND)
+"""States in which the failsafe flies."""
+
+MOST_REMARKS = 64
+"""Remarks that are kept if nobody takes them."""
+
+
+@dataclass
+class VehicleState:
+    """The hardware's switches (`rig`), the last `step` (None: none yet), and what the failsafe said in it.
+
+    `now` is the first tick that was not asked for yet: a command acts there. `failsafe` is the failsafe's state.
+    `remarks` are (MAV_SEVERITY, text) pairs for the clients.
+    """
+
+    rig: Hardware
+    remarks: list[tuple[int, str]] = field(default_factory=list)
+    now: int = 0
+    armed: bool = False
+    failsafe: int = DISARMED
+    step: ControlStep | None = None
+
+    @property
+    def failsafe_acts(self) -> bool:
+        """Return whether the failsafe flies, and not the set-points."""
+        return self.failsafe in ACTING
+
+    def remark(self, severity: int, text: str) -> None:
+        """Tell the clients `text`, with a MAV_SEVERITY."""
+        if len(self.remarks) < MOST_REMARKS:
+            self.remarks.append((severity, text))
+
+    def restart(self) -> None:
+        """Restart at tick 0: disarmed, without a step."""
+        self.now, self.armed, self.failsafe, self.step = 0, False, DISARMED, None
+
 
 COMMANDING = round(2.0 / PERIOD)
 """Ticks after the holder's last command for which it keeps the lease while disarmed."""

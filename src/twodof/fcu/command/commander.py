@@ -9,7 +9,17 @@ from collections.abc import Callable
 
 from twodof.errors import RefusalReason
 from twodof.fcu.command.arming import ArmingControl
-from twodof.fcu.command.command_lease import CommandLease
+from twodof.fcu.command.command_lease import (
+    ACTING,
+    DONE,
+    CommandLease,
+    CommandResult,
+    Source,
+    VehicleState,
+    denied,
+    rejected,
+    unsupported,
+)
 from twodof.fcu.command.excitation_player import (
     LOOPS,
     REFUSED,
@@ -17,7 +27,6 @@ from twodof.fcu.command.excitation_player import (
     OnboardPlayer,
     SampledExcitation,
 )
-from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected, unsupported
 from twodof.fcu.command.setpoints import (
     HORIZON,
     OPENLOOP,
@@ -28,13 +37,12 @@ from twodof.fcu.command.setpoints import (
     SetpointManager,
     manual_setpoint,
 )
-from twodof.fcu.command.vehicle_state import ACTING, VehicleState
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import ControlInput, Hardware
 from twodof.flight.failsafe.causes_and_actions import named_causes
 from twodof.flight.failsafe.state_machine import FLYING, STATES
 from twodof.link.mavlink import modes
-from twodof.link.mavlink.enums import MavSeverity
+from twodof.link.mavlink.dialect import MavSeverity
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 

@@ -2,16 +2,35 @@
 
 import secrets
 import time
-from collections.abc import Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
 from twodof.errors import ParameterError
 from twodof.fcu.control.flight_code import ControlStep, FlightCode
 from twodof.fcu.control.hardware import ControlInput, Hardware, VirtualHardware
-from twodof.fcu.event_bus import OnboardEventBus
-from twodof.link.mavlink.enums import MavSeverity
+from twodof.link.mavlink.dialect import MavSeverity
 from twodof.signals import TICK_NS
+
+Event = TypeVar("Event")
+
+
+class OnboardEventBus:
+    """Calls each listener of an event's class, in the order in which they subscribed, before `publish` returns."""
+
+    def __init__(self) -> None:
+        self._listeners: defaultdict[type[Any], list[Callable[[Any], object]]] = defaultdict(list)
+
+    def subscribe(self, kind: type[Event], listener: Callable[[Event], object]) -> None:
+        """Call `listener` with each event of the class `kind`, not of its subclasses."""
+        self._listeners[kind].append(listener)
+
+    def publish(self, event: object) -> None:
+        """Call the listeners of this event's class; an exception of a listener is raised here."""
+        for listener in self._listeners.get(type(event), ()):
+            listener(event)
+
 
 REMEDY = "End other programs on the flight controller's computer, or fly a virtual drone in lockstep"
 """What helps where the processor does not keep up (`step_late`)."""

@@ -5,11 +5,11 @@ from math import isfinite, nan
 from operator import attrgetter
 from typing import Any
 
+from twodof.fcu.command.command_lease import DONE, CommandResult, denied
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DONE, CommandResult, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.control.loop import OnboardEventBus
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.command_service import ReceivedCommand
 from twodof.fcu.mavlink.service import MASK_32, Link, Service, whole

@@ -5,14 +5,13 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from twodof.fcu.command.command_lease import CommandResult, Source
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.control.loop import OnboardEventBus
 from twodof.fcu.mavlink.service import Link, Refuse, Service, VehicleAddress, source
 from twodof.link.connection import Received
-from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID
-from twodof.link.mavlink.enums import NO_AUTOPILOT, MavCmd
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID, NO_AUTOPILOT, MavCmd
 from twodof.link.mavlink.messages import message
 from twodof.signals import TICK_MS
 

@@ -1,40 +1,35 @@
-"""The files that clients see by MAVLink FTP: a tree of folders, and no way out of it; the descriptions among them.
+"""Tree of the files that clients read and write by MAVLink FTP, with the descriptions of the parameters.
 
-A path is looked up, never handed to the system: `/etc/extras` holds what is made here, descriptions of parameters
-and the diagrams that fly, `/log` the on-board logs, `/controllers` the diagrams that clients have sent. All is
-bounded. Called from the thread of `Background`.
+A path is looked up and never handed to the system, so that no path leads out of the tree. `/etc/extras` holds the
+descriptions and the diagrams that fly, `/controllers` the diagrams that clients have sent. All is bounded. Logs are
+fetched by LOG_REQUEST_LIST (log_download.py).
 
 COMPONENT_METADATA names the general file, which names the other. Sources: MAVLink guide, "Component Metadata
 Protocol"; schemas general and parameter, version 1.
 """
 
 import json
-import os
 import re
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from twodof.errors import LogError
+from twodof.fcu.mavlink.background import read_block
 from twodof.fcu.mavlink.service import MASK_32
-from twodof.fcu.onboard_log.log_writer import LogFolder
 from twodof.fcu.parameters.parameter_store import ParametersRelisted, ParameterStore
 from twodof.fcu.parameters.table import VehicleParameter
 from twodof.flightlog.atomic import atomic_write, make_folder, sync_folder
 from twodof.link.mavlink.ftp import FtpError
 from twodof.link.mavlink.messages import message
 
-EXTRAS, LOGS, CONTROLLERS = "/etc/extras", "/log", "/controllers"
+EXTRAS, CONTROLLERS = "/etc/extras", "/controllers"
 MAX_UPLOAD = 8 << 20
 """Bytes of a diagram: what the loader of diagrams reads."""
 MOST_UPLOADS = 32
 _UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
-_CARD = "/fs/microsd"
-"""Where PX4 has the card: /fs/microsd/log is /log here."""
-_PIECE = 1 << 20
 
 
 class FileFault(LogError):
@@ -45,28 +40,20 @@ class FileFault(LogError):
         self.code = code
 
 
-class OpenFile:
-    """A file that is read: bytes, or an open descriptor with the size that it had then."""
+class OpenFile(NamedTuple):
+    """File that is read: its bytes or its path, and the size that it had when it was opened."""
 
-    def __init__(self, content: bytes | int, size: int) -> None:
-        self.size = size
-        self._content = content
+    content: bytes | Path
+    size: int
 
     def read(self, offset: int, count: int) -> bytes:
         """Read at most `count` bytes from `offset`; none behind the end. Raises OSError."""
         count = min(count, self.size - offset)
         if count <= 0:
             return b""
-        if isinstance(self._content, bytes):
-            return self._content[offset : offset + count]
-        return os.pread(self._content, count, offset)
-
-    def close(self) -> None:
-        """Close the file; a second call does nothing."""
-        content, self._content = self._content, b""
-        if isinstance(content, int):
-            with suppress(OSError):
-                os.close(content)
+        if isinstance(self.content, Path):
+            return read_block(self.content, offset, count)
+        return self.content[offset : offset + count]
 
 
 class FolderEntry(NamedTuple):
@@ -77,22 +64,16 @@ class FolderEntry(NamedTuple):
 
 
 class FileTree:
-    """The tree of files; without `logs` or `controllers` that folder is missing.
+    """Tree of files; `made` gives those in /etc/extras by name, `controllers` is the folder of uploads (None: none)."""
 
-    `made` gives the files in /etc/extras by name.
-    """
-
-    def __init__(
-        self, made: Callable[[], Mapping[str, bytes]], logs: LogFolder | None = None, controllers: Path | None = None
-    ) -> None:
+    def __init__(self, made: Callable[[], Mapping[str, bytes]], controllers: Path | None = None) -> None:
         self._made = made
-        self._logs = logs
         self._controllers = controllers
 
     def entries(self, path: str) -> list[FolderEntry]:
         """List a folder, sorted by name. Raises FileFault."""
         place = _normal(path)
-        folders = [EXTRAS, *((LOGS,) if self._logs else ()), *((CONTROLLERS,) if self._controllers else ())]
+        folders = [EXTRAS, *((CONTROLLERS,) if self._controllers else ())]
         inside = {folder[len(place) :].lstrip("/").split("/")[0] for folder in folders if _below(folder, place)}
         if inside:
             return [FolderEntry(name, None) for name in sorted(inside)]
@@ -100,33 +81,21 @@ class FileTree:
             raise FileFault(FtpError.NOT_FOUND, "no such folder", place)
         if place == EXTRAS:
             return [FolderEntry(name, len(content)) for name, content in sorted(self._made().items())]
-        if place == LOGS and self._logs is not None:
-            return [FolderEntry(log.path.name, log.size) for log in self._logs.logs()]
         return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
 
     def open(self, path: str) -> OpenFile:
-        """Open a file to read. Raises FileFault."""
+        """Open a file to read. Raises FileFault, OSError."""
         folder, _, name = _normal(path).rpartition("/")
         content = self._made().get(name) if folder == EXTRAS else None
         if content is not None:
             return OpenFile(content, len(content))
-        found = self._find(folder, name)
-        try:
-            descriptor = os.open(found, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
-        except OSError as refusal:
-            raise FileFault(FtpError.NOT_FOUND, f"cannot be read: {refusal.strerror}", path) from refusal
-        return OpenFile(descriptor, os.fstat(descriptor).st_size)
+        found = self._upload(folder, name)
+        return OpenFile(found, found.stat().st_size)
 
     def checksum(self, path: str) -> int:
         """Return a file's checksum of MAVLink FTP: CRC-32 begun with 0 and not inverted. Raises FileFault."""
         file = self.open(path)
-        try:
-            crc, at = 0, 0
-            while piece := file.read(at, _PIECE):
-                crc, at = mavlink_crc32(piece, crc), at + len(piece)
-            return crc
-        finally:
-            file.close()
+        return mavlink_crc32(file.read(0, file.size))
 
     def check_upload(self, path: str) -> Path:
         """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed."""
@@ -157,22 +126,17 @@ class FileTree:
         folder, _, name = _normal(path).rpartition("/")
         if folder != CONTROLLERS:
             raise FileFault(FtpError.PROTECTED, "only diagrams in /controllers are removed", path)
-        found = self._find(folder, name)
+        found = self._upload(folder, name)
         try:
             found.unlink()
         except OSError as refusal:
             raise FileFault(FtpError.FAIL, f"cannot be removed: {refusal.strerror}", path) from refusal
         sync_folder(found.parent)
 
-    def _find(self, folder: str, name: str) -> Path:
-        if folder == LOGS and self._logs is not None:
-            for log in self._logs.logs():
-                if log.path.name == name:
-                    return log.path
-        if folder == CONTROLLERS:
-            for path in self._uploads():
-                if path.name == name:
-                    return path
+    def _upload(self, folder: str, name: str) -> Path:
+        for path in self._uploads() if folder == CONTROLLERS else ():
+            if path.name == name:
+                return path
         raise FileFault(FtpError.NOT_FOUND, "no such file", f"{folder}/{name}")
 
     def _uploads(self) -> list[Path]:
@@ -182,9 +146,9 @@ class FileTree:
         return sorted(path for path in found if path.is_file() and not path.is_symlink())
 
 
-def mavlink_crc32(data: bytes, crc: int = 0) -> int:
+def mavlink_crc32(data: bytes) -> int:
     """CRC-32 as MAVLink FTP and PX4 compute it: zlib's polynomial, begun with 0, not inverted."""
-    return zlib.crc32(data, crc ^ 0xFFFFFFFF) ^ 0xFFFFFFFF
+    return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
 def _below(folder: str, place: str) -> bool:
@@ -193,7 +157,7 @@ def _below(folder: str, place: str) -> bool:
 
 def _normal(path: str) -> str:
     """Normalise a path from the root: no slash at its end, no empty names, `..` is refused. Raises FileFault."""
-    names = [name for name in path.removeprefix(_CARD).split("/") if name not in ("", ".")]
+    names = [name for name in path.split("/") if name not in ("", ".")]
     if ".." in names or "\0" in path:
         raise FileFault(FtpError.NOT_FOUND, "no such file", path[:100])
     return "/" + "/".join(names)

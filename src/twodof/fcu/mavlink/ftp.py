@@ -9,12 +9,10 @@ import struct
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import islice
 
-from twodof.errors import TwodofError
-from twodof.fcu.command.result import Source
+from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, shares
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
@@ -75,12 +73,11 @@ class FtpClient:
     busy: bool = False
     waiting: deque[FtpPacket] = field(default_factory=deque)
 
-    def open(self, session: FtpSession, wanted: int, close: Callable[[OpenFile], None]) -> int | None:
+    def open(self, session: FtpSession, wanted: int) -> int | None:
         """Open a session, with the number `wanted` if that is free; None if only uploads are open already."""
         if len(self.sessions) >= MOST_SESSIONS:
             for number, oldest in self.sessions.items():
                 if oldest.file is not None:
-                    close(oldest.file)
                     del self.sessions[number]
                     break
             else:
@@ -223,9 +220,8 @@ class FileTransfer(Service):
         def opened(found: object) -> FtpPacket:
             if not isinstance(found, OpenFile):
                 return _refused(request, found)
-            number = client.open(FtpSession(found), request.session, self._close)
+            number = client.open(FtpSession(found), request.session)
             if number is None:
-                self._close(found)
                 return request.nak(FtpError.NO_SESSIONS)
             return request.ack(struct.pack("<I", found.size), session=number)
 
@@ -275,7 +271,7 @@ class FileTransfer(Service):
                 return _refused(request, found)
             if not self._room_for_upload():
                 return request.nak(FtpError.NO_SESSIONS)
-            number = client.open(FtpSession(None, request.text, self._clock()), request.session, self._close)
+            number = client.open(FtpSession(None, request.text, self._clock()), request.session)
             return request.nak(FtpError.NO_SESSIONS) if number is None else request.ack(session=number)
 
         self._work(client, request, lambda: self.tree.check_upload(request.text), created)
@@ -300,7 +296,6 @@ class FileTransfer(Service):
         if session is None:
             self._answer(client, request, request.nak(FtpError.SESSION))
         elif session.file is not None:
-            self._close(session.file)
             self._answer(client, request, request.ack())
         elif session.failed:
             self._answer(client, request, request.nak(FtpError.FAIL))
@@ -396,16 +391,7 @@ class FileTransfer(Service):
 
     def _dismiss(self, client: FtpClient) -> None:
         client.burst = None
-        for session in client.sessions.values():
-            if session.file is not None:
-                self._close(session.file)
         client.sessions.clear()
-
-    def _close(self, file: OpenFile) -> None:
-        # In order with what is still being read of it.
-        if not self._background.submit(file.close, lambda _: None):
-            with suppress(OSError, TwodofError):
-                file.close()
 
 
 def _refused(request: FtpPacket, fault: object) -> FtpPacket:

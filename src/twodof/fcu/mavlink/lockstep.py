@@ -5,8 +5,8 @@ from collections.abc import Callable, Hashable
 from typing import Any, NamedTuple
 
 from twodof.errors import RefusalReason, TwodofError
+from twodof.fcu.command.command_lease import DONE, CommandResult, denied, unsupported
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DONE, CommandResult, denied, unsupported
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, meant, source

@@ -9,7 +9,7 @@ messages; PX4, mavlink_ulog.cpp.
 from collections.abc import Hashable
 from pathlib import Path
 
-from twodof.fcu.command.result import DONE, CommandResult, Source, denied, rejected
+from twodof.fcu.command.command_lease import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, read_block
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
@@ -17,7 +17,7 @@ from twodof.fcu.mavlink.service import Link, Service, Take, VehicleAddress, sour
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog_writer import MOST, ULogFragment, ULogFragments
 from twodof.link.connection import Received
-from twodof.link.mavlink.enums import MavCmd
+from twodof.link.mavlink.dialect import MavCmd
 from twodof.link.mavlink.messages import message
 
 ULOG = 0

@@ -6,14 +6,13 @@ from functools import partial
 from typing import Any
 
 import twodof
-from twodof.fcu.command.result import DONE, CommandResult, denied, rejected, unsupported
+from twodof.fcu.command.command_lease import DONE, CommandResult, denied, rejected, unsupported
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target, whole
 from twodof.link.connection import Received
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.dialect import message_id
-from twodof.link.mavlink.enums import MavCmd
+from twodof.link.mavlink.dialect import MavCmd, message_id
 from twodof.link.mavlink.messages import message
 
 OLD_FORMS = {

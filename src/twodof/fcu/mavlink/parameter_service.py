@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from twodof.errors import ParameterError, listed
+from twodof.fcu.command.command_lease import Source
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.clients import ClientLeft

@@ -4,10 +4,10 @@ from collections.abc import Callable, Hashable
 from math import isfinite
 from typing import Any, NamedTuple, Protocol
 
-from twodof.fcu.command.result import CommandResult, Source
+from twodof.fcu.command.command_lease import CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.link.connection import Received
-from twodof.link.mavlink.enums import AUTOPILOT
+from twodof.link.mavlink.dialect import AUTOPILOT
 from twodof.signals import TICK_MS
 
 

@@ -6,10 +6,10 @@ from math import isnan
 from typing import Any, NamedTuple
 
 from twodof.errors import RefusalReason
-from twodof.fcu.command import result
+from twodof.fcu.command.command_lease import DONE as ACCEPTED
+from twodof.fcu.command.command_lease import CommandResult, Source, denied
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import DONE, RECEIVING, REFUSED, SampledExcitation, prepare
-from twodof.fcu.command.result import CommandResult, Source, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker
 from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, acts_at, acts_at_ms, source
@@ -160,7 +160,7 @@ class ExcitationService(Service):
             if player.transfer == got.transfer and player.state == DONE:
                 # A start that comes once more, since its answer was lost: it was played, and is not played twice.
                 self._tell_player(peer)
-                return result.DONE
+                return ACCEPTED
             thrust = None if isnan(got.thrust) else got.thrust
             at_tick = acts_at(got.tick, self._tick)
             return self._commander.excitation.start(sender, got.transfer, got.loop, thrust, at_tick)

@@ -10,21 +10,18 @@ from collections.abc import Hashable, Mapping
 from math import isfinite
 from typing import Any
 
+from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, unsupported
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DONE, CommandResult, denied, failed, unsupported
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import FlightController
-from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.control.loop import FlightController, OnboardEventBus
 from twodof.fcu.mavlink.batches import BATCH, BatchService
 from twodof.fcu.mavlink.clients import ClientJoined, ClientLeft, ClientRecognised
 from twodof.fcu.mavlink.command_service import CommandHandled, CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TOF, TelemetryEncoders
 from twodof.fcu.mavlink.service import Link, Service, whole
 from twodof.link.connection import Received
-from twodof.link.mavlink.dialect import FIRST_OWN_ID
-from twodof.link.mavlink.enums import MavCmd
+from twodof.link.mavlink.dialect import FIRST_OWN_ID, ONBOARD, MavCmd
 from twodof.link.mavlink.messages import message
-from twodof.link.mavlink.rates import ONBOARD
 from twodof.signals import TICK_NS
 
 STOPPED, WITH_NEWS = -1, 0

@@ -9,8 +9,8 @@ from typing import Any
 from twodof.blocks import Diagram
 from twodof.compile.wasm.target import check_ready
 from twodof.errors import CompileError, ParameterError, RefusalReason, TwodofError
+from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, rejected, unsupported
 from twodof.fcu.command.commander import Commander
-from twodof.fcu.command.result import DONE, CommandResult, denied, failed, rejected, unsupported
 from twodof.fcu.control.controllers import Controllers
 from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
@@ -19,7 +19,7 @@ from twodof.fcu.mavlink.message_requests import MessageRequests
 from twodof.fcu.mavlink.service import Service, VehicleAddress, source, whole
 from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
 from twodof.link.connection import Received
-from twodof.link.mavlink.enums import MavCmd, MavResult
+from twodof.link.mavlink.dialect import MavCmd, MavResult
 from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import BY_NUMBER, MODES
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import ParameterError, TwodofError, listed
-from twodof.fcu.event_bus import OnboardEventBus
+from twodof.fcu.control.loop import OnboardEventBus
 from twodof.fcu.parameters.store_file import StoredParameters, StoreFile, TunedController
 from twodof.fcu.parameters.table import VehicleParameter, vehicle_rows, wire_rows
 from twodof.fcu.parameters.user_parameters import UserParameters

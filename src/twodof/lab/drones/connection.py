@@ -19,8 +19,8 @@ from twodof.lab.drones.drone_report import report
 from twodof.lab.drones.parameter_table import ParameterTable
 from twodof.lab.drones.pilot import FlightRecorder, Pilot
 from twodof.lab.telemetry_rows import ONBOARD, PLACES, Feeds, TickRows
+from twodof.link.mavlink.dialect import RATES
 from twodof.link.mavlink.messages import batch_rows, channel_mask
-from twodof.link.mavlink.rates import RATES
 
 
 async def until_one_ends(work: Iterable[Coroutine[Any, Any, Any]]) -> None:

@@ -18,7 +18,7 @@ from twodof.lab.drones.connection import DroneConnection
 from twodof.lab.drones.drone_report import lost_report
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience, Feeds
-from twodof.link.transport import ports
+from twodof.link.transport.url import Port
 
 CONNECT_S = 5.0
 AGAIN_S, AGAIN_MOST_S = 0.3, 2.0
@@ -153,7 +153,7 @@ class LabDrones:
     """The drones at the URLs of the settings; none given: those that run on this computer, as they come."""
 
     def __init__(self, settings: LabSettings, audience: Audience) -> None:
-        places = [f"udp://127.0.0.1:{ports.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
+        places = [f"udp://127.0.0.1:{Port.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
         self._always = bool(settings.connect)
         self._drones = [LabDrone(url, settings, audience) for url in settings.connect or places]
         self._tasks: list[asyncio.Task[None]] = []

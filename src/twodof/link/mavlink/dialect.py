@@ -11,15 +11,119 @@ import marshal
 import subprocess
 import sys
 from collections.abc import Mapping
+from enum import IntEnum
 from pathlib import Path
 from threading import Lock
 from types import MappingProxyType, ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import pymavlink
 
 from twodof.compile.toolchain import cache
 from twodof.errors import LinkError, listed, shown
+
+AUTOPILOT = 1
+"""MAV_COMP_ID_AUTOPILOT1: the flight controller."""
+GROUND_STATION = 190
+"""MAV_COMP_ID_MISSIONPLANNER: a client on the ground."""
+COMPANION = 191
+"""MAV_COMP_ID_ONBOARD_COMPUTER: the companion."""
+APP = 192
+"""MAV_COMP_ID_ONBOARD_COMPUTER2: a user's program on board."""
+NO_AUTOPILOT = 8
+"""MAV_AUTOPILOT_INVALID: the autopilot in the HEARTBEAT of a component that is none."""
+
+
+class MavResult(IntEnum):
+    """MAV_RESULT: how a command was answered."""
+
+    ACCEPTED = 0
+    TEMPORARILY_REJECTED = 1
+    DENIED = 2
+    UNSUPPORTED = 3
+    FAILED = 4
+    IN_PROGRESS = 5
+
+
+class MavSeverity(IntEnum):
+    """MAV_SEVERITY: how urgent a text is, as in syslog."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    INFO = 6
+
+
+class MavCmd(IntEnum):
+    """MAV_CMD: the commands that a drone carries out."""
+
+    DO_SET_MODE = 176
+    DO_FLIGHTTERMINATION = 185
+    PREFLIGHT_STORAGE = 245
+    PREFLIGHT_REBOOT_SHUTDOWN = 246
+    DO_SET_STANDARD_MODE = 262
+    COMPONENT_ARM_DISARM = 400
+    RUN_PREARM_CHECKS = 401
+    GET_HOME_POSITION = 410
+    GET_MESSAGE_INTERVAL = 510
+    SET_MESSAGE_INTERVAL = 511
+    REQUEST_MESSAGE = 512
+    REQUEST_PROTOCOL_VERSION = 519
+    REQUEST_AUTOPILOT_CAPABILITIES = 520
+    LOGGING_START = 2510
+    LOGGING_STOP = 2511
+    USER_1 = 31010
+
+
+class Rates(NamedTuple):
+    """Rates [1/s] at which a client gets a message unless it asks for others: on a fast link, and on a slow one.
+
+    0: with each news; None: on request only. `on_change`: it also comes at each change. The flight controller streams
+    at these rates, and the companion thins to them. Source: PX4 v1.16, mavlink_main.cpp, MAVLINK_MODE_ONBOARD and
+    MAVLINK_MODE_NORMAL; the rates of twodof's own messages are ours.
+    """
+
+    number: int
+    name: str
+    onboard: float | None
+    ground: float | None
+    on_change: bool = False
+
+
+RATES = (
+    Rates(30, "ATTITUDE", 100.0, 15.0),
+    Rates(31, "ATTITUDE_QUATERNION", 50.0, 10.0),
+    Rates(105, "HIGHRES_IMU", 50.0, 2.0),
+    Rates(32, "LOCAL_POSITION_NED", 30.0, 1.0),
+    Rates(331, "ODOMETRY", 30.0, 0.5),
+    Rates(132, "DISTANCE_SENSOR", 10.0, 0.5),
+    Rates(36, "SERVO_OUTPUT_RAW", 10.0, 1.0),
+    Rates(83, "ATTITUDE_TARGET", 10.0, 2.0),
+    Rates(85, "POSITION_TARGET_LOCAL_NED", 10.0, 1.5),
+    Rates(140, "ACTUATOR_CONTROL_TARGET", 10.0, 1.0),
+    Rates(74, "VFR_HUD", 10.0, 4.0),
+    Rates(1, "SYS_STATUS", 5.0, 1.0),
+    Rates(245, "EXTENDED_SYS_STATE", 5.0, 1.0),
+    Rates(2, "SYSTEM_TIME", 1.0, 0.5),
+    Rates(230, "ESTIMATOR_STATUS", 1.0, 0.5),
+    Rates(54206, "TWODOF_RIG", 1.0, 1.0, on_change=True),
+    Rates(54209, "TWODOF_LEASE", 1.0, 1.0, on_change=True),
+    Rates(54210, "TWODOF_SAFETY", 1.0, 1.0, on_change=True),
+    Rates(54211, "TWODOF_TIMING", 1.0, 1.0, on_change=True),
+    Rates(147, "BATTERY_STATUS", 0.5, 0.5),
+    Rates(242, "HOME_POSITION", 0.5, 0.5),
+    Rates(436, "CURRENT_MODE", 0.5, 0.5, on_change=True),
+    Rates(437, "AVAILABLE_MODES_MONITOR", 0.3, 0.3, on_change=True),
+    Rates(54204, "TWODOF_TOF", 0.0, None),
+    Rates(54200, "TWODOF_OPENLOOP", 0.0, 0.0, on_change=True),
+)
+
+ONBOARD: Mapping[int, float] = MappingProxyType({row.number: row.onboard for row in RATES if row.onboard is not None})
+"""Message id -> rate [1/s] on a fast link; 0: with each news."""
+GROUND: Mapping[int, float] = MappingProxyType({row.number: row.ground for row in RATES if row.ground is not None})
+"""The same for a slow link."""
+PROFILES: Mapping[str, Mapping[int, float]] = MappingProxyType({"onboard": ONBOARD, "ground": GROUND})
+
 
 FILES = ("dialect.xml", "common.xml")
 MODULE = "twodof.link.generated"

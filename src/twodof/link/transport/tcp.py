@@ -7,8 +7,8 @@ from collections.abc import Hashable
 from contextlib import suppress
 from typing import cast
 
+from twodof.link.mavlink.framing import LONGEST_STOP, find_stop_frames
 from twodof.link.transport.base import MOST_OUT_BYTES, Packet, Transport
-from twodof.link.transport.stop_frames import LONGEST, find_stop_frames
 from twodof.link.transport.url import Address
 
 MOST_CLIENTS = 32
@@ -77,7 +77,7 @@ class _Stream(asyncio.BufferedProtocol):
     def find_stop_frames(self, data: bytes) -> list[bytes]:
         """Return the kills and disarms that end in `data`, which continues the stream."""
         before, data = len(self._tail), self._tail + data
-        self._tail = data[-LONGEST:]
+        self._tail = data[-LONGEST_STOP:]
         return find_stop_frames(data, before)
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -12,8 +12,8 @@ from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from typing import Any, cast
 
+from twodof.link.mavlink.framing import find_stop_frames, looks_like_a_stop
 from twodof.link.transport.base import Packet, Transport
-from twodof.link.transport.stop_frames import find_stop_frames, looks_like_a_stop
 from twodof.link.transport.url import Address
 
 MOST_PEERS = 32

@@ -3,10 +3,32 @@
 import re
 import termios
 from dataclasses import dataclass
+from enum import IntEnum
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from twodof.errors import LinkError, shown
-from twodof.link.transport import ports
+
+
+class Port(IntEnum):
+    """Port of drone 0, as PX4 in simulation has it; drone i has the i-th after it, except at GROUND_STATION.
+
+    The UDP ports are those of PX4 v1.16 (ROMFS/px4fmu_common/init.d-posix/px4-rc.mavlink). Ground programs look for a
+    simulated drone at TCP 5760, the port of ArduPilot. The flight controller's port is our own.
+    """
+
+    ONBOARD = 14540
+    """UDP: the companion sends to it, for clients on board and for MAVSDK."""
+    GROUND_STATION = 14550
+    """UDP: the companions of all drones send to it; QGroundControl listens there."""
+    COMPANION_ONBOARD = 14580
+    """UDP: the companion sends from it and listens there, for clients on board."""
+    COMPANION_GROUND = 18570
+    """UDP: the companion sends from it and listens there, for ground stations."""
+    COMPANION_TCP = 5760
+    """TCP: the companion listens there."""
+    FLIGHT_CONTROLLER = 5790
+    """TCP: the flight controller listens there, for its companion."""
+
 
 FORMS = (
     "udp://HOST:PORT or udp://:PORT (listens), udpin://HOST:PORT, udp://HOST:PORT?bind=[HOST:]PORT, "
@@ -66,7 +88,7 @@ def parse(url: str) -> Address:
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is not a URL", "", f"use {FORMS}")
     if bare := _BARE.fullmatch(url):
-        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (ports.COMPANION_ONBOARD, ports.COMPANION_TCP))
+        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (Port.COMPANION_ONBOARD, Port.COMPANION_TCP))
         raise LinkError("has no kind of link before its host", url, f"did you mean udp://{udp}, or tcp://{tcp}?")
     short = _SHORT.fullmatch(url)
     if short:
@@ -98,7 +120,7 @@ def parse(url: str) -> Address:
     if kind == "udpbcast" and not host:
         raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
     if port is None or (port == 0 and not kind.endswith("in")):
-        usual = {"udp": ports.COMPANION_ONBOARD, "tcp": ports.COMPANION_TCP}.get(kind, ports.GROUND_STATION)
+        usual = {"udp": Port.COMPANION_ONBOARD, "tcp": Port.COMPANION_TCP}.get(kind, Port.GROUND_STATION)
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
     if kind in ("udp", "udpbcast", "tcp") and host in ANY:
         what = f"{host} is not a host to send to"
