@@ -11,7 +11,7 @@ import pytest
 
 from tests.compile.differential import KINDS, Case, emitted, reference_run
 from tests.toolchains import need
-from twodof.blocks import Block, Diagram, Port, State, atan, int32, maximum, minimum, sqrt, store, to_int32, where
+from twodof.blocks import Block, Diagram, Port, State, atan, maximum, minimum, sqrt, store, to_int32, where
 from twodof.compile.c.emitter import emit
 from twodof.compile.program.lower import lower
 
@@ -125,30 +125,6 @@ def test_branches_change_no_bit(kind: str, first: int, count: int, precision: st
     assert len(re.findall(r"\n +if \(", programs[0].source)) > count
     expected = [reference_run(case, precision, "rk4") for case in cases]
     assert not KINDS[kind].differences(cases, expected, programs)
-
-
-class Modes(Block):
-    """A value for each mode, dear ones."""
-
-    inputs = tuple(Port(name, kind) for name, kind in INPUTS)
-    outputs = (Port("y"), Port("n", "int32"))
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        y, n = u.v, u.mode
-        for k in reversed(range(6)):
-            angle = atan(u.u + 0.5 * k)
-            y = where(u.mode == int32(k), angle * angle, y)
-            n = where(u.mode == int32(k), to_int32(angle * 5.0), n)
-        return {"y": y, "n": n}
-
-
-def test_cases_become_one_chain() -> None:
-    heads = [line for line in lines_of(Modes()) if re.search(r"\b(if|else)\b", line)]
-    assert [line.strip() for line in heads] == [
-        *(f"{'} else ' if k else ''}if (u->mode == {k}) {{" for k in range(6)),
-        "} else {",
-    ]
-    assert {len(line) - len(line.lstrip()) for line in heads} == {4}
 
 
 class Chain(Block):

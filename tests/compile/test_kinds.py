@@ -37,7 +37,6 @@ from twodof.blocks import (
 )
 from twodof.blocks.reference import Reference
 from twodof.compile import build
-from twodof.compile.linear.linearize import linearize
 from twodof.compile.stepper import Stepper
 
 pytestmark = pytest.mark.slow
@@ -146,28 +145,6 @@ def test_parameters_states_and_inputs_keep_to_their_kinds() -> None:
     assert machine.state("sensor.total") == float(np.float32(0.1))
     stepper = Stepper(machine, ["v"], ["raw", "smooth", "total", "count"])
     assert stepper.step([40.0]) == (32767, 0.1 * (32767 * 0.001), pytest.approx(3.3766, abs=1e-4), 8)
-
-
-def test_the_linear_model_of_a_filter_in_singles() -> None:
-    """It leaves the roundings out, as it does those of a build."""
-
-    class Singles(Block):
-        inputs = (Port("u"),)
-        outputs = (Port("y"),)
-        states = (State("x", 0.0, "float32"),)
-
-        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return to_real(x.x) * 0.5
-
-        def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return x.x * 0.75 + to_float32(u.u) * 0.25
-
-    d = Diagram("singles")
-    d.input("u")
-    d.add("filter", Singles(), u="u")
-    d.output("y", "filter")
-    model = linearize(d, 0.01)
-    assert (model.a, model.b, model.c, model.d) == ([[0.75]], [[0.25]], [[0.5]], [[0.0]])
 
 
 class Prepared(Block):

@@ -75,19 +75,6 @@ def test_a_peek_gives_the_next_outputs_and_advances_nothing() -> None:
         assert repr([stepper.step(values)] * 2) == repr(seen)
 
 
-def test_several_steps_are_that_many() -> None:
-    one, other = machine(core()), machine(core())
-    names = [name for name, *_ in INPUTS]
-    rng = np.random.default_rng(3)
-    steppers = [Stepper(made, names, ["theta"]) for made in (one, other)]
-    for count in (1, 4, 7):
-        values = random_values(rng, names)
-        steppers[0].run(count, values)
-        for _ in range(count):
-            steppers[1].step(values)
-    assert one.instance.structs["S"].tobytes() == other.instance.structs["S"].tobytes()
-
-
 def test_names_that_are_not_there_arrays_and_inputs_left_out_are_refused() -> None:
     d = Diagram("d")
     d.input("a")

@@ -21,7 +21,7 @@ from tests.processes import alive
 from tests.toolchains import need
 from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7 import processor as board
-from twodof.compile.cortex_m7.image import Image, build_image, find_cross_compiler
+from twodof.compile.cortex_m7.image import Image
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
 from twodof.compile.cortex_m7.target import CortexM7
 from twodof.compile.cortex_m7.usage import ObjectFile
@@ -201,31 +201,6 @@ def test_structs_that_the_memory_cannot_hold_are_refused_before() -> None:
         processor.run(0, pair(), pair(), pair(), pair(), 1)
 
 
-def test_a_state_of_ten_megabytes_and_rows_of_one_travel() -> None:
-    sizes = (4, 8, 10_000_000, 1_000_000, 1_000_000)
-    source = """#include <stddef.h>
-#include <stdint.h>
-#include <string.h>
-typedef struct { uint32_t v[2500000]; } S;
-typedef struct { uint32_t v[250000]; } Row;
-const size_t big_sizes[5] = {4, 8, sizeof(S), sizeof(Row), sizeof(Row)};
-void big_defaults(void *p) { (void)p; }
-void big_prepare(void *p) { (void)p; }
-void big_init(const void *p, S *s) { (void)p; (void)s; }
-void big_step(const void *p, S *s, const Row *u, Row *y) { (void)p; *y = *u; y->v[249999] += s->v[2499999]++; }
-"""
-    made = build_image(source, [("big", sizes)], find_cross_compiler("gcc"))
-    s, u, y = np.zeros(1, "V10000000"), np.zeros(3, "V1000000"), np.zeros(3, "V1000000")
-    s.view("<u4")[-1] = 5
-    u.view("<u4")[:] = np.arange(750_000)
-    with Processor(made) as processor:
-        processor.run(0, pair(), s, u, y, 3)
-    expected = np.arange(750_000)
-    expected[249_999::250_000] += [5, 6, 7]
-    assert np.array_equal(y.view("<u4"), expected)
-    assert s.view("<u4")[-1] == 8
-
-
 def test_the_emulator_ends_with_its_processor() -> None:
     others = emulators(os.getpid())
     processor = Processor(image(ADD))
@@ -264,18 +239,3 @@ def test_the_emulator_ends_when_python_is_killed() -> None:
             if not alive(emulator):
                 break
     shutil.rmtree(folder)  # nobody was left to do it
-
-
-@pytest.mark.parametrize(
-    ("words", "cause"),
-    [
-        ({"cfsr": 1 << 25}, "division of integers by zero; "),
-        ({"cfsr": 1 << 9 | 1 << 15, "bfar": 0x3000_0000}, "access to where no memory is at 0x30000000; "),
-        ({"cfsr": 0}, "fault of unknown cause; "),
-    ],
-)
-def test_a_fault_reads_its_words_in_order(words: dict[str, int], cause: str) -> None:
-    names = ("r0", "r1", "r2", "r3", "r12", "lr", "pc", "xpsr", "sp", "exc_return", "cfsr", "hfsr", "mmfar", "bfar")
-    values = {name: words.get(name, place) for place, name in enumerate(names)}
-    text = board.fault_text(np.array(list(values.values()), dtype="<u4").tobytes())
-    assert text == cause + " ".join(f"{name}={value:08x}" for name, value in values.items())

@@ -23,7 +23,6 @@ from twodof.compile.diagram_test import (
     StepInput,
     measure_coverage,
     run_scenario,
-    run_scenarios,
     table_of,
     to_junit,
 )
@@ -71,25 +70,6 @@ def test_the_lag_is_where_its_closed_form_says() -> None:
     assert str(result).splitlines()[1] == f"step: {scenario.checks[3]}: 0.947665 at 0.28 s is below 0.95 by 0.00233"
     fast = run_scenario(lag(), Scenario("fast", 1.0, {"r": 1.0}, {"k": 0.5}, ["y rises to 0.9 before 0.05"]), DT)
     assert fast.passed, fast
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_every_target_gives_the_same_bits_and_judgements(precision: str) -> None:
-    scenarios = [
-        Scenario(
-            "sine",
-            0.5,
-            {"r": SineInput(1.0, 3.0), "stop": StepInput(1, 0.2)},
-            checks=["y never above 0.3", "y always within [-1, 1] until 0.2", "going always equals false from 0.2"],
-        ),
-        Scenario("step", 0.5, {"r": StepInput(0.2, 0.1)}, {"k": 0.3}, ["y settles within 0.01 of 0.2 by 0.3"]),
-    ]
-    reference, native = (run_scenarios(lag(), scenarios, DT, precision, on) for on in ("reference", "native"))
-    for a, b in zip(reference, native, strict=True):
-        assert a.judgements == b.judgements
-        for name, values in b.signals.items():
-            assert a.signals[name].astype(values.dtype).tobytes() == values.tobytes()
-    assert [one.passed for one in native] == [False, True]
 
 
 TIMES = np.arange(60) * DT
@@ -177,22 +157,6 @@ def test_only_what_is_given_is_expected_at_rows_or_at_each_tick() -> None:
     y = run_scenario(lag(), Scenario("none", table=ExpectedTable(table_of({**inputs, "y": [0.0, *[None] * 4]}))), DT)
     assert y.passed
     assert y.judgements[0].text.startswith("1 values")
-
-
-def test_arrays_are_fed_and_read_by_element() -> None:
-    d = Diagram("arrays")
-    d.input("v", width=2)
-    d.add("twice", Gain(2.0, width=2), u="v")
-    d.output("y", "twice")
-    table = ExpectedTable(table_of({"tick": [0, 1, 2], "v[1]": [1.0, 2.0, 3.0], "y[1]": [2.0, 4.0, 6.0]}))
-    assert run_scenario(d, Scenario("table", table=table), DT).passed
-    found = run_scenario(
-        d, Scenario("list", 0.02, {"v": [1.0, StepInput(3.0, 0.02)]}, checks=["y[1] never above 1"]), DT
-    )
-    assert found.failed[0].value == 6.0
-    for check, what in (("y never above 1", "array of 2"), ("y[2] never above 1", "array of 2")):
-        with pytest.raises(DiagramError, match=what):
-            run_scenario(d, Scenario("x", 0.02, checks=[check]), DT)
 
 
 class Turned(Block):

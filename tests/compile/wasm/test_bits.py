@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable
 from typing import Any
 
@@ -82,3 +83,28 @@ def test_single_steps_and_runs_of_any_length_are_the_same(make: Callable[[], Dia
     ours = program.machine()
     assert differing(native.run(steps, held), ours.run(steps, held)) == []
     assert differing(native.run(1, {}), ours.run(1, {})) == []
+
+
+def test_the_interface_says_where_everything_stands() -> None:
+    program = build(examples.loop(), 0.01, "float32", target="wasm")
+    about: dict[str, Any] = program.backend.interface()
+    assert about == json.loads(json.dumps(about, allow_nan=False))
+    machine = program.machine()
+    machine.set_many({"k": 3.0, "pendulum.omega": 2.5})
+    machine.run(30, {"r": 0.5})
+    memory = bytes(machine.instance._memory)
+
+    def at(entry: dict[str, Any]) -> Any:
+        values = np.frombuffer(memory, entry["type"], entry["count"], entry["address"]).tolist()
+        return values if entry["array"] else values[0]
+
+    parameters = {p["path"]: p for p in about["parameters"]}
+    assert list(parameters) == list(machine.parameters)
+    for path, entry in parameters.items():
+        assert at(entry) == machine.get(path)
+    assert (parameters["k"]["low"], parameters["k"]["high"], parameters["pendulum.omega"]["high"]) == (0.0, 10.0, None)
+    for entry in about["states"]:
+        assert at(entry) == machine.state(entry["path"])
+    assert [(i["path"], i["unit"], at(i)) for i in about["inputs"]] == [("r", "rad/s", 0.5)]
+    assert [o["path"] for o in about["outputs"]] == ["y", "theta"]
+    assert about["dt"] == 0.01
