@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import re
 import shutil
 import subprocess
@@ -15,7 +16,7 @@ import pytest
 from tests.blocks.library.samples import LIBRARY
 from tests.compile import differential, examples
 from tests.compile.whole_library import library_cases
-from twodof.blocks import Block, Diagram, Param, Port, State, sin, store, to_int32, to_real, to_uint32
+from twodof.blocks import Block, Diagram, Param, Port, State, array_of, sin, store, to_int32, to_real, to_uint32, vector
 from twodof.blocks.expressions import numbers
 from twodof.blocks.library import Compare, Logic
 from twodof.blocks.reference.interpreter import Reference
@@ -88,6 +89,46 @@ def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
     compiled, judge = build(stores(count), 0.01).machine(), Reference(stores(count), 0.01).machine()
     places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
     assert compiled.run(len(places), {"i": places})["y"].tolist() == [judge.step({"i": i})["y"] for i in places]
+
+
+class Shuffle(Block):
+    """Three states, which it gives as an array and replaces by elements of its input."""
+
+    inputs = (Port("u", width=6),)
+    outputs = (Port("y", width=6),)
+    states = (State("a"), State("b", width=2), State("c", width=6))
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return vector(random.Random(self.seed).sample([x.a, -x.a, x.b[0], x.b[1], x.c[2], x.c[5]], 6))
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        one, two, three = random.Random(self.seed + 1).sample([u.u[0], u.u[1], u.u[2]], 3)
+        return {"a": one + 1.0, "b": vector([two, three]), "c": array_of(6, lambda i: u.u[0] - x.c[i])}
+
+
+def ring(seed: int) -> Diagram:
+    """Shuffles that feed one another in a random order, and some of them themselves."""
+    r = random.Random(seed)
+    d = Diagram(f"ring{seed}")
+    d.input("u", width=6)
+    names = r.sample("abcdefgh", 4)
+    for name in names:
+        d.add(name, Shuffle(r.randrange(100)))
+    for name in names:
+        d.connect(r.choice([*names, "u"]), f"{name}.u")
+    d.output("y", names[0])
+    return d
+
+
+def test_updates_read_the_old_states() -> None:
+    rows = [{"u": [k + 0.125 * i for i in range(6)]} for k in range(8)]
+    cases = [differential.Case(ring(seed), [], rows, {}) for seed in range(30)]
+    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
+    programs = differential.emitted(cases, "float64", "rk4")
+    assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
 
 
 SLOTS = [

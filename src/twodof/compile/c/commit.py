@@ -1,10 +1,11 @@
 """Commit: the statements that replace a block's states by their next values, all of which are made of the old ones."""
 
 from collections.abc import Callable, Mapping, Sequence
+from itertools import islice
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import walk
-from twodof.compile.c.expressions import Renderer
+from twodof.compile.c.expressions import SMALL_ARRAY, Renderer
 from twodof.compile.c.statements import Text, name_of
 from twodof.compile.program.flat_program import Node
 
@@ -25,46 +26,68 @@ class Commit:
         self.lvalue = lvalue
         self.changed = {name: e for name, e in values.items() if not _keeps(name, e)}
         self.roots: list[Expr] = []
+        read: list[Expr] = []  # signals that arrays are made of, which must be computed before any state changes
         for name, e in self.changed.items():
-            chain = _stores(name, e)
-            if chain:
-                self.roots += [x for pair in chain for x in pair]
-            elif e.op == "vector":
-                self.roots += e.args
-            elif e.width is None:
-                self.roots.append(e)
+            numbers = _numbers(name, e)
+            self.roots += numbers
+            if not numbers:
+                read += [item for item in walk([e]) if item.op == "input"]
+        self.roots += read
+
+    @property
+    def written(self) -> set[str]:
+        """The lvalues of the states that change."""
+        return {self.lvalue(name) for name in self.changed}
+
+    def keep(self, renderer: Renderer, k: int, text: Text) -> Text:
+        """Keep a root in a variable, before a state that it reads changes."""
+        outer, renderer.owner = renderer.owner, self.node
+        kept = self._kept(renderer, "old", text, self.roots[k].kind)
+        renderer.owner = outer
+        return kept
 
     def write(self, renderer: Renderer, texts: Sequence[Text]) -> None:
         """Add the statements; `texts` are those of the roots."""
         outer, renderer.owner = renderer.owner, self.node
         given = iter(texts)
-        reads = {name: _states(e) for name, e in self.changed.items()}
+        parts = {name: list(islice(given, len(_numbers(name, e)))) for name, e in self.changed.items()}
+        reads = {
+            name: _states(e).union(*(self._named(text) for text in parts[name])) for name, e in self.changed.items()
+        }
         later: list[tuple[str, Text | None, Text]] = []
         wide: list[tuple[str, Text]] = []
         direct: list[tuple[str, Text | None, Text | None]] = []
         for name, e in self.changed.items():
             shared = any(name in read for other, read in reads.items() if other != name)
             chain = _stores(name, e)
-            pairs = [(next(given), next(given)) for _ in chain]
-            indices = [renderer.index(i, x, e.width or 1) for (i, _), (x, _) in zip(pairs, chain, strict=True)]
-            if chain and (shared or len(chain) > 1):
-                for index, (_, value) in zip(indices, pairs, strict=True):
-                    later.append(
-                        (name, self._kept(renderer, "index", index, "int32"), self._next(renderer, name, value))
-                    )
-            elif chain:
-                direct.append((name, indices[0], pairs[0][1]))
+            if chain:
+                pairs = list(zip(parts[name][::2], parts[name][1::2], strict=True))
+                indices = [renderer.index(i, x, e.width or 1) for (i, _), (x, _) in zip(pairs, chain, strict=True)]
+                if shared or len(chain) > 1:
+                    for index, (_, value) in zip(indices, pairs, strict=True):
+                        later.append(
+                            (name, self._kept(renderer, "index", index, "int32"), self._next(renderer, name, value))
+                        )
+                else:
+                    direct.append((name, indices[0], pairs[0][1]))
+            elif e.op == "vector" and len(e.args) <= SMALL_ARRAY:
+                places = [Text(str(k)) for k in range(len(e.args))]
+                if shared or name in reads[name]:
+                    later += [
+                        (name, at, self._next(renderer, name, value))
+                        for at, value in zip(places, parts[name], strict=True)
+                    ]
+                else:
+                    direct += [(name, at, value) for at, value in zip(places, parts[name], strict=True)]
             elif e.width is not None:
-                for _ in e.args if e.op == "vector" else ():
-                    next(given)
                 if shared or name in reads[name]:
                     wide.append((name, self._array(renderer, name, e)))
                 else:
                     direct.append((name, None, None))
             elif shared:
-                later.append((name, None, self._next(renderer, name, next(given))))
+                later.append((name, None, self._next(renderer, name, parts[name][0])))
             else:
-                direct.append((name, None, next(given)))
+                direct.append((name, None, parts[name][0]))
         for name, at, new in direct:
             if new is None:
                 renderer.assign([(self.lvalue(name), self.changed[name])])
@@ -75,6 +98,10 @@ class Commit:
         for name, source in wide:
             renderer.copy(self.lvalue(name), source, self.changed[name].width or 1, self.changed[name].kind)
         renderer.owner = outer
+
+    def _named(self, text: Text) -> set[str]:
+        """Return the names of the block's changing states that a text reads."""
+        return {name for name in self.changed if self.lvalue(name) in text.reads}
 
     def _put(self, renderer: Renderer, name: str, at: Text | None, value: Text) -> None:
         place = self.lvalue(name)
@@ -101,6 +128,14 @@ class Commit:
         renderer.declare(new, e.kind, width=e.width)
         renderer.copy(new, source, e.width or 1, e.kind)
         return Text(new, reads=frozenset((name_of(new),)))
+
+
+def _numbers(name: str, e: Expr) -> Sequence[Expr]:
+    """Return the numbers that the next value of a state is made of; none of an array that a loop makes."""
+    chain = _stores(name, e)
+    if chain:
+        return [x for pair in chain for x in pair]
+    return e.args if e.op == "vector" else [e] if e.width is None else []
 
 
 def _own_name(item: Expr) -> str:

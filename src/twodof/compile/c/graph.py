@@ -1,32 +1,43 @@
 """ProgramGraph: the expressions of all blocks over the signals, states and parameters of the whole program."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
-from twodof.blocks.expressions.expr import Expr
+from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.expr import node as make
-from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.graph import OPERATIONS, ordered, walk
+from twodof.blocks.expressions.kinds import FLOATS
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
+
+SHORT = 4  # rounds of a loop that is written out
+MOST_WRITTEN = 100  # operations that a written-out loop has at most
 
 
 class ProgramGraph:
-    """Rewrites a block's expressions over leaves that are unique in the program.
+    """Rewrites a block's expressions over leaves that are unique in the program, and writes out short loops.
 
-    The `data` of an `input` leaf is a FlatSignal, of a `state` leaf (node, name), of a `param` leaf a FlatParameter or,
-    if it is derived, (node, name). `dt` becomes a constant.
+    The `data` of an `input` leaf is a FlatSignal, and that of a `state` leaf (node, name). A given parameter has a
+    FlatParameter, a derived one (node, name). `dt` becomes a constant.
     """
 
     def __init__(self, program: FlatProgram) -> None:
         self.program = program
         self._owners: dict[int, Node] = {}
         self._made: dict[Node, dict[int, Expr]] = {}
+        self._kept: list[Expr] = []  # nodes whose identities are keys
 
     def of(self, node: Node, root: Expr) -> Expr:
         """Return an expression of the block `node` over the program's leaves."""
         made = self._made.setdefault(node, {})
+
+        def own(item: Expr) -> Expr:
+            self._owners.setdefault(id(item), node)
+            self._kept.append(item)
+            return item
+
         for item in walk([root], known=made):
-            new = self._rewritten(node, item, [made[id(a)] for a in item.args])
-            made[id(item)] = new
-            self._owners.setdefault(id(new), node)
+            new = own(self._rewritten(node, item, [made[id(a)] for a in item.args]))
+            made[id(item)] = written_out(new, own)
         return made[id(root)]
 
     def output(self, signal: FlatSignal) -> Expr:
@@ -56,3 +67,60 @@ class ProgramGraph:
 def leaf(signal: FlatSignal) -> Expr:
     """Return the leaf that stands for a signal's value."""
     return make("input", signal.kind, (), signal, signal.width)
+
+
+def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
+    """Return a short loop as its rounds, one after another; any other node unchanged. `own` is called with new nodes.
+
+    The operations stay the same, and so do all bits.
+    """
+    if loop.op not in LOOPS or loop.data[0] > SHORT:
+        return loop
+    length, depth, *which = loop.data
+    bodies = loop.bodies
+    if loop.op == "build" and bodies[0].width is not None and bodies[0].op != "vector":
+        return loop
+    turning = ordered(bodies, lambda item: [a for a in item.args if a.loops >> depth & 1])
+    if length * len(turning) > MOST_WRITTEN or any(item.op in LOOPS for item in turning):
+        return loop
+    counters = [own(make("const", "int32", (), k)) for k in range(length)]
+    if loop.op == "build":
+        elements: list[Expr] = []
+        for counter in counters:
+            (made,) = _round(bodies, turning, {(depth, 0): counter}, own)
+            elements += made.args if made.op == "vector" and bodies[0].width is not None else [made]
+        return own(make("vector", loop.kind, tuple(elements), None, loop.width))
+    carried: Sequence[Expr] = loop.outside
+    for counter in counters:
+        values = {(depth, j + 1): e for j, e in enumerate(carried)}
+        carried = _round(bodies, turning, {(depth, 0): counter, **values}, own)
+    return carried[which[0]]
+
+
+def _round(
+    bodies: Sequence[Expr],
+    turning: Sequence[Expr],
+    values: Mapping[tuple[int, int], Expr],
+    own: Callable[[Expr], Expr],
+) -> list[Expr]:
+    """Return a loop's bodies with these values of its variables; only the nodes `turning` depend on them."""
+    made: dict[int, Expr] = {}
+    for item in turning:
+        args = tuple(made.get(id(a), a) for a in item.args)
+        made[id(item)] = values[item.data] if item.op == "bound" and item.data in values else own(_folded(item, args))
+    return [made.get(id(body), body) for body in bodies]
+
+
+def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
+    """Return a node on new arguments: an integer or bool of constants is computed, an element of a vector looked up."""
+    if not args:
+        return item
+    if item.op == "select" and args[0].op == "vector" and args[1].op == "const":
+        return args[0].args[min(max(args[1].data, 0), len(args[0].args) - 1)]
+    if item.op == "where" and args[0].op == "const":
+        return args[1] if args[0].data else args[2]
+    exact = item.op in OPERATIONS and item.kind not in FLOATS and item.width is None
+    if exact and all(a.op == "const" and a.kind not in FLOATS for a in args):
+        value = OPERATIONS[item.op](*(numbers.cast(a.data, a.kind) for a in args))
+        return make("const", item.kind, (), numbers.plain(value))
+    return make(item.op, item.kind, args, item.data, item.width)

@@ -42,7 +42,7 @@ class Scope:
     def leaf(
         self, signal: Callable[[FlatSignal], str], state: Callable[[Node, str], str], tick: str = "s->tick"
     ) -> Callable[[Expr], Text]:
-        """Return the C of leaves, given that of signals and states."""
+        """Return the C of leaves, given that of signals and states; the text of a state reads its lvalue as well."""
 
         def text(item: Expr) -> Text:
             found = tick
@@ -50,6 +50,7 @@ class Scope:
                 found = signal(item.data)
             elif item.op == "state":
                 found = state(*item.data)
+                return Text(found, ATOM, frozenset((name_of(found), found)))
             elif item.op == "param":
                 found = f"p->{self.parameter(item)}"
             return Text(found, ATOM, frozenset((name_of(found),)))

@@ -1,6 +1,7 @@
 """StepEmitter: the statements of one tick, apart from the integration."""
 
 from collections.abc import Iterable, Sequence
+from itertools import islice
 
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Rate
@@ -195,10 +196,16 @@ class StepEmitter:
         return Commit(node, values, lambda name: self.scope.state(node, name))
 
     def _write(self, commits: Sequence[Commit], texts: Sequence[Text]) -> None:
-        at = 0
+        """Add the updates; what one of them reads of a state that one before it replaces, is kept before both."""
+        given = iter(texts)
+        changed: set[str] = set()
+        parts = []
         for commit in commits:
-            commit.write(self.renderer, texts[at : at + len(commit.roots)])
-            at += len(commit.roots)
+            own = list(islice(given, len(commit.roots)))
+            parts.append([commit.keep(self.renderer, k, t) if t.reads & changed else t for k, t in enumerate(own)])
+            changed |= commit.written
+        for commit, own in zip(commits, parts, strict=True):
+            commit.write(self.renderer, own)
 
     def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
         """Add a state machine as C that reads like its drawing."""
