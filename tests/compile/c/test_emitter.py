@@ -23,6 +23,7 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.compile import native as target
 from twodof.compile.builder import emit_program
+from twodof.compile.c import pieces
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.expressions import constant
 from twodof.compile.program.lower import lower
@@ -128,6 +129,16 @@ def test_updates_read_the_old_states() -> None:
     cases = [differential.Case(ring(seed), [], rows, {}) for seed in range(30)]
     expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
     programs = differential.emitted(cases, "float64", "rk4")
+    assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
+
+
+def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pieces, "LONGEST", 12)
+    monkeypatch.setattr(pieces, "PIECE", 4)
+    cases = differential.cheap_cases(717, 8, 20)
+    programs = differential.emitted(cases, "float64", "rk4")
+    assert " x = work->x;" in programs[0].source
+    expected = [differential.reference_run(c, "float64", "rk4") for c in cases]
     assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
 
 

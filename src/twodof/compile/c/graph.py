@@ -76,7 +76,7 @@ def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
     """
     if loop.op not in LOOPS or loop.data[0] > SHORT:
         return loop
-    length, depth, *which = loop.data
+    length, depth = loop.data[:2]
     bodies = loop.bodies
     if loop.op == "build" and bodies[0].width is not None and bodies[0].op != "vector":
         return loop
@@ -94,7 +94,8 @@ def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
     for counter in counters:
         values = {(depth, j + 1): e for j, e in enumerate(carried)}
         carried = _round(bodies, turning, {(depth, 0): counter, **values}, own)
-    return carried[which[0]]
+    result: int = loop.data[2]
+    return carried[result]
 
 
 def _round(
@@ -116,7 +117,8 @@ def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
     if not args:
         return item
     if item.op == "select" and args[0].op == "vector" and args[1].op == "const":
-        return args[0].args[min(max(args[1].data, 0), len(args[0].args) - 1)]
+        at: int = min(max(args[1].data, 0), len(args[0].args) - 1)
+        return args[0].args[at]
     if item.op == "where" and args[0].op == "const":
         return args[1] if args[0].data else args[2]
     exact = item.op in OPERATIONS and item.kind not in FLOATS and item.width is None

@@ -264,12 +264,12 @@ class IntegrationEmitter:
         for guard, member in self.active.items():
             test = all_of(step.tests(guard))
             out.append(Assign(f"{held}.{member.name}", test.text, role=role, reads=test.reads))
-        out.append(Call(f"{p}_X {x} = s->x;", role=role, reads=frozenset(("s",))))
+        out.append(Assign(x, "s->x", f"{p}_X", role=role, reads=frozenset(("s",))))
         dt = self.scope.constant(self.program.dt, "real")
         if step.fractions:
             self._parts(step, x, held, dt)
         else:
-            out.append(Call(f"{p}_integrate(p, &{held}, &{x}, {dt});", role=role, reads=frozenset(("p",))))
+            out.append(Call(f"{p}_integrate(p, &{held}, &{x}, {dt});", role=role, reads=frozenset(("p", x))))
         for node in self.program.integrated:
             if node.trace.project:
                 with renderer.within() as body:
@@ -305,7 +305,7 @@ class IntegrationEmitter:
                 chosen = f"{start} >= {fraction} ? {after} : {text}"
                 body.append(Call(f"{held}.{member.name} = {chosen};", role=role, reads=reads))
         move = f"{self.prefix}_integrate(p, &{held}, &{x}, ({end} - {start}) * {dt});"
-        body += [Call(move, role=role, reads=frozenset(("p",))), Call(f"{start} = {end};", role=role)]
+        body += [Call(move, role=role, reads=frozenset(("p", x))), Call(f"{start} = {end};", role=role)]
         renderer.out.append(Loop("do", body, f"while ({start} < {one});", role=role))
 
     def _project(self, step: StepEmitter, node: Node, x: str) -> None:
@@ -337,7 +337,7 @@ class IntegrationEmitter:
             tests = " && ".join(step.signal(e) for e in node.guard.enables)
             enables = frozenset(name_of(step.signal(e)) for e in node.guard.enables)
             step.renderer.out.append(Branch(f"!({tests})", body, role="disabled states", reads=enables))
-        step.renderer.out.append(Call(f"s->x = {x};", role="next states", reads=reads))
+        step.renderer.out.append(Call(f"s->x = {x};", role="next states", reads=reads | {x}))
 
     def declarations(self) -> list[str]:
         """Return the members of the struct Held; an array is held by its address."""

@@ -62,12 +62,10 @@ class _Pieces:
     def _divide(self, body: list[Statement], calls: list[Statement]) -> None:
         """Cut a body; a long guarded part is cut too, and stays under its condition.
 
-        The continuous states of a step, `x`, are a variable of one piece: it reaches from the integration to their
-        store in `s`.
+        The integration stays in one piece: its calls change variables by their addresses.
         """
         piece: list[Statement] = []
         length = 0
-        integrating = False
 
         def end() -> None:
             nonlocal piece, length
@@ -79,8 +77,7 @@ class _Pieces:
 
         for statement in body:
             size = _length([statement])
-            integrating = (integrating or statement.role == "integration") and statement.role != "next states"
-            if not integrating and isinstance(statement, Branch) and statement.role == "condition" and size > PIECE:
+            if isinstance(statement, Branch) and statement.role == "condition" and size > PIECE:
                 end()
                 inner: list[Statement] = []
                 self._divide(statement.then, inner)
@@ -88,7 +85,7 @@ class _Pieces:
                 continue
             piece.append(statement)
             length += size
-            if length >= PIECE and not integrating:
+            if length >= PIECE and statement.role != "integration":
                 end()
         end()
 
