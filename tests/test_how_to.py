@@ -36,7 +36,7 @@ def test_a_sensor_with_its_own_rate_is_six_files(tmp_path: Path) -> None:
 
 def test_an_excitation_is_two_files(tmp_path: Path) -> None:
     changed = carry_out("add-an-excitation.md", copied(tmp_path))
-    assert changed == {"src/twodof/blocks/library/waveform_laws.py", "src/twodof/excitation.py"}
+    assert changed == {"src/twodof/blocks/library/sources.py", "src/twodof/excitation.py"}
 
 
 def test_a_stick_mode_is_three_files(tmp_path: Path) -> None:

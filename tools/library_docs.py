@@ -12,7 +12,7 @@ from pathlib import Path
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Param, Port
-from twodof.blocks.library.custom import function_block
+from twodof.blocks.library.functions import function_block
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "blocks.md"
 ROOMS = ("sources", "waveforms", "playback", "math", "functions", "nonlinear", "logic", "routing", "delays")

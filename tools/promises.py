@@ -22,7 +22,7 @@ from twodof.flight.starters.attitude import stock_attitude
 from twodof.models.plant import PAPER_PITCH_RATE, PitchRate
 from twodof.rig.parameters import paper
 from twodof.signals import Q_AGE
-from twodof.sim.promised.lanes_flight import LanesFlight, fly_lanes
+from twodof.sim.promised.rail_promise import LanesFlight, fly_lanes
 
 
 @dataclass(frozen=True)

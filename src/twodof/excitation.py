@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.blocks.enumeration import plain_data
-from twodof.blocks.library.waveform_laws import (
+from twodof.blocks.library.sources import (
     LAWS,
     MAX_HARMONIC,
     MAX_LINES,

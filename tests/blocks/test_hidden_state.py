@@ -16,7 +16,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port, State
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.library.custom import function_block
+from twodof.blocks.library.functions import function_block
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile import build

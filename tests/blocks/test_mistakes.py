@@ -14,7 +14,7 @@ from twodof.blocks import fold, minimum
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.library.custom import function_block
+from twodof.blocks.library.functions import function_block
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError

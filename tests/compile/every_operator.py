@@ -28,7 +28,7 @@ from twodof.blocks import (
 from twodof.blocks.elementary.functions import ARGUMENTS, FUNCTIONS
 from twodof.blocks.expressions.conversions import OVERFLOW
 from twodof.blocks.expressions.expr import bits_of, from_bits, where
-from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, STORED
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, STORED
 
 Operation = Callable[[Any, Any], Any]
 COMPARISONS: dict[str, Operation] = {

@@ -36,7 +36,7 @@ from tests.compile.whole_library import library_cases, room, strange_inputs
 from tests.toolchains import missing, need
 from twodof.blocks.elementary.functions import ARGUMENTS
 from twodof.blocks.expressions.graph import walk
-from twodof.blocks.expressions.kinds import FLOATS, STORED
+from twodof.blocks.expressions.numbers import FLOATS, STORED
 from twodof.compile.c.operators import OPERATORS, PLAIN, row
 from twodof.compile.program.lower import lower
 from twodof.flight.core import core

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import build
 from twodof.errors import ParameterError
-from twodof.flight.estimator import estimator
-from twodof.flight.joint_filter import COVARIANCE
-from twodof.flight.joint_filter import PAIRS as PAIRS_JOINT
+from twodof.flight.estimator import COVARIANCE, estimator
+from twodof.flight.estimator import PAIRS as PAIRS_JOINT
 from twodof.flightlog.files import read_log
 from twodof.signals import GRAVITY
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy import stats
 
-from twodof.flight.joint_filter import COVARIANCE, PAIRS, STATES
+from twodof.flight.estimator import COVARIANCE, PAIRS, STATES
 from twodof.rig.parameters import lab
 from twodof.signals import PERIOD
 from twodof.sim.closed_loop import ClosedLoop, InitialState

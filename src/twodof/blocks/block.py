@@ -15,9 +15,8 @@ from twodof.blocks.declarations import Param, Port, State, as_bus, located
 from twodof.blocks.enumeration import plain_data
 from twodof.blocks.expressions.expr import Expr, fault
 from twodof.blocks.expressions.graph import free_bounds, walk
-from twodof.blocks.mistakes import HIDDEN, is_users, place
 from twodof.blocks.namespaces import Clock as Clock
-from twodof.blocks.trace import Trace, by_method, clock_leaves, leaves_of, trace_of
+from twodof.blocks.trace import HIDDEN, Trace, by_method, clock_leaves, is_users, leaves_of, place, trace_of
 from twodof.errors import DiagramError, listed
 
 

@@ -12,9 +12,8 @@ import numpy as np
 from twodof.blocks.bus import MAX_FIELDS, MAX_LEVELS, Bus
 from twodof.blocks.enumeration import enumeration_of, plain_data
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.kinds import BY_NAME, INTEGERS, KINDS
-from twodof.blocks.expressions.matrix import Matrix, shape_text
-from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.expressions.arrays import Matrix, shape_text
+from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, KINDS, Integer, Vector
 from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")

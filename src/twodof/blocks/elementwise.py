@@ -8,11 +8,9 @@ from typing import Any
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.enumeration import Kind, enumeration_of
-from twodof.blocks.expressions.arrays import array_of, fold
+from twodof.blocks.expressions.arrays import Matrix, array_of, flat_of, fold, shaped
 from twodof.blocks.expressions.expr import Expr, int32, maximum, minimum, where
-from twodof.blocks.expressions.kinds import NUMERIC, STORED
-from twodof.blocks.expressions.matrix import Matrix, flat_of, shaped
-from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.expressions.numbers import NUMERIC, STORED, Vector
 from twodof.blocks.namespaces import BusView
 from twodof.blocks.trace import MAX_PORTS
 from twodof.errors import DiagramError

@@ -21,7 +21,7 @@ from twodof.blocks.declarations import (
 )
 from twodof.blocks.enumeration import plain_data
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.kinds import FLOATS, INTEGERS
+from twodof.blocks.expressions.numbers import FLOATS, INTEGERS
 from twodof.errors import DiagramError, ParameterError
 
 _ACCEPTED = dict.fromkeys(FLOATS, "fiu") | dict.fromkeys(INTEGERS, "iu") | {"bool": "b"}

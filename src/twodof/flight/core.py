@@ -6,8 +6,7 @@ from typing import Any
 
 from twodof.blocks import Block, Diagram, State
 from twodof.errors import DiagramError
-from twodof.flight.cascade import cascade
-from twodof.flight.cascade_loops import ArmingReset, LevelHold
+from twodof.flight.cascade import ArmingReset, LevelHold, cascade
 from twodof.flight.declarations import (
     COMMANDS,
     FAILSAFE_INPUTS,
@@ -21,8 +20,8 @@ from twodof.flight.declarations import (
 )
 from twodof.flight.estimator import estimator
 from twodof.flight.failsafe.diagram import OUTPUTS as FAILSAFE_OUTPUTS
+from twodof.flight.failsafe.diagram import StandbyReset
 from twodof.flight.failsafe.diagram import failsafe as failsafe_diagram
-from twodof.flight.failsafe.gate import StandbyReset
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.mixer import FiniteCommands, Mixer, MotorFlags, RotorPairs
 from twodof.flight.templates import ATTITUDE, MOTOR, POSITION, by_kind

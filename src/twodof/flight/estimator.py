@@ -2,11 +2,154 @@
 
 from typing import Any
 
-from twodof.blocks import Block, Diagram, State, int32, where
+from twodof.blocks import Block, Diagram, Port, State, int32, where
+from twodof.blocks.elementary.functions import atan2, cos, sin
 from twodof.errors import ParameterError
-from twodof.flight.declarations import IMU, RANGE, add_inputs, ports
-from twodof.flight.joint_filter import LongitudinalFilter
+from twodof.flight.declarations import IMU, RANGE, add_inputs, ports, restarted, tunables
 from twodof.flight.separate_filters import FixedGainPosition, KalmanPosition, PitchFilter, RailAcceleration
+from twodof.signals import RAIL_CENTRE
+
+STATES = ("theta", "bias", "x", "v")
+PAIRS = tuple((a, b) for i, a in enumerate(STATES) for b in STATES[i:])
+COVARIANCE = tuple(f"P_{a}_{b}" for a, b in PAIRS)
+"""Names of the covariance's upper triangle, by rows."""
+
+Matrix = dict[tuple[str, str], Any]
+
+
+class LongitudinalFilter(Block):
+    """theta, gyro bias b, x and v by an extended Kalman filter.
+
+    Prediction, with noise of gyro, bias and acceleration: theta' = gyro_y - b, b' = 0, x' = v,
+    v' = cos(theta) f_x + sin(theta) f_z. A range sample, s = `dist_age` seconds old, measures
+    x - v s + v' s^2 / 2, where the cart was then. A tilt error d makes a false acceleration g d, so the range corrects
+    the tilt within seconds, and the cart's own acceleration is not taken for tilt. A weak measurement 0 = v' + noise
+    keeps the pitch where the range sensor is silent. The first sample sets theta = atan2(f_x, -f_z).
+
+    After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
+
+    With the defaults theta, x and v come closest to the drone's own estimates on its logs. The range then weighs as if
+    its noise were four times its 4 mm.
+    """
+
+    inputs = ports(*IMU, *RANGE)
+    outputs = (
+        *ports("theta", "q"),
+        Port("bias", unit="rad/s"),
+        *ports("x", "v"),
+        *(Port(name) for name in COVARIANCE),
+    )
+    states = (
+        State("theta", unit="rad"),
+        State("bias", unit="rad/s"),
+        State("x", unit="m"),
+        State("v", unit="m/s"),
+        *(State(name, f"{name}_0" if a == b else 0.0) for name, (a, b) in zip(COVARIANCE, PAIRS, strict=True)),
+        State("started", False, "bool"),
+    )
+    derived = (
+        *(Port(f"P_{name}_{name}_0") for name in STATES),
+        *(Port(name) for name in ("gyro_q", "walk_q", "q_xx", "q_xv", "q_vv", "gravity_r", "range_r")),
+    )
+    params = tunables("estimator.filter")
+
+    def prepare(self, p: Any, t: Any) -> Any:
+        density = p.sigma_a * p.sigma_a
+        first = {f"P_{n}_{n}_0": p[f"sigma_{n}_0"] * p[f"sigma_{n}_0"] for n in STATES}
+        return first | {
+            "gyro_q": p.sigma_gyro * p.sigma_gyro * t.dt,
+            "walk_q": p.sigma_walk * p.sigma_walk * t.dt,
+            "q_xx": density * t.dt * t.dt * t.dt * (1.0 / 3.0),
+            "q_xv": density * t.dt * t.dt * 0.5,
+            "q_vv": density * t.dt,
+            "gravity_r": p.sigma_gravity * p.sigma_gravity,
+            "range_r": p.sigma_range * p.sigma_range,
+        }
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        s = {
+            "theta": where(x.started, x.theta + (u.gyro_y - x.bias) * t.dt, atan2(u.acc_x, -u.acc_z)),
+            "bias": x.bias,
+        }
+        acceleration = cos(s["theta"]) * u.acc_x + sin(s["theta"]) * u.acc_z
+        slope = cos(s["theta"]) * u.acc_z - sin(s["theta"]) * u.acc_x  # of the acceleration by theta, about -g
+        s["x"] = x.x + where(x.started, (x.v + 0.5 * t.dt * acceleration) * t.dt, 0.0)
+        s["v"] = x.v + where(x.started, acceleration * t.dt, 0.0)
+        before = {pair: x[name] for pair, name in zip(PAIRS, COVARIANCE, strict=True)}
+        after = self._predicted(before, slope, p, t)
+        cov = {pair: where(x.started, after[pair], before[pair]) for pair in PAIRS}
+
+        s, cov = _measured(s, cov, {"theta": slope}, -acceleration, p.gravity_r, x.started)
+        age = u.dist_age
+        half = 0.5 * age * age
+        innovation = (u.dist - RAIL_CENTRE) - (s["x"] - s["v"] * age + acceleration * half)
+        row = {"theta": slope * half, "x": 1.0, "v": -age}
+        s, cov = _measured(s, cov, row, innovation, p.range_r, u.dist_new)
+        return s | {"q": u.gyro_y - s["bias"]} | {name: cov[pair] for name, pair in zip(COVARIANCE, PAIRS, strict=True)}
+
+    def _predicted(self, cov: Matrix, slope: Any, p: Any, t: Any) -> Matrix:
+        """F P F' + Q."""
+        step = {
+            ("theta", "theta"): 1.0,
+            ("theta", "bias"): -t.dt,
+            ("bias", "bias"): 1.0,
+            ("x", "theta"): slope * (0.5 * t.dt * t.dt),
+            ("x", "x"): 1.0,
+            ("x", "v"): t.dt,
+            ("v", "theta"): slope * t.dt,
+            ("v", "v"): 1.0,
+        }
+        noise = {
+            ("theta", "theta"): p.gyro_q,
+            ("bias", "bias"): p.walk_q,
+            ("x", "x"): p.q_xx,
+            ("x", "v"): p.q_xv,
+            ("v", "v"): p.q_vv,
+        }
+        half = {
+            (a, c): _total([(step[a, b], _at(cov, b, c)) for b in STATES if (a, b) in step])
+            for a in STATES
+            for c in STATES
+        }
+        new = {}
+        for a, b in PAIRS:
+            spread = _total([(step[b, c], half[a, c]) for c in STATES if (b, c) in step])
+            new[a, b] = spread + noise[a, b] if (a, b) in noise else spread
+        return new
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        new = self.output(u, x, p, t)
+        new = {name: value for name, value in new.items() if name != "q"} | {"started": True}
+        first = {f"P_{n}_{n}": p[f"P_{n}_{n}_0"] for n in STATES}
+        return restarted(new, first | {"started": False})
+
+
+def _at(cov: Matrix, a: str, b: str) -> Any:
+    return cov[a, b] if (a, b) in cov else cov[b, a]
+
+
+def _product(a: Any, b: Any) -> Any:
+    return b if isinstance(a, float) and a == 1.0 else a * b
+
+
+def _total(products: list[tuple[Any, Any]]) -> Any:
+    first, *others = (_product(a, b) for a, b in products)
+    for term in others:
+        first = first + term
+    return first
+
+
+def _measured(
+    s: dict[str, Any], cov: Matrix, row: dict[str, Any], innovation: Any, r: Any, use: Any
+) -> tuple[dict[str, Any], Matrix]:
+    """State and covariance after one scalar measurement with derivative `row` and variance `r`, where `use`."""
+    spread = {a: _total([(slope, _at(cov, a, b)) for b, slope in row.items()]) for a in STATES}
+    variance = _total([(slope, spread[b]) for b, slope in row.items()]) + r
+    gain = {a: where(use, spread[a] / variance, 0.0) for a in STATES}
+    e = where(use, innovation, 0.0)
+    state = {a: s[a] + gain[a] * e for a in STATES}
+    return state, {(a, b): cov[a, b] - gain[a] * spread[b] for a, b in PAIRS}
+
 
 POSITION_FILTERS = ("joint", "fixed-gain", "kalman")
 

@@ -12,7 +12,7 @@ from inspect import cleandoc
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.expression_text import machine_text
+from twodof.blocks.expressions.graph import machine_text
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ACTIONS
 from twodof.drawing.text_width import shortened, text_width

@@ -10,7 +10,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.bus import Bus, grouped
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import BASE, CONDITIONS, Diagram, Part, bus_paths
-from twodof.blocks.expressions.kinds import INTEGERS
+from twodof.blocks.expressions.numbers import INTEGERS
 from twodof.blocks.library.delays import StoreRead, StoreWrite
 from twodof.blocks.library.math import Sum
 from twodof.drawing.layered_layout import Box

@@ -16,9 +16,8 @@ from twodof.compile.linear.linearize import linearize
 from twodof.design import LoopMargins, LoopTransfer, margins
 from twodof.flight.core import PreviousPitch, core
 from twodof.flight.declarations import IMU, RANGE
-from twodof.flight.estimator import Publisher, estimator
+from twodof.flight.estimator import PAIRS, LongitudinalFilter, Publisher, estimator
 from twodof.flight.gains import DEFAULT, Gains
-from twodof.flight.joint_filter import PAIRS, LongitudinalFilter
 from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT, SAMPLE, TRUTH, rig
 from twodof.rig.rotors import RING

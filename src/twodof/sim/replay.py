@@ -18,8 +18,7 @@ import numpy as np
 from twodof.blocks import Diagram
 from twodof.compile import build
 from twodof.errors import ParameterError
-from twodof.flight.cascade import cascade
-from twodof.flight.cascade_loops import ArmingReset
+from twodof.flight.cascade import ArmingReset, cascade
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import ATTITUDE as ATTITUDE_CONTROL
 from twodof.flight.templates import MOTOR, POSITION

@@ -31,9 +31,9 @@ from twodof.blocks import (
 )
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
+from twodof.blocks.expressions.arrays import flat_of, shape_of, shaped
 from twodof.blocks.expressions.expr import Expr, leaf, tracing
 from twodof.blocks.expressions.graph import evaluate
-from twodof.blocks.expressions.matrix import flat_of, shape_of, shaped
 from twodof.errors import DiagramError
 
 pytestmark = pytest.mark.slow

@@ -34,7 +34,7 @@ from twodof.blocks import (
     where,
 )
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.kinds import BY_NAME, STORED
+from twodof.blocks.expressions.numbers import BY_NAME, STORED
 from twodof.blocks.reference import Reference
 from twodof.errors import DiagramError
 

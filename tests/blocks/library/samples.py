@@ -9,7 +9,7 @@ from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.expressions.kinds import STORED
+from twodof.blocks.expressions.numbers import STORED
 
 Config = dict[str, Any]
 

@@ -13,9 +13,16 @@ import numpy as np
 from twodof.blocks import Block
 from twodof.flight.declarations import COMMANDS, SET_POINTS
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES
-from twodof.flight.failsafe.consistency import ForceConsistency, RateConsistency
-from twodof.flight.failsafe.flags import BatteryFlags, PlaceFlags, SensorFlags, SetPointFlags, StuckCommands
-from twodof.flight.failsafe.gate import OutputSelector, SafeSetPoints, StandbyReset
+from twodof.flight.failsafe.diagram import OutputSelector, SafeSetPoints, StandbyReset
+from twodof.flight.failsafe.flags import (
+    BatteryFlags,
+    ForceConsistency,
+    PlaceFlags,
+    RateConsistency,
+    SensorFlags,
+    SetPointFlags,
+    StuckCommands,
+)
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, DISARMED, FLYING, LEVEL, OFF, REFUSED, Reasons
 
 NAN, INF = math.nan, math.inf

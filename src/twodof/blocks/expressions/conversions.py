@@ -19,8 +19,7 @@ from twodof.blocks.expressions.expr import (
     recording,
     to_int32,
 )
-from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, STORED
-from twodof.blocks.expressions.numbers import rules
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, STORED, rules
 
 OVERFLOW = ("wrap", "saturate")
 

@@ -17,8 +17,7 @@ from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
 from twodof.blocks.expressions.graph import OPERATIONS, walk
-from twodof.blocks.expressions.kinds import FLOATS
-from twodof.blocks.expressions.numbers import Int32, Integer, Vector
+from twodof.blocks.expressions.numbers import FLOATS, Int32, Integer, Vector
 from twodof.errors import DiagramError
 
 Slope = NDArray[np.float64]

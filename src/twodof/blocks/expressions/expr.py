@@ -13,8 +13,19 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, INTEGERS, STORED, TAKES, WORDS
-from twodof.blocks.expressions.numbers import ArrayOperators, Int32, Integer, UInt32, rules
+from twodof.blocks.expressions.numbers import (
+    BY_NAME,
+    FLOATS,
+    INTEGERS,
+    STORED,
+    TAKES,
+    WORDS,
+    ArrayOperators,
+    Int32,
+    Integer,
+    UInt32,
+    rules,
+)
 from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, Refusals, users_line
 from twodof.blocks.expressions.recording import at_most as at_most
 from twodof.blocks.expressions.recording import during as during

@@ -5,7 +5,6 @@ Each file names its own blocks in `__all__`; nothing else has to know of a new o
 
 from twodof.blocks.library.continuous import *
 from twodof.blocks.library.control import *
-from twodof.blocks.library.custom import *
 from twodof.blocks.library.delays import *
 from twodof.blocks.library.discrete import *
 from twodof.blocks.library.estimation import *

@@ -9,9 +9,8 @@ from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.declarations import Param, Port, State, check_name
 from twodof.blocks.elementwise import count, elementwise, width_of
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.expressions.arrays import array_of, store
+from twodof.blocks.expressions.arrays import Matrix, array_of, flat_of, shaped, store
 from twodof.blocks.expressions.expr import int32, maximum, minimum, to_int32, to_real, where
-from twodof.blocks.expressions.matrix import Matrix, flat_of, shaped
 from twodof.blocks.namespaces import BusView
 
 __all__ = [

@@ -10,7 +10,7 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementwise import Pointwise, comparable, one_of, port_series
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
-from twodof.blocks.expressions.kinds import INTEGERS, WORDS
+from twodof.blocks.expressions.numbers import INTEGERS, WORDS
 
 __all__ = ["Bitwise", "Compare", "CompareToConstant", "Counter", "EdgeDetector", "FlipFlop", "Logic", "Timer"]
 

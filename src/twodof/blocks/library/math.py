@@ -7,10 +7,9 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
 from twodof.blocks.elementwise import ORDERED, Pointwise, count, dot, matrix, one_of, port_series, reals, sized
-from twodof.blocks.expressions.arrays import array_of, fold
+from twodof.blocks.expressions.arrays import array_of, fold, norm
 from twodof.blocks.expressions.expr import maximum, minimum, where
-from twodof.blocks.expressions.kinds import FLOATS, NUMERIC
-from twodof.blocks.expressions.matrix import norm
+from twodof.blocks.expressions.numbers import FLOATS, NUMERIC
 from twodof.errors import DiagramError
 
 __all__ = [

@@ -11,9 +11,8 @@ from twodof.blocks.bus import Bus, expanded
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.expressions.arrays import vector
+from twodof.blocks.expressions.arrays import flat_of, shaped, vector
 from twodof.blocks.expressions.expr import int32, where
-from twodof.blocks.expressions.matrix import flat_of, shaped
 from twodof.errors import DiagramError, nearest
 
 __all__ = [

@@ -10,8 +10,7 @@ from twodof.blocks.elementary.functions import exp, log, sin
 from twodof.blocks.elementwise import count, counts, one_of, reals
 from twodof.blocks.expressions.arrays import fold
 from twodof.blocks.expressions.expr import maximum, multiply_high, to_real, to_uint32, uint32, where
-from twodof.blocks.library.sources import start_param, ticks
-from twodof.blocks.library.waveform_laws import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted
+from twodof.blocks.library.sources import LAWS, MAX_HARMONIC, MAX_LINES, TAPS, shifted, start_param, ticks
 from twodof.errors import DiagramError
 
 __all__ = ["MultisineSource", "PrbsSource", "Sine", "SweepSource"]

@@ -9,8 +9,8 @@ from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
 from twodof.blocks.declarations import NAME, Param, Port, State, check_shape, located
 from twodof.blocks.diagram import CONDITIONS, Diagram
-from twodof.blocks.expressions.cost import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.expressions.expr import at_most
+from twodof.blocks.expressions.graph import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
 from twodof.blocks.schema.traced_block import TracedBlock, TracedMachine, graph_from_json, machine_from_json
 from twodof.errors import DiagramError, TwodofError, nearest, shown
 

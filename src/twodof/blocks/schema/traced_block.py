@@ -6,17 +6,21 @@ from typing import Any
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import State, check_name, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
-from twodof.blocks.expressions.arrays import vector
-from twodof.blocks.expressions.cost import MAX_LOOP_DEPTH, MAX_SIZE, CostMeter, too_large
+from twodof.blocks.expressions.arrays import shaped, vector
 from twodof.blocks.expressions.expr import Expr, const, convert, leaf, node, scalars, tracing
-from twodof.blocks.expressions.graph import OPERATIONS, free_bounds, walk
-from twodof.blocks.expressions.kinds import FLOATS, KINDS
-from twodof.blocks.expressions.matrix import shaped
-from twodof.blocks.expressions.numbers import fits
+from twodof.blocks.expressions.graph import (
+    MAX_LOOP_DEPTH,
+    MAX_SIZE,
+    OPERATIONS,
+    CostMeter,
+    free_bounds,
+    too_large,
+    walk,
+)
+from twodof.blocks.expressions.numbers import FLOATS, KINDS, fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
-from twodof.blocks.state_machine.chart import ACTIONS, MAX_MODES, MAX_TRANSITIONS
-from twodof.blocks.state_machine.machine_graph import ELAPSED
+from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MAX_MODES, MAX_TRANSITIONS
 from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of, matrices
 from twodof.errors import DiagramError, nearest, shown
 

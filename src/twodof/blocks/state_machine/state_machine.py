@@ -8,16 +8,22 @@ from typing import Any, Protocol
 
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Port, State, numeric
+from twodof.blocks.expressions.arrays import flat_of, shaped
 from twodof.blocks.expressions.expr import fault, int32, recording, to_real, uint32, where
-from twodof.blocks.expressions.matrix import flat_of, shaped
 from twodof.blocks.namespaces import States
-from twodof.blocks.state_machine.chart import Chart, Leaf, MachineFunction, Mode, ModeClock, Route, Transition
-from twodof.blocks.state_machine.machine_graph import (
+from twodof.blocks.state_machine.chart import (
     ELAPSED,
     MODE,
     OUTER_ELAPSED,
+    Chart,
     Charted,
+    Leaf,
+    MachineFunction,
     MachineGraph,
+    Mode,
+    ModeClock,
+    Route,
+    Transition,
     check_ways,
     last,
     owner_clock,

@@ -12,10 +12,9 @@ from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
 
-from twodof.blocks.expressions.cost import CALL
 from twodof.blocks.expressions.expr import LOOPS, Expr, node
-from twodof.blocks.expressions.graph import walk
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.graph import CALL, walk
+from twodof.blocks.expressions.numbers import FLOATS
 
 WORTH = 10  # operations from which on a branch costs less than computing what may not be read
 WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same

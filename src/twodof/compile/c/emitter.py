@@ -12,7 +12,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.elementary.functions import ARGUMENTS, DEFINITIONS
 from twodof.blocks.expressions.expr import leaf, tracing
 from twodof.blocks.expressions.graph import of_kinds
-from twodof.blocks.expressions.kinds import BY_NAME, FLOATS, dtype_of
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.expressions import Leaves, Renderer, Used
 from twodof.compile.c.functions import Function, Listing, Mark
 from twodof.compile.c.helpers import HELPERS

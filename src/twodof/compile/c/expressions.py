@@ -10,8 +10,7 @@ import numpy as np
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
 from twodof.blocks.expressions.graph import KEPT, ordered
-from twodof.blocks.expressions.kinds import FLOATS, INTEGERS, dtype_of
-from twodof.blocks.expressions.numbers import Integer
+from twodof.blocks.expressions.numbers import FLOATS, INTEGERS, Integer, dtype_of
 from twodof.compile.c.branches import Branch as Decided
 from twodof.compile.c.branches import Choice, Step, steps
 from twodof.compile.c.index_range import index_range

@@ -2,7 +2,7 @@
 
 import re
 
-from twodof.blocks.expressions.kinds import CONVERSIONS, FLOATS
+from twodof.blocks.expressions.numbers import CONVERSIONS, FLOATS
 from twodof.compile.c.operators import C_TYPES
 
 # What a function returns is one expression of its arguments. `{f}` is the suffix of float32's constants. The first real

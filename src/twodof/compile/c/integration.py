@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 from twodof.blocks.expressions.expr import LEAVES, Expr
 from twodof.blocks.expressions.graph import ordered
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.c.commit import Commit
 from twodof.compile.c.expressions import Leaves
 from twodof.compile.c.functions import Function

@@ -11,8 +11,7 @@ from contextlib import AbstractContextManager
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import Mode, StateMachine
-from twodof.blocks.state_machine.chart import Leaf, Route
-from twodof.blocks.state_machine.machine_graph import ELAPSED, MODE, OUTER_ELAPSED, last, owner_clock
+from twodof.blocks.state_machine.chart import ELAPSED, MODE, OUTER_ELAPSED, Leaf, Route, last, owner_clock
 from twodof.blocks.state_machine.state_machine import LONGEST
 from twodof.compile.c.commit import Commit
 from twodof.compile.c.expressions import Leaves, Renderer, constant

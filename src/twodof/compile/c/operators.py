@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.kinds import CONVERSIONS, FLOATS, INTEGERS, TAKES, WORDS
+from twodof.blocks.expressions.numbers import CONVERSIONS, FLOATS, INTEGERS, TAKES, WORDS
 
 C_TYPES = {"real": "real", "float32": "float", "float64": "double", "bool": "bool"}
 C_TYPES |= {kind: f"{kind}_t" for kind in INTEGERS}

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions.expr import LOOPS, Expr, noting_lines
-from twodof.blocks.expressions.expression_text import limit_of, text_of
-from twodof.blocks.expressions.graph import walk
+from twodof.blocks.expressions.graph import limit_of, text_of, walk
 from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, PortOf
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.state_machine import StateMachine

@@ -13,7 +13,7 @@ from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram, carried
 from twodof.blocks.enumeration import Enumeration
-from twodof.blocks.expressions.kinds import BY_NAME, FLOATS
+from twodof.blocks.expressions.numbers import BY_NAME, FLOATS
 from twodof.blocks.machine import Machine, axes
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.builder import build

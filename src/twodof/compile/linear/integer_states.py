@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Dual, Value, plain
 from twodof.blocks.expressions.graph import leaves, walk
-from twodof.blocks.expressions.kinds import FLOATS
-from twodof.blocks.expressions.numbers import Integer, Vector
+from twodof.blocks.expressions.numbers import FLOATS, Integer, Vector
 from twodof.compile.linear.operating_point import OperatingPoint, Parts
 from twodof.compile.linear.tangent import States, TangentStep, elements
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node

@@ -14,7 +14,7 @@ from twodof.blocks.declarations import element_names, unknown_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates, IntegerStates
 from twodof.compile.linear.linear_model import LinearModel
 from twodof.compile.linear.operating_point import OperatingPoint, Parts

@@ -15,8 +15,7 @@ from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.graph import leaves
-from twodof.blocks.expressions.kinds import FLOATS
-from twodof.blocks.expressions.numbers import Vector
+from twodof.blocks.expressions.numbers import FLOATS, Vector
 from twodof.compile.linear.tangent import States, elements
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node, initial_states, parameter_values
 from twodof.compile.program.flatten import constants

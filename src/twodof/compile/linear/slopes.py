@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant, plain
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates
 from twodof.compile.linear.operating_point import OperatingPoint, Parts
 from twodof.compile.linear.tangent import States, TangentStep, elements

@@ -7,7 +7,7 @@ import numpy as np
 
 from twodof.blocks.declarations import Param
 from twodof.blocks.diagram import Diagram
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node, parameter_values
 from twodof.compile.program.flatten import FlatDiagram

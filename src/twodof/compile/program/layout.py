@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.expressions.kinds import dtype_of
+from twodof.blocks.expressions.numbers import dtype_of
 from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.kinds import STORED
+from twodof.blocks.expressions.numbers import STORED
 from twodof.compile.c.emitter import emit
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.program.flat_program import FlatProgram

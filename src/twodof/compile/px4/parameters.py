@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from twodof.blocks.declarations import limits
-from twodof.blocks.expressions.kinds import FLOATS, STORED
+from twodof.blocks.expressions.numbers import FLOATS, STORED
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.px4.names import ModuleNames, harmless, parameter_names
 from twodof.errors import DiagramError

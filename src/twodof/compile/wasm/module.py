@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.expressions.cost import CostMeter
 from twodof.blocks.expressions.expr import Expr
-from twodof.blocks.expressions.kinds import dtype_of
+from twodof.blocks.expressions.graph import CostMeter
+from twodof.blocks.expressions.numbers import dtype_of
 from twodof.compile.c import freestanding
 from twodof.compile.program.flat_program import FlatProgram, Node
 from twodof.compile.program.layout import Member

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.library.waveform_laws import MAX_LINES
+from twodof.blocks.library.sources import MAX_LINES
 from twodof.errors import ExperimentError
 from twodof.excitation import MAX_DURATION_S, MAX_PARTS, Excitation, Multisine, from_dict
 from twodof.signals import ATTITUDE, OPEN_LOOP, PERIOD, POSITION, RATE, VELOCITY

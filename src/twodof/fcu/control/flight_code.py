@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from twodof.blocks import Diagram
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.stepper import Stepper

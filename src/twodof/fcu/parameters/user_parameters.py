@@ -14,7 +14,7 @@ import numpy as np
 
 from twodof.blocks import Diagram, Param
 from twodof.blocks.declarations import rows_of
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.blocks.schema.json_form import to_json
 from twodof.compile.program.lower import lower
 from twodof.compile.px4.names import harmless, module_names

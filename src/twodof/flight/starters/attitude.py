@@ -17,7 +17,7 @@ from twodof.blocks.library import (
     Switch,
     UnitDelay,
 )
-from twodof.flight.cascade_loops import AttitudeLoop, RateLoop
+from twodof.flight.cascade import AttitudeLoop, RateLoop
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.templates import ATTITUDE, Template
 from twodof.models.lqr import LqrGains, attitude_lqr, rate_lqr

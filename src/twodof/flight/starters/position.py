@@ -14,7 +14,7 @@ from twodof.blocks.library import (
     Switch,
     Trigonometry,
 )
-from twodof.flight.cascade_loops import PositionLoop, Projection, VelocityLoop
+from twodof.flight.cascade import PositionLoop, Projection, VelocityLoop
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.flight.starters.attitude import pitch_loop, rate_gains, tuned, with_ports
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS, MOTOR, POSITION
