@@ -1,4 +1,4 @@
-"""The stepper gives the bits of `CompiledMachine.step`, by position, on every target that flies."""
+"""Stepper and Rerun give the bits of `CompiledMachine.step` and `.run`, and refuse what these refuse."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from twodof.blocks import Diagram
-from twodof.blocks.library import Gain
+from twodof.blocks.library import FirstOrder, Gain
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
-from twodof.compile.stepper import Stepper
-from twodof.errors import DiagramError
+from twodof.compile.stepper import Rerun, Stepper
+from twodof.errors import DiagramError, ParameterError
 from twodof.flight.core import OUTPUTS, core
 from twodof.flight.declarations import FAILSAFE_INPUTS as SAFETY_INPUTS
 from twodof.flight.declarations import INPUTS
@@ -93,3 +93,43 @@ def test_names_that_are_not_there_arrays_and_inputs_left_out_are_refused() -> No
         Stepper(flight, names, ["z"])
     with pytest.raises(DiagramError, match="no scalar called 'z'"):
         Stepper(flight, [*names, "z"], ["theta"])
+
+
+U = np.random.default_rng(1).standard_normal(200)
+
+
+def lag(precision: str = "float64") -> CompiledMachine:
+    diagram = Diagram("motor")
+    diagram.input("u")
+    diagram.param("gain", 1.0, low=0.0, high=10.0)
+    diagram.add("lag", FirstOrder(time_constant=0.1), u="u", params={"gain": "gain"})
+    diagram.output("y", "lag")
+    made = build(diagram, 0.01, precision).machine()
+    assert isinstance(made, CompiledMachine)
+    return made
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_each_run_is_that_of_a_fresh_machine(precision: str) -> None:
+    rerun = Rerun(lag(precision), U.size, {"u": U}, ["y"])
+    for gain in (1.0, 3.3, 3.3, 0.0, 7.0):
+        fresh = lag(precision)
+        fresh.set("gain", gain)
+        assert (rerun.run({"gain": gain})["y"] == fresh.run(U.size, {"u": U})["y"]).all()
+
+
+def test_what_is_refused_leaves_the_parameters() -> None:
+    rerun = Rerun(lag(), U.size, {"u": U}, ["y"])
+    before = rerun.run({"gain": 2.0})["y"].copy()
+    for wrong in (11.0, -1.0, float("nan")):
+        with pytest.raises(ParameterError, match="outside 0 to 10"):
+            rerun.run({"gain": wrong})
+    with pytest.raises(ParameterError, match="no parameter 'gian'"):
+        rerun.run({"gian": 1.0})
+    assert (rerun.run({})["y"] == before).all()
+    with pytest.raises(DiagramError, match="no scalar output"):
+        Rerun(lag(), U.size, {"u": U}, ["z"])
+    with pytest.raises(DiagramError, match="no input"):
+        Rerun(lag(), U.size, {"v": U}, ["y"])
+    with pytest.raises(DiagramError, match="values for 200 steps"):
+        Rerun(lag(), U.size, {"u": U[:-1]}, ["y"])

@@ -13,8 +13,8 @@ from twodof.cli.connection import lease_refusals
 from twodof.cli.margins import print_margins
 from twodof.cli.output import Json, print_json, progress, table_console
 from twodof.compile.px4 import export as export_module
-from twodof.compile.px4.checkout import check as check_module
 from twodof.compile.px4.export import airframe_id
+from twodof.compile.px4.tree import check as check_module
 from twodof.fleet.flash import FCU, FORCE, PX4, SIM, ControllerCosts, TrialFlight
 from twodof.fleet.flash import flash as flash_controller
 from twodof.flight.controller_store import STOCK

@@ -1,4 +1,4 @@
-"""Stepper: a machine's steps with its inputs and outputs by position, for who steps it hundreds of times a second."""
+"""Fast ways to run one machine many times: `Stepper` step by step, `Rerun` from its start on the same inputs."""
 
 import struct
 from collections.abc import Mapping, Sequence
@@ -26,12 +26,13 @@ _LETTERS = {
 
 
 class Stepper:
-    """Steps `machine`, whose memory it shares: `inputs` names all its inputs, `outputs` those that are wanted.
+    """Steps of `machine` with inputs and outputs by position.
 
-    Both are names of scalars, and values come and go as tuples in their order. A machine's `step`, by name, costs
-    some twenty times as much. Values are not checked: a real, float32 or float64 is a float, an integer an int within
-    its range, a bool anything that is true or false. Raises DiagramError for a name that is not there or is an array,
-    and for an input that is left out. Methods that compute raise ControllerFault where the target can fault.
+    `inputs` names all inputs of the machine and `outputs` the wanted outputs; values come and go as tuples in these
+    orders. The memory is the machine's. A machine's `step`, by name, costs some twenty times as much. Values are not
+    checked: a real, float32 or float64 is a float, an integer an int within its range, a bool any truth value. Raises
+    DiagramError for an unknown name, an array, and an input that is left out. Methods that compute raise
+    ControllerFault where the target can fault.
     """
 
     def __init__(self, machine: CompiledMachine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
@@ -50,20 +51,20 @@ class Stepper:
         self._kept = np.empty_like(self._state)
 
     def step(self, values: Sequence[Any]) -> tuple[Any, ...]:
-        """Writes the inputs, steps once and reads the outputs."""
+        """Write the inputs, step once and return the outputs."""
         self._ins.write(values)
         self._step()
         return self._outs.read()
 
     def run(self, steps: int, values: Sequence[Any]) -> None:
-        """Writes the inputs and makes `steps` steps with them; the outputs are not read."""
+        """Write the inputs and make `steps` steps with them."""
         self._ins.write(values)
         step = self._step
         for _ in range(steps):  # a few: one call of `Instance.run` costs as much as ten steps
             step()
 
     def peek(self) -> tuple[Any, ...]:
-        """The outputs that a step would give with the inputs as they were written last; nothing advances."""
+        """Return the outputs of a next step with the inputs written last, without advancing."""
         self._kept[:] = self._state
         try:
             self._step()
@@ -95,7 +96,7 @@ class _Members:
         self._back = [order.index(i) for i in range(len(order))]
 
     def write(self, values: Sequence[Any]) -> None:
-        """Writes the values; what is too large for float32 becomes infinite. What lies between the members is lost."""
+        """Write the values: a number too large for float32 as infinity, and zeros between the members."""
         ordered = values if self._sorted else [values[i] for i in self._order]
         try:
             self._struct.pack_into(self._buffer, 0, *ordered)
@@ -105,6 +106,65 @@ class _Members:
             self._struct.pack_into(self._buffer, 0, *single)
 
     def read(self) -> tuple[Any, ...]:
-        """The present values."""
+        """Return the present values."""
         values = self._struct.unpack_from(self._buffer, 0)
         return values if self._sorted else tuple([values[i] for i in self._back])
+
+
+class Rerun:
+    """Runs of `machine` for `steps` steps on `inputs`, arrays of shape (steps,) by name, in the machine's memory.
+
+    `outputs` names the wanted outputs. An estimation needs thousands of runs, and the checks and copies of
+    `machine.run` take as long as a run: here they are done once. Raises DiagramError as `machine.run` does, and for
+    an unknown output or an array.
+    """
+
+    def __init__(
+        self, machine: CompiledMachine, steps: int, inputs: Mapping[str, NDArray[Any]], outputs: Sequence[str]
+    ) -> None:
+        self.machine, self.steps = machine, steps
+        program, instance = machine.program, machine.instance
+        layout, flat = program.layout, program.flat
+        machine.run(0, {name: data[:0] for name, data in inputs.items()})  # says what does not fit
+        self._instance = instance
+        self._u = np.repeat(instance.structs["U"], steps)
+        with np.errstate(over="ignore"):
+            for name, data in inputs.items():
+                if data.shape != (steps,):
+                    raise DiagramError(f"{data.shape} values for {steps} steps", name, "give one value a step")
+                self._u[layout.inputs[flat.inputs[name]].name] = data
+        self._y: NDArray[Any] = np.empty(max(steps, 1), instance.structs["Y"].dtype)
+        self._outputs = {}
+        for path in outputs:
+            if path not in flat.outputs or flat.outputs[path].width is not None:
+                raise unknown_name("scalar output", path, flat.outputs, flat.name)
+            self._outputs[path] = self._y[layout.outputs[path].name][:steps]
+        # Real scalars are compared with their bounds here; all else goes the way of `set_many`.
+        memory = instance.structs["P"]
+        self._reals = {
+            path: (memory[layout.parameters[q].name], q.declared.low, q.declared.high)
+            for path, q in flat.parameters.items()
+            if q.declared.kind == "real" and q.declared.width is None
+        }
+
+    def run(self, values: Mapping[str, float]) -> dict[str, NDArray[Any]]:
+        """Set parameters, reset and run. Returns the outputs, of shape (steps,), which the next run overwrites.
+
+        Raises ParameterError for a value that is refused; then no parameter has changed.
+        """
+        reals = self._reals
+        plain = True
+        for name, value in values.items():
+            if name not in reals or not reals[name][1] <= value <= reals[name][2]:
+                plain = False
+                break
+        if plain:
+            for name, value in values.items():
+                reals[name][0][0] = value
+            self._instance.prepare()
+        else:
+            self.machine.reset()
+            self.machine.set_many(values)
+        self._instance.init()
+        self._instance.run(self.steps, self._u, self._y)
+        return self._outputs

@@ -19,8 +19,8 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7.report import measure
 from twodof.compile.program.check import check as check_diagram
 from twodof.compile.px4 import export
-from twodof.compile.px4.checkout import ERROR
-from twodof.compile.px4.checkout import check as check_module
+from twodof.compile.px4.tree import ERROR
+from twodof.compile.px4.tree import check as check_module
 from twodof.design import LoopMargins
 from twodof.errors import CompileError, DiagramError, ExperimentError, LinkError, Rejected, shown
 from twodof.flight.controller_store import STOCK, simulator_controllers

@@ -12,7 +12,7 @@ from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledProgram, build
 from twodof.compile.machine import CompiledMachine
 from twodof.compile.program.check import check
-from twodof.compile.rerun import Rerun
+from twodof.compile.stepper import Rerun
 from twodof.errors import IdentificationError
 from twodof.identify.record import Record
 from twodof.models.structure import Structure

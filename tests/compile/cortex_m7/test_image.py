@@ -15,7 +15,7 @@ from tests.toolchains import need
 from twodof.blocks import Diagram
 from twodof.compile import build
 from twodof.compile.cortex_m7.image import find_cross_compiler
-from twodof.compile.cortex_m7.usage import image_sizes
+from twodof.compile.cortex_m7.report import image_sizes
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 

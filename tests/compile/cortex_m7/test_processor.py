@@ -23,8 +23,8 @@ from twodof.compile import CompiledProgram, build
 from twodof.compile.cortex_m7 import processor as board
 from twodof.compile.cortex_m7.image import Image
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
+from twodof.compile.cortex_m7.report import ObjectFile
 from twodof.compile.cortex_m7.target import CortexM7
-from twodof.compile.cortex_m7.usage import ObjectFile
 from twodof.compile.target import EmittedProgram
 from twodof.errors import CompileError, ControllerFault
 

@@ -12,8 +12,7 @@ from tests.compile.cortex_m7.hand_written import ADD, COMPILERS, STEP, image, pa
 from tests.toolchains import need
 from twodof.compile import build
 from twodof.compile.cortex_m7.processor import Processor
-from twodof.compile.cortex_m7.report import CortexM7Report, measure
-from twodof.compile.cortex_m7.usage import Usage
+from twodof.compile.cortex_m7.report import CortexM7Report, Usage, measure
 from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
 from twodof.flight.core import core

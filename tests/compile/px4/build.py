@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.toolchains import PACKAGES, need
 from twodof.compile.px4.controller import EXACT
 from twodof.compile.px4.export import Px4Module
-from twodof.compile.px4.topics import FIELDS
+from twodof.compile.px4.work_item import FIELDS
 
 STAND_IN = Path(__file__).parent / "stand_in"
 DEADLINE = 120.0

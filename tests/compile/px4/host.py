@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 
 from tests.compile.px4.build import C_FLAGS, DEADLINE, PX4_FLAGS, run
 from twodof.blocks import Diagram
-from twodof.compile.px4.controller import EXACT, ControllerCode, controller, header, source
-from twodof.compile.px4.message import MessageField, MessageFields, fields
+from twodof.compile.px4.controller import (
+    EXACT,
+    ControllerCode,
+    MessageField,
+    MessageFields,
+    controller,
+    fields,
+    header,
+    source,
+)
 from twodof.compile.px4.names import module_names
 from twodof.compile.px4.parameters import exported
 

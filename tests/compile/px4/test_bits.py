@@ -17,8 +17,7 @@ from tests.compile.px4.host import build_controller, controller_files, replay
 from twodof.blocks import Block, Diagram, Port, sqrt
 from twodof.compile import build
 from twodof.compile.program.lower import lower
-from twodof.compile.px4.controller import DT, EXACT
-from twodof.compile.px4.message import TYPES
+from twodof.compile.px4.controller import DT, EXACT, TYPES
 
 pytestmark = pytest.mark.slow
 

@@ -13,8 +13,7 @@ import pytest
 from tests.compile.px4.modules import PITCH_LOG, pitch
 from tests.patience import PATIENCE_S
 from twodof.compile.px4 import export
-from twodof.compile.px4.checkout import ERROR, WARNING, check
-from twodof.compile.px4.tree import MANIFEST
+from twodof.compile.px4.tree import ERROR, MANIFEST, WARNING, check
 from twodof.errors import CompileError
 
 AIRFRAMES = "ROMFS/px4fmu_common/init.d-posix/airframes"

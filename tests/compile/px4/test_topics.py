@@ -12,7 +12,7 @@ from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.compile.program.lower import lower
 from twodof.compile.px4.export import make_module
-from twodof.compile.px4.topics import INPUTS, OUTPUTS, role
+from twodof.compile.px4.work_item import INPUTS, OUTPUTS, role
 from twodof.errors import DiagramError
 from twodof.flight.starters import STARTERS, starter
 from twodof.flight.templates import TEMPLATES

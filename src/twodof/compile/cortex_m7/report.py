@@ -1,17 +1,208 @@
-"""Report: what a program costs on the Cortex-M7, measured and bounded."""
+"""Cost of a program on the Cortex-M7: bytes of flash and RAM, depth of the stack, instructions of a step."""
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from io import BytesIO
 from typing import Any, cast
 
 import numpy as np
+from elftools.elf.constants import SH_FLAGS
+from elftools.elf.elffile import ELFFile
 from numpy.typing import NDArray
 
+from twodof.compile.cortex_m7.image import Image
 from twodof.compile.cortex_m7.processor import Processor
 from twodof.compile.cortex_m7.target import CortexM7Backend, CortexM7Instance
-from twodof.compile.cortex_m7.usage import SectionSizes, Usage, image_sizes
 from twodof.compile.machine import CompiledProgram
 from twodof.errors import CompileError
+
+CALL = 10  # R_ARM_THM_CALL
+
+Place = tuple[int, int]  # object file, section: each function and each constant has a section of its own
+
+
+class ObjectFile:
+    """Sections and symbols of an object file, and the symbols that each section refers to, by index."""
+
+    def __init__(self, data: bytes) -> None:
+        self.sections: list[Any] = list(ELFFile(BytesIO(data)).iter_sections())
+        self.symbols: list[Any] = []
+        self.refers: dict[int, set[int]] = {}
+        self.calls: dict[int, set[int]] = {}
+        for section in self.sections:
+            if section["sh_type"] == "SHT_SYMTAB":
+                self.symbols += section.iter_symbols()
+            if section["sh_type"] == "SHT_REL":
+                for relocation in section.iter_relocations():
+                    symbol, place = relocation["r_info_sym"], section["sh_info"]
+                    self.refers.setdefault(place, set()).add(symbol)
+                    if relocation["r_info_type"] == CALL:
+                        self.calls.setdefault(place, set()).add(symbol)
+
+    def section_of(self, symbol: int) -> int | None:
+        """Return the section that has a symbol, None for a symbol of another file or of no section."""
+        index = self.symbols[symbol]["st_shndx"]
+        return index if isinstance(index, int) else None
+
+
+def _loaded(section: Any) -> bool:
+    """Return True if a section takes memory of the target."""
+    return bool(section["sh_flags"] & SH_FLAGS.SHF_ALLOC) and section["sh_size"] > 0
+
+
+def _use(section: Any) -> str:
+    """Return the memory of a section: "text", "rodata", "data" (in flash and RAM) or "bss" (in RAM)."""
+    if section["sh_type"] == "SHT_NOBITS":
+        return "bss"
+    if section["sh_flags"] & SH_FLAGS.SHF_EXECINSTR:
+        return "text"
+    return "data" if section["sh_flags"] & SH_FLAGS.SHF_WRITE else "rodata"
+
+
+@dataclass(frozen=True)
+class SectionSizes:
+    """Bytes of machine code, constants, initialised variables and zeroed variables."""
+
+    text: int = 0
+    rodata: int = 0
+    data: int = 0
+    bss: int = 0
+
+    @property
+    def flash(self) -> int:
+        """Bytes of flash: code, constants, and the first values of variables."""
+        return self.text + self.rodata + self.data
+
+    @property
+    def ram(self) -> int:
+        """Bytes of RAM outside the stack."""
+        return self.data + self.bss
+
+
+def image_sizes(image: Image) -> SectionSizes:
+    """Return the sizes of the whole image (programs, server, start-up) without the stacks."""
+    return _summed(s for s in ObjectFile(image.elf).sections if _loaded(s) and s.name != ".stacks")
+
+
+class Usage:
+    """The call graph of an image's programs: relocations say which section refers to which."""
+
+    def __init__(self, image: Image) -> None:
+        self.image = image
+        self.files = [ObjectFile(data) for data in image.objects]
+        self._defined: dict[str, Place] = {}
+        for i, file in enumerate(self.files):
+            for k, symbol in enumerate(file.symbols):
+                section = file.section_of(k)
+                if section is not None and symbol["st_info"]["bind"] != "STB_LOCAL":
+                    self._defined.setdefault(symbol.name, (i, section))
+
+    def sizes(self, functions: Sequence[str]) -> SectionSizes:
+        """Return the sizes of the functions, the functions that they call and the constants that they read."""
+        found: set[Place] = set()
+        stack = [self._place(name) for name in functions]
+        while stack:
+            place = stack.pop()
+            if place not in found:
+                found.add(place)
+                stack += self._referred(place)
+        return _summed(self.files[i].sections[j] for i, j in found)
+
+    def stack(self, function: str) -> int | None:
+        """Return the bound of the stack [bytes] of a call of `function`: the largest sum of frames in its call graph.
+
+        None stands for no bound: recursion, frames of variable size, library functions without a figure. A static
+        function that calls itself leaves no relocation and is missed; emitted C never does that.
+        Interrupts come on top.
+        """
+        return self._depth(self._place(function), {}, frozenset())
+
+    def _depth(self, place: Place, known: dict[Place, int | None], above: frozenset[Place]) -> int | None:
+        if place in above:
+            return None
+        if place not in known:
+            below = [self._depth(p, known, above | {place}) for p in self._referred(place)]
+            frame, bounded = self._frame(place), [depth for depth in below if depth is not None]
+            known[place] = None if frame is None or len(bounded) < len(below) else frame + max(bounded, default=0)
+        return known[place]
+
+    def _place(self, name: str) -> Place:
+        if name not in self._defined:
+            raise CompileError(f"the image does not have the function {name!r:.80}", "", "name one that the C exports")
+        return self._defined[name]
+
+    def _referred(self, place: Place) -> list[Place]:
+        i, j = place
+        file, found = self.files[i], []
+        for k in file.refers.get(j, ()):
+            section = file.section_of(k)
+            if section is None:
+                found += [self._defined[name]] if (name := file.symbols[k].name) in self._defined else []
+            elif _loaded(file.sections[section]) and (section != j or k in file.calls.get(j, ())):
+                found.append((i, section))
+        return found
+
+    def _frame(self, place: Place) -> int | None:
+        i, j = place
+        file = self.files[i]
+        if _use(file.sections[j]) != "text":
+            return 0
+        unknown = (k for k in file.refers.get(j, ()) if k and file.section_of(k) is None)
+        if any(file.symbols[k].name not in self._defined for k in unknown):
+            return None
+        if place in self._clang_frames:
+            return self._clang_frames[place]
+        own = (s for s in file.symbols if s["st_shndx"] == j and s["st_info"]["type"] == "STT_FUNC")
+        frames = [0 if s.name.endswith(".cold") else self._gcc_frame(s.name) for s in own]
+        bounded = [f for f in frames if f is not None]
+        return max(bounded) if bounded and len(bounded) == len(frames) else None
+
+    def _gcc_frame(self, name: str) -> int | None:
+        while name not in self._gcc_frames and "." in name:  # a clone goes by the name of its function
+            name = name.rpartition(".")[0]
+        return self._gcc_frames.get(name)
+
+    @cached_property
+    def _gcc_frames(self) -> dict[str, int | None]:
+        """Function -> bytes, from the lines `place:line:column:name TAB bytes TAB kind` of -fstack-usage."""
+        found: dict[str, int | None] = {}
+        for line in self.image.stack_usage.splitlines():
+            if match := re.fullmatch(r".*:\d+:\d+:(\S+)\t(\d+)\t(\S+)", line):
+                name, size, kind = match.groups()
+                before = found.get(name, 0)
+                bounded = kind in ("static", "dynamic,bounded") and before is not None
+                found[name] = max(int(size), before or 0) if bounded else None
+        return found
+
+    @cached_property
+    def _clang_frames(self) -> dict[Place, int]:
+        """Section of a function -> bytes, from the sections `.stack_sizes`: an address, then the size in LEB128."""
+        found: dict[Place, int] = {}
+        for i, file in enumerate(self.files):
+            for section in file.sections:
+                if section.name == ".stack_sizes":
+                    found[i, section["sh_link"]] = max(_stack_sizes(section.data()))
+        return found
+
+
+def _stack_sizes(data: bytes) -> list[int]:
+    sizes, at = [], 0
+    while at + 4 < len(data):
+        at += 4
+        end = next(k for k in range(at, len(data)) if data[k] < 0x80) + 1
+        sizes.append(sum((byte & 0x7F) << 7 * k for k, byte in enumerate(data[at:end])))
+        at = end
+    return sizes
+
+
+def _summed(sections: Iterable[Any]) -> SectionSizes:
+    bytes_of = {"text": 0, "rodata": 0, "data": 0, "bss": 0}
+    for section in sections:
+        bytes_of[_use(section)] += section["sh_size"]
+    return SectionSizes(**bytes_of)
+
 
 STEPS = 1000
 FUNCTIONS = ("defaults", "prepare", "init", "step")

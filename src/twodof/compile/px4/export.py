@@ -8,14 +8,21 @@ from zlib import crc32
 
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.schema.json_form import to_json
-from twodof.compile.px4.checkout import COMPILED, TESTED
-from twodof.compile.px4.controller import EXACT, controller, header, source
-from twodof.compile.px4.message import FAULTS, HEAD, MessageFields, fields, message
+from twodof.compile.px4.controller import (
+    EXACT,
+    FAULTS,
+    HEAD,
+    MessageFields,
+    controller,
+    fields,
+    header,
+    message,
+    source,
+)
 from twodof.compile.px4.names import ModuleNames, fill, harmless, module_names
 from twodof.compile.px4.parameters import UNITS, ExportedParameter, KeptParameter, exported, module_yaml, number
-from twodof.compile.px4.topics import INPUTS, OUTPUTS, ModuleRole, role
-from twodof.compile.px4.tree import MANIFEST, manifest, write_tree
-from twodof.compile.px4.work_item import work_item, work_item_header
+from twodof.compile.px4.tree import COMPILED, MANIFEST, TESTED, manifest, write_tree
+from twodof.compile.px4.work_item import INPUTS, OUTPUTS, ModuleRole, role, work_item, work_item_header
 
 FIRST_ID, IDS = 22000, 1000  # PX4 reserves these for custom models
 

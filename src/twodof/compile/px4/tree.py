@@ -1,11 +1,14 @@
-"""A generated tree: its files by relative path, and writing all of them or none."""
+"""Exported tree: written wholly or not at all, and compared with a checkout of PX4 as far as PX4's build does not."""
 
 import hashlib
 import json
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Mapping
+import subprocess
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,6 @@ from twodof.flightlog.atomic import atomic_write
 
 MANIFEST = "twodof-px4.json"
 FORMAT = 1
-_LARGEST_MANIFEST = 1_000_000
 
 
 def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
@@ -25,12 +27,8 @@ def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
     """Return the manifest of a folder, or None if it does not have a valid one."""
-    place = folder / MANIFEST
     try:
-        if not place.is_file():
-            return None
-        with place.open("rb") as file:
-            data = json.loads(file.read(_LARGEST_MANIFEST))
+        data = json.loads((folder / MANIFEST).read_bytes())
     except (OSError, ValueError, RecursionError):
         return None
     files = data.get("files") if isinstance(data, dict) else None
@@ -123,3 +121,116 @@ def _check_place(target: Path, folder: Path, force: bool) -> None:
             str(folder),
             "save them elsewhere, or give --force to lose them",
         )
+
+
+ERROR, WARNING = "error", "warning"
+TESTED = "v1.16.1"
+"""The version in which modules of the starters were flown."""
+COMPILED = ("v1.14.4", "v1.15.4", "v1.17.0-beta1", "main of 2026-06-06 (8ae02ec4)")
+FIRST, LAST = (1, 14), (1, 17)
+DEADLINE = 20.0  # [s], of git
+FAR = 2000  # commits after a tag, from which on the tag's numbers say nothing
+
+
+@dataclass(frozen=True)
+class CheckoutFinding:
+    """A mismatch: `level` "error" (the flight fails) or "warning" (it may)."""
+
+    level: str
+    what: str
+    where: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class CheckoutFindings:
+    """Findings about the module `module` and a PX4 of `version` ("unknown" with the reason, if it is)."""
+
+    module: str
+    version: str
+    rows: tuple[CheckoutFinding, ...]
+
+    @property
+    def fits(self) -> bool:
+        """True if all findings are warnings."""
+        return not any(row.level == ERROR for row in self.rows)
+
+
+def check(px4: str | Path, folder: str | Path) -> CheckoutFindings:
+    """Compare the export in `folder` with the checkout `px4`. Only `git describe` is run, and nothing is written.
+
+    Raises CompileError if `folder` holds no export; everything wrong with `px4` is a finding.
+    """
+    export, root = Path(folder), Path(px4).resolve()
+    facts = read_manifest(export)
+    if facts is None:
+        remedy = "name the folder that twodof px4 export DIAGRAM FOLDER wrote"
+        raise CompileError("holds no exported module", str(folder), remedy)
+    found = list(_export(export))
+    version = "unknown"
+    if "px4" in _text(root / "CMakeLists.txt").lower() and (root / "src" / "modules").is_dir():
+        version, *more = _version(root)
+        found += [*more, *_flight(root, facts)]
+    else:
+        found.append((ERROR, "is not a source tree of PX4", px4, "name the folder that git clone made of PX4"))
+    rows = (CheckoutFinding(level, what, str(where), remedy) for level, what, where, remedy in found)
+    return CheckoutFindings(str(facts["module"]), version, tuple(rows))
+
+
+_Row = tuple[str, str, str | Path, str]
+"""The level, the fact, the place and the remedy."""
+
+
+def _text(path: Path) -> str:
+    return path.read_text(encoding="utf-8", errors="replace") if path.is_file() else ""
+
+
+def _export(folder: Path) -> Iterator[_Row]:
+    for level, paths, what in (
+        (ERROR, absent(folder), "has lost files of the export"),
+        (WARNING, strangers(folder), "was changed since the export"),
+    ):
+        if paths:
+            more = f" and {len(paths) - 5} more" if len(paths) > 5 else ""
+            yield level, f"{what}: {', '.join(paths[:5])}{more}", folder, "export the diagram again"
+
+
+def _version(root: Path) -> Iterator[Any]:
+    """Yield the version, and what is wrong with it."""
+    command = ["git", "-C", str(root), "describe", "--tags", "--exclude", "ext/*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
+        tag, reason = done.stdout.strip(), " ".join(done.stderr.split())[:160]
+    except (OSError, subprocess.TimeoutExpired) as error:
+        tag, reason = "", f"{error!s:.160}"
+    found = re.fullmatch(r"v?(\d+)\.(\d+)(\.\d+)?(?:-(\d+)-g\w+|-.*-(\d+)-g\w+|-.*)?", tag)
+    first, last = (f"v{major}.{minor}" for major, minor in (FIRST, LAST))
+    if found is None or int(found[4] or found[5] or 0) > FAR:
+        yield f"unknown ({reason or tag})"
+        remedy = f"use a git clone with tags; modules are for {first} to {last}"
+        yield WARNING, f"its version is unknown (git describe: {reason or tag})", root, remedy
+        return
+    yield tag
+    release = int(found[1]), int(found[2])
+    if not FIRST <= release <= LAST:
+        remedy = f"run git checkout {TESTED} in it"
+        yield ERROR, f"is PX4 {tag}; the module is for {first} to {last}", root, remedy
+    elif not TESTED.startswith(f"v{release[0]}.{release[1]}."):
+        yield WARNING, f"is PX4 {tag}: modules were flown with {TESTED} only", root, "try it in the simulator first"
+
+
+def _flight(root: Path, facts: dict[str, Any]) -> Iterator[_Row]:
+    """Yield mismatches with which PX4 builds, and which show in the flight or its log."""
+    limit = re.search(r"\bchar\s+format\[(\d+)\]", _text(root / "src/modules/logger/messages.h"))
+    if limit and int(limit[1]) < facts["description"]:
+        what = f"its logger has room for {limit[1]} characters of a message's description, not {facts['description']}"
+        yield ERROR, what, root, "log fewer signals"
+    missing = [name for name in facts["stops"] if not (root / "src" / "modules" / name).is_dir()]
+    if missing:
+        what = f"has no {', '.join(missing)}, whose place the module takes"
+        yield WARNING, what, root, "see that nothing else commands; the .post stops it in vain"
+    number, own = facts["airframe"], f"{facts['airframe']}_{facts['module']}"
+    for other in (root / "ROMFS").rglob(f"{number}_*"):
+        if other.name != own:
+            remedy = "give the exported airframe's file another number"
+            yield WARNING, f"has an airframe {number} already", other, remedy

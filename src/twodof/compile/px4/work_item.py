@@ -1,12 +1,181 @@
-"""The module's C++: a work item that PX4 runs on each gyro sample, and its command.
+"""Work item of a module: the uORB topics behind a diagram's ports, and the C++ that PX4 runs on each gyro sample.
 
-It does without PX4's ModuleBase, which is another class after v1.17, so that one text serves all versions.
+`topics.toml` holds the tables of ports and topics, and explains their columns. The C++ does without PX4's ModuleBase,
+which is another class after v1.17, so that one text serves all versions.
 """
 
-from twodof.compile.px4.controller import PERIOD_US
-from twodof.compile.px4.message import FAULTS, MessageFields
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import resources
+from types import MappingProxyType
+from typing import Any
+
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.px4.controller import FAULTS, PERIOD_US, MessageFields
 from twodof.compile.px4.names import ModuleNames, fill
-from twodof.compile.px4.topics import FRESH, INPUTS, MEMBERS, MOTORS, SHARED, ModuleRole
+from twodof.errors import DiagramError
+
+_TABLES: Mapping[str, Any] = tomllib.loads(resources.files(__package__).joinpath("topics.toml").read_text("utf-8"))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Source of an input: its topics, a description, its value in C++, its type and unit."""
+
+    topics: tuple[str, ...]
+    text: str
+    value: str
+    kind: str = "real"
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class Commanding:
+    """Common part of the modules that command the same: see `topics.toml`."""
+
+    writes: tuple[str, ...]
+    finite: tuple[str, ...]
+    when: str
+    wanted: str
+    safe: str
+
+
+def _frozen(row: dict[str, Any]) -> dict[str, Any]:
+    return {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
+
+
+# Of each topic the fields that a module may touch, with their types.
+FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
+    {topic: row["fields"] for topic, row in _TABLES["topics"].items()}
+)
+# The topics that are read into a member of the class; of some of them a test whether they may be used.
+MEMBERS: Mapping[str, str] = MappingProxyType(
+    {topic: row["member"] for topic, row in _TABLES["topics"].items() if "member" in row}
+)
+FRESH: Mapping[str, str] = MappingProxyType(
+    {topic: row["fresh"] for topic, row in _TABLES["topics"].items() if "fresh" in row}
+)
+INPUTS: Mapping[str, Reading] = MappingProxyType(
+    {name: Reading(**_frozen(row)) for name, row in _TABLES["inputs"].items()}
+)
+SHARED: Mapping[str, str] = MappingProxyType(_TABLES["shared"])
+OUTPUTS: Mapping[str, str] = MappingProxyType(_TABLES["outputs"])
+_COMMANDING = {name: Commanding(**_frozen(row)) for name, row in _TABLES["commands"].items()}
+MOTORS = _COMMANDING["motors"].finite
+
+# A module of PX4 -> the topic that it alone advertises, from its start to its end.
+SIGNS: Mapping[str, str] = MappingProxyType(_TABLES["signs"])
+
+
+@dataclass(frozen=True)
+class ModuleRole:
+    """Where in PX4's cascade a diagram stands.
+
+    `commands` "torque" (M, perhaps thrust), "attitude" (theta_0, thrust) or "motors"; `stops` are PX4's own modules
+    that it replaces.
+    """
+
+    commands: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    stops: tuple[str, ...]
+
+    @property
+    def thrust_setpoint(self) -> bool:
+        """True if the thrust set-point of the topics is read."""
+        return self.commands != "attitude"
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """The topics read, by name."""
+        topics = {"vehicle_angular_velocity", "vehicle_control_mode", "actuator_armed", "parameter_update"}
+        for name in self.inputs:
+            topics.update(INPUTS[name].topics)
+        if self.thrust_setpoint:
+            topics.update(INPUTS["thrust_0"].topics)
+        if self.commands == "attitude":
+            topics.add("vehicle_attitude")
+        return tuple(sorted(topics))
+
+    @property
+    def signs(self) -> dict[str, str]:
+        """Topic -> its module; the exported module does not start beside one of them.
+
+        `vehicle_attitude_setpoint` is not among them: mavlink and mc_att_control publish it too, and never end.
+        """
+        signs = {SIGNS[module]: module for module in self.stops}
+        others = () if self.commands == "attitude" else self.writes
+        return {**dict.fromkeys(others, "another module"), **signs}
+
+    @property
+    def asides(self) -> tuple[str, ...]:
+        """Further topics: to see other commanding modules, and to ask PX4 to disarm."""
+        return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
+
+    @property
+    def commanding(self) -> Commanding:
+        """The part in common with all modules that command the same."""
+        return _COMMANDING[self.commands]
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """The topics published, in the order in which they are."""
+        return self.commanding.writes
+
+
+def role(program: FlatProgram) -> ModuleRole:
+    """Return the role of a program by the names of its ports.
+
+    Raises DiagramError, with the known names, for an input that PX4 has nothing for. It does so for a port of another
+    type, width or unit, and for outputs that command nothing or too much.
+    """
+    for name, signal in program.inputs.items():
+        reading = INPUTS.get(name)
+        if reading is None:
+            raise DiagramError(
+                f"PX4 has nothing for its input {name!r}", program.name, f"inputs may be {', '.join(INPUTS)}"
+            )
+        if (signal.kind, signal.width) != (reading.kind, None):
+            width = "" if signal.width is None else f" of {signal.width}"
+            raise DiagramError(
+                f"its input {name!r} is {signal.kind}{width}", program.name, f"make it {reading.kind}, a scalar"
+            )
+        if signal.unit and reading.unit and signal.unit != reading.unit:
+            raise DiagramError(f"its input {name!r} is in {signal.unit}", program.name, f"PX4 gives {reading.unit}")
+    if not program.inputs:
+        raise DiagramError("it has no inputs", program.name, f"give it some of {', '.join(INPUTS)}")
+    found = tuple(name for name in OUTPUTS if name in program.outputs)
+    for name in found:
+        signal = program.outputs[name]
+        if (signal.kind, signal.width) != ("real", None):
+            raise DiagramError(f"its output {name!r} is not a real scalar", program.name, "make it one")
+    moved = [name for name in MOTORS if name in found]
+    inputs = tuple(program.inputs)
+    if moved and (len(moved) < len(MOTORS) or "M" in found):
+        raise DiagramError(
+            f"it commands {', '.join(found)}", program.name, "command all of motor_1 to motor_4 and no M, or only M"
+        )
+    if moved:
+        return ModuleRole("motors", inputs, found, ("control_allocator",))
+    if "M" in found and "M_0" in inputs:
+        raise DiagramError("it reads M_0 and gives M", program.name, "M_0 is for a diagram that commands the motors")
+    if "M" in found:
+        above = ("mc_pos_control",) if "thrust" in found else ()
+        return ModuleRole("torque", inputs, found, ("mc_rate_control", *above))
+    if "theta_0" in found and "thrust" in found:
+        circular = [name for name in ("theta_0", "thrust_0") if name in inputs]
+        if circular:
+            raise DiagramError(
+                f"it reads {' and '.join(circular)}, which it commands itself", program.name, "remove that input"
+            )
+        return ModuleRole("attitude", inputs, found, ("mc_pos_control",))
+    raise DiagramError(
+        f"its outputs ({', '.join(program.outputs) or 'none'}) command nothing in PX4",
+        program.name,
+        "give it M; M and thrust; thrust and theta_0; or motor_1, motor_2, motor_3, motor_4",
+    )
+
 
 # mavlink and mc_att_control publish this topic too, and its publication that has just gone has cleared their flag.
 _AGAIN = "\n    orb_advertise(ORB_ID(vehicle_attitude_setpoint), nullptr);"
