@@ -6,7 +6,7 @@ from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import LOOPS, Expr
 from twodof.blocks.expressions.expr import node as make
 from twodof.blocks.expressions.graph import OPERATIONS, ordered, walk
-from twodof.blocks.expressions.kinds import FLOATS
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 
 SHORT = 4  # rounds of a loop that is written out
