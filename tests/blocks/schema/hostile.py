@@ -190,6 +190,12 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
         "a delay of 10^9 steps": (library("delay", samples=10**9, bound=10**9), "within 1 .. "),
         "a state of 10^9 values": (custom(states=[{"name": "ring", "width": 10**9}]), "more than 1000000 values"),
         "a state of 10^39 values": (custom(states=[{"name": "ring", "width": 10**39}]), "more than 1000000 values"),
+        "a matrix of 10^10 values": (
+            custom(inputs=[{"name": "u", "shape": [10**5, 10**5]}]),
+            "more than 1000000 values",
+        ),
+        "a shape of one number": (custom(inputs=[{"name": "u", "shape": [2]}]), "not one of a matrix"),
+        "a negative shape": (custom(inputs=[{"name": "u", "shape": [2, -3]}]), "not"),
         "too many blocks in a row": (gains(150_000 if share == 1 else 105_000), "bytes of diagram"),
         "120,000 blocks": (
             file(parts=[{"name": f"g{k}", "block": {"type": "gain"}} for k in range(120_000 // share)]),
