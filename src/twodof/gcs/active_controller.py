@@ -1,4 +1,4 @@
-"""What flies on a drone: its parameters, the diagrams of the user's controllers, and what is tuned in flight."""
+"""Active controller of a drone: its parameters, the diagrams of the user's controllers, and changes in flight."""
 
 from __future__ import annotations
 
@@ -24,10 +24,14 @@ _ALSO = frozenset(row.drone for row in PARAMETERS if row.drone)  # the same numb
 
 @dataclass(frozen=True)
 class ActiveController:
-    """`parameters` that are not at their defaults, by name; `diagrams` of the user's controllers, JSON by template.
+    """Parameters and controllers of a drone.
 
-    `values` are all parameters by name. `paths` says where those of the user's controllers are in the diagrams.
-    `known` is False where the drone does not tell.
+    Attributes:
+        parameters: values that differ from their defaults, by name
+        diagrams: the user's controllers, JSON by template
+        known: False if the drone does not tell
+        values: all parameters by name
+        paths: places in the diagrams of the parameters of the user's controllers, by name
     """
 
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -37,7 +41,7 @@ class ActiveController:
     paths: Mapping[str, str] = field(default_factory=dict)
 
     def provenance(self) -> dict[str, Any]:
-        """What a log needs for a replay: `parameters`, and `controllers` by template; {} if unknown.
+        """Return what a log needs for a replay: `parameters`, and `controllers` by template; {} if unknown.
 
         A controller has its name, its diagram, the SHA-256 of the diagram's JSON, and all its parameters by path.
         """
@@ -58,11 +62,11 @@ class ActiveController:
 
 
 class ParameterChanges:
-    """Keeps what any program tunes while a flight is recorded: rows [time [s], name, value].
+    """Changes of parameters during a recording, by any client: rows [time [s], name, value].
 
-    The time is that of the last step that may have had the old value. A parameter of a user's controller goes by its
-    path, such as `attitude_control.k_q`. The first value of a parameter that was not known `before` does not count as
-    a change.
+    The time is that of the last step that may have had the old value. A parameter of a user's controller has its path
+    as name, such as `attitude_control.k_q`. The first value of a parameter that was unknown `before` does
+    not count.
     """
 
     def __init__(self, before: ActiveController) -> None:
@@ -71,7 +75,7 @@ class ParameterChanges:
         self._paths = before.paths
 
     def told(self, time: float, got: Any) -> None:
-        """Takes a PARAM_VALUE that came at the drone's `time` [s]."""
+        """Add a PARAM_VALUE that came at the drone's `time` [s]."""
         name, value = str(got.param_id), entry_of(got).value
         if name in _ALSO:
             return
@@ -84,17 +88,17 @@ class ParameterChanges:
 async def read_active_controller(
     parameters: AsyncParameters, files: AsyncFiles, deadline: Deadline
 ) -> ActiveController:
-    """Asks the drone. Raises Timeout, LinkLost."""
+    """Read the active controller from the drone. Raises Timeout, LinkLost."""
     try:
         names = [entry.name for entry in await files.list(FOLDER, deadline.left)]
-    except Rejected:  # one that has no such folder is none of ours
+    except Rejected:  # a drone without this folder is another's
         return ActiveController(known=False)
     diagrams = {
         name.removesuffix(".json"): await files.read(f"{FOLDER}/{name}", deadline.left)
         for name in names
         if name.endswith(_DIAGRAM)
     }
-    if diagrams:  # what is not described has the package's defaults, and the description takes long to read
+    if diagrams:  # without one the package's defaults hold, and the description takes long to read
         with suppress(Rejected):
             await parameters.describe(deadline.left)
     entries = await parameters.all(deadline.left)
@@ -109,7 +113,7 @@ async def read_active_controller(
 
 
 def _diagram(content: bytes) -> dict[str, Any] | None:
-    """The JSON form of a diagram that has a name; None for anything else."""
+    """Return the JSON form of a diagram that has a name; None for anything else."""
     try:
         found = json.loads(content)
         return found if isinstance(found["diagram"]["name"], str) else None

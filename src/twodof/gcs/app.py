@@ -1,8 +1,8 @@
-"""Runs a user's own program: `python -m twodof.gcs.app FILE --url URL`, FILE with `async def main(drone)`.
+"""Runner of a user's program: `python -m twodof.gcs.app FILE --url URL`, FILE with `async def main(drone)`.
 
-On board the companion starts it (`twodof companion run FILE`) and it speaks as component 192 of the drone's own system.
-It has the lease while it runs; leaving it, however that comes about, disarms. Exit status: 0 it ended by itself or was
-told to (SIGTERM), 1 it raised, 2 FILE is not such a program.
+On board the companion starts it (`twodof companion run FILE`), as component 192 of the drone's own system. The program
+has the lease while it runs, and its end disarms the drone. Exit status: 0 the program ended or got SIGTERM, 1 it
+raised, 2 FILE is not such a program.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Main = Callable[[AsyncDrone], Awaitable[object]]
 
 
 def load(file: Path) -> Main:
-    """The coroutine function `main` of a program. Raises TwodofError where there is none."""
+    """Return the coroutine function `main` of a program. Raises TwodofError if there is none."""
     try:
         found = runpy.run_path(str(file), run_name="twodof_app").get("main")
     except OSError as error:
@@ -38,7 +38,7 @@ def load(file: Path) -> Main:
 
 
 async def fly(main: Main, url: str, timeout: float, system: int | None, key: Path | None) -> None:
-    """Connect, run `main`, leave; SIGTERM and SIGINT cancel it. `system` None: the drone's own."""
+    """Connect, run `main`, leave; SIGTERM and SIGINT cancel it. `system` None is the drone's own."""
     task = asyncio.current_task()
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -50,7 +50,7 @@ async def fly(main: Main, url: str, timeout: float, system: int | None, key: Pat
 
 
 def run(arguments: Sequence[str]) -> int:
-    """One command line; returns the exit status. What went wrong goes to stderr."""
+    """Run one command line, write an error to stderr, and return the exit status."""
     parser = argparse.ArgumentParser(prog="python -m twodof.gcs.app", description="Run a program with a drone.")
     parser.add_argument("file", type=Path, metavar="FILE", help="with `async def main(drone)`")
     parser.add_argument("--url", required=True, help="where the drone is, or its companion")

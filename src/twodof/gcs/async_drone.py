@@ -5,42 +5,88 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager, suppress
 from functools import partial
+from math import ceil, inf
 from pathlib import Path
 from typing import Any, Self
 
-from twodof.errors import ExperimentError, LinkLost, LogError, RefusalReason, Rejected, Timeout, shown
+from twodof.errors import (
+    ExperimentError,
+    LinkLost,
+    LogError,
+    ParameterError,
+    RefusalReason,
+    Rejected,
+    Timeout,
+    TwodofError,
+    shown,
+)
 from twodof.excitation import Excitation
+from twodof.gcs import setpoints
 from twodof.gcs.active_controller import ActiveController, read_active_controller
+from twodof.gcs.arming import DroneArming
+from twodof.gcs.clock import DroneClock, DroneRestarted
+from twodof.gcs.commands import CommandSender
 from twodof.gcs.discovery import open_link
-from twodof.gcs.drone_base import TIMEOUT_S, DroneBase
-from twodof.gcs.excitation_player import ExcitationPlayback
-from twodof.gcs.flying_drone import FlyingDrone
-from twodof.gcs.full_rate import BatchRows, TruthRows
+from twodof.gcs.drone_state import DroneVersion, StateTracker, StatusTexts, version_of
+from twodof.gcs.drone_view import DroneView
+from twodof.gcs.excitation_player import ExcitationPlayback, ExcitationPlayer
+from twodof.gcs.files import AsyncFiles, AsyncLogs
+from twodof.gcs.full_rate import BATCH, TRUTH, BatchRows, FullRateSubscription, TruthRows
 from twodof.gcs.identity import drawn, give_back, identity
+from twodof.gcs.lease import LeaseClient
+from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.recording import Recording, record
-from twodof.gcs.session import Deadline, DroneSession
+from twodof.gcs.session import Deadline, DroneSession, ProgramPaused
+from twodof.gcs.setpoints import SetpointStream
+from twodof.gcs.telemetry import Telemetry
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import GROUND_STATION
 from twodof.link.mavlink.messages import channel_mask, message
+from twodof.link.mavlink.setpoints import SetPoint
 from twodof.link.signing import Key, read_key
 from twodof.link.transport.base import Transport
 from twodof.link.transport.url import Port
+from twodof.signals import TICK_S
 
 DEFAULT_URL = f"udpin://127.0.0.1:{Port.ONBOARD}"
+TIMEOUT_S = 5.0
+LEAVING_S = 3.0
+HOVER = "THRUST_BAR"
+BUILDS = "the drone builds it"
+"""Text with which `fly_controller` reports that it cannot be cancelled any more."""
 _REFUSED = 16
 _GREETING_S, _GREETING_RETRY_S = 4.0, 0.3
 _WORTH_SAYING_S = 0.5
-BUILDS = "the drone builds it"
-"""What `fly_controller` tells from when on it cannot be cancelled."""
+_FOLLOWING = "changing to a mode in which set-points are followed"
 
 
-class AsyncDrone(FlyingDrone):
+class AsyncDrone(DroneView):
     """A drone, real or virtual, over one link; made by `connect`, for `async with`: leaving disarms it.
 
     Times are in seconds, angles in radians. Calls that wait raise LinkLost if the drone falls silent for 3 s, Rejected
     with the drone's reason, Timeout at their deadline.
     """
+
+    def __init__(self, session: DroneSession, commanding: bool) -> None:
+        clock = DroneClock(session)
+        super().__init__(session, StateTracker(session, clock), StatusTexts(session), clock)
+        self.telemetry = Telemetry(session)
+        self.commanding = commanding  # this client is to have the lease
+        self.commands = CommandSender(session, self.texts, clock)
+        self.lease = LeaseClient(session, self.commands)
+        self.files = AsyncFiles(session, self.texts)
+        self.logs = AsyncLogs(session)
+        self.parameters = AsyncParameters(session, self.files, self.texts)
+        self.setpoints = SetpointStream(session, clock, self.watcher, self.commands, self.lease)
+        self.arming = DroneArming(session, self.watcher, self.commands, clock, self.setpoints)
+        self.exciter = ExcitationPlayer(session, clock)
+        self.batches = FullRateSubscription(session, self.commands, BATCH)
+        self.rig_truth = FullRateSubscription(session, self.commands, TRUTH)
+        self._last_thrust: float | None = None
+        self._closed = False
+        session.on(self._restarted, DroneRestarted)
+        session.on(self._stood_still, ProgramPaused)
 
     @classmethod
     async def connect(
@@ -53,17 +99,17 @@ class AsyncDrone(FlyingDrone):
         drone: int | None = None,
         component: int = GROUND_STATION,
     ) -> Self:
-        """Find the drone at `url` and, with `take_lease`, become the one who commands it.
+        """Find the drone at `url` and, with `take_lease`, take its lease.
 
-        `system` and `component` are what we call ourselves: two clients need two. `system` None draws one (200 to 244,
-        see gcs.identity); for a program on board, of another `component`, it is the drone's own. `drone` is the
-        system id to look for if several may be heard. `key` (or its file) signs everything; what is not signed with it
-        is ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected if somebody else has
-        the lease.
+        `system` and `component` are this client's MAVLink ids; two clients need different ones. `system` None draws one
+        (200 to 244, see gcs.identity). A program on board, which has another `component`, gets the drone's own system.
+        `drone` is the system id to look for if several may be heard. `key` (or its file) signs every message; messages
+        not signed with it are ignored. Raises LinkError, LinkLost if no drone is heard within `timeout` [s], Rejected
+        if another client has the lease.
         """
         deadline = Deadline(timeout, "connecting", url)
         if key is not None and not isinstance(key, Key):
-            read_key(key)  # a key that is none is said before anything is opened
+            read_key(key)  # raises before anything is opened
         transport, taken = await open_link(url, timeout)
         try:
             return await cls.over(transport, deadline.left, system, key, take_lease, drone, component)
@@ -84,7 +130,7 @@ class AsyncDrone(FlyingDrone):
         drone: int | None = None,
         component: int = GROUND_STATION,
     ) -> Self:
-        """As `connect`, over a transport that is open; it is closed with the drone, or where connecting fails."""
+        """Connect over an open transport, which is closed with the drone or if connecting fails. As `connect`."""
         deadline = Deadline(timeout, "connecting", transport.url)
         session: DroneSession | None = None
         made: Self | None = None
@@ -97,7 +143,7 @@ class AsyncDrone(FlyingDrone):
             await session.find(drone, deadline.left)
             connection.system = number or session.system
             session.beat()
-            await _greet(made, deadline, drawn_id=system is None and not on_board)
+            await made._greet(deadline, drawn_id=system is None and not on_board)
         except BaseException:  # cancelled too: nothing is left open
             if made is not None:
                 made.lease.stop()
@@ -106,7 +152,7 @@ class AsyncDrone(FlyingDrone):
         return made
 
     async def command(self, command: str, *values: float, timeout: float = TIMEOUT_S) -> Any:
-        """Any MAV_CMD by its name ("PREFLIGHT_STORAGE") with up to seven values; returns its COMMAND_ACK."""
+        """Send a MAV_CMD by its name ("PREFLIGHT_STORAGE") with up to seven values; return its COMMAND_ACK."""
         return await self.commands.run(command, values, timeout, command)
 
     async def excite(
@@ -128,7 +174,7 @@ class AsyncDrone(FlyingDrone):
         if not isinstance(excitation, Excitation):
             what = f"{shown(excitation)} is no excitation"
             raise ExperimentError(what, "excite", "give one of twodof.excitation, such as Doublet(0.03, 0.6)")
-        self._not_killed(self.session.deadline(timeout, "excite"))
+        self.watcher.check_not_killed()
         playback = await self.exciter.start(excitation, loop, thrust, at, timeout)
         return await self.exciter.finish(playback) if wait else playback
 
@@ -138,18 +184,18 @@ class AsyncDrone(FlyingDrone):
         await self.exciter.stop(timeout)
 
     def batch(self, columns: Iterable[str]) -> AbstractAsyncContextManager[BatchRows]:
-        """Every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`.
+        """Collect every sample of these columns of signals.TOPICS (`imu.gyro_y`) at the full rate, for `async with`.
 
-        Raises LinkError for a column that is none.
+        Raises LinkError for an unknown column.
         """
         self._needs_ours("samples at full rate", "TWODOF_BATCH")
         names = tuple(columns)
         return self.batches.rows(BatchRows(names), channel_mask(names))
 
     def truth(self) -> AbstractAsyncContextManager[TruthRows]:
-        """The true state of a virtual rig at the full rate, for `async with`; what is on board never gets it.
+        """Collect the true state of a virtual rig at the full rate, for `async with`.
 
-        Raises Rejected by a real drone and for a program on board.
+        Raises Rejected for a real drone and for a program on board.
         """
         self._needs_ours("the rig's true state", "TWODOF_TRUTH")
         if self.session.on_board or not self.state.rig.virtual:
@@ -158,7 +204,7 @@ class AsyncDrone(FlyingDrone):
         return self.rig_truth.rows(TruthRows())
 
     async def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
-        """Which parameters are not at their defaults, and which diagrams fly in place of the stock controllers.
+        """Read the parameters that are not at their defaults, and the diagrams that replace stock controllers.
 
         Raises LinkLost, Timeout.
         """
@@ -176,12 +222,12 @@ class AsyncDrone(FlyingDrone):
     ) -> AbstractAsyncContextManager[Recording]:
         """Record topics (None: all) at the full rate into a new MCAP file, for `async with`.
 
-        Raises LogError for a file that is there, unless `overwrite` says that it may be lost: it is kept until the new
-        one has begun in its place. A session that repeats takes new names from `flightlog.numbered`.
+        Raises LogError for an existing file, unless `overwrite`: then the file is kept until the new one has begun in
+        its place. `flightlog.numbered` gives new names for repeated recordings.
 
-        The file also holds what flies: tuned parameters and, as attachments, the diagrams of the user's controllers.
+        The file also holds the tuned parameters and, as attachments, the diagrams of the user's controllers.
 
-        Of a drone that is not ours what it sends is recorded as it comes: `stream` asks for more of it.
+        Messages of another's PX4 are recorded as they come; `stream` asks for more of them.
         """
         if Path(path).suffix.lower() != ".mcap":
             raise LogError("a recording is an MCAP file", str(path), "call it .mcap; write_log makes others of it")
@@ -191,9 +237,9 @@ class AsyncDrone(FlyingDrone):
     async def reset(
         self, seed: int = 1, x: float = 0.0, noise: float = 1.0, rings: bool = False, timeout: float = TIMEOUT_S
     ) -> None:
-        """Start a virtual drone anew: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
+        """Restart a virtual drone: tick 0, at rest at `x` [m], `rings` locked or not, the noise of `seed` scaled.
 
-        Raises Rejected for a real one, while armed, or where the drone says so.
+        Raises Rejected for a real drone, while armed, or with the drone's reason.
         """
         self._needs_ours("a reset", "TWODOF_RIG_RESET")
         deadline = self.session.deadline(timeout, "resetting the rig")
@@ -224,21 +270,19 @@ class AsyncDrone(FlyingDrone):
         template: str,
         diagram: str | bytes,
         timeout: float = 120.0,
-        said: Callable[[str, float], None] | None = None,
+        said: Callable[[str, float], None] = lambda text, share: None,
     ) -> None:
-        """Send a controller, a diagram's JSON, and have it fly in the place of the one of that template, in a sandbox.
+        """Send a controller, a diagram's JSON, and fly it in a sandbox instead of the one of that template.
 
-        A stock controller's own diagram brings the stock one back. Before anything is sent the drone is asked whether
-        it has what the sandbox takes. Raises Rejected where it lacks that, is armed, or finds a fault in the diagram;
-        then what flew before flies on. `said` is told what is done and the share done. It can be cancelled until it is
-        told `BUILDS`: then the drone has all, and goes on by itself.
+        The stock controller's own diagram restores the stock one. Raises Rejected if the drone is armed, cannot build
+        controllers, or finds a fault in the diagram; then the controller before flies on. `said` gets what is done and
+        the share done. The call can be cancelled until `said` gets `BUILDS`: then the drone goes on by itself.
         """
-        said = said or _silent
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
         deadline = self.session.deadline(timeout, "sending a controller")
-        self.session.check(self.session.now)  # what is known of a drone that is lost says nothing
+        self.session.check(self.session.now)  # the last state of a lost drone says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")
         said("asks the drone", 0.0)
@@ -250,64 +294,230 @@ class AsyncDrone(FlyingDrone):
         self.parameters.forget()
 
     async def stream(self, name: str, rate: float, timeout: float = TIMEOUT_S) -> None:
-        """Have a message (such as "ACTUATOR_CONTROL_TARGET") sent `rate` times a second; 0: as by default, < 0: not."""
+        """Set the rate [Hz] of a message such as "ACTUATOR_CONTROL_TARGET"; 0: its default, < 0: never."""
         interval = 1e6 / rate if rate > 0.0 else -1.0 if rate < 0.0 else 0.0
         values = [dialect.message_id(name), interval]
         if name.startswith("TWODOF_"):
             self._needs_ours("a message of our own", name)
         await self.commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"setting the rate of {name}")
 
+    async def version(self, timeout: float = TIMEOUT_S) -> DroneVersion:
+        """Return autopilot, version of its program, and the machine's number.
 
-def _silent(text: str, share: float) -> None:
-    """Tells nobody."""
+        Raises Rejected if the drone does not tell, LinkLost, Timeout.
+        """
+        deadline = self.session.deadline(timeout, "asking for its version")
+        got = await self.commands.request("AUTOPILOT_VERSION", deadline)
+        if got is None:
+            raise Rejected("it does not tell its version", deadline.where, "look at its state for what it is")
+        return version_of(got, self.state.autopilot)
+
+    async def arm(self, timeout: float = TIMEOUT_S) -> None:
+        """Arm it, and see that it is. Raises Rejected with what speaks against it."""
+        await self.arming.arm(timeout)
+
+    async def disarm(self, timeout: float = TIMEOUT_S) -> None:
+        """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
+        self._last_thrust = None
+        await self.arming.disarm(timeout)
+
+    async def kill(self, timeout: float = TIMEOUT_S) -> None:
+        """Stop the motors now, in any state and without the lease; repeat the order until that is seen.
+
+        It holds the drone disarmed until `release`. Raises Timeout, LinkLost if it is not seen: the drone's own
+        failsafe then acts on the lost link.
+        """
+        await self.arming.kill(timeout)
+
+    async def release(self, timeout: float = TIMEOUT_S) -> None:
+        """Let it be armed again after a kill by any client. Raises Rejected if another client has the lease."""
+        await self.arming.release(timeout)
+
+    async def set_mode(self, mode: str, timeout: float = TIMEOUT_S) -> None:
+        """Change the mode (manual, rate, attitude, position, hold, offboard), and see that it is changed."""
+        deadline = self.session.deadline(timeout, f"changing to the mode {mode}")
+        await self.setpoints.switch(mode, deadline)
+        offboard = "offboard wants set-points: set_pitch and the like enter it by themselves"
+        await self.watcher.see(lambda state: state.mode == mode, deadline, offboard if mode == "offboard" else "")
+
+    async def level_hold(self, timeout: float = TIMEOUT_S) -> None:
+        """Let it hold itself level, at the thrust THRUST_BAR; needs no set-points."""
+        await self.set_mode("hold", timeout)
+        self.setpoints.stop()
+
+    async def set_moment(self, M: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
+        """Fly a normalised pitch moment (-1 to 1) about the trim, no loop closed; `thrust` 0 to 1, None: as it is."""
+        setpoint = setpoints.moment(M, thrust)
+        self._needs_ours("a moment without a loop", "TWODOF_OPENLOOP")
+        await self._follow(setpoint, timeout)
+
+    async def set_pitch(self, theta: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
+        """Follow a pitch [rad]; `thrust` 0 to 1, None: the last one given, at first the parameter THRUST_BAR."""
+        deadline = self.session.deadline(timeout, _FOLLOWING)
+        await self.setpoints.follow(setpoints.pitch(theta, await self._thrust(thrust, deadline)), deadline)
+
+    async def set_pitch_rate(self, q: float, thrust: float | None = None, timeout: float = TIMEOUT_S) -> None:
+        """Follow a pitch rate [rad/s]; `thrust` as in `set_pitch`."""
+        deadline = self.session.deadline(timeout, _FOLLOWING)
+        await self.setpoints.follow(setpoints.pitch_rate(q, await self._thrust(thrust, deadline)), deadline)
+
+    async def set_velocity(self, v: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
+        """Follow a velocity along the rail [m/s], with an acceleration [m/s^2] fed forward."""
+        await self._follow(setpoints.velocity(v, acceleration), timeout)
+
+    async def set_position(self, x: float, acceleration: float | None = None, timeout: float = TIMEOUT_S) -> None:
+        """Follow a position along the rail [m], with an acceleration [m/s^2] fed forward."""
+        await self._follow(setpoints.position(x, acceleration), timeout)
+
+    def stop_setpoints(self) -> None:
+        """Stop sending set-points: after .5 s the drone levels itself."""
+        self.setpoints.stop()
+
+    async def withhold_tuning(self, withhold: bool = True, timeout: float = TIMEOUT_S) -> None:
+        """Forbid other clients to change parameters while this one has the lease, or (`withhold` False) allow it again.
+
+        Raises Rejected unless this client has the lease.
+        """
+        self._needs_ours("withholding tuning", "TWODOF_LEASE")
+        await self.lease.withhold_tuning(withhold, timeout)
+
+    async def run(self, seconds: float) -> None:
+        """Let the drone's time pass.
+
+        Raises ParameterError for a time that is negative or infinite, LinkLost, Timeout if its time stands still,
+        Rejected if a kill ends a flight.
+        """
+        if not 0.0 <= seconds < inf:
+            raise ParameterError(f"run({shown(seconds)}): time passes forwards", "drone", "give 0 or more seconds")
+        await self.run_until(self.tick + ceil(max(0.0, seconds / TICK_S - 1e-9)))
+
+    async def run_until(self, tick: int) -> None:
+        """Let the drone's time pass up to a tick, which is the first not run. Raises as `run`."""
+        await self.setpoints.pass_time(tick)
+
+    async def wait_until(self, condition: Callable[[], bool], timeout: float) -> None:
+        """Let the drone's time pass until `condition()`, asked each 20 ms of it; Timeout after `timeout` [s] of it.
+
+        If its time stands still, Timeout comes after as much of this computer's time, but not before 2 s and not after
+        5 s. `condition` looks at values that have come, and asks the drone nothing.
+        """
+        await self.setpoints.pass_time(self.tick + ceil(timeout / TICK_S), condition, patience=timeout)
+        if not condition():
+            raise Timeout(f"the condition did not come within {timeout:g} s", f"drone {self.session.system}")
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        try:
+            await self.close()
+        except TwodofError:
+            if kind is None:  # the error in the block says more
+                raise
+
+    async def close(self, timeout: float = LEAVING_S) -> None:
+        """Disarm it if this client commands, give the lease up, close the link. Raises if it is not seen disarmed."""
+        if self._closed:
+            return
+        self._closed = True
+        self.setpoints.stop()
+        deadline = self.session.deadline(timeout, "leaving")
+        try:
+            others = self.lease.holder is not None and not self.lease.ours  # then the holder disarms it
+            if self.commanding and not others:
+                await self.arming.leave(timeout)
+            if self.lease.wanted:
+                with suppress(Timeout, LinkLost):  # it ends by itself
+                    # The time that disarming left, but some in any case: the first message may get lost.
+                    await self.lease.give_up(max(timeout / 6, deadline.left))
+        finally:
+            self.lease.stop()
+            await self.session.close()
+
+    async def _follow(self, setpoint: SetPoint, timeout: float) -> None:
+        await self.setpoints.follow(setpoint, self.session.deadline(timeout, _FOLLOWING))
+
+    async def _thrust(self, thrust: float | None, deadline: Deadline) -> float:
+        if thrust is not None:
+            self._last_thrust = thrust
+        if self._last_thrust is not None:
+            return self._last_thrust
+        if not self.ours:
+            raise ParameterError("nothing says which thrust lets it hover", "set-point", "give thrust=")
+        return await self.parameters.read(HOVER, deadline.left)
+
+    def _needs_ours(self, what: str, name: str) -> None:
+        """Raise Rejected at once if the drone, another's PX4, does not know the message `name`."""
+        if not self.ours:
+            self.session.must_stand()
+            missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
+            remedy = "docs/how-to/connect-clients.md says what works there"
+            raise Rejected(missing, f"drone {self.session.system}", remedy)
+
+    def _restarted(self, _: DroneRestarted) -> None:
+        """End the session after a restart; a client that only watches goes on."""
+        what = f"the drone has restarted, after tick {self.tick}"
+        self.texts.note("critical", what)
+        if self.commanding:
+            self.arming.may_be_armed = False
+            self.session.end(LinkLost(what, self.session.url, "connect again"))
+        else:
+            self.clock.restart()
+            # The drone sends messages of our own kind only to clients that have sent one.
+            self.session.send_anyway(self.commands.request_of("TWODOF_RIG"))
+
+    def _stood_still(self, pause: ProgramPaused) -> None:
+        """End the session if this program stood still in flight: the drone's failsafe has acted meanwhile."""
+        if self.session.lockstep:  # the drone's time stood still too
+            return
+        what = f"this program stood still for {pause.seconds:.1f} s"
+        self.texts.note("warning", what)
+        if self.commanding and self.state.armed:
+            what = f"{what}, and the drone was without its pilot"
+            self.session.end(LinkLost(what, self.session.url, "connect again"))
+
+    async def _greet(self, deadline: Deadline, drawn_id: bool) -> None:
+        """Find out whether the drone is one of ours and how its time passes; take the lease if commanding.
+
+        `drawn_id`: this client's system id was drawn, so another one may be drawn. Raises LinkLost, Rejected, Timeout.
+        """
+        session = self.session
+        try:
+            session.ours = await self._answers("TWODOF_RIG", "asking what it is", deadline)
+        except Timeout:  # another's PX4 does not know the question; a drone with a key lets only signed frames in
+            signed = session.signed_frames
+            if signed and session.connection.signing is None:
+                what = f"drone {session.system} answers nothing: {signed} frames came signed, and we have no key"
+                raise LinkLost(what, session.url, "connect with its key: key=FILE") from None
+        if self.ours and drawn_id:
+            await self._draw_another_id(deadline)
+        if self.ours and self.commanding:
+            waited = await self.lease.take(deadline.left)
+            if waited > _WORTH_SAYING_S:
+                self.texts.note("notice", f"waited {waited:.1f} s for the lease of somebody who is not heard any more")
+            if session.lockstep:
+                await self.clock.begin_granting(deadline.left)
+
+    async def _draw_another_id(self, deadline: Deadline) -> None:
+        """Draw another system id if the lease's holder has the same one: this client would share its lease."""
+        with suppress(Timeout):
+            await self._answers("TWODOF_LEASE", "asking who has the lease", deadline)
+        connection, holder = self.session.connection, self.lease.holder
+        if holder is not None and holder[0] == connection.system:
+            before, connection.system = connection.system, drawn(besides=(connection.system,))
+            give_back(before)
+            self.session.beat()
+
+    async def _answers(self, name: str, doing: str, deadline: Deadline) -> bool:
+        """Ask for a message; return False if the drone refuses. Raises Timeout, LinkLost."""
+        asking = self.session.deadline(min(_GREETING_S, deadline.left), doing)
+        return await self.commands.request(name, asking, _GREETING_RETRY_S) is not None
 
 
 def _sending(said: Callable[[str, float], None], share: float) -> None:
-    """What is sent of a controller; once all is there the drone builds it."""
     said("sends it" if share < 1.0 else BUILDS, 0.05 + 0.35 * share)
 
 
 def _reset_answer(got: Any) -> Any | None:
-    """The answer to a reset: a refusal, or the rig at its tick 0."""
+    """Return the answer to a reset (a refusal, or the rig at tick 0); None for any other message."""
     return got if got.flags & _REFUSED or got.tick == 0 else None
-
-
-async def _greet(drone: DroneBase, deadline: Deadline, drawn_id: bool) -> None:
-    """Learn whether it is one of ours, and if so how its time passes; take the lease if it is to command.
-
-    `drawn_id`: our system id was drawn, so another one may be drawn. Raises LinkLost, Rejected, Timeout.
-    """
-    session = drone.session
-    try:
-        drone.ours = await _answers(drone, "TWODOF_RIG", "asking what it is", deadline)
-    except Timeout:  # it is somebody else's, which does not know the question, or does not let us in
-        signed = session.signed_frames
-        if signed and session.connection.signing is None:
-            what = f"drone {session.system} answers nothing: {signed} frames came signed, and we have no key"
-            raise LinkLost(what, session.url, "connect with its key: key=FILE") from None
-    drone.parameters.transactions = drone.commands.words_follow = drone.ours
-    if drone.ours and drawn_id:
-        await _differ(drone, deadline)
-    if drone.ours and drone.commanding:
-        waited = await drone.lease.take(deadline.left)
-        if waited > _WORTH_SAYING_S:
-            drone.texts.note("notice", f"waited {waited:.1f} s for the lease of somebody who is not heard any more")
-        if session.lockstep:
-            await drone.clock.begin_granting(deadline.left)
-
-
-async def _differ(drone: DroneBase, deadline: Deadline) -> None:
-    """Draw another id where somebody who has the lease drew the same: else we would have their lease."""
-    with suppress(Timeout):
-        await _answers(drone, "TWODOF_LEASE", "asking who has the lease", deadline)
-    connection, holder = drone.session.connection, drone.lease.holder
-    if holder is not None and holder[0] == connection.system:
-        before, connection.system = connection.system, drawn(besides=(connection.system,))
-        give_back(before)
-        drone.session.beat()
-
-
-async def _answers(drone: DroneBase, name: str, doing: str, deadline: Deadline) -> bool:
-    """Whether it sends this message when asked. Raises Timeout, LinkLost."""
-    asking = drone.session.deadline(min(_GREETING_S, deadline.left), doing)
-    return await drone.commands.request(name, asking, _GREETING_RETRY_S) is not None

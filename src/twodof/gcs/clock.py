@@ -1,4 +1,4 @@
-"""The drone's time: which control period it is in, how it passes, and how it is let pass in lockstep."""
+"""Clock of a drone: its control period, waiting for its time to pass, and granting time in lockstep."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,74 +13,79 @@ from twodof.signals import TICK_MS, TICK_S
 
 _STAMPED_MS = ("ATTITUDE", "ATTITUDE_TARGET", "LOCAL_POSITION_NED", "ATTITUDE_QUATERNION")
 _TICKED = ("TWODOF_SAFETY", "TWODOF_TIMING", "TWODOF_EXCITE_STATUS", "TWODOF_RIG", "TWODOF_TICK")
-# Real time for which the drone speaks and is silent over its own time, after which it stands still. Who waits for less
-# of its time learns it sooner, but no sooner than a computer may pause.
+# Real time without a new tick, though messages come, after which the drone's time stands still. A shorter wait ends
+# sooner, but no sooner than a computer may pause.
 STANDS_STILL_S, SOONEST_S = 3.0, 2.0
-# A drone's clock that runs slower than this is none.
+# Slowest drone clock, in real time per second of the drone's.
 SLOWEST = 1.5
-# Lockstep: real time that may go by, apart from and for each second of the drone's; its time that goes by in a slice.
+# Lockstep: real time allowed for a slice, and for each second of the drone's besides; ticks of a slice.
 SLICE_WALL_S = 5.0
 SLOWEST_LOCKSTEP = 10.0
 SLICE_TICKS = 125
 SETPOINT_TICKS = 5
-# What was overtaken on the way is up to a second old. What waited longer in some buffer comes between newer ones; so
-# many stamps in a row that are older, in real time for so long, are no stragglers: ATTITUDE comes 100 times a second.
+# A message that was overtaken on the way is up to a second old; an older one from some buffer comes between newer ones.
+# This many older stamps in a row, for this long in real time, show a restart: ATTITUDE comes at 100 Hz.
 OLDEST_TICKS = 250
 STAMPS_OF_A_RESTART = 5
 RESTART_SEEN_S = 0.5
-# Milliseconds and ticks are uint32 on the wire: stamps begin again after 49 days, ticks after 198. What seems to be
-# further ahead than this is no wrap but another beginning.
+# Milliseconds and ticks are uint32 on the wire: stamps wrap after 49 days, ticks after 198. A number further ahead than
+# this is no wrap but a restart.
 _STAMPS, _TICKS = (1 << 32) // TICK_MS, 1 << 32
 _MOST_AHEAD = 900_000
-# After a reset of ours what was sent before it may still come.
+# After a reset by this client, messages sent before it may still come.
 RESET_SETTLES_S = 3.0
 
 
 class DroneRestarted(NamedTuple):
-    """An event: the drone's time has gone back although nobody here has asked for that."""
+    """Event: the drone's time has gone back without a reset by this client."""
 
 
 class SliceStarts(NamedTuple):
-    """An event: in lockstep the ticks from `tick` to `until` (not included) are granted next."""
+    """Event: in lockstep the ticks from `tick` to `until` (not included) are granted next."""
 
     tick: int
     until: int
 
 
 class DroneClock:
-    """The drone's ticks of 4 ms. `tick` is the newest that was told of; in lockstep the first that has not been run."""
+    """Clock of the drone in ticks of 4 ms; `tick` is the newest heard, in lockstep the first that has not been run."""
 
     def __init__(self, session: DroneSession) -> None:
         self._session = session
         self.tick = 0
-        self.granting = False  # time stands still, and is ours to grant
+        self.granting = False  # lockstep: this client grants the time
         self._older = 0  # stamps in a row, the first one at
         self._older_since = 0.0
         self._resets_until = 0.0
-        self._start = 0  # which start of the drone's program it was; 0: it does not say
+        self._start = 0  # number of the start of the drone's program; 0: unknown
         self._numbers = count(1)
         session.on(self._stamped, *_STAMPED_MS)
         session.on(self._started, "TWODOF_RIG")
         session.on(self._ticked, *_TICKED)
 
     async def begin_granting(self, timeout: float) -> None:
-        """From now on its time is ours to grant: learn how far it has come. Raises LinkLost, Timeout."""
+        """Start granting time: ask how far the drone's time has come. Raises LinkLost, Timeout."""
         self.granting = True
         deadline = self._session.deadline(timeout, "asking how far its time has come")
-        # A tick that ran long ago grants nothing; 0 could be one that has not run where ticks begin anew.
+        # A tick long past grants nothing; 0 might be a tick to come, just before ticks wrap.
         self.tick = await self._ask(max(0, self.tick - _STAMPS), deadline, 0)
 
     def restart(self) -> None:
-        """It began anew at tick 0."""
+        """Go back to tick 0."""
         self.tick = self._older = 0
 
+    async def one_tick(self, deadline: Deadline) -> None:
+        """Grant one tick in lockstep; elsewhere do nothing. Raises LinkLost, Timeout, Rejected."""
+        if self.granting:
+            await self.run_until(self.tick + 1, within=deadline)
+
     def meant(self, tick: int) -> int:
-        """The tick that one from the wire stands for, which begins anew after 2^32."""
+        """Return the tick for its number on the wire, which wraps after 2^32."""
         return self._meant(tick, _TICKS)
 
     @contextmanager
     def resetting(self) -> Iterator[None]:
-        """Meanwhile, and a moment longer, its time may begin anew."""
+        """Allow the drone's time to go back during the block and a moment longer."""
         self._resets_until = inf
         try:
             yield
@@ -96,8 +101,8 @@ class DroneClock:
     ) -> None:
         """Let the drone's time pass up to `tick` (not run yet), or until `done()`, asked each 20 ms of its time.
 
-        Raises LinkLost, and Rejected if it is not ours to grant. Raises Timeout if it stands still, after `patience`
-        [s] of ours but not before SOONEST_S, or at the deadline of the call that lets it pass (`within`).
+        Raises LinkLost, and Rejected if another client grants the time. Raises Timeout if time stands still, after
+        `patience` [s] of real time but not before SOONEST_S, or at the deadline `within` of the calling verb.
         """
         most = inf if patience is None else max(SOONEST_S, patience)
         if not self.granting:
@@ -117,10 +122,10 @@ class DroneClock:
         if slowest < deadline.left:
             deadline = Deadline(slowest, f"granting time up to tick {until}", deadline.where)
         await self._ask(until, deadline, until)
-        self.tick = max(self.tick, until)  # another thread may have granted more meanwhile
+        self.tick = max(self.tick, until)  # another call may have granted more meanwhile
 
     async def _ask(self, until: int, deadline: Deadline, least: int) -> int:
-        """Grant time up to a tick; returns how far it has come then. Raises Rejected where that is not to `least`."""
+        """Grant time up to a tick and return the tick reached. Raises Rejected if that is below `least`."""
         session, number = self._session, next(self._numbers)
         return await session.ask(
             lambda _: message("TWODOF_GRANT", until=until % _TICKS, number=number % _TICKS, **session.target),
@@ -137,7 +142,7 @@ class DroneClock:
             while self.tick < tick and not (done is not None and done()):
                 if self.tick != seen:
                     moved, seen = session.now, self.tick
-                # By when it was heard: one that says nothing at all is lost.
+                # Measured when the drone is heard: a silent drone is lost instead.
                 if session.heard_at - moved > still or session.heard_at > end:
                     raise Timeout(
                         f"the drone's time does not pass as ours does: it is at tick {self.tick}",
@@ -148,11 +153,11 @@ class DroneClock:
                     within.check()
                 look = session.now + SETPOINT_TICKS * TICK_S
                 await heard.next(look)
-                stood = max(0.0, session.now - look)  # this program did, which is not the drone's fault
+                stood = max(0.0, session.now - look)  # a pause of this program, not of the drone
                 moved, end = moved + stood, end + stood
 
     def _started(self, got: Any) -> None:
-        """Another number than before: in the first second of a drone its stamps do not show that it has restarted."""
+        """Detect a restart by the number of the start: in a drone's first second its stamps do not show it."""
         before, self._start = self._start, got.start
         if before and got.start not in (0, before) and self._session.lost is None:
             self._session.emit(DroneRestarted())
@@ -164,7 +169,7 @@ class DroneClock:
         self._to(self.meant(got.tick))
 
     def _meant(self, value: int, count: int) -> int:
-        """The tick that a number which begins anew after `count` stands for: the nearest one, unless time went back."""
+        """Return the nearest tick for a number that wraps after `count`, or the number itself if time went back."""
         near = value + count * round((self.tick - value) / count)
         return near if near >= 0 and -OLDEST_TICKS <= near - self.tick <= _MOST_AHEAD else value
 

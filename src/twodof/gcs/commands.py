@@ -1,12 +1,13 @@
 """Commands with an answer: sent again until acknowledged, refusals with the drone's own reason."""
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from itertools import count
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, RefusalReason, Rejected, Timeout, shown
+from twodof.gcs.clock import DroneClock
 from twodof.gcs.drone_state import StatusTexts
 from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink import dialect
@@ -31,7 +32,7 @@ WORDS_S = 0.3
 
 
 def number_of(command: str) -> int:
-    """The number of "COMPONENT_ARM_DISARM". Raises LinkError for a name that is none."""
+    """Return the number of a command such as "COMPONENT_ARM_DISARM". Raises LinkError for an unknown name."""
     found = getattr(dialect.load(), f"MAV_CMD_{command}", None)
     if not isinstance(found, int):
         raise LinkError(f"no command {shown(command)}", "MAV_CMD", "see common.xml for their names")
@@ -39,20 +40,11 @@ def number_of(command: str) -> int:
 
 
 class CommandSender:
-    """Commands to the session's vehicle. One of a kind at a time, as an answer names only its kind.
+    """Sender of commands to the session's vehicle, one of a kind at a time, as an answer names only its kind."""
 
-    `progress` makes the drone's time pass, by a deadline, where it stands still while a command is in progress.
-    """
-
-    def __init__(
-        self, session: DroneSession, texts: StatusTexts, progress: Callable[[Deadline], Awaitable[None]]
-    ) -> None:
-        self._session = session
-        self._texts = texts
-        self._progress = progress
+    def __init__(self, session: DroneSession, texts: StatusTexts, clock: DroneClock) -> None:
+        self._session, self._texts, self._clock = session, texts, clock
         self._turns: dict[int, asyncio.Lock] = {}
-        self.words_follow = False
-        """Whether its words come after its refusal, as one of ours says them; PX4 says them before."""
         self._spoken: dict[int, int] = {}  # lines that had come with the latest answer to each command
         self.refusals: dict[str, RefusalReason] = {}
         """The reason of the latest refusal of each kind of message that has no acknowledgement, by its name."""
@@ -62,8 +54,8 @@ class CommandSender:
     async def run(self, command: str, values: Sequence[float], timeout: float, doing: str) -> Any:
         """Send a command with up to seven `values` and return its COMMAND_ACK once it was accepted.
 
-        Without an answer it is sent again, with a count, as MAVLink wants it; "in progress" lets it take its time
-        within `timeout` [s]. Raises Rejected with the drone's reason, LinkLost, Timeout.
+        Without an answer it is sent again with a count, as MAVLink requires. "In progress" prolongs the waiting within
+        `timeout` [s]. Raises Rejected with the drone's reason, LinkLost, Timeout.
         """
         deadline = self._session.deadline(timeout, doing)
         number = number_of(command)
@@ -84,12 +76,12 @@ class CommandSender:
                         if got.result == ACCEPTED:
                             return got
                         if got.result != IN_PROGRESS:
-                            # What was said before the answer may be about another command.
-                            spoken = self._spoken[number] if self.words_follow else spoken
+                            # Lines before the answer may be about another command. PX4 says its reason before it.
+                            spoken = self._spoken[number] if session.ours else spoken
                             raise await self._refusal(got, spoken, deadline)
                         progress = True
                     if progress:
-                        await self._progress(deadline)
+                        await self._clock.one_tick(deadline)
                     deadline.check()
                 deadline.check()
         raise deadline.error()
@@ -104,12 +96,12 @@ class CommandSender:
             self.refusals[kind.msgname] = RefusalReason.of(got.reason)
 
     def long(self, number: int, values: Sequence[float], attempt: int = 0) -> Any:
-        """The COMMAND_LONG of a command."""
+        """Return the COMMAND_LONG of a command."""
         params = {f"param{k}": float(value) for k, value in enumerate(values, 1)}
         return message("COMMAND_LONG", command=number, confirmation=min(attempt, 255), **self._session.target, **params)
 
     async def request(self, name: str, deadline: Deadline, retry_s: float = RETRY_S) -> Any | None:
-        """The vehicle's next message of this name, asked for; None where it refuses. Raises Timeout, LinkLost."""
+        """Ask for a message and return it; None if the vehicle refuses. Raises Timeout, LinkLost."""
         asked = number_of("REQUEST_MESSAGE")
 
         def accept(got: Any) -> tuple[Any] | None:
@@ -121,7 +113,7 @@ class CommandSender:
         return (await self._session.ask(question, (name, "COMMAND_ACK"), accept, deadline, retry_s))[0]
 
     def request_of(self, name: str, attempt: int = 0) -> Any:
-        """What asks the vehicle for its message of this name."""
+        """Return the COMMAND_LONG that asks for a message."""
         return self.long(number_of("REQUEST_MESSAGE"), [dialect.message_id(name)], attempt)
 
     def _is_ours(self, got: Any) -> bool:
@@ -133,15 +125,14 @@ class CommandSender:
         words = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         said = await self.words(spoken, deadline)
         where = f"drone {self._session.system}, {deadline.doing}"
-        code = (
-            RefusalReason.of(got.result_param2) if self.words_follow else RefusalReason.OTHER
-        )  # PX4 has codes of its own
+        # PX4 has codes of its own.
+        code = RefusalReason.of(got.result_param2) if self._session.ours else RefusalReason.OTHER
         return Rejected(said or words, where, _REMEDIES.get(result, ""), code)
 
     async def words(self, spoken: int, deadline: Deadline) -> str:
-        """What the drone said since it had said `spoken` lines, waiting a moment for it; "" if it says nothing.
+        """Return the drone's lines after the first `spoken`, waiting a moment for them; "" if none come.
 
-        It says nothing where something else is heard in that moment: one that stands still says neither.
+        Another message in that moment ends the waiting. A drone that stands still sends neither, so it is waited for.
         """
         session, before = self._session, self._session.taken
         until = min(deadline.end, session.now + WORDS_S)

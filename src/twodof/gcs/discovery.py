@@ -1,4 +1,4 @@
-"""Which drones are there: who sends heartbeats to the usual ports of this machine, and who answers at a host's."""
+"""Discovery of drones: by heartbeats at the usual ports of this machine, and by answers at a host's ports."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ LISTENED = (
 DRONES = 8
 REQUEST_MESSAGE, RIG = 512, 54206.0
 SYSTEM = 241
-"""What we call ourselves meanwhile: none that other clients use."""
+"""System id of a client that only looks: no other client uses it."""
 
 
 class FoundDrone(NamedTuple):
-    """A drone that was heard: its system id, the URL to connect to, how it stands, its autopilot in words.
+    """Drone that was heard: its system id, the URL to connect to, its state, its autopilot in words.
 
-    Of one of ours also the controller that flies, and how many parameters differ from their defaults.
+    A drone of ours also tells the controller that flies, and how many parameters differ from their defaults.
     """
 
     system: int
@@ -51,7 +51,7 @@ LOOPBACK = "127.0.0.1"
 
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
-    """Where `discover` looks: ports of this machine to which drones send, and those of `hosts` at which they listen."""
+    """Return the URLs for `discover`: ports of this machine to which drones send, then ports of `hosts`."""
     places = [f"udpin://127.0.0.1:{Port.ONBOARD + i}" for i in range(drones)]
     for host in hosts:
         for i in range(drones):
@@ -60,10 +60,10 @@ def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
 
 
 async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | None]:
-    """The transport of `url`, and why it leads elsewhere if it does; raises as `open_transport`.
+    """Open the transport of `url`; return it, and the error if it had to lead to another port.
 
-    A drone sends to one UDP port of this machine, which one program can have. Where another program has it, this one
-    calls the drone at the port that it listens at. Whether a drone is there is not known then.
+    A drone sends to one UDP port of this machine, which one program can have. If another program has it, the drone is
+    called at the port where it listens; whether a drone is there is not known then. Raises as `open_transport`.
     """
     try:
         return await open_transport(url, timeout), None
@@ -79,11 +79,10 @@ async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | No
 async def discover(
     timeout: float = 3.0, hosts: Iterable[str] = (), places: Iterable[str] | None = None
 ) -> list[FoundDrone]:
-    """The drones that are heard within `timeout` [s], by system id, each with a URL of its own where it has one.
+    """Return the drones heard within `timeout` [s], by system id, each with a URL of its own if there is one.
 
-    Listens at the ports of this machine at which drones send; of `hosts` the ports are asked at which they listen.
-    `places` are URLs to look at instead. A place that cannot be opened, since somebody else has it, is passed over.
-    Raises LinkError for a host that is unknown.
+    Listens at the ports of this machine to which drones send, and asks at the ports of `hosts`. `places` are URLs to
+    look at instead. A place that cannot be opened is skipped. Raises LinkError for an unknown host.
     """
     hosts = list(hosts)
     for host in hosts:
@@ -92,7 +91,7 @@ async def discover(
     heard: dict[tuple[int, str], FoundDrone] = {}
     await asyncio.gather(*(_look(url, timeout, heard) for url in looked))
     best: dict[int, FoundDrone] = {}
-    drones = Counter(url for _, url in heard)  # where several are heard, connecting finds any of them
+    drones = Counter(url for _, url in heard)  # at a URL with several drones, connecting finds any of them
     for found in sorted(heard.values(), key=lambda one: (drones[one.url] > 1, looked.index(one.url)), reverse=True):
         best[found.system] = found
     return [best[system] for system in sorted(best)]
@@ -108,7 +107,7 @@ async def _known(host: str) -> None:
 
 
 def _note(heard: dict[tuple[int, str], FoundDrone], connection: Connection, url: str, system: int, got: Any) -> None:
-    """Takes in what an autopilot says."""
+    """Add the facts of one message of an autopilot to `heard`."""
     before = heard.get((system, url))
     if got.get_type() == "HEARTBEAT" and got.autopilot != NO_AUTOPILOT:
         word = word_of("MAV_AUTOPILOT", got.autopilot)

@@ -15,10 +15,9 @@ from typing import Any, ClassVar, Concatenate, ParamSpec, Protocol, Self, TypeVa
 from weakref import WeakSet, finalize
 
 from twodof.errors import ParameterError, Rejected, TwodofError
-from twodof.gcs.async_drone import DEFAULT_URL, AsyncDrone
+from twodof.gcs.async_drone import DEFAULT_URL, LEAVING_S, AsyncDrone
 from twodof.gcs.discovery import FoundDrone, discover
-from twodof.gcs.drone_base import LEAVING_S
-from twodof.gcs.drone_state import BatteryState, DroneState, StatusText
+from twodof.gcs.drone_view import DroneView
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.loop_thread import LoopThread
 from twodof.gcs.parameters import TIMEOUT_S, AsyncParameters, ParameterDescription, ParameterEntry
@@ -26,13 +25,11 @@ from twodof.gcs.telemetry import (
     QUEUE,
     AsyncSignal,
     Callback,
-    LatestEstimates,
     SampleStream,
     TelemetrySample,
     Value,
 )
 from twodof.link.signing import Key
-from twodof.link.statistics import LinkStatistics
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -159,7 +156,7 @@ class DroneParameters(MutableMapping[str, float]):
         return len(self.all())
 
     def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
-        """Return every parameter with its type and, if the package knows it, its row: bounds, unit, text."""
+        """Return every parameter with its type and, if known, its row of bounds, unit and text."""
         return self._runner.run(self._there.all(timeout))
 
     def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
@@ -223,7 +220,7 @@ class DroneSignal:
             yield self._runner.run(stream.next())
 
 
-class Drone(LatestEstimates, SyncFace):
+class Drone(DroneView, SyncFace):
     """A drone, real or virtual: `with Drone.connect(url) as drone:`; leaving disarms it and lets others command.
 
     Times are in seconds, angles in radians. Calls that wait raise LinkLost if the drone falls silent for 3 s, Rejected
@@ -234,7 +231,8 @@ class Drone(LatestEstimates, SyncFace):
     _open: ClassVar[WeakSet[Drone]] = WeakSet()
 
     def __init__(self, there: AsyncDrone, runner: LoopThread) -> None:
-        super().__init__(there, runner)
+        DroneView.__init__(self, there.session, there.watcher, there.texts, there.clock)
+        SyncFace.__init__(self, there, runner)
         self.parameters = DroneParameters(there.parameters, runner)
         self.logs = DroneLogs(there.logs, runner)
         self.files = DroneFiles(there.files, runner)
@@ -267,36 +265,6 @@ class Drone(LatestEstimates, SyncFace):
     reset = waits(AsyncDrone.reset)
     version = waits(AsyncDrone.version)
 
-    @property
-    def state(self) -> DroneState:
-        """Its state as last heard: mode, armed, failsafe, rig, battery."""
-        return self.there.state
-
-    @property
-    def tick(self) -> int:
-        """Its control period, 4 ms each; in lockstep the first that has not been run."""
-        return self.there.tick
-
-    @property
-    def messages(self) -> list[StatusText]:
-        """The last 1000 lines of its STATUSTEXT."""
-        return self.there.messages
-
-    @property
-    def battery(self) -> BatteryState:
-        """Voltage [V] and charge, 0 to 1; NaN while unknown."""
-        return self.there.battery
-
-    @property
-    def statistics(self) -> LinkStatistics:
-        """Loss, round trips and rates of the link."""
-        return self.there.statistics
-
-    @property
-    def url(self) -> str:
-        """URL of the link."""
-        return self.there.url
-
     @classmethod
     def connect(
         cls,
@@ -307,7 +275,7 @@ class Drone(LatestEstimates, SyncFace):
         take_lease: bool = True,
         drone: int | None = None,
     ) -> Self:
-        """Find the drone at `url` and, with `take_lease`, become the one who commands it. As AsyncDrone.connect."""
+        """Find the drone at `url` and, with `take_lease`, take its lease. As AsyncDrone.connect."""
         runner = LoopThread(url)
         try:
             there = runner.run(AsyncDrone.connect(url, timeout, system, key, take_lease, drone))
@@ -344,9 +312,6 @@ class Drone(LatestEstimates, SyncFace):
         finally:
             runner.close()
 
-    def __repr__(self) -> str:
-        return repr(self.there)
-
     def __enter__(self) -> Self:
         return self
 
@@ -358,7 +323,7 @@ class Drone(LatestEstimates, SyncFace):
                 raise
 
     def close(self, timeout: float = LEAVING_S) -> None:
-        """Disarm it if we commanded, give the lease up, close the link. Raises if it cannot be seen to be disarmed."""
+        """Disarm it if this client commands, give the lease up, close the link. Raises if it is not seen disarmed."""
         try:
             if self._runner.alive:
                 self._runner.run(self.there.close(timeout), finish=True)  # Ctrl-C must not keep it from disarming

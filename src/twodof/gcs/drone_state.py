@@ -1,11 +1,14 @@
-"""How a drone stands and what it says: its heartbeat, rig, battery and safety, and its STATUSTEXT lines."""
+"""State of a drone from its heartbeat, rig, battery and safety messages, and its STATUSTEXT lines."""
 
 import asyncio
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from twodof.gcs.session import DroneSession
+from twodof.errors import Rejected
+from twodof.gcs.clock import DroneClock
+from twodof.gcs.session import Deadline, DroneSession
 from twodof.gcs.telemetry import share, volts
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.modes import mode_name
@@ -15,12 +18,13 @@ KEPT = 1000
 MOST_PIECES = 20
 _PIECE_BYTES = 50
 _WARNING = SEVERITIES.index("warning")
+_TICKS_FOR_AN_ANSWER = 250
 PIECES_S = 0.2
-"""How long the next piece of a line is waited for [s]: they are sent together."""
+"""Longest wait for the next piece of a line [s]: pieces are sent together."""
 
 
 class StatusText(NamedTuple):
-    """A line from the drone: `number` counts them, `severity` is syslog's in words."""
+    """Line of text from the drone: its number in order, its syslog severity in words, the text."""
 
     number: int
     severity: str
@@ -31,7 +35,7 @@ class StatusText(NamedTuple):
 
 
 class StatusTexts:
-    """The last KEPT lines, the oldest first; each is an event of the session too."""
+    """Last KEPT lines of text, the oldest first; each is an event of the session too."""
 
     def __init__(self, session: DroneSession) -> None:
         self.lines: deque[StatusText] = deque(maxlen=KEPT)
@@ -44,22 +48,22 @@ class StatusTexts:
         session.on(self._take, "STATUSTEXT")
 
     def since(self, count: int) -> list[StatusText]:
-        """Lines that came after the first `count`."""
+        """Return the lines that came after the first `count`."""
         return [line for line in self.lines if line.number >= count]
 
     def reasons_since(self, count: int) -> list[StatusText]:
-        """Those of them that may be the reason of a refusal: what is only told, such as another's change, is not."""
+        """Return the lines after the first `count` that may explain a refusal: warnings and worse."""
         return [line for line in self.since(count) if SEVERITIES.index(line.severity) <= _WARNING]
 
     def note(self, severity: str, text: str) -> None:
-        """A line of our own about the drone, among its own."""
+        """Add a line by this client about the drone."""
         line = StatusText(self.count, severity, text)
         self.lines.append(line)
         self.count += 1
         self._session.emit(line)
 
     def _take(self, got: Any) -> None:
-        piece = bytes(got._text_raw).split(b"\0")[0]  # UTF-8, where pymavlink's own field has only what is ASCII
+        piece = bytes(got._text_raw).split(b"\0")[0]  # UTF-8; pymavlink's own field keeps ASCII only
         if got.id != self._number or (got.id == 0 and got.chunk_seq == 0):
             self._end()
             self._number = got.id
@@ -70,11 +74,11 @@ class StatusTexts:
         if last and len(self._pieces) == last[0] + 1:
             self._end()
         elif self._waiting is None:
-            # PX4 counts its lines from 0, and ends none that fills its last piece, so both are waited for, a moment.
+            # PX4 numbers its lines from 0, and a line that fills its last piece has no end mark: wait a moment.
             self._waiting = self._loop.call_later(PIECES_S, self._end)
 
     def _end(self) -> None:
-        """What came of a line is all of it."""
+        """Take the pieces so far as the whole line."""
         if self._waiting is not None:
             self._waiting.cancel()
             self._waiting = None
@@ -91,9 +95,9 @@ RINGS, SAFETY_OFF, VIRTUAL, LOCKSTEP = 1, 2, 4, 8
 
 @dataclass(frozen=True)
 class SafetyState:
-    """The failsafe: what it does since which tick, what decided (`reason`), and the causes it sees now.
+    """State of the failsafe: its action since a tick, the deciding `reason`, and the causes it sees now.
 
-    `killed_by` is the system and component whose kill holds it, None while none does or it is not known.
+    `killed_by` is the system and component whose kill holds the drone; None without a kill or if it is unknown.
     """
 
     action: str = "none"
@@ -104,9 +108,9 @@ class SafetyState:
     killed_by: tuple[int, int] | None = None
 
     def in_words(self) -> str:
-        """What it does and why, as the dialect explains them; "" while it does nothing for a reason of its own.
+        """Return action and reason as the dialect explains them; "" without an action or a reason.
 
-        As "descend (level, the thrust fades to 0, then off): nothing came over the link for a while".
+        An example: "descend (level, the thrust fades to 0, then off): nothing came over the link for a while".
         """
         if self.action == "none" or not self.reason:
             return ""
@@ -117,10 +121,7 @@ class SafetyState:
 
 @dataclass(frozen=True)
 class RigState:
-    """What the drone stands on: its name, the controller that flies, and how the rig is set.
-
-    `changed` counts the parameters that differ from their defaults.
-    """
+    """State of the rig: name, controller that flies, settings; `changed` parameters differ from their defaults."""
 
     name: str = ""
     controller: str = ""
@@ -143,11 +144,11 @@ class BatteryState:
 
 @dataclass(frozen=True)
 class DroneState:
-    """How the drone stood when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4").
+    """State of the drone when it was last heard; `autopilot` is its MAV_AUTOPILOT in words ("px4").
 
-    Its parts come in messages of their own: `mode`, `armed`, `status` (and `killed`) in HEARTBEAT, `safety` in
-    TWODOF_SAFETY, `rig` in TWODOF_RIG. For a moment one may tell of what another does not yet: who waits for
-    `safety.action` to be "off" may still find `armed`. Wait for each part that you want to look at.
+    Its parts come in separate messages: `mode`, `armed`, `status` (and `killed`) in HEARTBEAT, `safety` in
+    TWODOF_SAFETY, `rig` in TWODOF_RIG. One part may be newer than another for a moment: after a wait for
+    `safety.action` to be "off", `armed` may still be True. Wait for each part that you want to look at.
     """
 
     mode: str = "unknown"
@@ -160,7 +161,7 @@ class DroneState:
 
     @property
     def killed(self) -> bool:
-        """Whether a kill holds it disarmed, until it is released."""
+        """True while a kill holds the drone disarmed, until it is released."""
         return self.status == "terminated"
 
     def __str__(self) -> str:
@@ -176,10 +177,11 @@ _STATUS = ("uninit", "boot", "calibrating", "standby", "active", "critical", "em
 
 
 class StateTracker:
-    """Keeps `state` up to date."""
+    """Latest `state` of one drone, and calls that wait for a state to be seen."""
 
-    def __init__(self, session: DroneSession) -> None:
+    def __init__(self, session: DroneSession, clock: DroneClock) -> None:
         self.state = DroneState()
+        self._clock = clock
         self.heartbeats = 0
         session.on(self._heartbeat, "HEARTBEAT")
         session.on(self._safety, "TWODOF_SAFETY")
@@ -187,6 +189,24 @@ class StateTracker:
         session.on(self._battery, "BATTERY_STATUS")
         session.on(self._status, "SYS_STATUS")
         self._session = session
+
+    async def see(self, condition: Callable[[DroneState], bool], deadline: Deadline, remedy: str = "") -> None:
+        """Wait until a heartbeat shows the condition; in lockstep grant tick after tick. Raises Timeout, LinkLost."""
+        last = self._clock.tick + _TICKS_FOR_AN_ANSWER
+        with self._session.listen("HEARTBEAT") as heard:
+            while not condition(self.state):
+                if self._clock.granting and self._clock.tick < last:
+                    await self._clock.one_tick(deadline)
+                elif await heard.next(deadline.end) is None:
+                    raise deadline.error(remedy or "it acknowledged, but its heartbeat says otherwise")
+
+    def check_not_killed(self) -> None:
+        """Raise Rejected if a kill holds the drone: it would take set-points and fly none."""
+        if self.state.killed:
+            by = self.state.safety.killed_by
+            who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
+            where = f"drone {self._session.system}"
+            raise Rejected(f"it was killed{who}", where, "see why, then drone.release(), and arm it again")
 
     def _change(self, **changes: Any) -> None:
         self.state = DroneState(**{**vars(self.state), **changes})
@@ -230,18 +250,18 @@ class StateTracker:
 
 
 def names_of(enum: str, mask: int) -> tuple[str, ...]:
-    """The bits of a mask in the words of the dialect's enumeration; "bit 7" for one that it lacks."""
+    """Return the bits of a mask in the words of the dialect's enumeration; the number of an unknown bit."""
     rows = dialect.load().enums.get(enum, {})
     return tuple(_word(enum, rows, bit) for k in range(32) if mask & (bit := 1 << k))
 
 
 def word_of(enum: str, value: int) -> str:
-    """A value in the words of the dialect's enumeration, its number where it lacks one."""
+    """Return a value in the words of the dialect's enumeration; its number if it is unknown."""
     return _word(enum, dialect.load().enums.get(enum, {}), value)
 
 
 def explanation_of(enum: str, word: str) -> str:
-    """What the dialect says about a value that it calls `word`; "" for one that it lacks."""
+    """Return the dialect's description of the value called `word`; "" for an unknown one."""
     rows = dialect.load().enums.get(enum, {})
     return next((str(row.description) for value, row in rows.items() if _word(enum, rows, value) == word), "")
 
@@ -257,15 +277,16 @@ def _text(value: Any) -> str:
 
 
 _RELEASE_KINDS = ((255, "release"), (192, "rc"), (128, "beta"), (64, "alpha"), (0, "dev"))
-"""FIRMWARE_VERSION_TYPE: from which number on a version is called so; what is between counts them."""
+"""FIRMWARE_VERSION_TYPE: first number of each kind of version; numbers between count the versions of a kind."""
 _OUR_BUILD = b"twodof"
 
 
 class DroneVersion(NamedTuple):
-    """The program of a drone, as AUTOPILOT_VERSION tells it.
+    """Version of a drone's program, from AUTOPILOT_VERSION.
 
     `firmware` is the PX4 whose protocol it speaks ("1.16.1 rc 2"). `build` names its sources (hexadecimal, or
-    "twodof"). `twodof` is its own version if it is one of ours, else "". `uid` tells machines apart; 0 is unknown.
+    "twodof"). `twodof` is the version of this package on a drone of ours, else "". `uid` tells machines apart; 0 is
+    unknown.
     """
 
     autopilot: str
@@ -281,10 +302,10 @@ class DroneVersion(NamedTuple):
 
 
 def version_of(got: Any, autopilot: str) -> DroneVersion:
-    """An AUTOPILOT_VERSION in words."""
+    """Return an AUTOPILOT_VERSION in words."""
     custom = bytes(got.flight_custom_version)
     ours = custom.startswith(_OUR_BUILD)
-    # PX4 gives the first digits of its commit, sixteen at most, the last byte first.
+    # PX4 sends up to sixteen digits of its commit, the last byte first.
     build = custom.rstrip(b"\0").decode("ascii", "replace") if ours else custom[::-1].hex().rstrip("0")
     own = _version_number(got.middleware_sw_version).removesuffix(" release") if ours else ""
     uid2 = bytes(got.uid2)

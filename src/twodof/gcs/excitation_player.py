@@ -1,4 +1,4 @@
-"""An excitation played on board: sent in pieces, started at a tick, watched to its end."""
+"""Player of excitations on board: sent in pieces, started at a tick, watched to the end."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from twodof.link.mavlink.messages import excite, message
 from twodof.signals import TICK_S
 
 LOOPS = ("M", "q", "theta", "v", "x")
-"""By TWODOF_LOOP: what is excited; the loops below it are closed."""
+"""Excited loop by TWODOF_LOOP; the loops below it are closed."""
 UNITS = ("-", "rad/s", "rad", "m/s", "m")
 _READY, _REFUSED = 2, 6
 _STATES = {3: "playing", 4: "done", 5: "stopped", _REFUSED: "stopped"}
 _START, _STOP = 1, 2
 _STATUS = ("TWODOF_EXCITE_STATUS",)
 _OVER = ("done", "stopped")
-# Status comes at each change and at 1 Hz; in real time it is believed to be over so long after its end.
+# Status comes at each change and at 1 Hz; the player waits this long for it after the planned end.
 _LATE_TICKS = 500
 
 
 @dataclass
 class ExcitationPlayback:
-    """An excitation on board: from `start_tick` to `end_tick` (the first after it); `state` and why it stopped."""
+    """Excitation on board from `start_tick` to `end_tick` (the first after it), its `state` and why it stopped."""
 
     transfer: int
     start_tick: int
@@ -38,12 +38,12 @@ class ExcitationPlayback:
 
     @property
     def done(self) -> bool:
-        """Whether it was played to its end."""
+        """True if it was played to its end."""
         return self.state == "done"
 
 
 class ExcitationPlayer:
-    """Plays excitations on one drone."""
+    """Player of excitations on one drone."""
 
     def __init__(self, session: DroneSession, clock: DroneClock) -> None:
         self._session, self._clock = session, clock
@@ -53,13 +53,13 @@ class ExcitationPlayer:
 
     @property
     def playback(self) -> ExcitationPlayback | None:
-        """What was started last from here, None where nothing was."""
+        """The excitation that this client started last; None before the first."""
         return self._playback
 
     async def start(
         self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
     ) -> ExcitationPlayback:
-        """Send it and have it start at tick `at`, None: at once. Raises Rejected with the reason, LinkLost, Timeout."""
+        """Send an excitation and start it at tick `at` (None: at once). Raises Rejected, LinkLost, Timeout."""
         number = loop_number(excitation, loop)
         transfer = next(self._transfers) & 0xFFFF
         deadline = self._session.deadline(timeout, "sending an excitation")
@@ -84,7 +84,7 @@ class ExcitationPlayer:
             waits = got.state == _READY and got.end_tick > got.start_tick and at in (None, 0, meant(got.start_tick))
             return (meant(got.start_tick), meant(got.end_tick)) if waits or got.state in _STATES else None
 
-        # It may be over before who asked runs on: `_told` keeps what is told meanwhile.
+        # A short one may be over before this call goes on: `_told` keeps the status that comes meanwhile.
         before, playback = self._playback, ExcitationPlayback(transfer, 0, 0)
         self._playback = playback
         try:
@@ -92,21 +92,21 @@ class ExcitationPlayer:
         except BaseException:
             self._playback = before
             raise
-        # The drone may not make us wait for longer than it plays.
+        # A wrong end tick must not make this call wait for longer than the excitation lasts.
         longest = ceil(excitation.duration / TICK_S) + 1
         playback.start_tick, playback.end_tick = first, min(end, max(first, self._clock.tick) + longest)
         return playback
 
     async def finish(self, playback: ExcitationPlayback) -> ExcitationPlayback:
-        """Let the drone's time pass until it is over, whether it was played to its end or stopped. Raises LinkLost."""
+        """Let the drone's time pass until the excitation is done or stopped. Raises LinkLost."""
         await self._clock.run_until(playback.end_tick + 1, lambda: playback.state in _OVER)
         await self._clock.run_until(playback.end_tick + _LATE_TICKS, lambda: playback.state in _OVER)
         return playback
 
     async def stop(self, timeout: float) -> None:
-        """Stop what plays or waits, and see that it is over; its base is held. Raises Rejected, LinkLost, Timeout.
+        """Stop the excitation and see that it is over; its base is held. Raises Rejected, LinkLost, Timeout.
 
-        Said again until it is seen; what nobody here has started is told to stop once.
+        The order is repeated until that is seen. For an excitation of another client it is sent once.
         """
         session, playback = self._session, self._playback
         deadline = session.deadline(timeout, "stopping the excitation")
@@ -128,7 +128,7 @@ class ExcitationPlayer:
                     deadline.check()
 
     async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
-        """Have the definition on board; False where another session has played it under this number."""
+        """Send the definition; return False if another session has played one under this number."""
         session = self._session
 
         def question(_: int) -> Any:
@@ -154,7 +154,7 @@ class ExcitationPlayer:
 
 
 def loop_number(excitation: Excitation, loop: str | None) -> int:
-    """TWODOF_LOOP of "M", "q", "theta", "v" or "x"; None: that of the excitation's unit. Raises ExperimentError."""
+    """Return the TWODOF_LOOP of "M", "q", "theta", "v" or "x"; None is that of the unit. Raises ExperimentError."""
     if loop is None:
         return UNITS.index(excitation.unit)
     if loop not in LOOPS:

@@ -1,4 +1,4 @@
-"""Files and logs on board: what a client reads and writes by MAVLink FTP, and the download of logs."""
+"""Files on board, read and written by MAVLink FTP, and the download of logs."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket
 from twodof.link.mavlink.messages import message
 
 LARGEST = 1 << 29
-"""Bytes of the largest file that is read."""
+"""Size of the largest file that is read [bytes]."""
 MOST_ENTRIES = 10_000
-"""Entries of a folder that are listed."""
+"""Most entries of a folder that are listed."""
 
 
 class FileEntry(NamedTuple):
-    """A file, or a folder, whose size is 0; `size` in bytes."""
+    """File of `size` bytes, or a folder of size 0."""
 
     name: str
     size: int
@@ -30,10 +30,7 @@ class FileEntry(NamedTuple):
 
 
 class AsyncFiles:
-    """Files of one drone; one call at a time. The reason of a refusal is in the words that the drone says with it.
-
-    Every call raises Rejected with the drone's reason, LinkLost and Timeout.
-    """
+    """Files of one drone; every call raises Rejected with the drone's reason, LinkLost and Timeout."""
 
     def __init__(self, session: DroneSession, texts: StatusTexts) -> None:
         self._session = session
@@ -43,9 +40,9 @@ class AsyncFiles:
     async def write(
         self, path: str, content: bytes, timeout: float = 60.0, sent: Callable[[float], None] | None = None
     ) -> None:
-        """Makes `content` the file `path`, whole or not at all. `sent` is told the share that has arrived.
+        """Write the file `path`, whole or not at all; `sent` gets the share that has arrived.
 
-        Who cancels it before the share is 1 leaves what was there.
+        A call that is cancelled before the share is 1 leaves the file as it was.
         """
         deadline = self._session.deadline(timeout, f"sending {path}")
         number = (await self._ask(FtpOperation.CREATE, deadline, data=path.encode())).session
@@ -58,7 +55,7 @@ class AsyncFiles:
         await self._ask(FtpOperation.TERMINATE, deadline, number)
 
     async def read(self, path: str, timeout: float = 60.0) -> bytes:
-        """What is in the file `path`."""
+        """Return the content of the file `path`."""
         deadline = self._session.deadline(timeout, f"reading {path}")
         opened = await self._ask(FtpOperation.OPEN_RO, deadline, data=path.encode())
         (size,) = struct.unpack("<I", opened.data[:4])
@@ -75,7 +72,7 @@ class AsyncFiles:
         return bytes(content)
 
     async def list(self, path: str = "/", timeout: float = 10.0) -> list[FileEntry]:
-        """What is in the folder `path`."""
+        """Return the entries of the folder `path`."""
         deadline = self._session.deadline(timeout, f"listing {path}")
         found: list[FileEntry] = []
         places = 0
@@ -92,7 +89,7 @@ class AsyncFiles:
         return found
 
     async def remove(self, path: str, timeout: float = 5.0) -> None:
-        """Deletes the file `path`."""
+        """Delete the file `path`."""
         await self._ask(FtpOperation.REMOVE, self._session.deadline(timeout, f"removing {path}"), data=path.encode())
 
     async def _ask(
@@ -119,12 +116,12 @@ class AsyncFiles:
         code = found.data[0] if found.size else 0
         said = "; ".join(line.text for line in self._texts.reasons_since(spoken)[-3:])
         if code == FtpError.END:
-            said = ""  # that there is no more is no refusal to explain
+            said = ""  # the end of a folder is no refusal
         raise Rejected(said or _words(code), f"{deadline.where}, {deadline.doing}", "see what the drone says")
 
     @contextmanager
     def _ending(self, number: int) -> Iterator[None]:
-        """Ends the drone's session of that number, unheard, where a call is left half way: PX4 has but one."""
+        """End the drone's FTP session, without waiting, if the block raises: PX4 has only one session."""
         try:
             yield
         except BaseException:
@@ -143,7 +140,7 @@ def _words(code: int) -> str:
 
 
 def _entry(row: bytes) -> FileEntry | None:
-    """A row of a listing: F name TAB size, or D name; None for one that is skipped (S)."""
+    """Return the entry of a listing's row, "F name TAB size" or "D name"; None for one to be skipped."""
     text = row.decode("utf-8", "replace")
     kind, (name, _, size) = text[:1], text[1:].partition("\t")
     if kind not in ("F", "D") or not name or name in (".", ".."):
@@ -154,13 +151,13 @@ def _entry(row: bytes) -> FileEntry | None:
 MOST_LOGS = 10_000
 PIECE = 90
 PIECES = 512
-"""Pieces that are asked for at once."""
+"""Pieces requested at once."""
 LOG_RETRY_S = 0.5
 STALLED_S = 5.0
 
 
 class LogEntry(NamedTuple):
-    """A log on board: its number, length [bytes], and when it was begun (seconds of UTC, 0: not known)."""
+    """Log on board: its number, size [bytes], and start (seconds of UTC, 0 if unknown)."""
 
     number: int
     size: int
@@ -168,13 +165,13 @@ class LogEntry(NamedTuple):
 
 
 class AsyncLogs:
-    """The logs of one drone."""
+    """Logs on board of one drone."""
 
     def __init__(self, session: DroneSession) -> None:
         self._session = session
 
     async def list(self, timeout: float = 5.0) -> list[LogEntry]:
-        """All logs on board, the oldest first. Raises LinkLost, Timeout."""
+        """Return all logs on board, the oldest first. Raises LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, "listing the logs on board")
         asked = message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **self._session.target)
         found: dict[int, LogEntry] = {}
@@ -195,10 +192,10 @@ class AsyncLogs:
         progress: Callable[[int, int], None] | None = None,
         overwrite: bool = False,
     ) -> Path:
-        """Bring a log down into `path`, whole or not at all; `progress(bytes, of)` is told on the way.
+        """Download a log into `path`, whole or not at all; `progress(bytes, of)` is called on the way.
 
-        Raises LogError for a file that is there, a log that is empty or too large, Timeout when nothing more comes for
-        5 s, LinkLost.
+        Raises LogError for an existing file and for a log that is empty or too large, Timeout if nothing comes for 5 s,
+        LinkLost.
         """
         check_free(path, overwrite)
         where = f"drone {self._session.system}, log {entry.number}"
@@ -210,7 +207,7 @@ class AsyncLogs:
         return Path(path)
 
     async def _bytes(self, entry: LogEntry, deadline: Deadline, progress: Callable[[int, int], None] | None) -> bytes:
-        """Asks for PIECES at once from the first that is missing on, and again where nothing more comes."""
+        """Request PIECES at once from the first missing one on, and again if nothing more comes."""
         session, data = self._session, bytearray(entry.size)
         missing = set(range(0, entry.size, PIECE))
         try:

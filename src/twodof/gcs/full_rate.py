@@ -1,4 +1,4 @@
-"""Samples at the full rate of control, in order and each tick once: one subscription serves all who want some."""
+"""Samples at the full rate of control, in order and each tick once; one subscription serves all readers."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from twodof.signals import TICK_S, TICK_US
 BATCH, TRUTH = "TWODOF_BATCH", "TWODOF_TRUTH"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
-"""What waits on board is sent before the answer to this, so it is waited for until the drone would count as lost."""
+"""Longest wait for the answer at the end of a subscription: rows that wait on board are sent before it."""
 MOST_ROWS = 4_000_000
-"""More than four hours; then the oldest half is let go and counted as lost."""
+"""More than four hours; then the oldest half is dropped and counted as lost."""
 _PIECE = 1024
 
 Kind = TypeVar("Kind", np.float32, np.float64)
 
 
 class SampleRows(Generic[Kind]):
-    """Rows of `columns`: `ticks` (n,) uint32 rising, `values` (n, columns) of the type `kind`. Any thread may look.
+    """Rows of `columns`, readable from any thread: `ticks` (n,) uint32 rising, `values` (n, columns) of type `kind`.
 
-    `lost` counts rows that are missing between the first and the last.
+    `lost` counts the rows missing between the first and the last.
     """
 
     def __init__(self, columns: tuple[str, ...], kind: type[Kind]) -> None:
@@ -66,12 +66,12 @@ class SampleRows(Generic[Kind]):
 
     @property
     def lost(self) -> int:
-        """Rows that are missing."""
+        """Number of missing rows."""
         ticks = self.ticks
         return self.forgotten + (int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0)
 
     def append(self, ticks: NDArray[np.uint32], values: NDArray[Kind]) -> None:
-        """Further rows, in any order, also some that came before."""
+        """Add rows, in any order; a tick may come again."""
         with self._lock:
             self._ticks.append(ticks)
             self._values.append(values)
@@ -83,7 +83,7 @@ class SampleRows(Generic[Kind]):
                 self._ticks, self._values, self._count = [ticks[half:]], [values[half:]], len(ticks) - half
 
     def _joined(self) -> tuple[NDArray[np.uint32], NDArray[Kind]]:
-        """All in one piece, sorted, each tick once; kept so, so that asking again costs nothing."""
+        """Return all rows sorted, each tick once, and keep them so."""
         with self._lock:
             if len(self._ticks) != 1:
                 ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
@@ -94,13 +94,13 @@ class SampleRows(Generic[Kind]):
 
 
 class BatchRows(SampleRows[np.float32]):
-    """Rows of the columns that were asked for; NaN: no new sample."""
+    """Rows of the requested columns; NaN without a new sample."""
 
     def __init__(self, columns: tuple[str, ...]) -> None:
         super().__init__(columns, np.float32)
 
     def take(self, got: Any) -> None:
-        """A TWODOF_BATCH."""
+        """Add a TWODOF_BATCH."""
         ticks, values = batch_rows(got)
         places = columns_of(got.channels)
         if len(ticks) and all(column in places for column in self.columns):
@@ -108,17 +108,17 @@ class BatchRows(SampleRows[np.float32]):
 
 
 class TruthRows(SampleRows[np.float64]):
-    """The true state of each tick, as the sensors measure it before the command acts."""
+    """True state of each tick, as the sensors measure it before the command acts."""
 
     def __init__(self) -> None:
         super().__init__(("truth.theta", "truth.q", "truth.x", "truth.v"), np.float64)
         self._new: list[tuple[int, float, float, float, float]] = []
 
     def take(self, got: Any) -> None:
-        """A TWODOF_TRUTH."""
+        """Add a TWODOF_TRUTH."""
         with self._lock:
             self._new.append((got.step, got.theta, got.q, got.x, got.v))
-            if len(self._new) == _PIECE:  # a state alone would take ten times its room
+            if len(self._new) == _PIECE:  # tuples take ten times the memory of an array
                 self._put_away()
 
     def _put_away(self) -> None:
@@ -137,9 +137,9 @@ Rows = TypeVar("Rows", BatchRows, TruthRows)
 
 
 class FullRateSubscription:
-    """Subscribes the drone to the message `name` (BATCH, TRUTH) at each tick while somebody wants it.
+    """Subscription to the message `name` (BATCH, TRUTH) at each tick, while there is a reader.
 
-    Of a batch the drone sends the union of the channels that are wanted.
+    A batch has the union of all readers' channels.
     """
 
     def __init__(self, session: DroneSession, commands: CommandSender, name: str) -> None:
@@ -150,26 +150,26 @@ class FullRateSubscription:
 
     @asynccontextmanager
     async def to(self, taker: Callable[[Any], None], mask: int = 1) -> AsyncIterator[None]:
-        """Hands every message with the channels of `mask` to `taker` until the end of the block.
+        """Hand every message to `taker` during the block, with the channels of `mask` at least.
 
-        Where time is granted, the present true state comes first. Raises Rejected, LinkLost, Timeout.
+        In lockstep the present true state comes first. Raises Rejected, LinkLost, Timeout.
         """
         deadline = self._session.deadline(TIMEOUT_S, f"subscribing to {self._name}")
         self._wanted.append(mask)
         with self._session.handling(taker, self._name):
             try:
-                if self._session.lockstep and self._name != BATCH:  # a stream begins with the tick after
+                if self._session.lockstep and self._name != BATCH:  # the stream begins with the next tick
                     await self._commands.run("REQUEST_MESSAGE", [self._number], deadline.left, deadline.doing)
                 await self._subscribe(deadline.left)
                 yield
             finally:
                 self._wanted.remove(mask)
-                with suppress(LinkLost, Rejected, Timeout):  # what is not wanted any more harms nobody
+                with suppress(LinkLost, Rejected, Timeout):  # rows without a reader do no harm
                     await self._subscribe(LEAVING_S)
 
     @asynccontextmanager
     async def rows(self, rows: Rows, mask: int = 1) -> AsyncIterator[Rows]:
-        """Put everything that comes during the block into `rows`."""
+        """Add every message during the block to `rows`."""
         async with self.to(rows.take, mask):
             yield rows
 
@@ -179,6 +179,6 @@ class FullRateSubscription:
         if mask and self._name == BATCH:
             values += [mask & 0xFFFF, mask >> 16]
         if values != self._asked:
-            self._asked = None  # until it is acknowledged: a call that is cancelled does not know
+            self._asked = None  # unknown until it is acknowledged: the call may be cancelled
             await self._commands.run("SET_MESSAGE_INTERVAL", values, timeout, f"subscribing to {self._name}")
             self._asked = values

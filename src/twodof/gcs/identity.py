@@ -1,7 +1,7 @@
-"""What a client calls itself: a MAVLink system id of its own, and the time stamps that go with it where it signs.
+"""Identity of a client: a MAVLink system id of its own, and the time stamps of that id for signing.
 
-Who has the same ids has the same lease: one's leaving would disarm the other's drone in flight. So each client draws
-its own, which no other on this computer has, and draws again where somebody elsewhere has that one.
+Two clients with the same ids share a lease: if one leaves, the other's drone is disarmed in flight. So each client
+draws an id that no other client on this computer has, and draws again if a client elsewhere has it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from twodof.errors import LinkError
 from twodof.link.signing import Key, Signing, Stamps, read_key
 
 OWN_SYSTEMS = (*range(200, 241), 242, 243, 244)
-"""Ids that are drawn from: not discovery's (241), MAVSDK's (245), `twodof flash`'s (252), QGroundControl's (255)."""
+"""Ids to draw from, without discovery's (241), MAVSDK's (245), `twodof flash`'s (252) and QGroundControl's (255)."""
 
 _MOST_TRIES = 8
 
@@ -25,9 +25,9 @@ _claims: dict[int, socket.socket] = {}
 
 
 def drawn(besides: Collection[int] = ()) -> int:
-    """A system id that is drawn, none of `besides`, ours on this computer until `give_back`.
+    """Draw a system id that is not in `besides`; no other client on this computer gets it until `give_back`.
 
-    Where all are taken, and on systems other than Linux, one is drawn that another may have.
+    If all are taken, and on systems other than Linux, another client may have the same id.
     """
     order: list[int] = [system for system in OWN_SYSTEMS if system not in besides]
     secrets.SystemRandom().shuffle(order)
@@ -35,14 +35,14 @@ def drawn(besides: Collection[int] = ()) -> int:
 
 
 def give_back(system: int) -> None:
-    """Let others draw an id; one that was not drawn here is left alone."""
+    """Let other clients draw this id; an id that was not drawn here is left alone."""
     claim = _claims.pop(system, None)
     if claim is not None:
         claim.close()
 
 
 def _claim(system: int) -> bool:
-    """Whether nobody on this computer has it. Linux frees such a name with its process, however that ends."""
+    """Claim an id on this computer; return False if it is taken. Linux frees the name when the process ends."""
     if not sys.platform.startswith("linux"):
         return False
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -56,9 +56,9 @@ def _claim(system: int) -> bool:
 
 
 def identity(system: int | None, on_board: bool, key: Key | str | Path | None) -> tuple[int, Signing | None]:
-    """The system id to take and what signs for it; id 0 for the drone's own, which is not known yet.
+    """Return a client's system id and its signing; id 0 stands for the drone's own, which is not known yet.
 
-    With a key's file one is drawn that has time stamps there already and that no other process uses. Raises LinkError.
+    With a key's file, an id is preferred that has time stamps there and that no other process uses. Raises LinkError.
     """
     if system is not None or on_board or key is None or isinstance(key, Key):
         number = (0 if on_board else drawn()) if system is None else system
@@ -74,7 +74,7 @@ def identity(system: int | None, on_board: bool, key: Key | str | Path | None) -
 
 
 def _signing(key: Key | str | Path | None, system: int) -> Signing | None:
-    """Signing with a key; a key's file has its time stamps beside it, for each system id its own."""
+    """Return the signing with a key; time stamps are beside the key's file, one file for each system id."""
     if key is None:
         return None
     if isinstance(key, Key):

@@ -1,6 +1,6 @@
-"""The lease: who may command. Asked for once, renewed while the session lives, given up at its end.
+"""Client of the command lease: taken once, renewed while the session lives, given up at its end.
 
-With each renewal its holder says whether others may change parameters.
+Each renewal tells whether other clients may change parameters.
 """
 
 import asyncio
@@ -14,18 +14,18 @@ from twodof.link.mavlink.messages import message
 
 DURATION_MS = 3000
 RENEW_S = 0.5
-"""More often than heartbeats: who stands still for 2 s was silent for less than the 3 s of the failsafe then."""
+"""More often than heartbeats: after a pause of 2 s the silence is still shorter than the failsafe's 3 s."""
 LOOK_S = 0.25
 GRACE_S = 1.3
-"""A lease that is not renewed ends when it says, or so much later: where time stands still it counts seconds."""
+"""Latest end of a lease that is not renewed, after its announced end: in lockstep whole seconds count."""
 STATE, ASK, GIVE_UP = 0, 1, 2
 _ANSWER = ("TWODOF_LEASE",)
 
 
 class LeaseClient:
-    """Our hold on the vehicle, and who else has it: `holder` is (system, component), None for nobody.
+    """Lease of one vehicle: `holder` is (system, component) or None.
 
-    `tuning_withheld`: nobody but the holder may change parameters.
+    `tuning_withheld` is True if only the holder may change parameters.
     """
 
     def __init__(self, session: DroneSession, commands: CommandSender) -> None:
@@ -33,22 +33,22 @@ class LeaseClient:
         self.holder: tuple[int, int] | None = None
         self.tuning_withheld = False
         self.wanted = False
-        self._withholds = False  # whether we say so, while we hold it
-        self._ends = 0.0  # by the loop's clock, if nothing more is heard of its holder
+        self._withholds = False  # sent with each renewal
+        self._ends = 0.0  # by the loop's clock, unless the holder renews it
         self._renewing: asyncio.Task[None] | None = None
         session.on(self._told, "TWODOF_LEASE")
 
     @property
     def ours(self) -> bool:
-        """Whether we hold it."""
+        """True if this client is the holder."""
         connection = self._session.connection
         return self.holder == (connection.system, connection.component)
 
     async def take(self, timeout: float) -> float:
-        """Ask for it and keep it; returns the time [s] for which another's had to be waited for.
+        """Take the lease and keep it; return the time [s] of waiting for another client's lease to end.
 
-        Another's is waited for while it runs out: its holder, perhaps a script that was killed, is not heard any more.
-        Raises Rejected as soon as it is seen to be renewed, and where it ends too late; LinkLost, Timeout.
+        A lease that is not renewed, perhaps of a script that was killed, is waited for. Raises Rejected as soon as its
+        holder renews it, or if it ends too late; LinkLost, Timeout.
         """
         deadline = self._session.deadline(timeout, "asking for the lease")
         began, before, ends = self._session.now, None, 0.0
@@ -63,10 +63,7 @@ class LeaseClient:
         return self._session.now - began
 
     async def _runs_out(self, ends: float, deadline: Deadline) -> None:
-        """Wait until the lease of another, which was to end then, can have ended.
-
-        Raises Rejected where it does not, LinkLost, Timeout.
-        """
+        """Wait until another client's lease has ended. Raises Rejected if it does not end, LinkLost, Timeout."""
         holder = self.holder
         while self.holder == holder:
             if ends > deadline.end:
@@ -75,7 +72,7 @@ class LeaseClient:
                 raise self._theirs(deadline, "and keeps it")
             over = self._session.now >= self._ends
             await asyncio.sleep(LOOK_S)
-            if over:  # where time stands still it ends only for who asks for it
+            if over:  # in lockstep it ends only when it is asked for
                 return
             await self._session.ask(
                 lambda attempt: self._commands.request_of("TWODOF_LEASE", attempt),
@@ -94,9 +91,9 @@ class LeaseClient:
         )
 
     async def withhold_tuning(self, withhold: bool, timeout: float) -> None:
-        """Let nobody else change parameters while we hold the lease, or let them again; see that it is so.
+        """Forbid other clients to change parameters while this one holds the lease, or allow it again.
 
-        Raises Rejected where we do not hold it, LinkLost, Timeout.
+        Raises Rejected if another client holds the lease, LinkLost, Timeout.
         """
         deadline = self._session.deadline(timeout, "withholding tuning")
         if not self.wanted:
@@ -117,7 +114,7 @@ class LeaseClient:
             raise self._theirs(deadline, "and only its holder withholds tuning")
 
     async def give_up(self, timeout: float) -> None:
-        """Let others command. Raises LinkLost, Timeout; without a lease it does nothing."""
+        """Give the lease up, if this client holds it. Raises LinkLost, Timeout."""
         self.stop()
         if self.ours:
             deadline = self._session.deadline(timeout, "giving up the lease")
@@ -126,14 +123,14 @@ class LeaseClient:
             )
 
     def stop(self) -> None:
-        """Renew it no more; what we withheld ends with it."""
+        """Stop renewing it; withheld tuning ends with the lease."""
         self.wanted = self._withholds = False
         if self._renewing is not None:
             self._renewing.cancel()
             self._renewing = None
 
     async def _renew(self) -> None:
-        with suppress(LinkLost, Timeout):  # the next call says so
+        with suppress(LinkLost, Timeout):  # the next call raises it
             while True:
                 await asyncio.sleep(RENEW_S)
                 self._session.send(self._message(ASK))
@@ -152,5 +149,5 @@ class LeaseClient:
             self._ends = self._session.now + got.duration_ms / 1000
 
     def _granted(self, got: Any) -> bool | None:
-        """Whether it is ours, once somebody has it."""
+        """Return True if this client holds the lease, False if another does; None until the answer comes."""
         return self.ours if got.action == STATE and self.holder is not None else None

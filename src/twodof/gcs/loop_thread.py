@@ -1,4 +1,4 @@
-"""An event loop in a thread of its own, for scripts without asyncio; it never keeps a process from ending."""
+"""Event loop in a thread of its own, for scripts without asyncio; it never keeps a process from ending."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from weakref import WeakMethod
 from twodof.errors import LinkLost, TwodofError
 
 T = TypeVar("T")
-# A loop that does not answer for so long is stuck, and is left behind.
+# A loop that does not answer within this time is stuck, and is left behind.
 CLOSING_S = 5.0
 
 
 class LoopThread:
-    """Runs coroutines in its thread and hands their results back; `where` is for errors."""
+    """Thread that runs coroutines and hands their results back; `where` is for errors."""
 
     def __init__(self, where: str) -> None:
         self._where = where
@@ -29,14 +29,11 @@ class LoopThread:
 
     @property
     def alive(self) -> bool:
-        """Whether it still takes work."""
+        """True while it takes work."""
         return self._thread.is_alive() and not self._loop.is_closed()
 
     def run(self, work: Coroutine[Any, Any, T], finish: bool = False) -> T:
-        """What `work` returns or raises; Ctrl-C while it waits cancels it, unless it is to `finish`.
-
-        Raises LinkLost once it was closed.
-        """
+        """Run `work` and return its result; Ctrl-C cancels it, unless it must `finish`. Raises LinkLost once closed."""
         if not self.alive or threading.current_thread() is self._thread:
             work.close()
             if self.alive:
@@ -63,8 +60,8 @@ class LoopThread:
                 if not self.alive:
                     break
         except BaseException:
-            # Ctrl-C, before it was handed over, meanwhile or after: what is to finish is begun if it was not, what is
-            # not puts its things in order before anything else is asked.
+            # Ctrl-C may come before, while or after the work is handed over. Work that must finish is begun if it was
+            # not; other work is cancelled, and may clean up.
             with suppress(RuntimeError):  # it was closed meanwhile
                 self._loop.call_soon_threadsafe(begin if finish else cancel)
             ended.wait(CLOSING_S)
@@ -77,7 +74,7 @@ class LoopThread:
         raise LinkLost("the drone was closed during the call", self._where, "connect again")
 
     def call(self, work: Callable[[], T]) -> T:
-        """What the plain function `work` returns, called in the thread."""
+        """Call the plain function `work` in the thread and return its result."""
 
         async def called() -> T:
             return work()
@@ -91,18 +88,18 @@ class LoopThread:
         def left() -> None:
             found = method()
             if found is not None:
-                with suppress(TwodofError):  # nobody is there any more to be told
+                with suppress(TwodofError):  # no caller is left
                     found()
 
         self._leave = left
         atexit.register(left)
 
     def leave_behind(self, leave: Callable[[], Coroutine[Any, Any, None]]) -> None:
-        """Run `leave`, then end the thread, and wait for neither: nobody has the drone any more."""
+        """Start `leave`, which ends the thread, and return at once: no variable holds the drone any more."""
 
         async def left() -> None:
             try:
-                with suppress(TwodofError):  # nobody is there to be told
+                with suppress(TwodofError):  # no caller is left
                     await leave()
             finally:
                 self._loop.stop()
@@ -111,14 +108,14 @@ class LoopThread:
             if self._leave is not None:
                 atexit.unregister(self._leave)
                 self._leave = None
-            atexit.register(self._end)  # the interpreter waits so long, if it ends meanwhile
+            atexit.register(self._end)  # an interpreter that ends meanwhile waits for it
             asyncio.run_coroutine_threadsafe(left(), self._loop)
 
     def _end(self) -> None:
         self._thread.join(CLOSING_S)
 
     def close(self) -> None:
-        """Cancel what still runs and end the thread; a second time does nothing."""
+        """Cancel running work and end the thread; a second time does nothing."""
         if self._leave is not None:
             atexit.unregister(self._leave)
             self._leave = None
@@ -146,6 +143,6 @@ class LoopThread:
                 self._loop.run_forever()
                 return
             except (SystemExit, KeyboardInterrupt) as wish:
-                # They end a loop: whoever waits for the drone would wait for ever, and nobody would disarm it.
+                # They end the loop: callers would wait for ever, and the drone would stay armed.
                 said = "a callback wanted to end the program: let it set something that the script sees"
                 self._loop.call_exception_handler({"message": said, "exception": wish})

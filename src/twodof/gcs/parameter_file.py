@@ -1,7 +1,7 @@
-"""ParameterFile: a drone's parameters in the file that QGroundControl saves and loads (.params).
+"""Parameter files (.params) as QGroundControl saves and loads them, and named snapshots of a drone's parameters.
 
-A line has the vehicle's id, the component's, name, value and MAV_PARAM_TYPE, with tabs between them; lines that begin
-with # are remarks. Source: QGroundControl's developer guide, "Parameters File Format".
+A line has five fields with tabs between them: vehicle id, component id, name, value and MAV_PARAM_TYPE. Lines with #
+are remarks. Source: QGroundControl's developer guide, "Parameters File Format".
 """
 
 import re
@@ -17,7 +17,7 @@ from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.parameters import INT32, MOST, REAL32, ParameterEntry, same_as
 
 MAX_BYTES = 1 << 20
-"""Of a file: a PX4 with a thousand parameters makes 40 KB."""
+"""Largest file: a PX4 with a thousand parameters makes 40 KB."""
 
 _HEAD = "Vehicle-Id Component-Id Name Value Type"
 _WHOLE = range(1, 9)  # MAV_PARAM_TYPE_UINT8 to INT64
@@ -26,7 +26,7 @@ _TYPES = range(1, 11)
 
 @dataclass(frozen=True)
 class ParameterFile:
-    """`values` by name, with the MAV_PARAM_TYPE of each in `kinds`; `about` are the remarks "Name: text" at its top."""
+    """Parameters of one component: `values` and MAV_PARAM_TYPE `kinds` by name, `about` the remarks "Name: text"."""
 
     values: Mapping[str, float]
     kinds: Mapping[str, int]
@@ -38,16 +38,16 @@ class ParameterFile:
     def of(
         cls, entries: Iterable[ParameterEntry], system: int, component: int = 1, about: Mapping[str, str] | None = None
     ) -> Self:
-        """What a drone told."""
+        """Make a file of a drone's parameters."""
         rows = list(entries)
         values, kinds = {row.name: row.value for row in rows}, {row.name: row.kind for row in rows}
         return cls(values, kinds, system, component, about or {})
 
     @classmethod
     def read(cls, content: str | bytes, where: str = "parameter file", component: int | None = None) -> Self:
-        """The parameters of one component: of `component`, or (None) of the first in the file.
+        """Read the parameters of one component, by default the first in the file.
 
-        Raises ParameterError with the line's number for a file that is none. Other components' lines are left out.
+        Raises ParameterError with the number of a wrong line. Lines of other components are left out.
         """
         if len(content) > MAX_BYTES:
             raise ParameterError(f"it has more than {MAX_BYTES >> 10} KiB", where, "give a .params file")
@@ -78,7 +78,7 @@ class ParameterFile:
         return cls(values, kinds, system, component or 1, about)
 
     def text(self) -> str:
-        """The file: numbers in the shortest form that is read back to the same float32."""
+        """Return the file's text; numbers have the shortest form that reads back to the same float32."""
         remarks = [f"# {printable(name)}: {' '.join(printable(said).split())}" for name, said in self.about.items()]
         lines = [f"# Onboard parameters for Vehicle {self.system}", "#", *remarks, *["#"] * bool(remarks), f"# {_HEAD}"]
         for name, value in self.values.items():
@@ -88,9 +88,9 @@ class ParameterFile:
         return "\n".join(lines) + "\n"
 
     def against(self, known: Mapping[str, ParameterEntry]) -> tuple[dict[str, float], tuple[str, ...]]:
-        """What differs on a drone that has `known`, name -> the file's value, and the names that the drone lacks.
+        """Compare with a drone's parameters `known`; return the file's differing values, and the missing names.
 
-        A number that the drone has under two names, ours and the real drone's, is told once, as ours.
+        A parameter that the drone has under two names, ours and the real drone's, is returned once, under ours.
         """
         missing = tuple(name for name in self.values if name not in known)
         changes = {
@@ -102,7 +102,7 @@ class ParameterFile:
 
 
 def _same(value: float, entry: ParameterEntry) -> bool:
-    """Whether it is the same number where it is kept: to six figures, as other programs write a float32."""
+    """Compare two values to six figures, as other programs write a float32; integers exactly."""
     return value == entry.value if entry.kind == INT32 else f"{value:.6g}" == f"{entry.value:.6g}"
 
 
@@ -122,13 +122,13 @@ def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
 
 SUFFIX = ".params"
 MOST_SNAPSHOTS = 500
-"""Snapshots of a folder."""
+"""Most snapshots in a folder."""
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
 
 
 class Snapshots(Mapping[str, ParameterFile]):
-    """The snapshots in `folder`, by name. A damaged file raises ParameterError where it is read."""
+    """Snapshots in `folder`, by name. Reading a damaged file raises ParameterError."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -144,7 +144,7 @@ class Snapshots(Mapping[str, ParameterFile]):
         return isinstance(name, str) and self._place(name).is_file()
 
     def __getitem__(self, name: str) -> ParameterFile:
-        """Raises KeyError for one that is not there, ParameterError for a name that cannot be, or a damaged file."""
+        """Read a snapshot. Raises KeyError for an unknown one, ParameterError for a wrong name or a damaged file."""
         path = self._place(name)
         if not path.is_file():
             raise KeyError(name)
@@ -154,14 +154,14 @@ class Snapshots(Mapping[str, ParameterFile]):
             raise ParameterError(reason.what, f"snapshot '{name}'", reason.remedy) from reason
 
     def kept(self, name: str) -> float:
-        """When it was written [s of Unix time]. Raises KeyError."""
+        """Return the time of writing [s of Unix time]. Raises KeyError."""
         try:
             return self._place(name).stat().st_mtime
         except FileNotFoundError:
             raise KeyError(name) from None
 
     def save(self, name: str, file: ParameterFile, overwrite: bool = False) -> None:
-        """Keep a set under a new name. Raises ParameterError for a name that cannot be, or is there already."""
+        """Save a snapshot under a new name. Raises ParameterError for a wrong name, or an existing one."""
         path = self._place(name)
         self._folder.mkdir(parents=True, exist_ok=True)
         if len(self) >= MOST_SNAPSHOTS and not path.exists():
@@ -178,7 +178,7 @@ class Snapshots(Mapping[str, ParameterFile]):
             target.write(file.text())
 
     def delete(self, name: str) -> None:
-        """Raises KeyError for one that is not there."""
+        """Delete a snapshot. Raises KeyError for an unknown one."""
         try:
             self._place(name).unlink()
         except FileNotFoundError:

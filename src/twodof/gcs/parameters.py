@@ -1,4 +1,4 @@
-"""The drone's parameters from the ground: read, listed, set one or several at once, undone."""
+"""Parameters of a drone: read, listed, set one or several at once, undone."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ from twodof.parameters import PARAMETERS, Parameter
 INT32, REAL32 = 6, 9
 """MAV_PARAM_TYPE."""
 MOST = 5000
-"""Parameters of a drone that are kept."""
+"""Most parameters kept of one drone."""
 BY_NAME: Mapping[str, Parameter] = MappingProxyType(
     {name: row for row in PARAMETERS for name in (row.name, row.drone) if name}
 )
-"""What the package knows, by its own names and the real drone's."""
+"""Parameters known to the package, by its own names and the real drone's."""
 _TYPES = MappingProxyType({"Int32": "int32", "Float": "float"})
-_LARGEST = 3.4028234663852886e38  # of float32: what has no bounds
+_LARGEST = 3.4028234663852886e38  # of float32, for parameters without bounds
 
 
 @dataclass(frozen=True)
 class ParameterDescription(Parameter):
-    """A parameter as the drone describes it; `path` is where it stands in a user's controller that flies there."""
+    """Parameter as the drone describes it; `path` is its place in a user's controller that flies."""
 
     path: str = ""
 
 
 class ParameterEntry(NamedTuple):
-    """A parameter as the drone told it: `kind` is a MAV_PARAM_TYPE, `described` what it says of it if it was asked."""
+    """Parameter as the drone told it: `kind` is a MAV_PARAM_TYPE, `described` its description if it was read."""
 
     name: str
     value: float
@@ -53,24 +53,24 @@ class ParameterEntry(NamedTuple):
 
     @property
     def row(self) -> Parameter | None:
-        """Bounds, unit and text: the drone's description, or what the package knows, or None."""
+        """Bounds, unit and text: the drone's description, else the package's row, else None."""
         return self.described or BY_NAME.get(self.name)
 
 
 def same_as(name: str) -> str:
-    """Our name of a number that `name` is only the real drone's name of; "" for any other."""
+    """Return the package's name of a parameter if `name` is the real drone's name of it, else ""."""
     row = BY_NAME.get(name)
     return "" if row is None or row.name == name else row.name
 
 
 def entry_of(got: Any) -> ParameterEntry:
-    """What a PARAM_VALUE tells."""
+    """Return the entry of a PARAM_VALUE."""
     value = float(int_of_float(got.param_value)) if got.param_type == INT32 else _decimal(got.param_value)
     return ParameterEntry(str(got.param_id), value, int(got.param_type), int(got.param_index))
 
 
 def read_description(content: bytes) -> list[ParameterDescription]:
-    """The rows of a drone's parameters.json. Raises ValueError, LookupError, TypeError, ParameterError for none."""
+    """Return the rows of a drone's parameters.json. Raises ValueError, LookupError, TypeError, ParameterError."""
     return [_described(row) for row in json.loads(content)["parameters"][:MOST]]
 
 
@@ -90,7 +90,7 @@ def _described(row: Any) -> ParameterDescription:
 
 
 def checked(entry: ParameterEntry, value: float) -> float:
-    """A value that the parameter can have. Raises ParameterError."""
+    """Return `value` if the parameter can have it. Raises ParameterError."""
     row = entry.row
     if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
         raise ParameterError(f"{shown(value)} is not a number", entry.name, "nothing was changed")
@@ -106,18 +106,18 @@ def checked(entry: ParameterEntry, value: float) -> float:
 
 
 def _decimal(value: float) -> float:
-    """The shortest decimal that is this float32: 0.07 was sent, 0.07 is read."""
+    """Return the shortest decimal of a float32: 0.07 was sent, 0.07 is read."""
     return float(str(np.float32(value)))
 
 
 HASH = "_HASH_CHECK"
 TIMEOUT_S = 5.0
 SILENCE_S = 1.0
-"""Another's PX4 says nothing of a name that it has not: after so long [s] it is asked for all that it has."""
+"""Another's PX4 does not answer for an unknown name: after this time [s] its list is read."""
 DESCRIPTION = "/etc/extras/parameters.json"
 BEGIN, COMMIT, ROLL_BACK = range(3)
 UNDO_STEPS = 50
-"""Changes that can be undone, one after the other."""
+"""Most changes that can be undone, one after the other."""
 _ERRORS = (
     "",
     "there is no such parameter",
@@ -133,30 +133,29 @@ _INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
 
 
 class SentChange(NamedTuple):
-    """A change that was made from here: the values before it and after it, by the names that were given."""
+    """Change by this client: the values before and after, by the names given."""
 
     before: Mapping[str, float]
     after: Mapping[str, float]
 
 
 class AsyncParameters:
-    """Parameters of one drone by its own names or the package's; `known` is what it has told so far.
+    """Parameters of one drone by its own names or the package's; `known` are the entries heard so far.
 
-    Those of a user's controller that flies there have the paths in its diagram as names too, `attitude_control.k_q`.
-    What is known is forgotten when the drone says that its list is another: other controllers fly.
+    Parameters of a user's controller also have their paths as names: `attitude_control.k_q`. The known entries are
+    forgotten when the drone's list changes, as other controllers fly.
     """
 
     def __init__(self, session: DroneSession, files: AsyncFiles, texts: StatusTexts) -> None:
         self._session, self._files, self._texts = session, files, texts
-        self._spoken = 0  # lines that it had said when a change was begun
+        self._spoken = 0  # lines of text before the present change
         self.known: dict[str, ParameterEntry] = {}
         self._described: dict[str, ParameterDescription] = {}
         self._paths: dict[str, str] = {}
         self._asked_for_list = False
-        self._whole = False  # whether `known` is all that it has
+        self._whole = False  # `known` is the whole list
         self._total = 0
         self._flown: int | None = None
-        self.transactions = False  # whether several can be set at once: the drone is one of ours
         self._numbers = count(1)
         self._changing = asyncio.Lock()
         self._made: deque[SentChange] = deque(maxlen=UNDO_STEPS)
@@ -169,21 +168,21 @@ class AsyncParameters:
         return self._session.system
 
     async def read(self, name: str, timeout: float = TIMEOUT_S) -> float:
-        """The value of one, as the drone says now. Raises ParameterError for one that it lacks, LinkLost, Timeout."""
+        """Read a value from the drone. Raises ParameterError for an unknown name, LinkLost, Timeout."""
         deadline = self._session.deadline(timeout, f"reading {shown(name)}")
         return (await self._ask(await self._on_board(name, deadline), deadline)).value
 
     async def set(self, name: str, value: float, timeout: float = TIMEOUT_S) -> None:
-        """Set one and see that it is set. Raises as `update`."""
+        """Set one parameter and see that it is set. Raises as `update`."""
         await self.update({name: value}, timeout)
 
     async def update(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> SentChange:
         """Set several, all or none. Return the values before and after.
 
-        Raises ParameterError for a value that cannot be, Rejected, LinkLost, Timeout.
+        Raises ParameterError for a value out of bounds, Rejected, LinkLost, Timeout.
 
-        A drone of ours takes them in one transaction, at one tick; with another's, those that were set are set back
-        when a later one is refused. Of several calls at once one is done after the other.
+        A drone of ours takes them in one transaction, at one tick. On another's PX4 earlier ones are set back if a
+        later one is refused. Several calls at once run one after the other.
         """
         if not changes:
             return SentChange({}, {})
@@ -196,8 +195,8 @@ class AsyncParameters:
 
     async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> SentChange:
         names = [await self._on_board(name, deadline) for name in changes]
-        # What is set back where a later one is refused is what the drone has now.
-        known = {} if len(names) > 1 and not self.transactions else self.known
+        # Values to be set back are read from the drone first.
+        known = {} if len(names) > 1 and not self._session.ours else self.known
         entries = [known.get(name) or await self._ask(name, deadline) for name in names]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
@@ -205,7 +204,7 @@ class AsyncParameters:
             (entry, checked(entry._replace(described=self._described.get(entry.name)), value))
             for entry, value in zip(entries, changes.values(), strict=True)
         ]
-        if self.transactions and len(wanted) > 1:
+        if self._session.ours and len(wanted) > 1:
             await self._together(wanted, deadline)
             for entry, _ in wanted:
                 await self._ask(entry.name, deadline)
@@ -217,16 +216,16 @@ class AsyncParameters:
 
     @property
     def last(self) -> SentChange:
-        """The last change that was made from here and is not undone. Raises Rejected where there is none."""
+        """The last change by this client that is not undone. Raises Rejected if there is none."""
         if not self._made:
             where = f"drone {self._session.system}"
             raise Rejected("nothing was changed here that could be undone", where, "set the values themselves")
         return self._made[-1]
 
     async def undo(self, timeout: float = TIMEOUT_S) -> SentChange:
-        """Undo the last change made from here. Return the values before and after.
+        """Undo the last change by this client. Return the values before and after.
 
-        Raises Rejected where there is none, or the same was changed since by another client; LinkLost, Timeout.
+        Raises Rejected if there is none, or if another client has changed the same since; LinkLost, Timeout.
         """
         self._session.check(self._session.now)
         made = self.last
@@ -242,20 +241,20 @@ class AsyncParameters:
         return undone
 
     async def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
-        """Every parameter, by the drone's names. Raises LinkLost, Timeout."""
+        """Return every parameter, by the drone's names. Raises LinkLost, Timeout."""
         found = await self._list(self._session.deadline(timeout, "listing the parameters"))
         return {name: entry._replace(described=self._described.get(name)) for name, entry in found.items()}
 
     async def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
-        """Bounds, unit and text of every parameter, by the drone's names, as the drone itself describes them.
+        """Read the drone's description of every parameter, by the drone's names: bounds, unit, text.
 
-        Raises Rejected for a drone that is not one of ours or describes nothing, LinkLost, Timeout.
+        Raises Rejected without a description, as on another's PX4; LinkLost, Timeout.
         """
         await self._describe(self._session.deadline(timeout, "asking for the description of the parameters"))
         return dict(self._described)
 
     def forget(self) -> None:
-        """Asks the drone again from now on: what it told is of before."""
+        """Forget all entries and descriptions."""
         self.known.clear()
         self._described.clear()
         self._paths.clear()
@@ -279,7 +278,7 @@ class AsyncParameters:
         total = MOST
 
         def question(_: int) -> Any:
-            """For the list, or, where some of it came, for the first that are missing."""
+            """Ask for the list, or for the first missing entries of a list that came in part."""
             missing = [index for index in range(min(total, MOST)) if found and index not in found][:50]
             for index in missing[1:]:
                 session.send(message("PARAM_REQUEST_READ", param_index=index, **place))
@@ -289,7 +288,7 @@ class AsyncParameters:
 
         def accept(got: Any) -> dict[int, ParameterEntry] | None:
             nonlocal total
-            begins = got.param_id == HASH  # or begins anew, as it is another
+            begins = got.param_id == HASH  # the list starts, perhaps again
             fits = not begins and got.param_index < got.param_count <= MOST
             if begins or (fits and got.param_count != total):
                 found.clear()
@@ -302,7 +301,7 @@ class AsyncParameters:
         return {found[index].name: found[index] for index in sorted(found)}
 
     async def _describe(self, deadline: Deadline) -> None:
-        if not self.transactions:
+        if not self._session.ours:
             raise Rejected("it describes no parameters to us: it is not one of ours", deadline.where, "list them")
         content = await self._files.read(DESCRIPTION, deadline.left)
         try:
@@ -315,7 +314,7 @@ class AsyncParameters:
         self._paths = {row.path: row.name for row in rows if row.path}
 
     def name_on_board(self, name: str) -> str:
-        """What the drone calls it: as given where it told so, else the package's name or the real drone's."""
+        """Return the drone's name of a parameter: as given if it is known, else the package's or the real drone's."""
         name = self._paths.get(name, name)
         row = BY_NAME.get(name)
         if name in self.known or row is None:
@@ -351,10 +350,10 @@ class AsyncParameters:
         await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
 
     async def _together(self, wanted: list[tuple[ParameterEntry, float]], deadline: Deadline) -> None:
-        """All at once. What is overtaken on the way is said again; the same number is done once only."""
+        """Set several in one transaction, repeated until all have arrived; one number is done once only."""
         while True:
             number = next(self._numbers) & 0xFFFF
-            # Not before it has begun: a PARAM_SET that comes too early acts alone.
+            # A PARAM_SET that comes before the transaction begins acts alone.
             await self._transaction(BEGIN, number, deadline)
             if await self._transaction(COMMIT, number, deadline, wanted):
                 return
@@ -362,7 +361,7 @@ class AsyncParameters:
     async def _transaction(
         self, action: int, number: int, deadline: Deadline, wanted: Sequence[tuple[ParameterEntry, float]] = ()
     ) -> bool:
-        """Whether it was done; not, where some of `wanted` did not come. Raises Rejected, LinkLost, Timeout."""
+        """Do one step; return False if some of `wanted` did not arrive. Raises Rejected, LinkLost, Timeout."""
 
         def question(_: int) -> Any:
             for entry, value in wanted:
@@ -385,27 +384,27 @@ class AsyncParameters:
 
     @asynccontextmanager
     async def _alone(self, deadline: Deadline) -> AsyncIterator[None]:
-        """Let one change go on at a time: what is set during a transaction would be a part of it."""
+        """Allow one change at a time: another one would become part of an open transaction."""
         async with deadline.turn(self._changing, "another call on this drone changes parameters: wait for it"):
             self._spoken = self._texts.count
             yield
 
     async def _on_board(self, name: str, deadline: Deadline) -> str:
-        """What the drone calls it, of which a path in a diagram is asked for. Raises ParameterError for none."""
+        """Return the drone's name; read the description for an unknown path. Raises ParameterError."""
         if not isinstance(name, str):
             raise ParameterError(f"{shown(name)} is not a name", "parameters")
-        if "." in name and self.transactions and name not in self._paths:
+        if "." in name and self._session.ours and name not in self._paths:
             await self._describe(deadline)
             if name not in self._paths:
                 raise self._unknown(name)
         return self.name_on_board(name)
 
     async def _ask(self, name: str, deadline: Deadline) -> ParameterEntry:
-        """Asks for one; a drone that is silent about a name is asked for all names that it has."""
-        if self.transactions:
+        """Read one entry; if another's PX4 does not answer, look it up in its list."""
+        if self._session.ours:
             return await self._ask_for(name, deadline)
         try:
-            # Even if all is listed: PX4 lists what is in use, and knows others by their names.
+            # Even with its list: PX4 lists the parameters in use, and answers for others by name.
             return await self._ask_for(name, self._session.deadline(min(SILENCE_S, deadline.left), deadline.doing))
         except Timeout:
             pass
@@ -416,7 +415,7 @@ class AsyncParameters:
             raise deadline.error(
                 "another's PX4 is silent about a name that it lacks: parameters.all() lists its names"
             ) from None
-        found = self.known.get(self.name_on_board(name))  # by now it is known which of its names it goes by there
+        found = self.known.get(self.name_on_board(name))  # the list tells which of two names it has
         if found is None:
             raise self._unknown(name)
         return found
@@ -446,13 +445,13 @@ class AsyncParameters:
         raise Rejected(self._why(name, got.error), f"drone {self._session.system}", "nothing was changed")
 
     def _why(self, name: str, error: int) -> str:
-        """Why a change is refused: what the drone said last of it, or what its number says."""
+        """Return why a change is refused: the drone's last warning, else the words for the number."""
         said = self._texts.reasons_since(self._spoken)
         words = _ERRORS[error] if error < len(_ERRORS) else f"error {error}"
         return f"{name}: {said[-1].text if said else words}"
 
     def _unknown(self, name: str) -> ParameterError:
-        """That the drone lacks `name`, with the nearest names that it has."""
+        """Return the error for an unknown name, with the nearest names that the drone has."""
         ours = [one for one in BY_NAME if not self._whole or self.name_on_board(one) in self.known]
         names = {known.casefold(): known for known in (*ours, *self.known, *self._paths)}
         near = [names[one] for one in get_close_matches(name.casefold(), names, 3, 0.5)]

@@ -1,4 +1,4 @@
-"""Recording a flight on the ground: every topic at full rate into MCAP, what was lost counted and kept in the file."""
+"""Recording of a flight on the ground: every topic at full rate into MCAP, with a count of the lost rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from functools import partial
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,10 @@ from twodof.flightlog.mcap_stream import McapStream
 from twodof.flightlog.recorder import Recorder
 from twodof.flightlog.steps import BOOT, OpenLoopMessages, shift
 from twodof.gcs.active_controller import ActiveController, ParameterChanges
-from twodof.gcs.clock import OLDEST_TICKS
-from twodof.gcs.drone_base import DroneBase
-from twodof.gcs.drone_state import StatusText
-from twodof.gcs.session import Handler
+from twodof.gcs.clock import OLDEST_TICKS, DroneClock
+from twodof.gcs.drone_state import DroneState, StatusText
+from twodof.gcs.full_rate import FullRateSubscription
+from twodof.gcs.session import DroneSession, Handler
 from twodof.gcs.telemetry import DECODERS, Decoded, columns_of
 from twodof.link.mavlink.messages import batch_rows, channel_mask
 from twodof.signals import TICK_S, TICK_US, TOPICS, Topic, topic
@@ -40,21 +40,21 @@ SAFETY = McapStream(
 )
 MOST_TEXTS = 1000
 TOGETHER = 32
-"""Rows that are handed to the writer together: an eighth of a second, which a crash would cost besides."""
+"""Rows handed to the writer together: an eighth of a second, which a crash loses besides."""
 MOST_TRUTHS = 1024
-"""True states that are known to have come: of four seconds."""
+"""True states remembered to find copies: four seconds."""
 _EVENTS = "openloop"
 _TOLD_BY = ("state.mode", "command.M", "command.T")
 _LATEST_US = 1 << 52
 _LATEST_S = 4e9
 BATTERY_TICKS = 125
 """The battery's topics come at 2 Hz."""
-# Position and velocity are first read in the step after the one in which they were published.
+# Position and velocity are first read in the step after their publication.
 _READ_LATER = ("x", "v")
 
 
 class Recording:
-    """A recording in the making, then made: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
+    """Recording of a flight: `samples` taken, rows `lost` on the way, samples `dropped` by the disk."""
 
     def __init__(
         self,
@@ -82,55 +82,55 @@ class Recording:
         self._first = self._last = -1
         self._rows = 0
         self._truths: dict[int, None] = {}  # times [us] of the true states that came last
-        self._true: list[tuple[int, list[float]]] = []  # those that wait, and what they are of
+        self._true: list[tuple[int, list[float]]] = []  # time [us] and state of those that wait
         self._true_fields = [row.name.split(".")[1] for row in self.topics if not row.onboard]
         self._open = OpenLoopMessages()
         self._names = frozenset(row.name for row in self.topics)
-        self._time = 0.0  # the drone's, of the telemetry that came last [s]
+        self._time = 0.0  # the drone's time of the last telemetry [s]
         self._newest = 0  # tick of the drone
-        self._shift = 0  # from the drone's ticks to those of the recording, which never begin again
+        self._shift = 0  # from the drone's ticks to those of the recording, which never go back
 
     @property
     def samples(self) -> int:
-        """Samples taken; those that are not acknowledged yet wait in memory."""
+        """Number of samples taken; samples that are not acknowledged yet are in memory."""
         return self.recorder.accepted
 
     @property
     def acknowledged(self) -> Acknowledged:
-        """What is on the disk, and stays readable after a crash."""
+        """The part on the disk, readable after a crash."""
         return self.recorder.acknowledged
 
     @property
     def dropped(self) -> dict[str, int]:
-        """Samples that the disk was too slow for, by topic."""
+        """Number of samples dropped as the disk was too slow, by topic."""
         return self.recorder.dropped
 
     @property
     def failure(self) -> RecordingError | None:
-        """Why nothing more is recorded, None while all is well; raised at the end too."""
+        """The error that ended the recording, or None; `finish` raises it too."""
         return self.recorder.failure
 
     @property
     def lost(self) -> int:
-        """Rows that are missing between the first tick and the last that came."""
+        """Number of rows missing between the first tick and the last."""
         return self._last - self._first + 1 - self._rows if self._rows else 0
 
     def take(self, got: Any) -> None:
-        """A TWODOF_BATCH."""
+        """Add a TWODOF_BATCH."""
         self._newest = max(self._newest, got.tick + got.rows * got.every)
         self._waiting.append(got)
-        self._waiting_rows += max(1, got.rows)  # one that carries none takes room too
+        self._waiting_rows += max(1, got.rows)  # an empty one takes memory too
         if self._waiting_rows >= TOGETHER:
             self.write()
 
     def rig(self, got: Any) -> None:
-        """A TWODOF_RIG: where the drone's time began again, what follows is stamped behind what was recorded before."""
+        """Take a TWODOF_RIG; after a restart further stamps continue those recorded before."""
         if got.tick + OLDEST_TICKS <= self._newest:
             self.write()
             self._shift, self._newest, self._open = self._last + 1, got.tick, OpenLoopMessages()
 
     def write(self) -> None:
-        """Hands on what waits."""
+        """Hand the waiting rows to the writer."""
         waiting, self._waiting, self._waiting_rows = self._waiting, [], 0
         by_mask: dict[int, list[Any]] = {}
         for got in waiting:
@@ -150,7 +150,7 @@ class Recording:
                 self._put(f"truth.{field}", times, values)
 
     def _new(self, ticks: NDArray[np.int64], values: NDArray[np.float64]) -> tuple[Any, Any]:
-        """Those that did not come before, by another message or a second copy of this one."""
+        """Return the rows with new ticks."""
         ticks, first = np.unique(ticks + self._shift, return_index=True)
         fresh = np.array([tick not in self._seen for tick in ticks.tolist()], dtype=bool)
         ticks, values = ticks[fresh], values[first][fresh]
@@ -180,12 +180,12 @@ class Recording:
                 self._put(_EVENTS, stamps("lmnf", ticks[sent]), rows)
 
     def safety(self, got: Any) -> None:
-        """A TWODOF_SAFETY."""
+        """Add a TWODOF_SAFETY."""
         values = np.array([safety_row(got)], dtype=np.float64)
         self._put(SAFETY.topic, stamps("", np.array([got.tick + self._shift], dtype=np.int64)), values)
 
     def truth(self, got: Any) -> None:
-        """A TWODOF_TRUTH; each once, though it may be asked for and sent twice."""
+        """Add a TWODOF_TRUTH; a copy is dropped."""
         since = min(got.time_usec, _LATEST_US) + self._shift * TICK_US
         if since in self._truths:
             return
@@ -197,37 +197,37 @@ class Recording:
             self._write_truth()
 
     def telemetry(self, decode: Callable[[Any], Decoded], got: Any) -> None:
-        """A message of `common` with samples, from a drone without batches: as it comes, with its stamps."""
+        """Add the samples of a message of `common`, from a drone without batches."""
         for name, time, value in decode(got):
-            self._time = time if isfinite(time) else self._time  # the battery's messages carry none
+            self._time = time if isfinite(time) else self._time  # the battery's messages have no stamp
             if name in self._names and self._time < _LATEST_S:
                 at = np.array([round((BOOT + self._time) * 1e9)], dtype=np.int64)
                 self._put(name, at, np.reshape(np.array(value, dtype=np.float64), (1, -1)))
 
     def _put(self, topic: str, times: NDArray[np.int64], values: NDArray[np.float64]) -> None:
-        """Hand samples on; once the disk has refused they are left out, and `finish` says so. The flight goes on."""
+        """Hand samples to the writer; after an error of the disk they are left out, and `finish` raises it."""
         if self.recorder.failure is None:
             with suppress(RecordingError):
                 self.recorder.write_many(topic, times, values)
 
     def said(self, tick: int, line: StatusText) -> None:
-        """A line in words."""
+        """Add a line of text."""
         if len(self.texts) < MOST_TEXTS:
             self.texts.append((self._seconds(tick), line.severity, line.text))
 
     def parameter(self, tick: int, got: Any) -> None:
-        """A PARAM_VALUE, which the drone sends to everybody when one was changed."""
+        """Add a PARAM_VALUE, which the drone sends after each change."""
         self._changes.told(self._seconds(tick), got)
 
     def _seconds(self, tick: int) -> float:
-        """The stamp [s] of what came now. Where time is granted, the samples say it sooner than the clock."""
+        """Return the stamp [s] of a message that comes now; in lockstep samples are ahead of the clock."""
         return seconds(max(tick, self._newest) + self._shift)
 
     def finish(self) -> None:
-        """Write what waits, what was lost and what was said, and end the file. Raises RecordingError."""
+        """Write the waiting rows, the number of lost rows and the texts, and close the file. Raises RecordingError."""
         try:
             self.write()
-            if self._rows:  # of telemetry that comes as it likes nobody knows what is missing
+            if self._rows:  # telemetry without batches does not show what is missing
                 self.recorder.note("lost", self.lost)
             self.recorder.note("texts", [list(row) for row in self.texts])
             self.recorder.note("changes", [list(row) for row in self._changes.rows])
@@ -236,25 +236,25 @@ class Recording:
 
 
 def safety_row(got: Any) -> tuple[int, int, int]:
-    """A TWODOF_SAFETY as a row of the channel `safety`: the wire tells the place of the cause that decides."""
+    """Return a TWODOF_SAFETY as a row of the channel `safety`; the wire has the bit number of the deciding cause."""
     return got.action, 1 << got.reason if 0 <= got.reason < 32 else 0, got.flags
 
 
 def seconds(tick: int) -> float:
-    """The stamp [s] of what was said in a tick, as the channels have it."""
+    """Return the stamp [s] of a tick, as the channels have it."""
     return round(BOOT + TICK_S * tick, 6)
 
 
 def stamps(mat: str, ticks: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The drone's time stamps [ns] of a channel's samples at these ticks, as its own logs have them."""
+    """Return the drone's time stamps [ns] of a channel's samples at these ticks, as its own logs have them."""
     published = ticks - (mat in _READ_LATER)
     return np.asarray(np.rint((BOOT + shift(mat) + TICK_S * published) * 1e9), dtype=np.int64)
 
 
 def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list[Topic]:
-    """The rows to record; None: all, with the `truth` if so. Raises LogError for one there is not.
+    """Return the topics to record; None is all, with the `truth` if it is True. Raises LogError for an unknown one.
 
-    Of a drone that is not `ours` there is what messages of `common` carry.
+    If the drone is not `ours`, only topics in messages of `common` exist.
     """
     if topics is None:
         return [row for row in TOPICS if (row.onboard or truth) and (ours or not row.mavlink.startswith("TWODOF_"))]
@@ -267,19 +267,33 @@ def chosen(topics: Iterable[str] | None, truth: bool, ours: bool = True) -> list
     return rows
 
 
+class RecordedDrone(Protocol):
+    """Parts of a drone that a recording needs."""
+
+    session: DroneSession
+    clock: DroneClock
+    batches: FullRateSubscription
+    rig_truth: FullRateSubscription
+
+    @property
+    def state(self) -> DroneState:
+        """State as last heard."""
+        ...
+
+
 @asynccontextmanager
 async def record(
-    drone: DroneBase,
+    drone: RecordedDrone,
     path: str | Path,
     topics: Iterable[str] | None,
     provenance: Mapping[str, object],
     flying: Callable[[], Awaitable[ActiveController]] | None,
     overwrite: bool,
 ) -> AsyncIterator[Recording]:
-    """Records into a new file until the end of the block: all samples of a drone of ours, what another's sends.
+    """Record into a new file during the block: all samples of a drone of ours, the messages of another's.
 
-    `flying` asks a drone of ours what flies on it; None for another's. Raises LogError for a file that exists or an
-    unknown topic; RecordingError when the disk refuses; Rejected, LinkLost, Timeout.
+    `flying` reads the active controller of a drone of ours; None for another's. Raises LogError for an existing file or
+    an unknown topic; RecordingError for an error of the disk; Rejected, LinkLost, Timeout.
     """
     ours, session, clock, rig = flying is not None, drone.session, drone.clock, drone.state.rig
     rows = chosen(topics, rig.virtual and not session.on_board, ours)
@@ -296,7 +310,7 @@ async def record(
     given = {"drone": about, **provenance}
     flies = ActiveController(known=False)
     if flying is not None:
-        with suppress(Timeout):  # it is recorded all the same
+        with suppress(Timeout):  # the recording goes on without it
             flies = await flying()
     told = given["drone"]
     given["drone"] = {**(told if isinstance(told, dict) else {}), **flies.provenance()}
@@ -322,7 +336,7 @@ async def record(
             begun = True
             yield recording
     finally:
-        # The writer's thread is waited for in another one: the loop goes on, heartbeats with it.
+        # Another thread waits for the writer's, so that heartbeats go on.
         await asyncio.to_thread(recording.finish)
-        if not begun and not recording.samples:  # the drone did not send them: nobody has heard of the file
+        if not begun and not recording.samples:  # the drone sent no sample, and the caller has not got the file
             recording.path.unlink(missing_ok=True)

@@ -1,8 +1,7 @@
-"""A session: the conversation with one vehicle. One task receives and hands on; silence ends every call that waits.
+"""Session with one vehicle: one task receives and dispatches messages; silence ends every waiting call.
 
-The vehicle is lost when nothing of it was heard for SILENT_S. It stays lost until a new session begins, since lease,
-subscriptions and set-points are gone with it. Where simulated time stands still nothing need be heard between calls, so
-there silence counts from the question on.
+The vehicle is lost after SILENT_S without a message. It stays lost until a new session, since lease, subscriptions and
+set-points are gone with it. In lockstep nothing comes between calls, so silence counts from the question on.
 """
 
 import asyncio
@@ -21,7 +20,7 @@ from twodof.link.signing import SigningVerdict
 
 
 class Deadline:
-    """`seconds` from now on the running loop's clock; `doing` and `where` are for the error's text."""
+    """Deadline `seconds` from now on the running loop's clock; `doing` and `where` are for the error's text."""
 
     def __init__(self, seconds: float, doing: str, where: str = "") -> None:
         if not 0.0 <= seconds < 1e7:
@@ -32,16 +31,16 @@ class Deadline:
 
     @property
     def left(self) -> float:
-        """Time that is left [s], never negative."""
+        """Remaining time [s], never negative."""
         return max(0.0, self.end - self._loop.time())
 
     def error(self, remedy: str = "ask again, or give it more time") -> Timeout:
-        """What to raise once it has passed."""
+        """Return the error to raise after the deadline."""
         return Timeout(f"{self.doing}: no answer within {self.seconds:.3g} s", self.where, remedy)
 
     @asynccontextmanager
     async def turn(self, lock: asyncio.Lock, remedy: str) -> AsyncIterator[None]:
-        """Hold `lock` during the block. Raises Timeout with the `remedy` where it does not become free in time."""
+        """Hold `lock` during the block. Raises Timeout with the `remedy` if it does not become free in time."""
         try:
             async with asyncio.timeout(self.left):
                 await lock.acquire()
@@ -53,7 +52,7 @@ class Deadline:
             lock.release()
 
     def check(self) -> None:
-        """Raises Timeout once it has passed."""
+        """Raise Timeout after the deadline."""
         if self.left <= 0.0:
             raise self.error()
 
@@ -61,9 +60,9 @@ class Deadline:
 SILENT_S = 3.0
 HEARTBEAT_S = 1.0
 SLACK_S = 0.5
-"""So much later than it is due our own heartbeat comes on a loaded machine; what is more is a pause of this program."""
+"""Delay of this client's heartbeat on a loaded machine; a longer one is a pause of this program."""
 RETRY_S = 0.5
-# Messages handed on before anybody else gets a turn, and answers that may wait for one call.
+# Messages dispatched before other tasks get a turn, and answers that may wait for one call.
 BURST = 64
 MOST_WAITING = 20_000
 _GROUND, _ON_BOARD = 6, 18
@@ -73,13 +72,13 @@ T = TypeVar("T")
 
 
 class ProgramPaused(NamedTuple):
-    """An event: this program stood still for so long [s], longer than a drone may be silent."""
+    """Event: this program stood still for `seconds`, longer than a drone may be silent."""
 
     seconds: float
 
 
 class MessageListener:
-    """Messages of some kinds, as they came, for one call; the oldest goes, and is counted, where too many wait."""
+    """Bounded queue of messages of some kinds for one call; `lost` counts the oldest ones dropped."""
 
     def __init__(self, session: "DroneSession", names: tuple[str, ...] = (), size: int = MOST_WAITING) -> None:
         self._session = session
@@ -90,18 +89,18 @@ class MessageListener:
         self.since = session.now
 
     def take(self, got: Any) -> None:
-        """One more."""
+        """Add a message."""
         self.lost += len(self._messages) == self._messages.maxlen
         self._messages.append(got)
         self.wake()
 
     def wake(self) -> None:
-        """Let the call look again."""
+        """Wake the waiting call."""
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 
     async def next(self, until: float, though_lost: bool = False) -> Any | None:
-        """The next message, None once `until` (the loop's clock) has passed. Raises LinkLost, unless `though_lost`."""
+        """Return the next message, or None after `until` (the loop's clock). Raises LinkLost, unless `though_lost`."""
         while not self._messages:
             if not though_lost:
                 self._session.check(self.since)
@@ -119,9 +118,9 @@ class MessageListener:
 
 
 class DroneSession:
-    """Messages to and from the vehicle `system` over `connection`, which it owns.
+    """Session with the vehicle `system` over `connection`, which it owns; begun by `find`, ended by `close`.
 
-    `on_board` says that we are a companion's program, not a ground station. Begun by `find`, ended by `close`.
+    `on_board` is True for a companion's program, False for a ground station.
     """
 
     def __init__(self, connection: Connection, on_board: bool = False) -> None:
@@ -130,16 +129,18 @@ class DroneSession:
         self.system = 0
         self.component = AUTOPILOT
         self.lockstep = False
-        self.taken = 0  # messages of the vehicle's
-        self.signed_frames = 0  # of the vehicle's; before it was found, of everybody's
+        self.ours = False  # a drone of this package, not another's PX4
+        self.taken = 0  # messages of the vehicle
+        self.signed_frames = 0  # of the vehicle; before it is found, of all senders
         self._kind = _ON_BOARD if on_board else _GROUND
         self._loop = asyncio.get_running_loop()
         self._peer: Hashable | None = None
         self._sought: int | None = None
         self.heard_at = self._last_heard = self._awake = self._loop.time()
-        """When the vehicle was heard last, by the loop's clock [s]."""
+        """Time of the vehicle's last message, by the loop's clock [s]."""
+        self.closed = False
         self.lost: LinkLost | None = None
-        """Why the vehicle cannot be reached any more, None while it can."""
+        """Reason of a lost vehicle, None before."""
         self._handlers: dict[str | type, list[Handler]] = {}
         self._listeners: list[MessageListener] = []
         self._tasks = [self._loop.create_task(work) for work in (self._receive(), self._beat())]
@@ -151,20 +152,20 @@ class DroneSession:
 
     @property
     def url(self) -> str:
-        """Where the link leads."""
+        """URL of the link."""
         return self.connection.transport.url
 
     @property
     def target(self) -> dict[str, int]:
-        """The fields that say whom a message is for."""
+        """Fields with a message's receiver."""
         return {"target_system": self.system, "target_component": self.component}
 
     def deadline(self, seconds: float, doing: str) -> Deadline:
-        """A deadline for something that is asked of the vehicle."""
+        """Return a deadline for a request to the vehicle."""
         return Deadline(seconds, doing, f"drone {self.system}")
 
     async def find(self, system: int | None, timeout: float) -> None:
-        """Wait for a vehicle's heartbeat and stay with it; `system` says which, None: the first that is heard.
+        """Wait for the heartbeat of the vehicle `system` (None: any) and stay with that vehicle.
 
         Raises LinkLost if none comes within `timeout` [s].
         """
@@ -180,7 +181,7 @@ class DroneSession:
         raise LinkLost(f"{which} was heard within {timeout:.3g} s{refused}", self.url, remedy)
 
     def _refused(self) -> tuple[str, str]:
-        """What came and was not let in, since it was not signed with our key, in words; and what to do."""
+        """Return a text about frames with a wrong signature, and a remedy."""
         signing = self.connection.signing
         if signing is not None:
             counts, old = signing.counts, self.connection.framing["mavlink1_refused"]
@@ -216,13 +217,13 @@ class DroneSession:
             self._handlers[kind].remove(handler)
 
     def emit(self, event: object) -> None:
-        """Hand an event to those that wait for its type."""
+        """Hand an event to the handlers of its type."""
         for handler in [*self._handlers.get(type(event), ())]:
             handler(event)
 
     @contextmanager
     def listen(self, *names: str) -> Iterator[MessageListener]:
-        """Messages of these kinds from now on; before a vehicle was found, of every sender."""
+        """Listen to messages of these kinds; before a vehicle is found, of every sender."""
         heard = MessageListener(self, names)
         self._listeners.append(heard)
         try:
@@ -236,7 +237,7 @@ class DroneSession:
         self.send_anyway(sent)
 
     def send_anyway(self, sent: Any) -> None:
-        """Send although it may be lost: for what stops motors. Raises LinkLost where the link itself is gone."""
+        """Send to a vehicle that may be lost, to stop motors. Raises LinkLost if the link itself is gone."""
         self._woke()
         self._awake = self.now
         self.connection.send(sent, self._peer)
@@ -250,10 +251,10 @@ class DroneSession:
         retry_s: float = RETRY_S,
         prolonged: bool = False,
     ) -> T:
-        """Send `question(attempt)`, again every `retry_s`, until `accept` of an answer gives a value, and return that.
+        """Send `question(attempt)` every `retry_s` until `accept` of an answer gives a value; return that value.
 
-        If `prolonged`, every answer prolongs the time until it is sent again: many are to come. What `accept` raises
-        is raised. Raises LinkLost, and Timeout at the deadline.
+        If `prolonged`, every answer prolongs the time until the next question, for questions with many answers. Raises
+        LinkLost, Timeout at the deadline, and exceptions of `accept`.
         """
         with self.listen(*answers) as heard:
             for attempt in count():
@@ -263,18 +264,18 @@ class DroneSession:
                     found = accept(got)
                     if found is not None:
                         return found
-                    deadline.check()  # a peer that never stops talking beside the point
+                    deadline.check()  # a peer may send other messages without end
                     if prolonged:
                         until = min(deadline.end, self.now + retry_s)
                 deadline.check()
         raise deadline.error()
 
     def call_soon(self, callback: Callable[[T], object], value: T) -> None:
-        """Call a user's callback in the loop's next round; what it raises is the loop's to report."""
+        """Call a user's callback in the loop's next round; the loop reports its exceptions."""
         self._loop.call_soon(callback, value)
 
     def check(self, since: float) -> None:
-        """Raise LinkLost if the vehicle is lost; `since` is when the caller began to wait."""
+        """Raise LinkLost if the vehicle is lost; `since` is the time at which the caller began to wait."""
         self._woke()
         if self.lost is None and self.system:
             heard = max(self._last_heard, since) if self.lockstep else self._last_heard
@@ -291,9 +292,9 @@ class DroneSession:
             raise LinkLost(lost.what, lost.where, lost.remedy)
 
     def _woke(self) -> None:
-        """Where this program stood still (a notebook's slow cell, a laptop that slept) the drone was not silent.
+        """Detect a pause of this program (a slow cell, a sleeping laptop), in which the drone was not silent.
 
-        How long is counted from our own last word: for so long the drone has heard nothing of us.
+        The pause is counted from this client's last message: for that long the drone has heard nothing of it.
         """
         paused = self.now - self._awake
         if paused > HEARTBEAT_S + SLACK_S and self.lost is None:
@@ -304,6 +305,7 @@ class DroneSession:
 
     async def close(self) -> None:
         """End the session and close the link; a second time does nothing."""
+        self.closed = True
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -312,10 +314,10 @@ class DroneSession:
         give_back(self.connection.system)
 
     def beat(self) -> None:
-        """Say that we are there."""
+        """Send this client's heartbeat."""
         if not self.connection.system:
-            return  # we are the drone's own system, which is not known yet
-        with suppress(LinkLost):  # whoever waits is told by `check`
+            return  # a program on board has the drone's own system, which is not known yet
+        with suppress(LinkLost):  # `check` raises it in waiting calls
             self.connection.send(message("HEARTBEAT", type=self._kind, autopilot=NO_AUTOPILOT, system_status=4))
 
     async def _beat(self) -> None:
@@ -348,7 +350,7 @@ class DroneSession:
         name = got.get_type()
         flies = name == "HEARTBEAT" and frame.component == AUTOPILOT and got.autopilot != NO_AUTOPILOT
         if not self.system and flies and self._sought in (None, frame.system):
-            # At once: what others say behind it, in the same packet perhaps, is none of this vehicle's.
+            # At once: the next message, perhaps in the same packet, may be of another vehicle.
             self.system = frame.system
         if self.system:
             if (frame.system, frame.component) != (self.system, self.component):
@@ -361,14 +363,14 @@ class DroneSession:
             try:
                 handler(got)
             except (ArithmeticError, LookupError, TypeError, ValueError, TwodofError) as fault:
-                # A peer may put anything into a field: its message is not taken, and the session goes on.
+                # A peer may put anything into a field: its message is dropped, and the session goes on.
                 self._loop.call_exception_handler({"message": f"a {name} was not taken", "exception": fault})
         for heard in self._listeners:
             if name in heard.names:
                 heard.take(got)
 
     def end(self, reason: LinkLost) -> None:
-        """The vehicle is lost: every call that waits or comes later raises `reason`; the first one stays."""
+        """Mark the vehicle as lost: waiting and later calls raise the first `reason`."""
         if self.lost is None:
             self.lost = reason
         for heard in self._listeners:

@@ -1,27 +1,39 @@
-"""Set-points: what each verb sends, and the stream that keeps the latest one alive until another takes its place.
+"""Set-points: their bounds, the mode in which one is followed, and the stream that keeps the latest one alive.
 
-50 times a second, as the real ground station; in lockstep at every fifth tick of the drone, each stamped with its tick.
-The stream ends with its process: then the drone's failsafe acts, which is what it is for.
+The stream sends at 50 Hz, as the real ground station, and in lockstep at every fifth tick, stamped with that tick. It
+ends with its process: then the drone's failsafe acts.
 """
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
-from math import degrees, isfinite, pi
+from math import ceil, degrees, isfinite, pi
 
-from twodof.errors import LinkLost, ParameterError, shown
+from twodof.errors import LinkLost, ParameterError, RefusalReason, Rejected, shown
 from twodof.gcs.clock import SETPOINT_TICKS, DroneClock, SliceStarts
-from twodof.gcs.session import DroneSession
-from twodof.link.mavlink.setpoints import (
-    SetPoint,
-    setpoint_message,
-)
-from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
+from twodof.gcs.commands import CommandSender
+from twodof.gcs.drone_state import StateTracker
+from twodof.gcs.lease import LeaseClient
+from twodof.gcs.session import Deadline, DroneSession
+from twodof.link.mavlink.modes import custom_mode
+from twodof.link.mavlink.setpoints import SetPoint, setpoint_message
+from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, TICK_S, VELOCITY
 
 PERIOD_S = 0.02
 MOST_PITCH, MOST_RATE = pi / 2, 60.0
 """[rad], [rad/s]: beyond them degrees were meant; 60 rad/s is more than the gyro measures."""
 MOST_WAY, MOST_SPEED = 1.0, 5.0
 """[m], [m/s]: beyond them millimetres were meant; the rail is shorter."""
+# Offboard is refused until set-points have come for a while; they are sent meanwhile.
+_MODE_RETRY_S = 0.1
+_MESSAGES = ("SET_ATTITUDE_TARGET", "SET_POSITION_TARGET_LOCAL_NED", "TWODOF_OPENLOOP")
+_REASONS = {
+    RefusalReason.LEASE: "another client holds the lease",
+    RefusalReason.RINGS: "it moves the cart, and the rings lock it",
+    RefusalReason.INVALID: "a number is not finite or outside its bounds",
+    RefusalReason.QUEUE: "too many wait, or it is more than a minute ahead",
+    RefusalReason.NOTHING: "it asks for nothing that is flown here",
+}
 
 
 def modes(setpoint: SetPoint) -> tuple[str, ...]:
@@ -30,27 +42,27 @@ def modes(setpoint: SetPoint) -> tuple[str, ...]:
 
 
 def moment(M: float, thrust: float | None) -> SetPoint:
-    """Normalised pitch moment without a loop; thrust None leaves the thrust as it is."""
+    """Return an open-loop set-point of the normalised pitch moment; thrust None leaves the thrust unchanged."""
     return SetPoint(OPEN_LOOP, M_open=_fraction("M", M, -1.0), thrust=None if thrust is None else _thrust(thrust))
 
 
 def pitch(theta: float, thrust: float) -> SetPoint:
-    """Pitch [rad]; thrust 0 to 1."""
+    """Return a set-point of the pitch [rad] at a thrust of 0 to 1."""
     return SetPoint(ATTITUDE, theta0=_within("theta", theta, MOST_PITCH, "rad"), thrust=_thrust(thrust))
 
 
 def pitch_rate(q: float, thrust: float) -> SetPoint:
-    """Pitch rate [rad/s]; thrust 0 to 1."""
+    """Return a set-point of the pitch rate [rad/s] at a thrust of 0 to 1."""
     return SetPoint(RATE, q0=_within("q", q, MOST_RATE, "rad/s"), thrust=_thrust(thrust))
 
 
 def velocity(v: float, acceleration: float | None) -> SetPoint:
-    """Velocity along the rail [m/s], with an acceleration [m/s^2] fed forward if it is given."""
+    """Return a set-point of the velocity along the rail [m/s], with an acceleration [m/s^2] fed forward or None."""
     return SetPoint(VELOCITY, v0=_within("v", v, MOST_SPEED, "m/s"), ax0=_acceleration(acceleration))
 
 
 def position(x: float, acceleration: float | None) -> SetPoint:
-    """Position along the rail [m], with an acceleration [m/s^2] fed forward if it is given."""
+    """Return a set-point of the position along the rail [m], with an acceleration [m/s^2] fed forward or None."""
     return SetPoint(POSITION, x0=_within("x", x, MOST_WAY, "m"), ax0=_acceleration(acceleration))
 
 
@@ -88,46 +100,133 @@ def _number(name: str, value: float) -> float:
 
 
 class SetpointStream:
-    """The stream of the latest set-point, one for each drone."""
+    """Stream of the latest set-point to one drone, which is flown in a mode that follows it."""
 
-    def __init__(self, session: DroneSession, clock: DroneClock) -> None:
-        self._session, self._clock = session, clock
+    def __init__(
+        self,
+        session: DroneSession,
+        clock: DroneClock,
+        watcher: StateTracker,
+        commands: CommandSender,
+        lease: LeaseClient,
+    ) -> None:
+        self._session, self._clock, self._watcher = session, clock, watcher
+        self._commands, self._lease = commands, lease
         self.current: SetPoint | None = None
         self.sent = 0
         self._next_tick = 0
         self._streaming: asyncio.Task[None] | None = None
         session.on(self._slice, SliceStarts)
 
+    async def follow(self, setpoint: SetPoint, deadline: Deadline) -> None:
+        """Stream a set-point and enter a mode in which it is followed. Raises Rejected, LinkLost, Timeout.
+
+        A refusal of the mode is tried again while the set-point streams. If the call fails, the stream goes on with the
+        set-point before.
+        """
+        if setpoint.moves_cart and self._session.ours and self._watcher.state.rig.rings_locked:
+            # The drone's own refusal comes once a second at most, and in offboard not at all.
+            raise self._refusal(RefusalReason.RINGS, deadline)
+        self._watcher.check_not_killed()
+        before = self.current
+        self._commands.refusals.clear()
+        self.hold(setpoint)
+        try:
+            await self._enter(setpoint, deadline)
+        except BaseException:
+            if before is None:
+                self.stop()
+            else:
+                self.current = before
+            raise
+
+    async def switch(self, mode: str, deadline: Deadline) -> None:
+        """Ask for a mode by its name. Raises ParameterError for an unknown one, Rejected, LinkLost, Timeout."""
+        number = custom_mode(mode)
+        values = [1.0, float(number >> 16 & 0xFF), float(number >> 24 & 0xFF)]
+        await self._commands.run("DO_SET_MODE", values, max(0.01, deadline.left), deadline.doing)
+
+    async def pass_time(
+        self,
+        tick: int,
+        condition: Callable[[], bool] | None = None,
+        within: Deadline | None = None,
+        patience: float | None = None,
+    ) -> None:
+        """Let the drone's time pass up to a tick or until `condition()`. Raises as DroneClock.run_until.
+
+        A kill ends the stream; Rejected is raised for it.
+        """
+
+        def killed() -> bool:
+            return self._watcher.state.killed and self.current is not None
+
+        def done() -> bool:
+            return killed() or (condition is not None and condition())
+
+        await self._clock.run_until(tick, condition if self._clock.granting else done, within, patience)
+        if killed():
+            self.stop()
+            self._watcher.check_not_killed()
+
     def hold(self, setpoint: SetPoint) -> None:
-        """Send it now and keep sending it. Raises LinkLost."""
+        """Send a set-point now and keep sending it. Raises LinkLost."""
         self.current = setpoint
         self._next_tick = self._clock.tick
-        if self._clock.granting:
-            self._send(self._clock.tick)
-        elif self._streaming is None or self._streaming.done():
-            self._send(0)
+        self._send(self._clock.tick if self._clock.granting else 0)
+        if not self._clock.granting and (self._streaming is None or self._streaming.done()):
             self._streaming = asyncio.get_running_loop().create_task(self._stream())
-        else:
-            self._send(0)
-
-    def back_to(self, setpoint: SetPoint | None) -> None:
-        """Keep this one alive instead of the latest, or none."""
-        if setpoint is None:
-            self.stop()
-        else:
-            self.current = setpoint
 
     def stop(self) -> None:
-        """Send no more."""
+        """End the stream."""
         self.current = None
         if self._streaming is not None:
             self._streaming.cancel()
             self._streaming = None
 
+    async def _enter(self, setpoint: SetPoint, deadline: Deadline) -> None:
+        """Enter the first mode of a set-point that streams, unless a mode in which it is followed flies already."""
+        good = modes(setpoint)
+        if self._watcher.state.mode in good:
+            self._check_lease(deadline)
+            return
+        # Offboard needs set-points that keep coming.
+        if self._clock.granting:
+            self.hold(setpoint)
+        else:
+            await asyncio.sleep(2.5 * PERIOD_S)
+        while self._watcher.state.mode not in good:
+            try:
+                await self.switch(good[0], deadline)
+                await self._watcher.see(lambda state: state.mode in good, deadline)
+            except Rejected:
+                for name in _MESSAGES:
+                    if name in self._commands.refusals:  # waiting does not change such a refusal
+                        raise self._refusal(self._commands.refusals[name], deadline) from None
+                if deadline.left < _MODE_RETRY_S:
+                    raise
+                await self.pass_time(self._clock.tick + ceil(_MODE_RETRY_S / TICK_S), within=deadline)
+
+    def _refusal(self, code: RefusalReason, deadline: Deadline) -> Rejected:
+        remedy = "put right what it says and try again"
+        if code is RefusalReason.RINGS:
+            virtual = self._watcher.state.rig.virtual
+            remedy = "disarm and drone.reset(rings=False)" if virtual else "take the rings off"
+        reason = _REASONS.get(code, "drone.messages has its reason")
+        return Rejected(f"set-point refused: {reason}", deadline.where, remedy, code)
+
+    def _check_lease(self, deadline: Deadline) -> None:
+        """Raise Rejected if another client is known to hold the lease: set-points have no answer."""
+        holder = self._lease.holder
+        if holder is not None and not self._lease.ours:
+            self.stop()
+            what = f"system {holder[0]}, component {holder[1]} holds the lease"
+            raise Rejected(what, deadline.where, "wait until it is given up")
+
     async def _stream(self) -> None:
         loop = asyncio.get_running_loop()
         due = loop.time()
-        with suppress(LinkLost):  # the next call says so
+        with suppress(LinkLost):  # the next call raises it
             while self.current is not None:
                 # After a pause of the machine it goes on from now: set-points of the past are worth nothing.
                 due = max(due + PERIOD_S, loop.time())
@@ -135,7 +234,7 @@ class SetpointStream:
                 self._send(0)
 
     def _slice(self, granted: SliceStarts) -> None:
-        """Send those that belong to these ticks, before they are granted."""
+        """Send the set-points of these ticks before the ticks are granted."""
         self._next_tick = max(self._next_tick, granted.tick)
         while self.current is not None and self._next_tick < granted.until:
             self._send(self._next_tick)

@@ -1,6 +1,6 @@
-"""What the drone measures, estimates and does, as signals of TOPICS: latest values, bounded streams, callbacks.
+"""Telemetry of a drone as signals of TOPICS: latest values, bounded streams, callbacks.
 
-A slow consumer loses the oldest samples, which are counted, and holds up nobody else.
+A slow reader loses the oldest samples, which are counted, and delays no other reader.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ Decoded = Iterator[tuple[str, float, float | tuple[float, ...]]]
 
 
 def _pitch(q: Sequence[float]) -> float:
-    """Pitch of a quaternion (w, x, y, z)."""
+    """Return the pitch of a quaternion (w, x, y, z)."""
     w, x, y, z = q
     return asin(max(-1.0, min(1.0, 2.0 * (w * y - z * x))))
 
 
 def volts(cells: Sequence[int]) -> float:
-    """Voltage of a pack [V] of its cells' [mV]; NaN where none is known."""
+    """Return a pack's voltage [V] from its cells [mV]; NaN if none is known."""
     known = [one for one in cells if one != 0xFFFF]
     return sum(known) / 1000.0 if known else nan
 
 
 def share(percent: int) -> float:
-    """A percentage as a share of 1; NaN where it is unknown (-1)."""
+    """Return a percentage as a share of 1; NaN for -1, unknown."""
     return percent / 100.0 if percent >= 0 else nan
 
 
 _FUNCTIONS: Mapping[str, Callable[[Any], float]] = {"pitch": _pitch, "volts": volts, "share": share}
-"""What `signals.TOPICS` calls a function of a message's field."""
+"""Functions of a message's field, by their names in `signals.TOPICS`."""
 _STAMPS: Mapping[str, Callable[[Any], float]] = {
     "time_usec": lambda got: got.time_usec * 1e-6,
     "time_boot_ms": lambda got: got.time_boot_ms / 1000,
@@ -50,7 +50,7 @@ _PLACE = re.compile(r"(-?)(?:(\w+)\()?(\w+)(?:\[(\d+)\])?\)?")
 
 
 def _reader(place: str) -> Callable[[Any], float]:
-    """Reads a number of a message: `pitch`, `-thrust`, `controls[1]`, `pitch(q)`."""
+    """Return a reader of one number of a message: `pitch`, `-thrust`, `controls[1]`, `pitch(q)`."""
     match = _PLACE.fullmatch(place)
     assert match is not None, place
     sign, function, field, index = match.groups()
@@ -64,7 +64,7 @@ def _reader(place: str) -> Callable[[Any], float]:
 
 
 def _decoder(message: str) -> Callable[[Any], Decoded]:
-    """Reads the signals that the message carries; a value that is not finite is not a sample."""
+    """Return a decoder of a message's signals; values that are not finite are left out."""
     rows = [row for row in TOPICS if row.mavlink == message]
     readers = [(row.name, [_reader(place) for place in row.places], bool(row.fields)) for row in rows]
     stamp = next((read for field, read in _STAMPS.items() if field in fields_of(message)), lambda _got: nan)
@@ -82,7 +82,7 @@ def _decoder(message: str) -> Callable[[Any], Decoded]:
 
 
 def _batch(got: Any) -> Decoded:
-    """The newest row in which a topic has a sample; recordings take all of them."""
+    """Yield the newest sample of each topic in a batch; recordings take all rows."""
     width = int(got.channels).bit_count()
     rows = min(got.rows, BATCH_VALUES // width) if width else 0
     values, ticks = got.values, [(got.tick + got.every * k) & 0xFFFFFFFF for k in range(rows)]
@@ -96,7 +96,7 @@ def _batch(got: Any) -> Decoded:
 
 @lru_cache(maxsize=64)
 def columns_of(mask: int) -> Mapping[str, int]:
-    """Column of TOPICS -> its place in the rows of a batch with these channels."""
+    """Return the place of each column of TOPICS in the rows of a batch with these channels."""
     bits = channel_bits()
     named = {column: bits.get(column.replace(".", "_").upper(), 0) for row in TOPICS for column in row.columns}
     places = {bit: place for place, bit in enumerate(1 << k for k in range(64) if mask >> k & 1)}
@@ -105,7 +105,7 @@ def columns_of(mask: int) -> Mapping[str, int]:
 
 @lru_cache(maxsize=64)
 def _layout(mask: int) -> tuple[tuple[str, tuple[int, ...], bool], ...]:
-    """Topics that are whole in a batch: name, places of its numbers in a row, whether it has fields."""
+    """Return the topics that are whole in a batch: name, places of its numbers in a row, True if it has fields."""
     columns = columns_of(mask)
     return tuple(
         (row.name, tuple(columns[column] for column in row.columns), bool(row.fields))
@@ -120,7 +120,7 @@ DECODERS: Mapping[str, Callable[[Any], Decoded]] = MappingProxyType(
         "TWODOF_BATCH": _batch,
     }
 )
-"""Message -> its samples."""
+"""Decoder of each message."""
 
 
 QUEUE = 1024
@@ -129,14 +129,14 @@ Callback = Callable[["TelemetrySample"], None]
 
 
 class TelemetrySample(NamedTuple):
-    """One sample of a signal: the drone's time [s] and the value, in the topic's unit; a tuple where it has fields."""
+    """Sample of a signal: the drone's time [s] and the value in the topic's unit; a tuple for a topic with fields."""
 
     time: float
     value: Value
 
 
 class SampleStream:
-    """Samples as they come, for `async for`."""
+    """Stream of samples, for `async for`."""
 
     def __init__(self, session: DroneSession, name: str, size: int, timeout: float) -> None:
         self._session, self._name, self._timeout = session, name, timeout
@@ -144,11 +144,11 @@ class SampleStream:
 
     @property
     def lost(self) -> int:
-        """Samples that a slow reader missed."""
+        """Number of samples that a slow reader missed."""
         return self.heard.lost
 
     async def next(self, timeout: float | None = None) -> TelemetrySample:
-        """The next sample. Raises LinkLost, Timeout if none comes within `timeout` [s]."""
+        """Wait for the next sample. Raises LinkLost, Timeout if none comes within `timeout` [s]."""
         limit = self._timeout if timeout is None else timeout
         deadline = Deadline(limit, f"waiting for {self._name}", self._session.url)
         self.heard.since = self._session.now
@@ -165,7 +165,7 @@ class SampleStream:
 
 
 class AsyncSignal:
-    """One signal of the drone: its latest sample, a stream of them, callbacks."""
+    """Signal of the drone: latest sample, streams, callbacks."""
 
     def __init__(self, session: DroneSession, name: str) -> None:
         self.row = topic(name)
@@ -180,20 +180,20 @@ class AsyncSignal:
 
     @property
     def value(self) -> Value:
-        """The latest value. Raises LinkLost where no newer one will come, Timeout if none has come yet."""
+        """The latest value. Raises LinkLost if no newer one will come, Timeout if none has come yet."""
         self._session.must_stand()
         if self.latest is None:
             raise Timeout(f"no {self.name} has come yet", self._session.url, "wait for it with `next`")
         return self.latest.value
 
     async def next(self, timeout: float = 2.0) -> TelemetrySample:
-        """The next sample. Raises LinkLost, Timeout."""
+        """Wait for the next sample. Raises LinkLost, Timeout."""
         with self.stream(size=1, timeout=timeout) as stream:
             return await stream.next()
 
     @contextmanager
     def stream(self, size: int = QUEUE, timeout: float = 2.0) -> Iterator[SampleStream]:
-        """Samples from now on, `size` of them waiting at most; Timeout after `timeout` [s] without one."""
+        """Stream samples from now on, at most `size` waiting; Timeout after `timeout` [s] without one."""
         stream = SampleStream(self._session, self.name, size, timeout)
         self._streams.append(stream)
         try:
@@ -202,25 +202,25 @@ class AsyncSignal:
             self._streams.remove(stream)
 
     def on(self, callback: Callback) -> Callable[[], None]:
-        """Call `callback` with each sample, in the drone's thread, quickly; what is returned ends that.
+        """Call `callback` with each sample, in the drone's thread; return a function that ends that.
 
-        What it raises goes to the event loop's exception handler.
+        The callback must be quick. Its exceptions go to the event loop's exception handler.
         """
         self._callbacks.append(callback)
         return lambda: self._callbacks.remove(callback) if callback in self._callbacks else None
 
     def take(self, sample: TelemetrySample) -> None:
-        """One more sample."""
+        """Add a sample."""
         self.latest = sample
         for stream in self._streams:
             stream.heard.take(sample)
         for callback in self._callbacks:
-            # One that raises is reported by the event loop and harms nobody else.
+            # The event loop reports exceptions, so that one callback does not harm another.
             self._session.call_soon(callback, sample)
 
 
 class Telemetry:
-    """All signals of one drone."""
+    """Signals of one drone."""
 
     def __init__(self, session: DroneSession) -> None:
         self._signals = {row.name: AsyncSignal(session, row.name) for row in TOPICS}
@@ -229,50 +229,18 @@ class Telemetry:
             self._listening.enter_context(session.handling(partial(self._take, decode), name))
 
     def __call__(self, name: str) -> AsyncSignal:
-        """The signal of that name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""
+        """Return the signal of that name (`estimate.q`) or .mat channel (`q`). Raises LogError if there is none."""
         return self._signals[topic(name).name]
 
     def stop(self) -> None:
-        """Take in nothing more: for who gets all samples by `batch`, and looks at no signal."""
+        """Stop updating, for clients that read batches only."""
         self._listening.close()
 
     def clear(self) -> None:
-        """Forget what was said before the drone began anew."""
+        """Forget the latest samples, after a restart."""
         for signal in self._signals.values():
             signal.latest = None
 
     def _take(self, decode: Callable[[Any], Decoded], got: Any) -> None:
         for name, time, value in decode(got):
             self._signals[name].take(TelemetrySample(time, value))
-
-
-class LatestEstimates:
-    """The newest estimates of the state of a drone, of which `telemetry(name)` gives the signals.
-
-    Raises LinkLost, and Timeout where none has come: `Drone` waits a while for the first, `AsyncDrone` does not.
-    """
-
-    telemetry: Any
-
-    @property
-    def theta(self) -> float:
-        """The latest estimate of the pitch [rad]."""
-        return self._scalar("estimate.theta")
-
-    @property
-    def q(self) -> float:
-        """The latest estimate of the pitch rate [rad/s]."""
-        return self._scalar("estimate.q")
-
-    @property
-    def x(self) -> float:
-        """The latest estimate of the position along the rail [m]."""
-        return self._scalar("estimate.x")
-
-    @property
-    def v(self) -> float:
-        """The latest estimate of the velocity along the rail [m/s]."""
-        return self._scalar("estimate.v")
-
-    def _scalar(self, name: str) -> float:
-        return float(self.telemetry(name).value)
