@@ -1,12 +1,15 @@
-"""A small drone by script: it answers what a ground station asks, and can be told to fail at every message."""
+"""Scripted drone: it answers a ground station's requests, and can fail at every message."""
 
 import asyncio
+import inspect
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from typing import Any, Self
 
+from tests.faults.virtual_time import run_virtual
 from twodof.errors import LinkLost
+from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection, Received
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, packed, read_packet
 from twodof.link.mavlink.messages import ExcitationReceiver, float_of_int, int_of_float, message
@@ -22,8 +25,7 @@ DESCRIPTION = b'{"version": 1, "parameters": []}'
 
 
 class Peer:
-    """Drone 1 at `url`. `spoil` sees each message before it is sent and says what is sent instead: a list, or None
-    for the end of the link."""
+    """Drone 1 at `url`. `spoil` returns the messages that are sent instead of each one; None ends the link."""
 
     def __init__(
         self,
@@ -285,3 +287,27 @@ class Peer:
         elif asked.op == FtpOperation.REMOVE:
             self.files.pop(asked.text, None)
         self.send("FILE_TRANSFER_PROTOCOL", payload=packed(asked.ack(data), frame.system, frame.component).payload)
+
+
+def flight(make: Callable[..., Peer] = Peer, **options: Any) -> Callable[..., Callable[..., None]]:
+    """Run an async test with a scripted drone and its client on virtual time.
+
+    `make` may take parameters of the test by their names; `options` are for AsyncDrone.connect.
+    """
+
+    def decorate(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+        def run(**given: Any) -> None:
+            async def work() -> None:
+                wanted = {name: given[name] for name in inspect.signature(make).parameters if name in given}
+                async with make(**wanted) as peer, await AsyncDrone.connect(peer.url, **options) as drone:
+                    await test(peer, drone, **given)
+
+            run_virtual(work())
+
+        run.__name__, run.__doc__, run.__module__ = test.__name__, test.__doc__, test.__module__
+        parameters = [*inspect.signature(test).parameters.values()][2:]
+        run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+        run.pytestmark = getattr(test, "pytestmark", [])  # type: ignore[attr-defined]
+        return run
+
+    return decorate

@@ -7,7 +7,7 @@ import pytest
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer
-from twodof.errors import LinkLost, Rejected
+from twodof.errors import LinkLost
 from twodof.excitation import Multisine
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.transport import open_transport
@@ -66,25 +66,5 @@ def test_a_cable_that_is_cut_and_mended() -> None:
             peer.holder = (0, 0)  # which it would be 3 s later
             async with await AsyncDrone.connect(peer.url) as again:
                 await again.arm()
-
-    run_virtual(work())
-
-
-def test_somebody_elses_drone_is_flown_without_what_is_ours() -> None:
-    """As a PX4 that is not ours: it knows no TWODOF message and has another's parameters."""
-
-    async def work() -> None:
-        ours = ("TWODOF_",)
-        async with Peer(spoil=lambda _, sent: [] if sent.get_type().startswith(ours) else [sent]) as peer:
-            peer.refuse[512] = (3, "")
-            async with await AsyncDrone.connect(peer.url) as drone:
-                assert not drone.ours
-                await drone.arm()
-                await drone.set_pitch(0.1, thrust=0.4)
-                assert peer.mode == 6 << 16
-                await drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05})
-                assert peer.parameters["ATT_KP"] == 6.0
-                with pytest.raises(Rejected, match="not one of ours"):
-                    await drone.excite(LONG)
 
     run_virtual(work())

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from tests.faults.virtual_time import VirtualLoop, run_virtual
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, flight
 from twodof.errors import LinkLost, Timeout
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.clock import STANDS_STILL_S
@@ -79,29 +79,24 @@ def test_in_lockstep_set_points_and_grants_go_over_the_end_of_their_numbers() ->
 
 
 @pytest.mark.parametrize(("after", "pause"), [(0.0, 0.0), (0.5, 1.6), (1.0, 1.7), (2.0, 2.0)])
-def test_a_drone_that_falls_silent_is_lost_even_where_this_program_stood_still(after: float, pause: float) -> None:
+@flight()
+async def test_a_drone_that_falls_silent_is_lost_even_where_this_program_stood_still(
+    peer: Peer, drone: AsyncDrone, after: float, pause: float
+) -> None:
     """And not one whose time stands still: it is silent over all."""
-
-    async def work() -> None:
-        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            peer.beating = False
-            asyncio.get_running_loop().call_later(after, stand_still, pause)
-            with pytest.raises(LinkLost, match="nothing was heard"):
-                await drone.run(20.0)
-
-    run_virtual(work())
+    peer.beating = False
+    asyncio.get_running_loop().call_later(after, stand_still, pause)
+    with pytest.raises(LinkLost, match="nothing was heard"):
+        await drone.run(20.0)
 
 
 @pytest.mark.parametrize("pause", [1.0, 3.5, 10.0])
-def test_time_passes_though_this_program_stood_still(pause: float) -> None:
-    async def work() -> None:
-        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            begun = drone.tick
-            asyncio.get_running_loop().call_later(0.1, stand_still, pause)
-            await drone.run(0.3)
-            assert drone.tick >= begun + 75
-
-    run_virtual(work())
+@flight()
+async def test_time_passes_though_this_program_stood_still(peer: Peer, drone: AsyncDrone, pause: float) -> None:
+    begun = drone.tick
+    asyncio.get_running_loop().call_later(0.1, stand_still, pause)
+    await drone.run(0.3)
+    assert drone.tick >= begun + 75
 
 
 def test_one_that_speaks_and_says_no_time_stands_still() -> None:

@@ -234,11 +234,6 @@ def test_what_is_no_excitation_column_or_recording_is_said_at_the_call(there: On
             drone.record(tmp_path / "flight.mat")
 
 
-def test_a_loop_in_another_unit_is_refused(there: OnBoard) -> None:
-    with Drone.connect(there.url) as drone, pytest.raises(Rejected, match="not armed"):
-        drone.excite(Doublet(0.1, 0.5, unit="rad"))
-
-
 def test_two_clients_of_which_one_commands(there: OnBoard) -> None:
     with Drone.connect(there.url, system=250) as first:
         with pytest.raises(Rejected, match="250/190 holds the lease"):

@@ -1,15 +1,14 @@
-"""A PX4 that is not ours, by script: what there is is done, what there is not is refused at once, by its name."""
+"""Another's PX4, scripted: common verbs work, verbs that need our own messages are refused at once."""
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.faults.virtual_time import run_virtual
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, flight
 from twodof.errors import LogError, Rejected
 from twodof.excitation import Doublet
 from twodof.flightlog import read_log
@@ -29,18 +28,6 @@ class Foreign(Peer):
         super()._answer(received)
 
 
-def with_foreign(work: Callable[[Foreign, AsyncDrone], Awaitable[None]]) -> None:
-    """Connected to one."""
-
-    async def talk() -> None:
-        peer = Foreign()
-        async with peer, await AsyncDrone.connect(peer.url) as drone:
-            assert not drone.ours
-            await work(peer, drone)
-
-    run_virtual(talk())
-
-
 OURS: dict[str, tuple[str, Callable[[AsyncDrone], Any]]] = {
     "set_moment": ("TWODOF_OPENLOOP", lambda drone: drone.set_moment(0.1, thrust=0.4)),
     "excite": ("TWODOF_EXCITE", lambda drone: drone.excite(Doublet(0.1, 1.0, unit="rad"))),
@@ -54,46 +41,47 @@ OURS: dict[str, tuple[str, Callable[[AsyncDrone], Any]]] = {
 
 
 @pytest.mark.parametrize("verb", OURS)
-def test_what_needs_a_message_of_ours_is_refused_at_once_and_nothing_is_sent(verb: str) -> None:
+@flight(Foreign)
+async def test_a_verb_that_needs_our_messages_is_refused_at_once(peer: Foreign, drone: AsyncDrone, verb: str) -> None:
     missing, call = OURS[verb]
-
-    async def work(peer: Foreign, drone: AsyncDrone) -> None:
-        heard, start = len(peer.heard), asyncio.get_running_loop().time()
-        with pytest.raises(Rejected, match=f"not one of ours but px4, which has no .*{missing}"):
-            await call(drone)
-        assert asyncio.get_running_loop().time() == start
-        await asyncio.sleep(0.5)
-        kinds = {got.get_type() for got in peer.heard[heard:]}
-        assert kinds <= {"HEARTBEAT"}, "a set-point that nobody understands"
-
-    with_foreign(work)
+    assert not drone.ours
+    heard, start = len(peer.heard), asyncio.get_running_loop().time()
+    with pytest.raises(Rejected, match=f"not one of ours but px4, which has no .*{missing}"):
+        await call(drone)
+    assert asyncio.get_running_loop().time() == start
+    await asyncio.sleep(0.5)
+    assert {got.get_type() for got in peer.heard[heard:]} <= {"HEARTBEAT"}
 
 
-def test_what_it_sends_is_recorded_as_it_comes(tmp_path: Path) -> None:
+@flight(Foreign)
+async def test_a_foreign_drone_is_flown_and_tuned(peer: Foreign, drone: AsyncDrone) -> None:
+    await drone.arm()
+    await drone.set_pitch(0.1, thrust=0.4)
+    assert peer.mode == 6 << 16
+    await drone.parameters.update({"ATT_KP": 6.0, "RATE_KP": 0.05})
+    assert peer.parameters["ATT_KP"] == 6.0
+
+
+@flight(Foreign)
+async def test_its_messages_are_recorded_as_they_come(peer: Foreign, drone: AsyncDrone, tmp_path: Path) -> None:
     """ATTITUDE 50 times a second, a battery now and then: each sample with the drone's own stamp."""
-
-    async def work(peer: Foreign, drone: AsyncDrone) -> None:
-        async with drone.record(tmp_path / "px4.mcap") as recording:
-            start = peer.tick
-            peer.send("BATTERY_STATUS", voltages=[4000] * 3 + [0xFFFF] * 7, battery_remaining=50)
-            await asyncio.sleep(2.01)
-        with pytest.raises(LogError, match="only a drone of ours sends it"):
-            async with drone.record(tmp_path / "none.mcap", ["tof.distance"]):
-                pass
-        log = read_log(tmp_path / "px4.mcap")
-        assert recording.samples == sum(len(log[name]) for name in log)
-        assert len(log["theta"]) == len(log["q"]) == 100
-        np.testing.assert_allclose(np.diff(log["q"].time), 0.02, atol=1e-8)
-        np.testing.assert_allclose(log["q"].value, 0.01 * (start + 5 * np.arange(1, 101)), rtol=1e-6)
-        assert "lost" not in log.provenance
-        assert log.provenance["drone"]["autopilot"] == "px4"
-
-    with_foreign(work)
+    async with drone.record(tmp_path / "px4.mcap") as recording:
+        start = peer.tick
+        peer.send("BATTERY_STATUS", voltages=[4000] * 3 + [0xFFFF] * 7, battery_remaining=50)
+        await asyncio.sleep(2.01)
+    with pytest.raises(LogError, match="only a drone of ours sends it"):
+        async with drone.record(tmp_path / "none.mcap", ["tof.distance"]):
+            pass
+    log = read_log(tmp_path / "px4.mcap")
+    assert recording.samples == sum(len(log[name]) for name in log)
+    assert len(log["theta"]) == len(log["q"]) == 100
+    np.testing.assert_allclose(np.diff(log["q"].time), 0.02, atol=1e-8)
+    np.testing.assert_allclose(log["q"].value, 0.01 * (start + 5 * np.arange(1, 101)), rtol=1e-6)
+    assert "lost" not in log.provenance
+    assert log.provenance["drone"]["autopilot"] == "px4"
 
 
-def test_what_flies_it_is_told_in_words() -> None:
-    async def work(peer: Foreign, drone: AsyncDrone) -> None:
-        assert str(await drone.version()) == "twodof 0.0.0 dev, speaks as px4 1.16.1 release"  # as the script says
-        assert (await drone.version()).uid == 1
-
-    with_foreign(work)
+@flight(Foreign)
+async def test_its_version_is_told_in_words(peer: Foreign, drone: AsyncDrone) -> None:
+    assert str(await drone.version()) == "twodof 0.0.0 dev, speaks as px4 1.16.1 release"  # as the script says
+    assert (await drone.version()).uid == 1

@@ -21,6 +21,7 @@ from twodof.excitation import Doublet
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
+from twodof.link.mavlink.messages import channel_mask
 
 
 def ended(runner: LoopThread, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
@@ -333,7 +334,7 @@ def test_a_subscription_that_is_cancelled_half_way_leaves_nothing_behind(turns: 
         async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
 
             async def look() -> None:
-                async with drone.batches.to(["estimate.q"], taken.append):
+                async with drone.batches.to(taken.append, channel_mask(["estimate.q"])):
                     await asyncio.sleep(10.0)
 
             looking = asyncio.get_running_loop().create_task(look())

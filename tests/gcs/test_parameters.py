@@ -1,15 +1,13 @@
-"""The drone's parameters as a client has them: never stale, by path too, and what is not there is said so."""
+"""Parameters of a drone: never stale, found by path too, unknown names refused."""
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import run_virtual
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, flight
 from twodof.blocks.schema.json_form import to_json
 from twodof.errors import ParameterError, Rejected, Timeout
 from twodof.flight.starters import starter
@@ -21,173 +19,151 @@ from twodof.sim.virtual_drone import VirtualDrone
 pytestmark = pytest.mark.slow
 
 OWN = {"name": "TMI_K_Q", "type": "Float", "default": 0.1, "min": 0.0, "max": 1.0, "units": "s/rad"}
-Flight = Callable[[Peer, AsyncDrone], Coroutine[Any, Any, None]]
+OWN["path"] = "attitude_control.k_q"
 
 
 def describing(peer: Peer, *rows: dict[str, Any]) -> None:
-    """The peer flies a controller with these parameters."""
+    """Give the peer a controller with these parameters."""
     for row in rows:
         peer.parameters[row["name"]] = row["default"]
     peer.files[DESCRIPTION] = json.dumps({"version": 1, "parameters": rows}).encode()
 
 
-def fly(flight: Flight, *rows: dict[str, Any], peer: Peer | None = None) -> None:
-    """Connects to a peer that describes `rows`, and does that."""
-
-    async def work() -> None:
-        async with peer or Peer() as there:
-            if peer is None:
-                describing(there, *rows)
-            else:
-                there.refuse[512] = (3, "")
-            async with await AsyncDrone.connect(there.url) as drone:
-                await flight(there, drone)
-
-    run_virtual(work())
+def own() -> Peer:
+    """A drone whose controller has a parameter of its own."""
+    peer = Peer()
+    describing(peer, OWN)
+    return peer
 
 
-def foreign() -> Peer:
-    """Another's PX4: no TWODOF message, and no word about a parameter that it lacks."""
-    silent = ("TWODOF_", "PARAM_ERROR")
-    return Peer(spoil=lambda _, sent: [] if sent.get_type().startswith(silent) else [sent])
+class Foreign(Peer):
+    """Another's PX4: it sends no TWODOF message, and does not answer for an unknown parameter."""
+
+    silent: tuple[str, ...] = ("TWODOF_", "PARAM_ERROR")
+
+    def __init__(self) -> None:
+        super().__init__(spoil=lambda _, sent: [] if sent.get_type().startswith(self.silent) else [sent])
+        self.refuse[512] = (3, "")
 
 
-def test_each_access_asks_the_drone() -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        assert await drone.parameters.read("ATT_KP") == 11.0
-        peer.parameters["ATT_KP"] = 6.0  # by another client, and the word of it was lost
-        assert await drone.parameters.read("ATT_KP") == 6.0
+class Mute(Foreign):
+    """Does not list its parameters either."""
 
-    fly(flight)
+    silent = ("TWODOF_", "PARAM_")
 
 
-def test_a_parameter_is_found_by_its_path_with_bounds_and_unit() -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        path = "attitude_control.k_q"
-        assert await drone.parameters.read(path) == 0.1
-        await drone.parameters.update({path: 0.25, "ATT_KP": 6.0})
-        assert (peer.parameters["TMI_K_Q"], peer.parameters["ATT_KP"]) == (0.25, 6.0)
-        with pytest.raises(ParameterError, match="2 is outside 0 to 1 s/rad"):
-            await drone.parameters.set(path, 2.0)
-        with pytest.raises(ParameterError, match="given twice"):
-            await drone.parameters.update({path: 0.2, "TMI_K_Q": 0.3})
-        with pytest.raises(ParameterError, match=r"no such parameter.*the nearest: attitude_control.k_q"):
-            await drone.parameters.read("attitude_control.kq")
-        assert (await drone.parameters.describe())["TMI_K_Q"].path == path
-        assert (await drone.parameters.all())["TMI_K_Q"].row.unit == "s/rad"
-        assert peer.parameters["TMI_K_Q"] == 0.25
+@flight()
+async def test_each_access_asks_the_drone(peer: Peer, drone: AsyncDrone) -> None:
+    assert await drone.parameters.read("ATT_KP") == 11.0
+    peer.parameters["ATT_KP"] = 6.0  # by another client, and the word of it was lost
+    assert await drone.parameters.read("ATT_KP") == 6.0
 
-    fly(flight, OWN | {"path": "attitude_control.k_q"})
+
+@flight(own)
+async def test_a_parameter_is_found_by_its_path_with_bounds_and_unit(peer: Peer, drone: AsyncDrone) -> None:
+    path = "attitude_control.k_q"
+    assert await drone.parameters.read(path) == 0.1
+    await drone.parameters.update({path: 0.25, "ATT_KP": 6.0})
+    assert (peer.parameters["TMI_K_Q"], peer.parameters["ATT_KP"]) == (0.25, 6.0)
+    with pytest.raises(ParameterError, match="2 is outside 0 to 1 s/rad"):
+        await drone.parameters.set(path, 2.0)
+    with pytest.raises(ParameterError, match="given twice"):
+        await drone.parameters.update({path: 0.2, "TMI_K_Q": 0.3})
+    with pytest.raises(ParameterError, match=r"no such parameter.*the nearest: attitude_control.k_q"):
+        await drone.parameters.read("attitude_control.kq")
+    assert (await drone.parameters.describe())["TMI_K_Q"].path == path
+    assert (await drone.parameters.all())["TMI_K_Q"].row.unit == "s/rad"
+    assert peer.parameters["TMI_K_Q"] == 0.25
 
 
 @pytest.mark.parametrize("told", ["hash", "count", "rig"])
-def test_what_was_known_is_forgotten_when_the_list_is_another(told: str) -> None:
-    """Told by the hash, by the number of parameters, or by which diagram flies: any one that arrives is enough."""
-
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        assert await drone.parameters.read("attitude_control.k_q") == 0.1
-        del peer.parameters["TMI_K_Q"]
-        describing(peer, OWN | {"name": "TOT_K_Q", "default": 7.0, "max": 9.0, "path": "attitude_control.k_q"})
-        if told == "hash":
-            peer.send("PARAM_VALUE", param_id="_HASH_CHECK", param_type=5, param_count=5, param_index=65535)
-        elif told == "count":
-            peer.parameters["ONE_MORE"] = 1.0
-            await drone.parameters.read("ATT_KP")
-        else:
-            peer.send("TWODOF_RIG", tick_us=4000, flags=4, name="paper", start=peer.start, diagram=5)
-        await asyncio.sleep(0.1)
-        assert await drone.parameters.read("attitude_control.k_q") == 7.0
-        await drone.parameters.set("attitude_control.k_q", 8.0)
-        assert peer.parameters["TOT_K_Q"] == 8.0
-        with pytest.raises(ParameterError, match="no such parameter"):
-            await drone.parameters.set("TMI_K_Q", 0.5)
-
-    fly(flight, OWN | {"path": "attitude_control.k_q"})
+@flight(own)
+async def test_entries_are_forgotten_when_the_list_changes(peer: Peer, drone: AsyncDrone, told: str) -> None:
+    """The hash, the number of parameters or the diagram's mark shows it; one of them is enough."""
+    assert await drone.parameters.read("attitude_control.k_q") == 0.1
+    del peer.parameters["TMI_K_Q"]
+    describing(peer, OWN | {"name": "TOT_K_Q", "default": 7.0, "max": 9.0})
+    if told == "hash":
+        peer.send("PARAM_VALUE", param_id="_HASH_CHECK", param_type=5, param_count=5, param_index=65535)
+    elif told == "count":
+        peer.parameters["ONE_MORE"] = 1.0
+        await drone.parameters.read("ATT_KP")
+    else:
+        peer.send("TWODOF_RIG", tick_us=4000, flags=4, name="paper", start=peer.start, diagram=5)
+    await asyncio.sleep(0.1)
+    assert await drone.parameters.read("attitude_control.k_q") == 7.0
+    await drone.parameters.set("attitude_control.k_q", 8.0)
+    assert peer.parameters["TOT_K_Q"] == 8.0
+    with pytest.raises(ParameterError, match="no such parameter"):
+        await drone.parameters.set("TMI_K_Q", 0.5)
 
 
-def test_of_changes_at_once_one_is_done_after_the_other() -> None:
-    """A PARAM_SET that came between the others of a transaction would be a part of it."""
-
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        change = drone.parameters.update
-        together = [change({"ATT_KP": 1.0 + n, "RATE_KP": 0.01 + 0.001 * n}) for n in range(5)]
-        await asyncio.gather(*together, *(drone.parameters.set("THRUST_BAR", 0.3 + 0.01 * n) for n in range(5)))
-        assert peer.parameters["ATT_KP"] - 1.0 == pytest.approx((peer.parameters["RATE_KP"] - 0.01) * 1000.0, abs=1e-3)
-
-    fly(flight)
+@flight()
+async def test_changes_at_once_run_one_after_the_other(peer: Peer, drone: AsyncDrone) -> None:
+    """A PARAM_SET amid those of a transaction would become part of it."""
+    change = drone.parameters.update
+    together = [change({"ATT_KP": 1.0 + n, "RATE_KP": 0.01 + 0.001 * n}) for n in range(5)]
+    await asyncio.gather(*together, *(drone.parameters.set("THRUST_BAR", 0.3 + 0.01 * n) for n in range(5)))
+    assert peer.parameters["ATT_KP"] - 1.0 == pytest.approx((peer.parameters["RATE_KP"] - 0.01) * 1000.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("listed", [False, True])
-def test_what_a_foreign_drone_is_silent_about_is_no_parameter_of_it(listed: bool) -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        assert not drone.ours
-        if listed:
-            await drone.parameters.all()
-        began = asyncio.get_running_loop().time()
-        with pytest.raises(ParameterError, match=r"no such parameter.*the nearest: ATT_KP"):
-            await drone.parameters.read("ATT_KPP")
-        assert asyncio.get_running_loop().time() - began <= SILENCE_S + 0.5
-        with pytest.raises(ParameterError, match=r"no such parameter"):
-            await drone.parameters.set("NOPE", 1.0)
-        with pytest.raises(Rejected, match="not one of ours"):
-            await drone.parameters.describe()
-        with pytest.raises(ParameterError, match="names on a drone of ours only"):
-            await drone.parameters.read("attitude_control.k_q")
-        with pytest.raises(ParameterError) as raised:
-            await drone.parameters.read("RATE_KI")
-        assert raised.value.remedy == "the nearest: RATE_KP, ATT_KP", "of those that it has"
-
-    fly(flight, peer=foreign())
-
-
-def test_a_foreign_drone_answers_for_what_it_does_not_list() -> None:
-    """PX4 lists what is in use, and knows the others by their names."""
-
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+@flight(Foreign)
+async def test_a_foreign_drones_silence_means_an_unknown_parameter(peer: Peer, drone: AsyncDrone, listed: bool) -> None:
+    assert not drone.ours
+    if listed:
         await drone.parameters.all()
-        peer.parameters["UNUSED"] = 3.0
-        assert await drone.parameters.read("UNUSED") == 3.0
+    began = asyncio.get_running_loop().time()
+    with pytest.raises(ParameterError, match=r"no such parameter.*the nearest: ATT_KP"):
+        await drone.parameters.read("ATT_KPP")
+    assert asyncio.get_running_loop().time() - began <= SILENCE_S + 0.5
+    with pytest.raises(ParameterError, match=r"no such parameter"):
+        await drone.parameters.set("NOPE", 1.0)
+    with pytest.raises(Rejected, match="not one of ours"):
+        await drone.parameters.describe()
+    with pytest.raises(ParameterError, match="names on a drone of ours only"):
+        await drone.parameters.read("attitude_control.k_q")
+    with pytest.raises(ParameterError) as raised:
+        await drone.parameters.read("RATE_KI")
+    assert raised.value.remedy == "the nearest: RATE_KP, ATT_KP", "of those that it has"
 
-    fly(flight, peer=foreign())
+
+@flight(Foreign)
+async def test_a_foreign_drone_answers_for_unlisted_parameters(peer: Peer, drone: AsyncDrone) -> None:
+    """PX4 lists only the parameters in use."""
+    await drone.parameters.all()
+    peer.parameters["UNUSED"] = 3.0
+    assert await drone.parameters.read("UNUSED") == 3.0
 
 
-def test_the_real_drones_own_name_is_found_by_the_packages() -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        peer.parameters["FC_PARAM_11"] = peer.parameters.pop("ATT_KP")
-        assert await drone.parameters.read("ATT_KP") == 11.0
-        await drone.parameters.set("ATT_KP", 9.0)
-        assert peer.parameters["FC_PARAM_11"] == 9.0
-
-    fly(flight, peer=foreign())
+@flight(Foreign)
+async def test_the_packages_name_finds_the_real_drones(peer: Peer, drone: AsyncDrone) -> None:
+    peer.parameters["FC_PARAM_11"] = peer.parameters.pop("ATT_KP")
+    assert await drone.parameters.read("ATT_KP") == 11.0
+    await drone.parameters.set("ATT_KP", 9.0)
+    assert peer.parameters["FC_PARAM_11"] == 9.0
 
 
-def test_the_timeout_of_a_drone_that_does_not_even_list_says_what_it_may_be() -> None:
-    silent = ("TWODOF_", "PARAM_")
-    peer = Peer(spoil=lambda _, sent: [] if sent.get_type().startswith(silent) else [sent])
-
-    async def flight(_: Peer, drone: AsyncDrone) -> None:
-        with pytest.raises(Timeout, match="silent about a name that it lacks"):
-            await drone.parameters.read("ATT_KP", 3.0)
-
-    fly(flight, peer=peer)
+@flight(Mute)
+async def test_a_drone_without_a_list_is_a_timeout_with_a_cause(peer: Peer, drone: AsyncDrone) -> None:
+    with pytest.raises(Timeout, match="silent about a name that it lacks"):
+        await drone.parameters.read("ATT_KP", 3.0)
 
 
 @pytest.mark.parametrize(
     "content",
     [b"", b"[]", b"{}", b"[" * 10_000, b'{"parameters": [{}]}', b'{"parameters": [{"name": "X", "type": 7}]}'],
 )
-def test_a_description_that_is_none_is_said_so(content: bytes) -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        peer.files[DESCRIPTION] = content
-        with pytest.raises(Rejected, match="description of its parameters is none"):
-            await drone.parameters.read("attitude_control.k_q")
-        assert await drone.parameters.read("ATT_KP") == 11.0
-
-    fly(flight)
+@flight()
+async def test_a_damaged_description_is_refused(peer: Peer, drone: AsyncDrone, content: bytes) -> None:
+    peer.files[DESCRIPTION] = content
+    with pytest.raises(Rejected, match="description of its parameters is none"):
+        await drone.parameters.read("attitude_control.k_q")
+    assert await drone.parameters.read("ATT_KP") == 11.0
 
 
 @pytest.mark.long
-def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_keeps_them(tmp_path: Path) -> None:
+def test_watchers_see_a_flashed_controllers_parameters_which_restarts_keep(tmp_path: Path) -> None:
     async def work() -> None:
         async with VirtualDrone(lockstep=True, state=tmp_path) as drone:
             await drone.listen("memin://flashed")
@@ -219,11 +195,12 @@ def test_whoever_watches_sees_the_parameters_of_what_is_flashed_and_a_restart_ke
     drone.assembly.close()
 
 
-def test_the_reason_of_a_refusal_is_not_what_is_told_beside_it() -> None:
-    """That another's change was done may be told late: between a refusal's reason and the refusal."""
+@flight()
+async def test_the_reason_of_a_refusal_is_a_warning(peer: Peer, drone: AsyncDrone) -> None:
+    """Information about another client's change may come late, between the reason and the refusal."""
 
     def refusing(_: int, sent: Any) -> list[Any]:
-        if not armed or sent.get_type() != "PARAM_VALUE":
+        if sent.get_type() != "PARAM_VALUE":
             return [sent]
         return [
             message("STATUSTEXT", severity=4, text="1/1 withholds tuning"),
@@ -231,12 +208,7 @@ def test_the_reason_of_a_refusal_is_not_what_is_told_beside_it() -> None:
             message("PARAM_ERROR", param_id=sent.param_id, param_index=-1, error=2),
         ]
 
-    async def flight(_: Peer, drone: AsyncDrone) -> None:
-        await drone.parameters.read("ATT_KP")
-        armed.append(True)
-        with pytest.raises(Rejected, match="ATT_KP: 1/1 withholds tuning"):
-            await drone.parameters.set("ATT_KP", 7.0)
-
-    armed: list[bool] = []
-    peer = Peer(spoil=refusing)
-    fly(flight, peer=peer)
+    await drone.parameters.read("ATT_KP")
+    peer.spoil = refusing
+    with pytest.raises(Rejected, match="ATT_KP: 1/1 withholds tuning"):
+        await drone.parameters.set("ATT_KP", 7.0)

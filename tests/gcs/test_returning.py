@@ -7,7 +7,7 @@ import pytest
 
 from tests.faults.virtual_time import VirtualLoop, run_virtual
 from tests.faults.whole import Whole, run
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, flight
 from twodof.errors import LinkLost, Rejected
 from twodof.excitation import Impulse
 from twodof.gcs.async_drone import AsyncDrone
@@ -166,35 +166,18 @@ def test_a_program_that_stood_still_goes_on_unless_it_was_flying(watching: bool,
 
 
 @pytest.mark.parametrize("after", [0.1, 0.3, 0.45, 0.6, 0.8, 0.95])
-def test_a_pilot_that_stood_still_for_a_moment_flies_on(after: float) -> None:
+@flight()
+async def test_a_pilot_that_stood_still_for_a_moment_flies_on(peer: Peer, drone: AsyncDrone, after: float) -> None:
     """Whenever it does: the drone hears of it twice a second, so for less than 3 s it was without its pilot."""
-
-    async def work() -> None:
-        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            await drone.arm()
-            await drone.level_hold()
-            await drone.run(1.0 + after)
-            loop = asyncio.get_running_loop()
-            assert isinstance(loop, VirtualLoop)
-            loop.stand_still(2.4)
-            await drone.run(2.0)
-            assert drone.state.armed
-            assert drone.messages == []
-
-    run_virtual(work())
-
-
-def test_a_reset_is_no_restart() -> None:
-    async def work() -> None:
-        peer = Peer(lockstep=True)
-        peer.start = 7
-        async with peer, await AsyncDrone.connect(peer.url) as drone:
-            await drone.run(1.0)
-            await drone.reset()
-            await drone.run(1.0)
-            assert drone.messages == []
-
-    run_virtual(work())
+    await drone.arm()
+    await drone.level_hold()
+    await drone.run(1.0 + after)
+    loop = asyncio.get_running_loop()
+    assert isinstance(loop, VirtualLoop)
+    loop.stand_still(2.4)
+    await drone.run(2.0)
+    assert drone.state.armed
+    assert drone.messages == []
 
 
 def test_a_drone_that_was_ended_and_begun_again_at_once_is_noticed() -> None:

@@ -6,10 +6,9 @@ from contextlib import AbstractContextManager, contextmanager
 import pytest
 from typer.testing import CliRunner
 
-from tests.fcu.command.cockpit import ME, OTHER, Cockpit
+from tests.fcu.command.cockpit import ME, Cockpit
 from tests.fleet.drone_numbers import free_numbers
-from tests.gcs.peer import Peer
-from tests.gcs.test_async_drone import fly
+from tests.gcs.peer import Peer, flight
 from tests.gcs.virtual import on_board
 from twodof.cli.app import app
 from twodof.companion.companion import Companion
@@ -83,50 +82,26 @@ def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -
             assert " 0.06 " in done.output
 
 
-def test_what_is_withheld_is_allowed_again_with_the_next_lease() -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
+@flight()
+async def test_what_is_withheld_is_allowed_again_with_the_next_lease(peer: Peer, drone: AsyncDrone) -> None:
+    await drone.withhold_tuning()
+    await drone.run(1.0)  # over a renewal
+    assert peer.tuning_withheld
+    await drone.lease.give_up(5.0)
+    await drone.lease.take(5.0)
+    await drone.run(1.0)
+    assert not peer.tuning_withheld
+
+
+@flight()
+async def test_who_has_lost_the_lease_is_told_to_whom_and_withholds_nothing(peer: Peer, drone: AsyncDrone) -> None:
+    peer.holder = (7, 190)
+    with pytest.raises(Rejected, match="7/190 holds the lease"):
         await drone.withhold_tuning()
-        await drone.run(1.0)  # over a renewal
-        assert peer.tuning_withheld
-        await drone.lease.give_up(5.0)
-        await drone.lease.take(5.0)
-        await drone.run(1.0)
-        assert not peer.tuning_withheld
-
-    fly(flight)
-
-
-def test_who_has_lost_the_lease_is_told_to_whom_and_withholds_nothing() -> None:
-    async def flight(peer: Peer, drone: AsyncDrone) -> None:
-        peer.holder = (7, 190)
-        with pytest.raises(Rejected, match="7/190 holds the lease"):
-            await drone.withhold_tuning()
-        peer.holder = (0, 0)
-        await drone.run(1.0)  # a renewal takes it
-        assert drone.lease.ours
-        assert not peer.tuning_withheld
-
-    fly(flight)
-
-
-def test_the_right_to_tune_is_everybodys_but_for_as_long_as_the_holder_withholds_it() -> None:
-    cockpit = Cockpit()
-    commander = cockpit.commander
-    assert commander.lease.may_tune(OTHER).accepted
-    assert commander.lease.holder is None
-    assert commander.lease.ask(ME, 1000).accepted
-    assert commander.lease.may_tune(OTHER).accepted
-    assert commander.lease.holder == ME
-    assert commander.lease.ask(ME, 1000, withhold_tuning=True).accepted
-    assert "withholds tuning" in commander.lease.may_tune(OTHER).text
-    assert commander.lease.may_tune(ME).accepted
-    assert not commander.lease.ask(OTHER, 1000, withhold_tuning=True).accepted
-    assert commander.lease.ask(ME, 1000).accepted
-    assert commander.lease.may_tune(OTHER).accepted
-    commander.lease.ask(ME, 1000, withhold_tuning=True)
-    assert commander.lease.give_up(ME).accepted
-    assert commander.lease.may_tune(OTHER).accepted
-    assert not commander.lease.may_tune((0, 0)).accepted
+    peer.holder = (0, 0)
+    await drone.run(1.0)  # a renewal takes it
+    assert drone.lease.ours
+    assert not peer.tuning_withheld
 
 
 @pytest.mark.parametrize(("M", "T", "why"), [(5.0, 0.0, "M = 5 is outside -1 to 1"), (0.0, 1.5, "T = 1.5 is outside")])

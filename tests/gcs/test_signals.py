@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.faults.virtual_time import run_virtual
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, flight
 from twodof.errors import LogError, Timeout
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.full_rate import BatchRows, TruthRows
@@ -91,20 +91,17 @@ def test_the_last_rows_are_waited_for() -> None:
     run_virtual(work())
 
 
-def test_a_slow_reader_loses_the_oldest_and_holds_nobody_up() -> None:
-    async def work() -> None:
-        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            q = drone.telemetry("q")
-            with q.stream(size=10) as slow, q.stream() as quick:
-                await drone.run(1.0)
-                assert slow.lost == pytest.approx(40, abs=3)  # of 50 in a second, less what was under way at its edges
-                assert quick.lost == 0
-                first = await slow.next()
-                times = [first.time, *[(await slow.next()).time for _ in range(9)]]
-                assert np.diff(times) == pytest.approx(0.02)
-                assert times[-1] == q.latest.time
-
-    run_virtual(work())
+@flight()
+async def test_a_slow_reader_loses_the_oldest_and_holds_nobody_up(peer: Peer, drone: AsyncDrone) -> None:
+    q = drone.telemetry("q")
+    with q.stream(size=10) as slow, q.stream() as quick:
+        await drone.run(1.0)
+        assert slow.lost == pytest.approx(40, abs=3)  # of 50 in a second, less what was under way at its edges
+        assert quick.lost == 0
+        first = await slow.next()
+        times = [first.time, *[(await slow.next()).time for _ in range(9)]]
+        assert np.diff(times) == pytest.approx(0.02)
+        assert times[-1] == q.latest.time
 
 
 def test_a_callback_that_raises_is_reported_and_harms_nobody() -> None:
@@ -127,17 +124,16 @@ def test_a_callback_that_raises_is_reported_and_harms_nobody() -> None:
     run_virtual(work())
 
 
-def test_a_signal_that_does_not_come_is_a_timeout_and_one_that_there_is_not_an_error() -> None:
-    async def work() -> None:
-        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
-            with pytest.raises(Timeout, match=r"no imu\.acc has come"):
-                _ = drone.telemetry("acc").value
-            with pytest.raises(Timeout, match=r"waiting for imu\.acc"):
-                await drone.telemetry("imu.acc").next(timeout=1.0)
-            with pytest.raises(LogError, match="no such signal"):
-                drone.telemetry("altitude")
-
-    run_virtual(work())
+@flight()
+async def test_a_signal_that_does_not_come_is_a_timeout_and_one_that_there_is_not_an_error(
+    peer: Peer, drone: AsyncDrone
+) -> None:
+    with pytest.raises(Timeout, match=r"no imu\.acc has come"):
+        _ = drone.telemetry("acc").value
+    with pytest.raises(Timeout, match=r"waiting for imu\.acc"):
+        await drone.telemetry("imu.acc").next(timeout=1.0)
+    with pytest.raises(LogError, match="no such signal"):
+        drone.telemetry("altitude")
 
 
 def test_true_states_are_in_order_and_each_once_whenever_one_looks() -> None:

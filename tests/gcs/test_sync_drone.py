@@ -1,20 +1,22 @@
-"""The synchronous drone is made of the asynchronous one: the same verbs, arguments, defaults and words."""
+"""Synchronous drone: the verbs, arguments and words of the asynchronous one, and the code of its page."""
 
 import inspect
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from twodof import gcs
-from twodof.gcs import AsyncDrone, Drone
-from twodof.gcs.drone import DroneFiles, DroneLogs, DroneParameters, DroneSignal
+from tests.gcs.virtual import on_board
+from twodof import fleet, gcs
+from twodof.gcs import AsyncDrone
+from twodof.gcs.drone import Drone, DroneFiles, DroneLogs
 from twodof.gcs.files import AsyncFiles, AsyncLogs
-from twodof.gcs.parameters import AsyncParameters
-from twodof.gcs.telemetry import AsyncSignal
 
 SCRIPT = """
 from twodof.gcs import Drone
@@ -56,26 +58,6 @@ def test_a_call_shows_its_own_words_and_no_async(name: str) -> None:
         assert not inspect.iscoroutinefunction(member)
 
 
-def test_what_waits_has_a_deadline_that_can_be_given() -> None:
-    """Every verb that waits for an answer takes `timeout`; those that let time pass end by it."""
-    by_time = {"run", "run_until"}
-    waits = {
-        f"{kind.__name__}.{name}": verb
-        for kind in (AsyncDrone, AsyncFiles, AsyncLogs, AsyncParameters, AsyncSignal)
-        for name, verb in verbs(kind).items()
-        if inspect.iscoroutinefunction(verb) and name not in by_time
-    }
-    assert len(waits) > 30
-    assert [name for name, verb in waits.items() if "timeout" not in inspect.signature(verb).parameters] == []
-
-
-def test_the_mapping_of_parameters_has_what_a_mapping_lacks() -> None:
-    for name in ("all", "undo", "describe"):
-        assert name in verbs(DroneParameters)
-        assert "timeout" in inspect.signature(verbs(DroneParameters)[name]).parameters
-    assert {"next", "on"} <= set(verbs(DroneSignal))
-
-
 @pytest.mark.parametrize(
     ("here", "there"),
     [(Drone, AsyncDrone), (DroneFiles, AsyncFiles), (DroneLogs, AsyncLogs)],
@@ -105,3 +87,32 @@ def test_type_checkers_see_the_synchronous_signatures(tmp_path: Path) -> None:
     assert len(found) == len(expected), done.stdout + done.stderr
     for line, text in zip(found, expected, strict=True):
         assert text in line
+
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "fly-from-python.md"
+
+
+@contextmanager
+def virtual_drone(rig: str = "lab", rings: bool = False) -> Iterator[str]:
+    """As that of `fleet`, which tests/fleet holds, without a process of its own."""
+    with on_board(rig=rig, lockstep=True, conditions={"rings": rings, "seed": 1}) as there:
+        yield there.url
+
+
+def test_the_code_on_the_page_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert len(blocks) == 6
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(fleet, "virtual_drone", virtual_drone)
+    exec(compile("\n".join(blocks), str(PAGE), "exec"), {"__name__": "__main__"})
+    assert "done" in capsys.readouterr().out
+    assert (tmp_path / "flight.mat").is_file()
+
+
+def test_every_verb_in_the_table_is_one_of_the_drones() -> None:
+    table = PAGE.read_text(encoding="utf-8").split("| verb | is |")[1].split("\n\n")[0]
+    verbs = re.findall(r"`(\w+)\(", table)
+    assert len(verbs) > 15
+    assert [verb for verb in verbs if not callable(getattr(Drone, verb, None))] == []

@@ -1,22 +1,28 @@
-"""A drone that asks for signatures: with the key everything works, without it nothing; and who is there at all."""
+"""Connecting: signing keys, system ids, taken ports, and the discovery of drones."""
+
+from __future__ import annotations
 
 import asyncio
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.faults.whole import paced_by_the_loop
+from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S
 from twodof.errors import LinkError, LinkLost
-from twodof.gcs import Drone, discover
+from twodof.gcs import Drone, discover, identity
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps, write_key
 from twodof.link.transport import open_transport
+from twodof.link.transport.url import Port
 from twodof.sim.virtual_drone import VirtualDrone
 
 
@@ -33,7 +39,7 @@ def test_a_signed_drone_is_flown_with_its_key_only(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_without_its_key_a_signed_drone_is_not_there_and_why_is_said(lockstep: bool) -> None:
+def test_a_signed_drone_without_its_key_is_lost_with_a_reason(lockstep: bool) -> None:
     signing = Signing(Key.fresh(), Stamps(None))
 
     async def work() -> None:
@@ -52,7 +58,7 @@ def test_without_its_key_a_signed_drone_is_not_there_and_why_is_said(lockstep: b
     run_virtual(work())
 
 
-def test_a_key_for_a_drone_without_one_is_said_to_be_none_of_its() -> None:
+def test_a_key_for_an_unsigned_drone_is_lost_with_a_reason() -> None:
     async def work() -> None:
         with paced_by_the_loop():
             async with VirtualDrone() as drone:
@@ -79,8 +85,7 @@ def test_a_host_that_is_unknown_is_an_error(monkeypatch: pytest.MonkeyPatch) -> 
         asyncio.run(discover(0.1, hosts=["no-such-host.invalid"], places=[]))
 
 
-def test_each_drone_is_found_where_only_it_is_heard() -> None:
-    """A place at which both are heard comes first among those looked at; each has one of its own as well."""
+def test_each_drone_is_found_at_its_own_place() -> None:
 
     async def beat(url: str, *systems: int) -> None:
         connections = [Connection(await open_transport(url), system, 1) for system in systems]
@@ -105,7 +110,7 @@ def test_each_drone_is_found_where_only_it_is_heard() -> None:
     run_virtual(look())
 
 
-def test_drones_are_found_with_their_url_and_state() -> None:
+def test_drones_are_found_with_url_and_state() -> None:
     async def work() -> None:
         with paced_by_the_loop():
             async with VirtualDrone(index=4) as one, VirtualDrone(index=6, lockstep=True) as two:
@@ -123,7 +128,6 @@ def test_drones_are_found_with_their_url_and_state() -> None:
 
 
 def test_a_drone_is_found_over_a_network() -> None:
-    """In real time, and as long as it takes: what says itself once a second, behind one that nobody listens at."""
     with on_board(index=4) as there:
 
         async def work() -> None:
@@ -132,3 +136,42 @@ def test_a_drone_is_found_over_a_network() -> None:
             assert [(each.system, each.url) for each in found] == [(5, there.url)]
 
         asyncio.run(asyncio.wait_for(work(), PATIENCE_S))
+
+
+TWO = (1001, 1002)  # ids that no drone of another test has
+ANOTHER = f"""
+import sys
+from twodof.gcs import identity
+identity.OWN_SYSTEMS = {TWO}
+print(identity.drawn(), flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="numbers are kept apart on Linux only")
+def test_a_clients_id_is_its_own_until_it_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(identity, "OWN_SYSTEMS", TWO)
+    other = subprocess.Popen([sys.executable, "-c", ANOTHER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    with other:
+        assert other.stdout is not None
+        theirs = int(other.stdout.readline())
+        for _ in range(8):
+            ours = identity.drawn()
+            assert ours != theirs
+            identity.give_back(ours)
+        other.kill()
+    both = {identity.drawn(), identity.drawn()}
+    for number in both:
+        identity.give_back(number)
+    assert both == set(TWO)
+
+
+def test_a_taken_port_is_named_if_no_drone_answers() -> None:
+    with free_numbers(1) as number, socket.socket(type=socket.SOCK_DGRAM) as other:
+        port = Port.ONBOARD + number
+        other.bind(("127.0.0.1", port))
+        with pytest.raises(LinkLost, match="in use") as caught:
+            asyncio.run(AsyncDrone.connect(f"udpin://127.0.0.1:{port}", timeout=0.3))
+    assert str(port) in caught.value.where
+    assert str(Port.COMPANION_ONBOARD + number) in caught.value.what
+    assert "end who has it" in caught.value.remedy
