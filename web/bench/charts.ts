@@ -8,7 +8,7 @@ import { DEGREES, type Channel, type Series } from "../src/chart/kinds";
 import LinePlot from "../src/chart/LinePlot.svelte";
 import { latency } from "../src/chart/latency";
 import StripCharts from "../src/chart/StripCharts.svelte";
-import { TimeView } from "../src/chart/time_view.svelte";
+import { TimeView } from "../src/chart/views.svelte";
 
 const RATE = 250;
 const asked = new URLSearchParams(location.search);
@@ -88,7 +88,7 @@ function add(rows: number): void {
     time[k] = made / RATE;
     row(made).forEach((value, c) => (columns[c]![k] = value));
   }
-  history.append({ time, columns }, (performance.timeOrigin + performance.now()) / 1000);
+  history.append({ time, columns, sent: (performance.timeOrigin + performance.now()) / 1000 });
 }
 add(Math.round(seconds * RATE));
 if (live) {
@@ -99,10 +99,7 @@ if (live) {
   );
 }
 
-const view = new TimeView(
-  () => history.newest,
-  () => history.oldest,
-);
+const view = new TimeView(history);
 if (seconds) view.zoom(Math.min(60, seconds) / view.span, history.newest);
 const target = document.getElementById("app")!;
 mount(StripCharts, { target, props: { history, panels: PANELS, view, height: 110 } });

@@ -46,7 +46,7 @@ describe.skipIf(cases.length === 0)("the figures of steps as they happen", () =>
     "are those that Python reads from the log: %s, %i rows at a time",
     (_, batch, one) => {
       const steps = watched(one, batch).update();
-      expect(steps.map((step) => step.loop.loop)).toEqual(one.found.map((found) => found.loop));
+      expect(steps.map((step) => step.loop.name)).toEqual(one.found.map((found) => found.loop));
       steps.forEach((step, k) => {
         const found = one.found[k]!;
         const pairs: [number, number | null][] = [

@@ -7,13 +7,11 @@ export interface Rows {
   /** Drone time [s] of each row. */
   time: Float64Array<ArrayBuffer>;
   /** One array for each column, in the order asked for. */
-  values: Float32Array<ArrayBuffer>[];
+  columns: Float32Array<ArrayBuffer>[];
   /** Rows of this subscription that the server has let go so far, since this page read too slowly. */
   dropped: number;
   /** When the server sent them: its Unix time [s]. */
   sent: number;
-  /** When they arrived here: `performance.now()` [ms]. */
-  received: number;
 }
 
 const ROWS = 1;
@@ -23,20 +21,19 @@ const HEADER_BYTES = 24;
  * Reads u8 kind = 1, u8, u16 id, u32 rows n, u32 dropped, u32, f64 Unix time [s], f64[n] drone time [s], float32[n] for
  * each column. Answers undefined for what is not such a message, as a later server may send others.
  */
-export function readRows(data: ArrayBuffer, received: number): Rows | undefined {
+export function readRows(data: ArrayBuffer): Rows | undefined {
   if (data.byteLength < HEADER_BYTES) return undefined;
   const view = new DataView(data);
   const count = view.getUint32(4, true);
   const rest = data.byteLength - HEADER_BYTES - 8 * count;
   if (view.getUint8(0) !== ROWS || rest < 0 || (count > 0 && rest % (4 * count) !== 0)) return undefined;
-  const columns = count > 0 ? rest / (4 * count) : 0;
+  const width = count > 0 ? rest / (4 * count) : 0;
   const start = HEADER_BYTES + 8 * count;
   return {
     id: view.getUint16(2, true),
     time: new Float64Array(data, HEADER_BYTES, count),
-    values: Array.from({ length: columns }, (_, k) => new Float32Array(data, start + 4 * count * k, count)),
+    columns: Array.from({ length: width }, (_, k) => new Float32Array(data, start + 4 * count * k, count)),
     dropped: view.getUint32(8, true),
     sent: view.getFloat64(16, true),
-    received,
   };
 }

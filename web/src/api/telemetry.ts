@@ -133,7 +133,7 @@ export class Telemetry {
   }
 
   private rows(data: ArrayBuffer): void {
-    const rows = readRows(data, performance.now());
+    const rows = readRows(data);
     if (rows !== undefined) this.subscriptions.get(rows.id)?.onRows(rows);
   }
 
@@ -193,8 +193,8 @@ export class Telemetry {
   }
 }
 
-/** The socket of this page's server. */
-export function openSocket(): Socket {
+/** Open the socket of this page's server. */
+function openSocket(): Socket {
   const url = apiUrl("telemetry");
   url.protocol = url.protocol.replace("http", "ws");
   if (token()) url.searchParams.set("token", token());

@@ -1,9 +1,10 @@
 import { Pyramid } from "./draw/pyramid";
 
-/** Rows that came together: their times [s] and one array a column. */
+/** Rows that came together: times [s], one array per column, and when the server sent them, Unix time [s]. */
 export interface Rows {
   time: ArrayLike<number>;
   columns: readonly ArrayLike<number>[];
+  sent?: number;
 }
 
 const ROWS = 1 << 18; // 17 minutes at 250 Hz; 15 columns take 20 MB
@@ -78,8 +79,7 @@ export class History {
   }
 
   /** Takes rows in, at most `capacity` of them kept. A row that is not newer than the last one is passed over. */
-  append(rows: Rows, sent = NaN): void {
-    const { time, columns } = rows;
+  append({ time, columns, sent = NaN }: Rows): void {
     for (let k = 0; k < time.length; k += 1) {
       const now = time[k]!;
       if (this.length && !(now > this.newest)) {

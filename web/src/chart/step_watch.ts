@@ -1,29 +1,17 @@
+import { CONTROL_LOOPS, type ControlLoop } from "../loops";
 import type { History } from "./history";
 import { HELD, peakMoment, stepFigures, type Step, type StepFigures } from "./step_metrics";
 
-/** Loops from the innermost, with the column of the set-point, of what follows it, and their place in signals.MODES. */
-export const LOOPS = [
-  { loop: "rate", label: "q", wanted: "setpoint.q", follows: "estimate.q", mode: 2, angle: true, unit: "deg/s" },
-  {
-    loop: "attitude",
-    label: "θ",
-    wanted: "setpoint.theta",
-    follows: "estimate.theta",
-    mode: 3,
-    angle: true,
-    unit: "deg",
-  },
-  { loop: "velocity", label: "v", wanted: "setpoint.v", follows: "estimate.v", mode: 4, angle: false, unit: "m/s" },
-  { loop: "position", label: "x", wanted: "setpoint.x", follows: "estimate.x", mode: 5, angle: false, unit: "m" },
-] as const;
-export type Loop = (typeof LOOPS)[number];
+const LOOPS = CONTROL_LOOPS.filter((one) => one.loop !== "M");
+const wanted = ({ loop }: ControlLoop): string => `setpoint.${loop}`;
+const follows = ({ loop }: ControlLoop): string => `estimate.${loop}`;
 
-/** The columns that `StepWatch` reads where they are kept. */
-export const STEP_COLUMNS = ["state.mode", "command.M", ...LOOPS.flatMap((one) => [one.wanted, one.follows])];
+/** Columns that `StepWatch` reads. */
+export const STEP_COLUMNS = ["state.mode", "command.M", ...LOOPS.flatMap((one) => [wanted(one), follows(one)])];
 
 /** A step that was flown, or that is being answered now (`over` is false). */
 export interface FlownStep extends Step {
-  loop: Loop;
+  loop: ControlLoop;
   figures: StepFigures;
   peakMoment: number;
   over: boolean;
@@ -44,8 +32,8 @@ export class StepWatch {
   private steps: FlownStep[] = [];
   private read = 0;
   private restarts = 0;
-  private run = new Map<Loop, Level>();
-  private held = new Map<Loop, Level>();
+  private run = new Map<ControlLoop, Level>();
+  private held = new Map<ControlLoop, Level>();
 
   constructor(
     private readonly history: History,
@@ -75,8 +63,8 @@ export class StepWatch {
     this.restarts = this.history.restarts;
   }
 
-  private level(loop: Loop, row: number): void {
-    const value = this.history.column(loop.wanted)?.at(row) ?? NaN;
+  private level(loop: ControlLoop, row: number): void {
+    const value = this.history.column(wanted(loop))?.at(row) ?? NaN;
     const time = this.history.time(row);
     let run = this.run.get(loop);
     if (run === undefined || run.value !== value) {
@@ -96,13 +84,13 @@ export class StepWatch {
     this.steps = [...this.steps, { ...found, figures, peakMoment: NaN, over: false }].slice(-this.kept);
   }
 
-  private follows(loop: Loop, row: number): boolean {
+  private follows(loop: ControlLoop, row: number): boolean {
     const mode = this.history.column("state.mode");
     return mode === undefined || (row >= this.history.first && mode.at(row) === loop.mode);
   }
 
   /** The next step has come, or the loop was opened: what is being answered is over. */
-  private end(loop: Loop, time: number): void {
+  private end(loop: ControlLoop, time: number): void {
     const open = (step: FlownStep): boolean => step.loop === loop && !step.over;
     if (this.steps.some(open))
       this.steps = this.steps.map((step) => (open(step) ? { ...this.measured(step, time), over: true } : step));
@@ -112,12 +100,12 @@ export class StepWatch {
     const { history } = this;
     const until = Math.min(end, step.time + LONGEST);
     const [times, moments, since, values]: [number[], number[], number[], number[]] = [[], [], [], []];
-    const follows = history.column(step.loop.follows);
+    const response = history.column(follows(step.loop));
     const moment = history.column("command.M");
     for (let row = history.rowAt(step.time); row < history.last && history.time(row) <= until; row += 1) {
       times.push(history.time(row));
       moments.push(moment?.at(row) ?? NaN);
-      const value = follows?.at(row) ?? NaN;
+      const value = response?.at(row) ?? NaN;
       // x and v come at 100 Hz: not every row has them.
       if (Number.isNaN(value)) continue;
       since.push(history.time(row) - step.time);

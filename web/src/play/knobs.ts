@@ -1,3 +1,5 @@
+import { controlLoop } from "../loops";
+
 /** A parameter that the page offers: its path, label, unit, and the part of its bounds that a slider spans. */
 export interface Knob {
   path: string;
@@ -39,11 +41,11 @@ export const TROUBLES: readonly Knob[] = [
 
 export const KNOBS: readonly Knob[] = [...GAINS.flatMap((one) => one.knobs), ...TROUBLES];
 
-/** The loops that a person may close, with the set-point of each. */
+/** Loops that can be flown: bound and automatic step of the set-point, in SI. */
 export const MODES = [
-  { mode: 3, key: "attitude", label: "Attitude", setpoint: "theta", unit: "rad", limit: 0.52, step: 0.17, name: "θ" },
-  { mode: 2, key: "rate", label: "Rate", setpoint: "q", unit: "rad/s", limit: 1.5, step: 0.5, name: "q" },
-  { mode: 4, key: "velocity", label: "Velocity", setpoint: "v", unit: "m/s", limit: 0.4, step: 0.15, name: "v" },
-  { mode: 5, key: "position", label: "Position", setpoint: "x", unit: "m", limit: 0.3, step: 0.2, name: "x" },
-] as const;
+  { ...controlLoop("theta"), title: "Attitude", limit: 0.52, step: 0.17 },
+  { ...controlLoop("q"), title: "Rate", limit: 1.5, step: 0.5 },
+  { ...controlLoop("v"), title: "Velocity", limit: 0.4, step: 0.15 },
+  { ...controlLoop("x"), title: "Position", limit: 0.3, step: 0.2 },
+];
 export type FlyMode = (typeof MODES)[number];

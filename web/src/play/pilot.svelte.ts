@@ -7,7 +7,7 @@ const HALF = 2.5;
 /** What a person has set, and the clock that flies it. The flight itself computes; this only asks. */
 export class Pilot {
   start: Start = $state({ rig: "lab", seed: 1, noise: true, rings: true });
-  mode: FlyMode = $state.raw(MODES[0]);
+  mode: FlyMode = $state.raw(MODES[0]!);
   wanted = $state(0);
   armed = $state(true);
   link = $state(true);
@@ -71,7 +71,7 @@ export class Pilot {
   choose(mode: FlyMode): void {
     this.mode = mode;
     this.wanted = 0;
-    if (this.start.rings && mode.mode > 3) {
+    if (this.start.rings && mode.movesCart) {
       this.start.rings = false; // the rings lock the cart
       this.again();
     }
@@ -101,7 +101,7 @@ export class Pilot {
       let count = left;
       if (this.stepping) {
         const up = Math.floor(at / half) % 2 === 1;
-        this.wanted = up ? this.mode.step : this.mode.key === "velocity" ? -this.mode.step : 0;
+        this.wanted = up ? this.mode.step : this.mode.name === "velocity" ? -this.mode.step : 0;
         count = Math.min(left, half - (at % half)); // it steps in the control step, not in the frame
       }
       this.flight.advance(count, this.command());
@@ -115,7 +115,7 @@ export class Pilot {
     const none = { theta: 0, q: 0, x: 0, v: 0 };
     return {
       ...none,
-      [this.mode.setpoint]: this.wanted,
+      [this.mode.loop]: this.wanted,
       mode: this.mode.mode,
       thrust: 0.4,
       arm: this.armed,
@@ -128,7 +128,7 @@ export class Pilot {
     const said = new URLSearchParams();
     for (const { path, key } of KNOBS)
       if (this.values[path] !== this.defaults[path]) said.set(key, String(this.values[path]));
-    if (this.mode.key !== "attitude") said.set("mode", this.mode.key);
+    if (this.mode.name !== "attitude") said.set("mode", this.mode.name);
     if (this.start.rig !== "lab") said.set("rig", this.start.rig);
     if (this.start.seed !== 1) said.set("seed", String(this.start.seed));
     if (!this.start.noise) said.set("noise", "0");
@@ -147,11 +147,11 @@ export class Pilot {
         this.refusal = reason instanceof Error ? reason.message : String(reason);
       }
     }
-    this.mode = MODES.find((one) => one.key === said.get("mode")) ?? this.mode;
+    this.mode = MODES.find((one) => one.name === said.get("mode")) ?? this.mode;
     if (said.get("rig") === "paper") this.start.rig = "paper";
     const seed = Number(said.get("seed") ?? 1);
     if (Number.isInteger(seed) && seed >= 0 && seed < 2 ** 32) this.start.seed = seed;
     this.start.noise = said.get("noise") !== "0";
-    this.start.rings = said.get("rings") !== "0" && this.mode.mode <= 3;
+    this.start.rings = said.get("rings") !== "0" && !this.mode.movesCart;
   }
 }

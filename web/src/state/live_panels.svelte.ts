@@ -39,10 +39,6 @@ export const MOMENT: LivePanel = {
 export function liveHistory(drone: () => number, panels: readonly LivePanel[], rate: number, kept: number): History {
   const columns = panels.flatMap((panel) => panel.channels.map((one) => one.column));
   const history = new History(columns, kept);
-  $effect(() =>
-    telemetry.subscribe(drone(), history.names, rate, (rows) =>
-      history.append({ time: rows.time, columns: rows.values }, rows.sent),
-    ),
-  );
+  $effect(() => telemetry.subscribe(drone(), history.names, rate, (rows) => history.append(rows)));
   return history;
 }

@@ -1,6 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { Loop } from "../../src/api/drones";
-import { excitationOf, initial, kinds, UNITS } from "../../src/pages/fly/excitation/forms";
+import { excitationOf, initial, kinds } from "../../src/pages/fly/excitation/forms";
+import { controlLoop } from "../../src/loops";
 import { LOOPS, followed } from "../../src/pages/fly/loops";
 
 const ALL: Loop[] = ["theta", "q", "M", "v", "x"];
@@ -25,7 +26,7 @@ describe("the form of an excitation", () => {
           expect(values[field.name]).toBeLessThanOrEqual(field.high);
         }
         const sent = excitationOf(kind, loop, values);
-        expect([sent.kind, sent.version, sent["unit"]]).toEqual([kind.kind, 1, UNITS[loop]]);
+        expect([sent.kind, sent.version, sent["unit"]]).toEqual([kind.kind, 1, controlLoop(loop).unit]);
         expect(JSON.stringify(sent)).not.toContain("null");
       }
     }

@@ -1,15 +1,7 @@
 import { describe, expect, it } from "vitest";
 import type { ExperimentRow, OutputCurves, ResidualTest } from "../../src/api/identification";
 import { byLoop, experimentAsked, experimentOf, fitAsked, latestOf, windowOf } from "../../src/pages/identify/asked";
-import {
-  fitSeries,
-  fitWords,
-  onScreen,
-  residualSeries,
-  strength,
-  testSeries,
-  testWords,
-} from "../../src/pages/identify/curves";
+import { fitSeries, fitWords, residualSeries, strength, testSeries, testWords } from "../../src/pages/identify/curves";
 
 const NAMES = ["impulse", "doublet", "velocity-doublet", "attitude-steps"];
 const FLIGHTS = [
@@ -92,7 +84,6 @@ describe("curves", () => {
     const [measured, greybox] = fitSeries(output);
     expect(measured!.y[1]).toBeNaN();
     expect(greybox!.y[1]).toBeCloseTo(180);
-    expect(onScreen("rad/s").name).toBe("deg/s");
     expect(residualSeries(output)[0]!.kind).toBe("grey-box");
     expect(residualSeries({ ...output, greybox: undefined, simple: [0, 0] } as unknown as OutputCurves)[0]!.kind).toBe(
       "simple",

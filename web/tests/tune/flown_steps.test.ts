@@ -1,9 +1,10 @@
 import { describe, expect, it } from "vitest";
 import { History } from "../../src/chart/history";
-import { LOOPS, type FlownStep } from "../../src/chart/step_watch";
+import type { FlownStep } from "../../src/chart/step_watch";
+import { controlLoop } from "../../src/loops";
 import { scaledStep } from "../../src/pages/tune/flown_steps";
 
-const attitude = LOOPS.find((one) => one.loop === "attitude")!;
+const attitude = controlLoop("theta");
 
 function flown(before: number, after: number, loop: FlownStep["loop"] = attitude): [History, FlownStep] {
   const history = new History(["estimate.theta"]);
@@ -28,7 +29,7 @@ describe("a flown step", () => {
   });
   it("of another loop, or too small to tell from noise, is none", () => {
     expect(scaledStep(...flown(0, 0.02), 0.17, "x")).toBeUndefined();
-    const rate = LOOPS.find((one) => one.loop === "rate")!;
+    const rate = controlLoop("q");
     expect(scaledStep(...flown(0, 0.2, rate), 0.17, "x")).toBeUndefined();
   });
 });

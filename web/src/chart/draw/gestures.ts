@@ -1,44 +1,20 @@
 import type uPlot from "uplot";
-
-/** What is seen of x, and what pointers and keys do to it. */
-export interface Zoomable {
-  pointer: number | null;
-  pins: readonly number[];
-  readonly log?: boolean;
-  range(): readonly [number, number];
-  setRange(low: number, high: number): void;
-  zoom(factor: number, at: number): void;
-  whole(): void;
-  reset(): void;
-  pin(x: number): void;
-  togglePause?(): void;
-}
+import { TimeView, type View } from "../views.svelte";
 
 const STEP = 0.8; // of a turn of the wheel, or of a press of +
 const CLICK = 4; // pixels that a click may move
 
-/** x after a move by `share` of what is seen. */
-function moved(view: Zoomable, x: number, share: number): number {
-  const [low, high] = view.range();
-  return view.log ? x * (high / low) ** share : x + share * (high - low);
-}
-
-function pan(view: Zoomable, share: number): void {
-  const [low, high] = view.range();
-  view.setRange(moved(view, low, share), moved(view, high, share));
-}
-
 /**
- * Pointers on a plot: drag pans, Shift and drag zooms to what is marked, two fingers pinch, the wheel zooms, a click
- * sets a cursor, a double click shows it as it was. `wheelAlways`: also before the plot has been clicked.
+ * Handle pointers on a plot: drag pans, Shift and drag zooms to the marked range, two fingers and the wheel zoom, a click
+ * sets a cursor, a double click resets the view. `wheelAlways`: the wheel needs no click before.
  */
-export function pointers(u: uPlot, view: () => Zoomable, wheelAlways: () => boolean, keep: AbortSignal): void {
+export function pointers(u: uPlot, view: () => View, wheelAlways: () => boolean, keep: AbortSignal): void {
   const over = u.over;
   const down = new Map<number, number>();
   let mode: "pan" | "mark" | "pinch" | "" = "";
   let start = 0;
   let far = 0;
-  let seen: readonly [number, number] = [0, 1];
+  let seen = view().range();
   const on = <K extends keyof HTMLElementEventMap>(name: K, what: (event: HTMLElementEventMap[K]) => void): void =>
     over.addEventListener(name, what, { signal: keep, passive: false });
   const at = (clientX: number): number => clientX - over.getBoundingClientRect().left;
@@ -71,11 +47,7 @@ export function pointers(u: uPlot, view: () => Zoomable, wheelAlways: () => bool
         false,
       );
     } else if (far > CLICK) {
-      const back = share(start - now);
-      const [low, high] = seen;
-      const log = view().log;
-      const to = (x: number): number => (log ? x * (high / low) ** back : x + back * (high - low));
-      view().setRange(to(low), to(high));
+      view().pan(share(start - now), seen);
     }
   });
   const up = (event: PointerEvent): void => {
@@ -96,18 +68,18 @@ export function pointers(u: uPlot, view: () => Zoomable, wheelAlways: () => bool
   on("wheel", (event) => {
     if (!wheelAlways() && !event.ctrlKey && !u.root.closest("[data-plot]")?.contains(document.activeElement)) return;
     event.preventDefault();
-    if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) pan(view(), share(event.deltaX));
+    if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) view().pan(share(event.deltaX));
     else view().zoom(event.deltaY > 0 ? 1 / STEP : STEP, u.posToVal(at(event.clientX), "x"));
   });
 }
 
-/** What the keys do, for the help beside a plot. */
+/** Help text of the keys. */
 export const KEYS =
   "Left and right move the cursor, with Shift they pan; plus and minus zoom; Enter sets a cursor; " +
-  "Home shows all, End the newest; Escape clears; Space pauses what is live.";
+  "Home shows all, End the newest; Escape clears; Space pauses a live plot.";
 
-/** A key pressed on a plot; true where it did something. */
-export function key(view: Zoomable, event: KeyboardEvent): boolean {
+/** Handle a key on a plot. Returns whether the plot uses it. */
+export function key(view: View, event: KeyboardEvent): boolean {
   if (event.altKey || event.ctrlKey || event.metaKey) return false;
   const [low, high] = view.range();
   const middle = view.log ? Math.sqrt(low * high) : (low + high) / 2;
@@ -117,8 +89,8 @@ export function key(view: Zoomable, event: KeyboardEvent): boolean {
     case "ArrowLeft":
     case "ArrowRight": {
       const way = event.key === "ArrowLeft" ? -1 : 1;
-      if (event.shiftKey) pan(view, 0.1 * way);
-      else view.pointer = Math.min(high, Math.max(low, moved(view, at, way * step)));
+      if (event.shiftKey) view.pan(0.1 * way);
+      else view.pointer = Math.min(high, Math.max(low, view.moved(at, way * step)));
       break;
     }
     case "+":
@@ -142,7 +114,7 @@ export function key(view: Zoomable, event: KeyboardEvent): boolean {
       view.pointer = null;
       break;
     case " ":
-      if (view.togglePause === undefined) return false;
+      if (!(view instanceof TimeView)) return false;
       view.togglePause();
       break;
     default:

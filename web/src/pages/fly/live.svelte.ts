@@ -65,7 +65,7 @@ export class Live {
   start(): () => void {
     const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => {
       this.dropped = rows.dropped;
-      this.history.append({ time: rows.time, columns: rows.values }, rows.sent);
+      this.history.append(rows);
     });
     const timer = setInterval(() => {
       if (this.history.length > 0 && !document.hidden) this.now = this.read();

@@ -1,96 +1,40 @@
 import type { Loop } from "../../api/drones";
 import { shownValue } from "../../design/units";
+import { controlLoop, type ControlLoop } from "../../loops";
 import type { Now } from "./live.svelte";
 
-/** A loop that takes set-points: what it is called, its unit, and how far its slider and its number go, in SI. */
-export interface LoopRow {
-  loop: Loop;
-  label: string;
-  /** What a sighted person reads on the tab. */
-  short: string;
-  unit: string;
-  /** Of the slider; what is typed may go up to `most`. */
+/** Ranges of a loop's set-point, in SI. */
+interface Ranges {
+  /** Largest value of the slider, and the step of its arrow keys. */
   slides: number;
-  /** What one arrow key on the slider gives, in SI. */
   step: number;
+  /** Largest value that can be typed. */
   most: number;
-  /** Buttons for clean steps, in SI. */
+  /** Buttons. */
   steps: readonly number[];
-  /** The loop moves the cart, which the rings may lock, and commands the thrust. */
-  movesCart: boolean;
 }
 
 const DEG = Math.PI / 180;
 const degrees = (values: number[]) => values.map((value) => value * DEG);
+const STEPS = [-0.2, -0.1, 0, 0.1, 0.2];
+const RANGES: Readonly<Record<Loop, Ranges>> = {
+  theta: { slides: 20 * DEG, step: 0.5 * DEG, most: 50 * DEG, steps: degrees([-10, -5, 0, 5, 10]) },
+  x: { slides: 0.35, step: 0.005, most: 0.4, steps: STEPS },
+  v: { slides: 0.5, step: 0.01, most: 2, steps: STEPS },
+  q: { slides: 60 * DEG, step: DEG, most: 180 * DEG, steps: degrees([-30, -15, 0, 15, 30]) },
+  M: { slides: 0.1, step: 0.001, most: 1, steps: [-0.03, -0.01, 0, 0.01, 0.03] },
+};
 
-export const LOOPS: readonly LoopRow[] = [
-  {
-    loop: "theta",
-    label: "Pitch θ",
-    short: "Pitch",
-    unit: "rad",
-    slides: 20 * DEG,
-    step: 0.5 * DEG,
-    most: 50 * DEG,
-    steps: degrees([-10, -5, 0, 5, 10]),
-    movesCart: false,
-  },
-  {
-    loop: "x",
-    label: "Position x",
-    short: "Position",
-    unit: "m",
-    slides: 0.35,
-    step: 0.005,
-    most: 0.4,
-    steps: [-0.2, -0.1, 0, 0.1, 0.2],
-    movesCart: true,
-  },
-  {
-    loop: "v",
-    label: "Velocity v",
-    short: "Velocity",
-    unit: "m/s",
-    slides: 0.5,
-    step: 0.01,
-    most: 2,
-    steps: [-0.2, -0.1, 0, 0.1, 0.2],
-    movesCart: true,
-  },
-  {
-    loop: "q",
-    label: "Pitch rate q",
-    short: "Rate",
-    unit: "rad/s",
-    slides: 60 * DEG,
-    step: DEG,
-    most: 180 * DEG,
-    steps: degrees([-30, -15, 0, 15, 30]),
-    movesCart: false,
-  },
-  {
-    loop: "M",
-    label: "Moment M, no loop closed",
-    short: "Moment",
-    unit: "-",
-    slides: 0.1,
-    step: 0.001,
-    most: 1,
-    steps: [-0.03, -0.01, 0, 0.01, 0.03],
-    movesCart: false,
-  },
-];
+/** Return a loop with the ranges of its controls. */
+export const loopRow = (loop: Loop): ControlLoop & Ranges => ({ ...controlLoop(loop), ...RANGES[loop] });
 
-export const loopRow = (loop: Loop): LoopRow => LOOPS.find((one) => one.loop === loop) ?? LOOPS[0]!;
+/** Loops in the order of the tabs. */
+export const LOOPS = (Object.keys(RANGES) as Loop[]).map(loopRow);
 
-/** By place in signals.MODES. */
-const FLOWN: readonly (Loop | undefined)[] = [undefined, "M", "q", "theta", "v", "x"];
-
-/** What the drone follows now, as it tells, whoever gave it. */
+/** Describe the set-point that the drone reports, whichever client sent it. */
 export function followed(now: Now, armed: boolean): string {
-  const loop = FLOWN[now.mode];
-  if (!armed || loop === undefined) return "follows nothing";
-  if (loop === "M") return "flies a moment, no loop";
-  const row = loopRow(loop);
-  return `follows ${row.short.toLowerCase()} ${shownValue(now.wanted[loop], row.unit)}`;
+  const row = controlLoop(now.mode);
+  if (!armed || row === undefined) return "follows nothing";
+  if (row.loop === "M") return "flies a moment, no loop";
+  return `follows ${row.short.toLowerCase()} ${shownValue(now.wanted[row.loop], row.unit)}`;
 }

@@ -1,16 +1,6 @@
 // What is asked of the server: an experiment, ready-made or with an excitation of one's own, and which logs fit.
-import type { Loop } from "../../api/drones";
 import type { ExperimentAsked, ExperimentRow, FitAsked } from "../../api/identification";
 import type { Excitation } from "../../api/drones";
-
-/** The loop that an experiment's mode excites. */
-export const LOOP_OF: Readonly<Record<string, Loop>> = {
-  "open-loop": "M",
-  rate: "q",
-  attitude: "theta",
-  velocity: "v",
-  position: "x",
-};
 
 /** The experiments by what moves the drone: the moment itself, or the set-point of a controller. */
 export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [string, ExperimentRow[]])[] {

@@ -1,16 +1,10 @@
 // A fit's curves as the plots take them.
 import type { FitView, OutputCurves, ResidualTest } from "../../api/identification";
-import { DEGREES, type Series } from "../../chart/kinds";
+import type { Series } from "../../chart/kinds";
 import { screenUnit } from "../../design/units";
 
 const numbers = (values: readonly (number | null)[], factor: number) =>
   Float64Array.from(values, (value) => (value === null ? NaN : value * factor));
-
-/** The unit on the screen and the factor to it. */
-export function onScreen(unit: string): { name: string; factor: number } {
-  const { name, factor } = screenUnit(unit);
-  return { name, factor: unit === "rad" || unit === "rad/s" ? DEGREES : factor };
-}
 
 /** How well the model reproduces an output; in closed loop what counts is how well it foretells the next sample. */
 export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent_ahead">): string {
@@ -22,7 +16,7 @@ export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent
 
 /** Data, the grey-box fit and the simple method of one output. */
 export function fitSeries(output: OutputCurves): Series[] {
-  const { factor } = onScreen(output.unit);
+  const { factor } = screenUnit(output.unit);
   const x = Float64Array.from(output.time);
   const found: Series[] = [{ label: "measured", x, y: numbers(output.measured, factor), kind: "measured" }];
   if (output.simple)
@@ -32,7 +26,7 @@ export function fitSeries(output: OutputCurves): Series[] {
 }
 
 export function residualSeries(output: OutputCurves): Series[] {
-  const { factor } = onScreen(output.unit);
+  const { factor } = screenUnit(output.unit);
   return [
     {
       label: output.greybox ? "measured − grey-box" : "measured − simple",
@@ -44,7 +38,7 @@ export function residualSeries(output: OutputCurves): Series[] {
 }
 
 export function inputSeries(input: FitView["inputs"][number]): Series[] {
-  const { factor } = onScreen(input.unit);
+  const { factor } = screenUnit(input.unit);
   return [{ label: input.name, x: Float64Array.from(input.time), y: numbers(input.value, factor), kind: "input" }];
 }
 

@@ -10,7 +10,7 @@ import {
   type LogFacts,
   type LogView,
 } from "../../api/logs";
-import { LineView } from "../../chart/line_view.svelte";
+import { LineView } from "../../chart/views.svelte";
 import { isThinned, panels, type Panel } from "./curves";
 import { advance, Replay } from "./replay";
 

@@ -10,14 +10,14 @@ export interface ScaledStep {
 }
 
 /** A smaller step [rad] is mostly noise once it is scaled. */
-export const LEAST = 0.035;
+const LEAST = 0.035;
 const SHOWN_S = 3;
 
 /** The step of the attitude turned, moved and scaled to go from 0 to `goal` [rad]; undefined for any other step. */
 export function scaledStep(history: History, step: FlownStep, goal: number, label: string): ScaledStep | undefined {
   const size = step.after - step.before;
   const theta = history.column("estimate.theta");
-  if (step.loop.loop !== "attitude" || Math.abs(size) < LEAST || theta === undefined) return undefined;
+  if (step.loop.loop !== "theta" || Math.abs(size) < LEAST || theta === undefined) return undefined;
   const until = Math.min(step.end, step.time + SHOWN_S);
   const [times, values]: [number[], number[]] = [[], []];
   for (let row = history.rowAt(step.time); row < history.last && history.time(row) <= until; row += 1) {

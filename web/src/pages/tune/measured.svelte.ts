@@ -22,9 +22,7 @@ export class MeasuredSteps {
 
   /** Begins; the answered function ends it. */
   start(): () => void {
-    const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) =>
-      this.history.append({ time: rows.time, columns: rows.values }, rows.sent),
-    );
+    const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => this.history.append(rows));
     const events = telemetry.onEvent((event) => {
       if (event.event === "log") void this.read(event.name);
     });
@@ -40,7 +38,7 @@ export class MeasuredSteps {
   /** The last steps, scaled to `goal` [rad]. */
   scaled(goal: number): ScaledStep[] {
     if (!this.shown) return [];
-    const steps = this.live.filter((step) => step.loop.loop === "attitude");
+    const steps = this.live.filter((step) => step.loop.loop === "theta");
     if (steps.length > 0)
       return steps
         .slice(-SHOWN)
@@ -55,7 +53,7 @@ export class MeasuredSteps {
 
   /** Where they come from. */
   get text(): string {
-    if (this.live.some((step) => step.loop.loop === "attitude")) return "as they were flown just now";
+    if (this.live.some((step) => step.loop.loop === "theta")) return "as they were flown just now";
     return this.logged.length > 0 ? `of ${this.log}` : "none flown yet: set steps of the pitch on the Fly page";
   }
 

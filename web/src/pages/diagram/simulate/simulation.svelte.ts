@@ -6,14 +6,15 @@ import { editor } from "../editor.svelte";
 import { findings } from "../findings.svelte";
 import type { Diagram } from "../model/diagram";
 import { parameterValues, structureOf } from "../model/structure";
-import { beginWith, flown, modesOf, PERIOD, type Mode, type Scenario } from "./scenario";
+import type { ControlLoop } from "../../../loops";
+import { beginWith, flown, modeOf, PERIOD, type Scenario } from "./scenario";
 import { scopes } from "./scopes.svelte";
 import type { Answer, Asked } from "./worker";
 
 const WAIT_MS = 40;
 
 export interface Flown {
-  readonly mode: Mode;
+  readonly loop: ControlLoop;
   readonly time: Float64Array;
   readonly signals: Readonly<Record<string, Float64Array>>;
   readonly prefix: string;
@@ -131,7 +132,7 @@ class Simulation {
       inputs: plan.inputs,
       columns: plan.columns,
       steps: plan.steps,
-      wanted: [...new Set([plan.mode.setpoint, plan.mode.follows, "M", "T", ...elements])],
+      wanted: [...new Set([`${plan.loop.loop}0`, `true_${plan.loop.loop}`, "M", "T", ...elements])],
     });
     if (turn !== this.asked) return;
     this.busy = "";
@@ -143,7 +144,7 @@ class Simulation {
     const time = Float64Array.from({ length: plan.steps }, (_, k) => k * PERIOD);
     const { prefix, given } = loop;
     this.problem = "";
-    this.result = { mode: plan.mode, time, signals: answer.signals, prefix, given };
+    this.result = { loop: plan.loop, time, signals: answer.signals, prefix, given };
     this.flights++;
     this.took = { all: performance.now() - began, flight: answer.took ?? 0, compiled };
   }
@@ -174,8 +175,8 @@ class Simulation {
   choose(change: Partial<Scenario>): void {
     this.scenario = { ...this.scenario, ...change };
     if (change.mode !== undefined) {
-      const mode = modesOf(this.template).find((one) => one.name === change.mode)!;
-      this.scenario = { ...this.scenario, size: mode.size, rings: mode.rings };
+      const { size, rings } = modeOf(this.template, change.mode);
+      this.scenario = { ...this.scenario, size, rings };
     }
   }
 }

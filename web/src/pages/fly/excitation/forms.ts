@@ -1,5 +1,6 @@
 // What a person fills in for each kind of excitation. The server's library knows what it means, and what cannot be.
 import type { Excitation, Loop } from "../../../api/drones";
+import { controlLoop } from "../../../loops";
 
 /** A number, several of them, or a choice. `unit` "amplitude" is that of the excited loop. */
 export type Field =
@@ -19,7 +20,6 @@ export interface Kind {
 }
 
 const DEG = Math.PI / 180;
-export const UNITS: Record<Loop, string> = { theta: "rad", q: "rad/s", M: "-", v: "m/s", x: "m" };
 /** Amplitudes that move the rig well within its stops; the preview says how far. */
 const AMPLITUDES: Record<Loop, number> = { theta: 5 * DEG, q: 30 * DEG, M: 0.03, v: 0.15, x: 0.1 };
 const LARGEST: Record<Loop, number> = { theta: 50 * DEG, q: 10, M: 1, v: 2, x: 0.4 };
@@ -147,11 +147,11 @@ export function initial(kind: Kind): Values {
 /** What is sent: the library's form, or for a multisine its peak, of which the server makes amplitudes and phases. */
 export function excitationOf(kind: Kind, loop: Loop, values: Values): Excitation {
   const given = [...kind.fields, ...COMMON].map((field) => [field.name, values[field.name]]);
-  return { kind: kind.kind, version: 1, unit: UNITS[loop], ...Object.fromEntries(given) } as Excitation;
+  return { kind: kind.kind, version: 1, unit: controlLoop(loop).unit, ...Object.fromEntries(given) } as Excitation;
 }
 
 /** The unit of a field of the form. */
 export function unitOf(field: Field, loop: Loop): string {
   if (field.type === "choice") return "";
-  return field.unit === "amplitude" ? UNITS[loop] : field.unit;
+  return field.unit === "amplitude" ? controlLoop(loop).unit : field.unit;
 }
