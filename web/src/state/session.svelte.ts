@@ -1,10 +1,11 @@
 import { route } from "../app/route.svelte";
 import { linkTo } from "../app/read_route";
-import { ApiError, get } from "../api/client";
+import { ApiError } from "../api/client";
+import { labSession } from "../api/lab_session";
 import { listDrones, listTexts, type DroneState, type DroneText } from "../api/drones";
 import { telemetry, type LabEvent, type Telemetry } from "../api/telemetry";
 import { ClockWatch, type ClockEvent } from "./clock_watch";
-import { toast, toastError } from "./toasts.svelte";
+import { toast, toastError, tried } from "./toasts.svelte";
 
 const TEXTS_KEPT = 500;
 const LOOK_MS = 1000;
@@ -77,14 +78,8 @@ class Session {
    * it was done.
    */
   async tell(call: (drone: number) => Promise<unknown>): Promise<boolean> {
-    if (this.number === undefined) return false;
-    try {
-      await call(this.number);
-      return true;
-    } catch (failure) {
-      toastError(failure);
-      return false;
-    }
+    const { number } = this;
+    return number !== undefined && tried(() => call(number));
   }
 
   private take(event: LabEvent): void {
@@ -99,7 +94,7 @@ class Session {
   /** After a loss: what changed meanwhile was not heard. */
   private async catchUp(): Promise<void> {
     try {
-      const [drones, me] = await Promise.all([listDrones(), get<{ role: "command" | "watch" }>("session")]);
+      const [drones, me] = await Promise.all([listDrones(), labSession()]);
       this.drones = new Map(drones.map((one) => [one.system, one]));
       this.role = me.role;
       const said = await Promise.all(drones.filter((one) => one.link === "heard").map((one) => before(one.system)));

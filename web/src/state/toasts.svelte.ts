@@ -37,6 +37,17 @@ export function toastError(failure: unknown): number {
   return toast(String(failure), "bad");
 }
 
+/** Await `work`, or show its failure as a message. Returns whether it succeeded. */
+export async function tried(work: () => Promise<unknown>): Promise<boolean> {
+  try {
+    await work();
+    return true;
+  } catch (failure) {
+    toastError(failure);
+    return false;
+  }
+}
+
 export function putAway(id: number): void {
   toasts.now = toasts.now.filter((one) => one.id !== id);
 }

@@ -1,5 +1,5 @@
 // What a menu, a key or a button does with the open sheet.
-import { toast, toastError } from "../../state/toasts.svelte";
+import { toast, tried } from "../../state/toasts.svelte";
 import { arranged } from "./canvas/arrange";
 import { boxesOn, partPlaces, placesOn } from "./canvas/flow";
 import { partSize } from "./canvas/symbol";
@@ -86,7 +86,7 @@ class Acts {
 
   private async put(text: string): Promise<void> {
     if (text === "") return editor.say("nothing was copied");
-    try {
+    await tried(async () => {
       const before = editor.here;
       const read = paste(before, text);
       // Reading much and showing it are two tasks, so that neither holds the page up.
@@ -94,9 +94,7 @@ class Acts {
       const { diagram, names } = editor.here === before ? read : paste(editor.here, text);
       editor.apply(`paste ${names.length} ${names.length === 1 ? "block" : "blocks"}`, () => diagram);
       editor.select(names.map(partId));
-    } catch (failure) {
-      toastError(failure);
-    }
+    });
   }
 
   remove(): void {
@@ -131,14 +129,12 @@ class Acts {
 
   async arrange(): Promise<void> {
     const before = editor.here;
-    try {
+    await tried(async () => {
       const places = await arranged(before, editor.shapes);
       if (editor.here !== before) return; // it was edited meanwhile
       editor.apply("arrange", (d) => freeBorder(moveParts(d, places)));
       this.shownWhole++;
-    } catch (failure) {
-      toastError(failure);
-    }
+    });
   }
 
   /** Puts what is selected on the scope, or takes it off: a wire, or a block's first output. */

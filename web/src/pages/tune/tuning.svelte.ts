@@ -12,7 +12,7 @@ import {
   type Preview,
 } from "../../api/tuning";
 import { telemetry } from "../../api/telemetry";
-import { toast, toastError } from "../../state/toasts.svelte";
+import { toast, toastError, tried } from "../../state/toasts.svelte";
 import { LatestOnly } from "../fly/latest_only";
 import { asRecord, differences, withChanges, type Edits } from "./draft";
 
@@ -73,25 +73,21 @@ export class Tuning {
     this.askSoon();
   }
 
-  async loadModels(): Promise<void> {
-    try {
+  private async loadModels(): Promise<void> {
+    await tried(async () => {
       const [models, guard] = await Promise.all([listModels(), guardOf(this.drone)]);
       this.models = models.filter((one) => one.pitch);
       this.model = guard.model;
-    } catch (failure) {
-      this.models ??= [];
-      toastError(failure);
-    }
+    });
+    this.models ??= [];
   }
 
   async choose(model: string | null): Promise<void> {
-    try {
+    await tried(async () => {
       this.model = (await chooseGuard(this.drone, model)).model;
       this.asked = "";
       this.askSoon();
-    } catch (failure) {
-      toastError(failure);
-    }
+    });
   }
 
   /** Notes that what stands in a field is beyond its bounds, or is no longer: it is not what would be sent. */
