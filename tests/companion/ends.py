@@ -112,7 +112,7 @@ class Ends:
         self.router.from_client(client, frame(name, system, component, **fields))
 
     def heard(self, client: CompanionClient) -> list[Frame]:
-        """What a client was sent since the last call."""
+        """Return the frames that a client was sent since the last call."""
         return self.sinks[client].take()
 
     def settle(self) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.companion.scripted import until
+from tests.link.ends import in_loop
 from tests.patience import PATIENCE_S
 from tests.processes import alive, started
 from twodof.companion.app_supervisor import LONGEST_LINE, MOST_LINES, AppLimits, AppSupervisor, RestartPolicy
@@ -56,26 +57,21 @@ def test_what_crashes_is_started_again_so_often_and_no_more(tmp_path: Path, text
     ]
 
 
-def test_what_crashed_is_not_started_again_while_its_drone_is_killed(tmp_path: Path) -> None:
-    """Who killed it does not want it to fly on; it waits, says so, and goes on once the kill was released."""
-
-    async def work() -> None:
-        said: list[str] = []
-        killed = [True]
-        made = AppSupervisor(
-            program(tmp_path, "raise ValueError"), said.append, restarts=QUICK, killed=lambda: killed[0]
-        )
-        running = asyncio.ensure_future(made.run())
-        await until(lambda: any("was killed" in line for line in said), PATIENCE_S)
-        for _ in range(5):
-            await asyncio.sleep(QUICK.longest)
-            assert made.starts == 1
-        killed[0] = False
-        assert await asyncio.wait_for(running, PATIENCE_S) == 1
-        assert made.starts == 1 + QUICK.most
-        assert sum("was killed" in line for line in said) == 1
-
-    asyncio.run(work())
+@in_loop
+async def test_what_crashed_is_not_started_again_while_its_drone_is_killed(tmp_path: Path) -> None:
+    """After a kill the app waits, says so, and is started again once the kill was released."""
+    said: list[str] = []
+    killed = [True]
+    made = AppSupervisor(program(tmp_path, "raise ValueError"), said.append, restarts=QUICK, killed=lambda: killed[0])
+    running = asyncio.ensure_future(made.run())
+    await until(lambda: any("was killed" in line for line in said), PATIENCE_S)
+    for _ in range(5):
+        await asyncio.sleep(QUICK.longest)
+        assert made.starts == 1
+    killed[0] = False
+    assert await asyncio.wait_for(running, PATIENCE_S) == 1
+    assert made.starts == 1 + QUICK.most
+    assert sum("was killed" in line for line in said) == 1
 
 
 def test_a_mistake_of_the_caller_is_not_tried_again(tmp_path: Path) -> None:

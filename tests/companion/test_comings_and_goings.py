@@ -12,8 +12,8 @@ import pytest
 
 from tests.companion.ends import Ends, frame
 from tests.companion.scripted import Listener, Vehicle, until
-from tests.faults.virtual_time import run_virtual
-from tests.link.ends import run
+from tests.faults.virtual_time import on_virtual_time, run_virtual
+from tests.link.ends import in_loop
 from twodof.companion.client import MOST_SENDERS, MOST_WISHES, SILENT_S
 from twodof.companion.companion import Companion, Serve
 from twodof.companion.router import BEHIND_S, MOST_PASSED, MOST_ROUNDS
@@ -127,22 +127,19 @@ def test_ten_thousand_clients_that_come_and_go_leave_nothing_behind() -> None:
     come_and_go(10_000)
 
 
-def test_companions_in_a_circle_pass_nothing_round_for_ever() -> None:
+@on_virtual_time
+async def test_companions_in_a_circle_pass_nothing_round_for_ever() -> None:
     """Each takes the other for its flight controller, as a mistaken address makes them."""
-
-    async def work() -> None:
-        one = Companion("mem://two", [Serve("memin://one", "none")])
-        two = Companion("mem://one", [Serve("memin://two", "none")])
-        async with one, two:
-            await until(lambda: one.line.transport is not None and two.line.transport is not None)
-            async with Listener(await open_transport("mem://one"), beats=False) as client:
-                client.command(512, 148.0)
-                client.command(400, 0.0, 21196.0)
-                await asyncio.sleep(5.0)
-                assert one.line.counts.sent + two.line.counts.sent < 200
-                assert one.router.counts.echoes + two.router.counts.echoes >= 2
-
-    run_virtual(work())
+    one = Companion("mem://two", [Serve("memin://one", "none")])
+    two = Companion("mem://one", [Serve("memin://two", "none")])
+    async with one, two:
+        await until(lambda: one.line.transport is not None and two.line.transport is not None)
+        async with Listener(await open_transport("mem://one"), beats=False) as client:
+            client.command(512, 148.0)
+            client.command(400, 0.0, 21196.0)
+            await asyncio.sleep(5.0)
+            assert one.line.counts.sent + two.line.counts.sent < 200
+            assert one.router.counts.echoes + two.router.counts.echoes >= 2
 
 
 def test_only_what_comes_again_from_others_goes_round() -> None:
@@ -164,7 +161,7 @@ def test_only_what_comes_again_from_others_goes_round() -> None:
 
 
 def test_a_stranger_on_the_line_shuts_out_no_client_for_ever() -> None:
-    """What once came down the line under a client's numbers, an echo or a neighbour's, is forgotten."""
+    """A frame from the line under a client's identity, an echo or a neighbour's, is forgotten after a while."""
     ends = Ends("onboard")
     ends.settle()
     ends.router.from_vehicle(frame("HEARTBEAT", 250, 190))
@@ -191,47 +188,41 @@ def test_a_program_on_board_is_not_told_the_truth() -> None:
     assert (TRUTH, 4000.0) in ends.answer()
 
 
-def test_a_peer_that_is_gone_without_a_word_is_noticed() -> None:
+@in_loop
+async def test_a_peer_that_is_gone_without_a_word_is_noticed() -> None:
     """A pulled cable, a machine without power: TCP is told to find out on both ends, in half a minute."""
-
-    async def work() -> None:
-        async with await open_transport("tcpin://:0") as there:
-            assert isinstance(there, TcpTransport)
-            async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
-                assert isinstance(here, TcpTransport)
-                while not there.peers:
-                    await asyncio.sleep(0.001)
-                for end in (here, there):
-                    (stream,) = end._streams
-                    assert stream.socket is not None
-                    raw = stream.socket.get_extra_info("socket")
-                    assert raw.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
-                    for name, value in (("TCP_USER_TIMEOUT", 1000 * GONE_S), ("TCP_KEEPIDLE", GONE_S // 3)):
-                        if hasattr(socket, name):
-                            assert raw.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
-
-    run(work())
+    async with await open_transport("tcpin://:0") as there:
+        assert isinstance(there, TcpTransport)
+        async with await open_transport(f"tcp://127.0.0.1:{there.port}") as here:
+            assert isinstance(here, TcpTransport)
+            while not there.peers:
+                await asyncio.sleep(0.001)
+            for end in (here, there):
+                (stream,) = end._streams
+                assert stream.socket is not None
+                raw = stream.socket.get_extra_info("socket")
+                assert raw.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE) == 1
+                for name, value in (("TCP_USER_TIMEOUT", 1000 * GONE_S), ("TCP_KEEPIDLE", GONE_S // 3)):
+                    if hasattr(socket, name):
+                        assert raw.getsockopt(socket.IPPROTO_TCP, getattr(socket, name)) == value
 
 
 @pytest.mark.parametrize("garbage", [b"", b"\xfd", b"\xfe", b"\xfd\xff\x00\x00", random.Random(3).randbytes(300)])
-def test_a_line_that_is_joined_in_the_middle_of_a_frame_costs_that_frame_only(garbage: bytes) -> None:
+@on_virtual_time
+async def test_a_line_that_is_joined_in_the_middle_of_a_frame_costs_that_frame_only(garbage: bytes) -> None:
     """At each byte, with the garbage that a wrong baud rate made of those before, and broken off again."""
     raw = encode(message("STATUSTEXT", severity=6, text="sound"), 1, 1, 0)
-
-    async def work() -> None:
-        async with await open_transport("tcpin://:0") as line:
-            assert isinstance(line, TcpTransport)
-            url = f"tcp://127.0.0.1:{line.port}"
-            async with (
-                Companion(url, [Serve("memin://clients", "onboard")]),
-                Listener(await open_transport("mem://clients")) as client,
-            ):
-                await until(lambda: bool(line.peers))
-                for cut in range(len(raw)):
-                    client.received.clear()
-                    line.send(garbage + raw[cut:] + raw + raw[:7])
-                    await until(lambda: len(client.heard("STATUSTEXT", component=1)) > 0)
-                    await asyncio.sleep(0.3)  # what has begun is given up
-                    assert len(client.heard("STATUSTEXT", component=1)) == (garbage + raw[cut:] + raw).count(raw)
-
-    run_virtual(work())
+    async with await open_transport("tcpin://:0") as line:
+        assert isinstance(line, TcpTransport)
+        url = f"tcp://127.0.0.1:{line.port}"
+        async with (
+            Companion(url, [Serve("memin://clients", "onboard")]),
+            Listener(await open_transport("mem://clients")) as client,
+        ):
+            await until(lambda: bool(line.peers))
+            for cut in range(len(raw)):
+                client.received.clear()
+                line.send(garbage + raw[cut:] + raw + raw[:7])
+                await until(lambda: len(client.heard("STATUSTEXT", component=1)) > 0)
+                await asyncio.sleep(0.3)  # what has begun is given up
+                assert len(client.heard("STATUSTEXT", component=1)) == (garbage + raw[cut:] + raw).count(raw)

@@ -1,4 +1,4 @@
-"""What is read of raw bytes is what decoding the whole message gives; a renumbered frame is the same message."""
+"""Fields read from raw bytes equal those of the decoded message; a renumbered frame is the same message."""
 
 import random
 from dataclasses import replace

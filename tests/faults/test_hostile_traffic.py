@@ -46,7 +46,7 @@ MOST_GROWN_BYTES = 12 << 20
 
 @dataclass
 class Held:
-    """What a process holds."""
+    """Resources that a process holds."""
 
     objects: int
     tasks: int
@@ -65,7 +65,7 @@ class Held:
 
 @cache
 def recorded() -> list[bytes]:
-    """What a client sends in a flight that uses every function."""
+    """Return the frames of a client in a flight that uses every function."""
     sent: list[bytes] = []
 
     async def work() -> None:
@@ -116,7 +116,7 @@ def anybody(chance: random.Random) -> tuple[int, int]:
 
 
 def at_rest(seen: Seen) -> bool:
-    """Nothing is armed, nothing turns."""
+    """Return whether the drone is disarmed and its motors stand."""
     return not (seen.step.armed or seen.step.fore or seen.step.aft)
 
 
@@ -154,7 +154,7 @@ async def attack(
 
 
 def bounded(count: int, early: Held, end: Held) -> None:
-    """Nothing was left behind by `count` frames."""
+    """Assert that `count` frames leave nothing behind."""
     assert end.objects - early.objects < min(MOST_OBJECTS, count // FRAMES_PER_OBJECT), (early, end)
     assert end.tasks == early.tasks
     assert end.threads <= early.threads + 2  # one may have waited for its first work

@@ -164,7 +164,7 @@ def test_a_serial_cable_that_is_pulled_and_a_companion_that_is_killed_in_flight(
 
 @pytest.mark.soak
 def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
-    """What plays on board plays on, but is not a link: 3 s after the last word it descends. Both logs are whole."""
+    """The excitation goes on without a link; 3 s after the last frame the drone descends. Both logs are whole."""
     recorded = stack.folder / "killed.mcap"
     with stack.companion() as companion:
         url = tcp(companion.urls[0])
@@ -198,7 +198,7 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
 
 
 def _until_excited(lines: Iterable[str]) -> Iterator[str]:
-    """What it says until a second after the excitation was sent, when enough of what was recorded is on the disk."""
+    """Yield its lines until a second after the excitation was sent and enough samples are on the disk."""
     looks = 0
     for line in lines:
         yield line

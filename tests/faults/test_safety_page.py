@@ -22,7 +22,9 @@ def test_the_table_names_the_tests_that_there_are() -> None:
         for path in FOLDER.glob("test_*.py")
         if path != Path(__file__)
         for node in ast.parse(path.read_text(encoding="utf-8")).body
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test_") and not node.name.endswith("_for_long")
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and node.name.startswith("test_")
+        and not node.name.endswith("_for_long")
     }
     assert len(named) == len(set(named))
     assert set(named) == there
@@ -41,7 +43,7 @@ def test_each_row_of_hazards_and_of_threats_names_tests_that_there_are(page: str
     for file, name in (one for row in named for one in row):
         path = next(found for found in (TESTS / "fcu" / file, TESTS / file) if found.is_file())
         there = ast.parse(path.read_text(encoding="utf-8")).body
-        names = {node.name for node in there if isinstance(node, ast.FunctionDef)}
+        names = {node.name for node in there if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)}
         names |= {target.id for node in there if isinstance(node, ast.Assign) for target in _names(node)}
         assert name in names, f"{file}::{name}"
 

@@ -14,6 +14,7 @@ from unittest.mock import patch
 
 import pytest
 
+from tests.faults.virtual_time import on_virtual_time
 from tests.faults.whole import GROUND, Seen, Whole, run, tell
 from tests.link.mavlink.test_framing import random_message
 from twodof.companion.component import ComputerStatus
@@ -57,43 +58,39 @@ async def fly(whole: Whole) -> AsyncDrone:
 
 
 def off(seen: Seen) -> bool:
-    """Whether it is disarmed."""
+    """Return whether the drone is disarmed."""
     return not seen.step.armed
 
 
 @pytest.mark.parametrize("through", ["fcu", "clients"])
-def test_an_unsigned_frame_does_not_stand_in_for_a_pilot_that_died(through: str) -> None:
-    async def work() -> None:
-        async with Whole(signing=signing()) as whole:
-            drone = await fly(whole)
-            (link,) = (one for one in whole.faulty if not one.closed)
-            intruder = await open_transport(getattr(whole, through))
-            link.cut()
-            died = whole.tick
-            for number in range(round(FORGED_S / EVERY_S)):
-                intruder.send(encode(message("RADIO_STATUS", rssi=9), *PILOT, number))
-                await whole.passes(EVERY_S)
-            tell("the pilot died, RADIO_STATUS in its name goes on", "motors off", whole.ms(died, off), OFF_MS)
-            assert drone.session.system
-
-    run(work())
+@on_virtual_time
+async def test_an_unsigned_frame_does_not_stand_in_for_a_pilot_that_died(through: str) -> None:
+    async with Whole(signing=signing()) as whole:
+        drone = await fly(whole)
+        (link,) = (one for one in whole.faulty if not one.closed)
+        intruder = await open_transport(getattr(whole, through))
+        link.cut()
+        died = whole.tick
+        for number in range(round(FORGED_S / EVERY_S)):
+            intruder.send(encode(message("RADIO_STATUS", rssi=9), *PILOT, number))
+            await whole.passes(EVERY_S)
+        tell("the pilot died, RADIO_STATUS in its name goes on", "motors off", whole.ms(died, off), OFF_MS)
+        assert drone.session.system
 
 
-def test_an_unsigned_frame_does_not_keep_the_telemetry_of_a_drone_alive_that_is_silent() -> None:
-    async def work() -> None:
-        async with Whole(signing=signing()) as whole:
-            drone = await fly(whole)
-            (link,) = (one for one in whole.faulty if not one.closed)
-            link.cut()
-            for number in range(20):
-                link._inbox.put(Packet(encode(message("RADIO_STATUS", rssi=9), *DRONE, number), link.inner.peers[0]))
-                await whole.passes(EVERY_S)
-            with pytest.raises(LinkLost, match=r"nothing was heard of drone 1 for 3 s"):
-                await drone.telemetry("theta").next(timeout=2.0)
-            with pytest.raises(LinkLost):
-                assert not drone.theta
-
-    run(work())
+@on_virtual_time
+async def test_an_unsigned_frame_does_not_keep_the_telemetry_of_a_drone_alive_that_is_silent() -> None:
+    async with Whole(signing=signing()) as whole:
+        drone = await fly(whole)
+        (link,) = (one for one in whole.faulty if not one.closed)
+        link.cut()
+        for number in range(20):
+            link._inbox.put(Packet(encode(message("RADIO_STATUS", rssi=9), *DRONE, number), link.inner.peers[0]))
+            await whole.passes(EVERY_S)
+        with pytest.raises(LinkLost, match=r"nothing was heard of drone 1 for 3 s"):
+            await drone.telemetry("theta").next(timeout=2.0)
+        with pytest.raises(LinkLost):
+            assert not drone.theta
 
 
 # What is no state: counters of what was refused, when bytes came last, names that are numbered, and Python's tools.
@@ -184,7 +181,7 @@ async def flown(hostile: list[bytes]) -> tuple[list[object], dict[str, object]]:
 
 @contextmanager
 def the_same_each_time() -> Iterator[None]:
-    """What is read of clocks, of the processor and of chance."""
+    """Fix all values that come from clocks, the processor and chance."""
     virtual = None, lambda: asyncio.get_running_loop().time()
     with ExitStack() as stack:
         stack.enter_context(patch.object(Connection.__init__, "__defaults__", virtual))

@@ -13,7 +13,7 @@ from twodof.link.transport.base import Transport
 
 @dataclass(frozen=True)
 class Faults:
-    """What happens to a packet on its way out.
+    """Faults of a packet on its way out.
 
     `loss`, `duplicate`, `reorder` and `damage` are probabilities (reorder: it waits `reorder_s` more, damage: one bit
     turns over); `delay` [s] holds for all, `jitter` [s] is drawn evenly from 0 and adds to it.

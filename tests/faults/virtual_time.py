@@ -3,6 +3,7 @@
 import asyncio
 import selectors
 from collections.abc import Callable, Coroutine
+from functools import wraps
 from typing import Any
 
 from twodof.errors import TwodofError
@@ -19,7 +20,7 @@ class _Jumping(selectors.DefaultSelector):
         self.now = 0.0
 
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        """What is ready now; the clock moves by `timeout` if nothing is."""
+        """Return the ready selectors; if there is none, the clock moves by `timeout`."""
         ready = super().select(0)
         if not ready:
             if timeout is None or self.now > HORIZON_S:
@@ -55,6 +56,16 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
 
 def run_virtual(work: Coroutine[Any, Any, Any]) -> Any:
-    """What `work` returns, run in a fresh loop on virtual time."""
+    """Run `work` in a fresh loop on virtual time and return its result."""
     with asyncio.Runner(loop_factory=VirtualLoop) as runner:
         return runner.run(work)
+
+
+def on_virtual_time(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Run an async test in a fresh loop on virtual time."""
+
+    @wraps(test)
+    def run(*given: Any, **named: Any) -> None:
+        run_virtual(test(*given, **named))
+
+    return run

@@ -55,7 +55,7 @@ class LoopPacer:
         return 1
 
     def close(self) -> None:
-        """Nothing to give back."""
+        """Do nothing."""
 
 
 @contextmanager
@@ -200,22 +200,22 @@ def _at_once(background: BackgroundWorker, work: Callable[[], object], done: Cal
 
 
 def run(work: Coroutine[Any, Any, Any]) -> Any:
-    """What `work` gives, on virtual time."""
+    """Run `work` on virtual time and return its result."""
     return run_virtual(work)
 
 
 def stands(seen: Seen) -> bool:
-    """Whether both motors get nothing."""
+    """Return whether both motors stand."""
     return seen.step.fore == 0.0 and seen.step.aft == 0.0
 
 
 def acts(action: int) -> Callable[[Seen], bool]:
-    """Whether the failsafe takes this action."""
+    """Return a test of whether the failsafe takes this action."""
     return lambda seen: seen.step.action == action
 
 
 def silent(steps: list[ControlStep]) -> bool:
-    """Whether the failsafe let everything pass."""
+    """Return whether the drone is armed and the failsafe does not act in all steps."""
     return all(step.action == NONE and step.armed for step in steps)
 
 

@@ -83,7 +83,7 @@ class Assembled:
         self.say(message("SET_ATTITUDE_TARGET", **fields, **TARGET))
 
     def texts(self) -> str:
-        """What it said in words."""
+        """Join the texts that it sent."""
         return " / ".join(one.text for one in self.sent if one.get_type() == "STATUSTEXT")
 
     def _send(self, sent: Any, peer: Hashable | None = None) -> None:

@@ -31,7 +31,7 @@ class Script:
     steps: list[ControlStep] = field(default_factory=list)
 
     def control_input(self, tick: int) -> ControlInput:
-        """What is flown at `tick`."""
+        """Return the input at `tick`."""
         flies = FLY_AT <= tick < self.disarm_at
         return self.change(
             tick,

@@ -9,7 +9,7 @@ from twodof.link.mavlink.framing import Parser, decode, encode
 
 
 class SentMessage:
-    """What a client gets of `sent`. Most messages that a test draws are never looked at, and reading costs most."""
+    """Message as a client receives it. It is decoded when a field is read, as decoding costs most."""
 
     def __init__(self, sent: Any) -> None:
         self._name = sent.get_type()

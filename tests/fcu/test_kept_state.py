@@ -1,4 +1,4 @@
-"""What a virtual drone keeps of a session over MAVLink: parameters for the next one, a log of what was said."""
+"""State that a virtual drone keeps after a session over MAVLink: parameters, and a log with its texts."""
 
 from __future__ import annotations
 

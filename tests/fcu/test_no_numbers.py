@@ -54,7 +54,7 @@ def floats(name: str) -> Iterator[tuple[str, int]]:
 
 
 def spoilt(name: str) -> Iterator[Any]:
-    """Messages of that name for us, one field of each no number."""
+    """Yield messages of that name for us, with NaN or infinity in one field of each."""
     kind = dialect.load().mavlink_map[dialect.message_id(name)]
     ours = {field: value for field, value in TARGET.items() if field in kind.fieldnames}
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
@@ -70,7 +70,7 @@ def spoilt(name: str) -> Iterator[Any]:
 
 
 def commands(drone: Assembled) -> Iterator[Any]:
-    """Every command that is carried out, and one that is not, each parameter of it no number, the others 1 or 0."""
+    """Yield supported commands and an unsupported one, with NaN or infinity in one parameter, 0 or 1 in the others."""
     for number in (*drone.drone.assembly.px4.commands.supported, 31010):
         for others in (0.0, 1.0):
             for value in NO_NUMBERS:
@@ -89,14 +89,14 @@ def every(drone: Assembled) -> list[Any]:
 
 
 def stops(sent: Any) -> bool:
-    """Whether it stops motors."""
+    """Return whether a message stops motors."""
     if sent.get_type() not in ("COMMAND_LONG", "COMMAND_INT"):
         return False
     return (sent.command == TERMINATE and sent.param1 > 0.5) or (sent.command, sent.param1) == DISARM
 
 
 def changes_mode(sent: Any) -> bool:
-    """Whether it may be a sound change of mode, of which the number that is none is ignored."""
+    """Return whether it may be a valid change of mode, in which the NaN or infinity is ignored."""
     return sent.get_type() in ("COMMAND_LONG", "COMMAND_INT") and sent.command in (SET_MODE, 262)
 
 

@@ -1,8 +1,8 @@
-"""Who may change which parameter: anyone those for tuning, who holds the lease the others."""
+"""Rights on parameters: every client changes those for tuning, only the lease holder the others."""
 
 from typing import Any
 
-from tests.faults.virtual_time import run_virtual
+from tests.faults.virtual_time import on_virtual_time
 from tests.fcu.command.cockpit import ME, OTHER, Cockpit
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
@@ -40,20 +40,18 @@ SAFETY = {
 }
 
 
-def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
-    async def work() -> None:
-        async with VirtualDrone("paper", lockstep=True, controllers=["lqr-attitude"]) as drone:
-            store, commander = drone.assembly.store, drone.commander
-            assert commander.lease.ask(ME).accepted
-            before = dict(store)
-            put(drone, OTHER[0], **SAFETY)
-            assert dict(store) == before
-            put(drone, OTHER[0], RATE_KP=0.0625, RATE_N=50.0, FC_PARAM_11=8.0, TLA_K_Q=0.25)
-            assert [store[name] for name in ("RATE_KP", "RATE_N", "ATT_KP", "TLA_K_Q")] == [0.0625, 50.0, 8.0, 0.25]
-            put(drone, ME[0], **SAFETY)
-            assert {name: store[name] for name in SAFETY} == SAFETY
-
-    run_virtual(work())
+@on_virtual_time
+async def test_only_who_commands_changes_what_is_not_for_tuning() -> None:
+    async with VirtualDrone("paper", lockstep=True, controllers=["lqr-attitude"]) as drone:
+        store, commander = drone.assembly.store, drone.commander
+        assert commander.lease.ask(ME).accepted
+        before = dict(store)
+        put(drone, OTHER[0], **SAFETY)
+        assert dict(store) == before
+        put(drone, OTHER[0], RATE_KP=0.0625, RATE_N=50.0, FC_PARAM_11=8.0, TLA_K_Q=0.25)
+        assert [store[name] for name in ("RATE_KP", "RATE_N", "ATT_KP", "TLA_K_Q")] == [0.0625, 50.0, 8.0, 0.25]
+        put(drone, ME[0], **SAFETY)
+        assert {name: store[name] for name in SAFETY} == SAFETY
 
 
 def test_the_gains_of_the_loops_are_what_is_for_tuning() -> None:

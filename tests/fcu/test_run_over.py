@@ -30,7 +30,7 @@ PHASE = 3_000_000  # a multiple of the ticks between two messages of each stream
 
 
 def flight(begin: int, state: Path | None) -> Assembled:
-    """Arms, flies a stream, an open loop sent ahead and an excitation that waits, and lands, all by their ticks."""
+    """Fly a stream, an open loop sent ahead and a waiting excitation, each by its ticks."""
     drone = Assembled(begin, lockstep=True, state=state)
 
     def until(ticks: int) -> None:

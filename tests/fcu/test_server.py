@@ -326,14 +326,14 @@ class Blind:
         self.stop = stop
 
     def beat(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
     def close(self) -> None:
-        """Nothing."""
+        """Do nothing."""
 
 
 def test_a_hanging_loop_stops_the_motors_in_real_time() -> None:
-    """Something blocks the event loop in flight: the watchdog's thread stops the motors, the failsafe says why."""
+    """Block the event loop in flight: the watchdog's thread stops the motors, and the failsafe gives the reason."""
 
     async def work(world: World) -> None:
         made, steps = world.server.controller, world.script.steps

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import run_virtual
+from tests.faults.virtual_time import on_virtual_time, run_virtual
 from twodof.errors import RefusalReason
 from twodof.excitation import Impulse
 from twodof.link.connection import Connection
@@ -156,16 +156,14 @@ def test_given_up_it_goes_to_who_asks_and_back() -> None:
     run_virtual(_both(work))
 
 
-def test_the_real_failsafe_refuses_arming_by_name() -> None:
-    async def work() -> None:
-        async with VirtualDrone("paper", {"rings": True}, lockstep=True) as drone:
-            drone.controller.set_parameters({"failsafe.battery.low": 50.0})
-            await drone.listen("memin://empty")
-            async with Connection(await open_transport("mem://empty"), 250, 190) as one:
-                pilot = Client(one)
-                await pilot.grant(50)
-                result, told = await pilot.ack(command(400, 1, 21196))
-                assert result == TEMPORARILY_REJECTED
-                assert "battery_low" in told
-
-    run_virtual(work())
+@on_virtual_time
+async def test_the_real_failsafe_refuses_arming_by_name() -> None:
+    async with VirtualDrone("paper", {"rings": True}, lockstep=True) as drone:
+        drone.controller.set_parameters({"failsafe.battery.low": 50.0})
+        await drone.listen("memin://empty")
+        async with Connection(await open_transport("mem://empty"), 250, 190) as one:
+            pilot = Client(one)
+            await pilot.grant(50)
+            result, told = await pilot.ack(command(400, 1, 21196))
+            assert result == TEMPORARILY_REJECTED
+            assert "battery_low" in told

@@ -28,7 +28,7 @@ def free_numbers(count: int) -> Iterator[int]:
 
 @contextmanager
 def _lock(number: int) -> Iterator[bool]:
-    """Whether it is ours."""
+    """Yield whether the lock is ours."""
     file = Path(tempfile.gettempdir()) / f"twodof-tests-{os.getuid()}-drone-{number}.lock"
     with file.open("w") as held:
         try:

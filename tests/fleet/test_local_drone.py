@@ -1,4 +1,4 @@
-"""What somebody left on a drone is said, and `--fresh` begins without it."""
+"""State left on a drone is told, and `--fresh` starts without it."""
 
 from __future__ import annotations
 

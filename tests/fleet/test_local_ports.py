@@ -1,4 +1,4 @@
-"""Who has a port is named, so that one knows what to end or whom to ask."""
+"""The owner of a taken port is named in the error."""
 
 from __future__ import annotations
 

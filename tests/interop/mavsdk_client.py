@@ -51,7 +51,7 @@ async def until(stream: AsyncIterator[T], holds: Callable[[T], bool]) -> T:
 
 
 async def look_around(system: System, name: str, value: float) -> None:
-    """What needs no right to command. Only setting the parameter needs it."""
+    """Read everything that needs no lease, and set a parameter."""
     info = InfoAsync(system)
     version, product = await told(info.get_version), await told(info.get_product)
     uid = (await told(info.get_identification)).hardware_uid

@@ -1,6 +1,6 @@
 """A client made with MAVSDK alone, for what the vehicle keeps: `python mavsdk_files_client.py URL FOLDER`; prints JSON.
 
-It lists, fetches (in bursts and not), compares, sends and removes files, asks for the component's metadata, has the
+It lists, fetches, compares, sends and removes files. It asks for the component's metadata and has the
 log streamed, and is told what happens. Like mavsdk_client.py it runs in a process of its own.
 """
 
@@ -61,7 +61,7 @@ async def files(ftp: FtpAsync, folder: Path) -> None:
 
 
 async def metadata(system: System) -> None:
-    """What describes the parameters."""
+    """Fetch the description of the parameters."""
     plugin = ComponentMetadataAsync(system)
     updates = plugin.subscribe_metadata_available()
     asked = asyncio.create_task(within(anext(updates)))
@@ -72,7 +72,7 @@ async def metadata(system: System) -> None:
 
 
 async def refusal(system: System) -> None:
-    """What it is told in words when somebody kills, and wants to arm then."""
+    """Kill, try to arm, and print the texts that come."""
     action, texts = ActionAsync(system), TelemetryAsync(system).subscribe_status_text()
     first = asyncio.create_task(within(anext(texts)))
     await asyncio.sleep(0.1)

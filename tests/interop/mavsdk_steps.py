@@ -1,4 +1,4 @@
-"""What clients made with MAVSDK share: each step is a line of JSON, each wait has an end, MAVSDK is given patience."""
+"""Shared code of the clients made with MAVSDK: each step is a line of JSON, and each wait has a deadline."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def made() -> Mavsdk:
 
 
 async def told(ask: Callable[[], Awaitable[T]]) -> T:
-    """What the drone tells of itself after it was found: MAVSDK waits half a second for that, then says "not yet"."""
+    """Ask until the drone's description has come; MAVSDK itself gives up after half a second."""
     end = time.monotonic() + DEADLINE_S
     while True:
         try:

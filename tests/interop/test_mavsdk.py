@@ -30,7 +30,7 @@ REACHED = 0.03  # rad; the set-point is 0.1
 
 
 def flight(url: str, log: Path, first: str) -> dict[str, list[dict[str, Any]]]:
-    """What the client saw, by step; AssertionError with everything it said if it does not come to its end."""
+    """Return the client's output by step; fail with all of it if the client does not end."""
     command = [sys.executable, "-W", "error", str(CLIENT), url, "RATE_KP", str(SET_TO), str(log), first]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)
@@ -74,7 +74,7 @@ def test_mavsdk_flies_by_udp_through_the_companion_and_arms_in_offboard(companio
 
 
 def check(saw: dict[str, list[dict[str, Any]]], log: Path) -> None:
-    """What the client must have seen of this drone."""
+    """Check the client's output against this drone."""
     assert saw["discovered"] == [{"system": 1, "autopilot": "PX4"}]
     (version,) = saw["version"]
     assert version["software"] >= [1, 16, 0]  # what clients take as PX4's

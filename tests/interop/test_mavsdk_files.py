@@ -1,4 +1,4 @@
-"""MAVSDK, which knows nothing of us, takes what the vehicle keeps: files, descriptions, a log while it is written."""
+"""MAVSDK fetches what the vehicle keeps: files, descriptions, and a log while it is written."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CLIENT = Path(__file__).with_name("mavsdk_files_client.py")
 
 @pytest.fixture(scope="module")
 def saw(fcu_url: str, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
-    """What the client saw, by step, and where it put what it got."""
+    """Return the client's output by step, and the folder of the files that it fetched."""
     folder = tmp_path_factory.mktemp("mavsdk")
     command = [sys.executable, "-W", "error", str(CLIENT), f"tcpout://127.0.0.1:{port(fcu_url)}", str(folder)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, check=False)

@@ -50,7 +50,7 @@ def stream(fcu_url: str) -> Iterator[bytes]:
 
 @pytest.fixture(scope="module")
 def decoded(stream: bytes, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What node-mavlink makes of it."""
+    """Return the stream as node-mavlink decodes it."""
     modules = need_node_package("node-mavlink")
     file = tmp_path_factory.mktemp("stream") / "session.mavlink"
     file.write_bytes(stream)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from tests.link.ends import in_loop
 from tests.patience import PATIENCE_S
 from twodof.link.connection import Connection
 from twodof.link.mavlink.framing import encode
@@ -43,7 +44,7 @@ AUTOPILOT = {"target_system": 1, "target_component": 1}
 
 
 class Station:
-    """What QGroundControl is on the wire: system 255, component 190."""
+    """QGroundControl on the wire: system 255, component 190."""
 
     def __init__(self, link: Connection) -> None:
         self.link = link
@@ -61,7 +62,7 @@ class Station:
         self.link.transport.send(b"".join(pieces))
 
     async def until(self, wanted: Callable[[Any], bool]) -> list[Any]:
-        """What comes, up to the first message that is `wanted`."""
+        """Return the messages up to the first one that is `wanted`."""
         got: list[Any] = []
         async with asyncio.timeout(PATIENCE_S):
             while True:
@@ -171,54 +172,47 @@ STEPS: tuple[Callable[[Station], Awaitable[Any]], ...] = (
 
 @pytest.mark.long
 @pytest.mark.waits
-def test_it_connects_and_finds_all_it_needs(fcu_url: str) -> None:
-    async def connect() -> None:
-        async with station(fcu_url) as qgc:
-            for step in STEPS:
-                await step(qgc)
-            await qgc.until(lambda _: qgc.seen >= STREAMS)
-            # It does not know our own messages, and would count them as lost.
-            assert {name for name in qgc.seen if name.startswith("TWODOF")} == set()
-
-    asyncio.run(connect())
+@in_loop
+async def test_it_connects_and_finds_all_it_needs(fcu_url: str) -> None:
+    async with station(fcu_url) as qgc:
+        for step in STEPS:
+            await step(qgc)
+        await qgc.until(lambda _: qgc.seen >= STREAMS)
+        # It does not know our own messages, and would count them as lost.
+        assert {name for name in qgc.seen if name.startswith("TWODOF")} == set()
 
 
-def test_a_cache_with_the_same_hash_stops_the_list(fcu_url: str) -> None:
+@in_loop
+async def test_a_cache_with_the_same_hash_stops_the_list(fcu_url: str) -> None:
     """QGroundControl waits for the hash of the list; a list takes an eighth of a second, and who stands still is late.
 
     It is stopped once its hash has come: tests/fcu/mavlink/test_parameter_service.py shows that in the drone's time.
     """
-
-    async def connect() -> None:
-        async with station(fcu_url) as qgc:
-            qgc.say_in_one_breath(
-                message("PARAM_REQUEST_LIST", **AUTOPILOT),
-                message("PARAM_SET", param_id=b"_HASH_CHECK", param_type=UINT32, **AUTOPILOT),
-                # PX4 does not answer it. A question behind it is answered after whatever was sent before.
-                message("PARAM_REQUEST_READ", param_id=b"THERE_IS_NONE", param_index=-1, **AUTOPILOT),
-            )
-            await qgc.until(lambda m: m.get_type() == "PARAM_ERROR")
-            after = await qgc.until(lambda m: m.get_type() == "HEARTBEAT")
-            assert named(after, "PARAM_VALUE") == []
-
-    asyncio.run(connect())
+    async with station(fcu_url) as qgc:
+        qgc.say_in_one_breath(
+            message("PARAM_REQUEST_LIST", **AUTOPILOT),
+            message("PARAM_SET", param_id=b"_HASH_CHECK", param_type=UINT32, **AUTOPILOT),
+            # PX4 does not answer it. A question behind it is answered after whatever was sent before.
+            message("PARAM_REQUEST_READ", param_id=b"THERE_IS_NONE", param_index=-1, **AUTOPILOT),
+        )
+        await qgc.until(lambda m: m.get_type() == "PARAM_ERROR")
+        after = await qgc.until(lambda m: m.get_type() == "HEARTBEAT")
+        assert named(after, "PARAM_VALUE") == []
 
 
-def test_a_parameter_is_read_again_and_set(fcu_url: str) -> None:
-    async def connect() -> None:
-        async with station(fcu_url) as qgc:
+@in_loop
+async def test_a_parameter_is_read_again_and_set(fcu_url: str) -> None:
+    async with station(fcu_url) as qgc:
 
-            def is_gain(one: Any) -> bool:
-                return one.get_type() == "PARAM_VALUE" and one.param_id == "FC_PARAM_4"
+        def is_gain(one: Any) -> bool:
+            return one.get_type() == "PARAM_VALUE" and one.param_id == "FC_PARAM_4"
 
-            qgc.say("PARAM_REQUEST_READ", param_id="FC_PARAM_4", param_index=-1)
-            old = (await qgc.until(is_gain))[-1]
-            qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=0.0625, param_type=REAL32)
-            assert (await qgc.until(is_gain))[-1].param_value == 0.0625
-            # What is refused is answered with what stays, so that it does not ask again and shows the true value.
-            qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=9.0, param_type=REAL32)
-            assert (await qgc.until(is_gain))[-1].param_value == 0.0625
-            qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=old.param_value, param_type=REAL32)
-            assert (await qgc.until(is_gain))[-1].param_value == old.param_value
-
-    asyncio.run(connect())
+        qgc.say("PARAM_REQUEST_READ", param_id="FC_PARAM_4", param_index=-1)
+        old = (await qgc.until(is_gain))[-1]
+        qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=0.0625, param_type=REAL32)
+        assert (await qgc.until(is_gain))[-1].param_value == 0.0625
+        # What is refused is answered with what stays, so that it does not ask again and shows the true value.
+        qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=9.0, param_type=REAL32)
+        assert (await qgc.until(is_gain))[-1].param_value == 0.0625
+        qgc.say("PARAM_SET", param_id="FC_PARAM_4", param_value=old.param_value, param_type=REAL32)
+        assert (await qgc.until(is_gain))[-1].param_value == old.param_value

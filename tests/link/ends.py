@@ -1,7 +1,8 @@
 """An event loop for a test, and everything that comes to one end of a transport."""
 
 import asyncio
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
+from functools import wraps
 from typing import Any
 
 from tests.patience import PATIENCE_S
@@ -24,3 +25,13 @@ async def gather(end: Transport, size: int) -> bytes:
         assert packet is not None, f"{len(data)} of {size} bytes came"
         data += packet.data
     return data
+
+
+def in_loop(test: Callable[..., Coroutine[Any, Any, None]]) -> Callable[..., None]:
+    """Run an async test in a fresh loop, with a deadline."""
+
+    @wraps(test)
+    def limited(*given: Any, **named: Any) -> None:
+        run(test(*given, **named))
+
+    return limited

@@ -1,4 +1,4 @@
-"""Connections: over every transport, over a bad one on virtual time, signed, among several, and against rubbish."""
+"""Connections: over every transport, over a bad network on virtual time, signed, and against rubbish."""
 
 import asyncio
 import gc
@@ -9,7 +9,7 @@ import pytest
 
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import run_virtual
-from tests.link.ends import SOON, run
+from tests.link.ends import SOON, in_loop
 from twodof.errors import LinkLost
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
@@ -25,28 +25,26 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.parametrize("kind", ["udp", "tcp", "mem"])
-def test_messages_both_ways(kind: str) -> None:
-    async def work() -> None:
-        there_at = await open_transport("memin://both" if kind == "mem" else f"{kind}in://:0")
-        port = there_at.port if isinstance(there_at, UdpTransport | TcpTransport) else 0
-        here_at = await open_transport(f"{kind}://127.0.0.1:{port}" if port else "mem://both")
-        async with Connection(there_at, 1, 1) as drone, Connection(here_at, 255, 190) as ground:
-            for tick in range(300):
-                ground.send(message("TWODOF_OPENLOOP", tick=tick, M=0.1, openloop=1))
-            got = [await drone.receive(SOON) for _ in range(300)]
-            assert [one.message.tick for one in got if one] == list(range(300))
-            assert got[0] is not None
-            assert (got[0].frame.system, got[0].frame.component) == (255, 190)
-            drone.send(message("HEARTBEAT", type=2, autopilot=12))  # the ground's address was learned
-            answer = await ground.receive(SOON)
-            assert answer is not None
-            assert answer.message.autopilot == 12
-            assert drone.statistics.senders[255, 190].received == 300
-            assert drone.statistics.loss == 0.0
-            assert drone.framing["frames"] == 300
-            assert await drone.receive(0.01) is None
-
-    run(work())
+@in_loop
+async def test_messages_both_ways(kind: str) -> None:
+    there_at = await open_transport("memin://both" if kind == "mem" else f"{kind}in://:0")
+    port = there_at.port if isinstance(there_at, UdpTransport | TcpTransport) else 0
+    here_at = await open_transport(f"{kind}://127.0.0.1:{port}" if port else "mem://both")
+    async with Connection(there_at, 1, 1) as drone, Connection(here_at, 255, 190) as ground:
+        for tick in range(300):
+            ground.send(message("TWODOF_OPENLOOP", tick=tick, M=0.1, openloop=1))
+        got = [await drone.receive(SOON) for _ in range(300)]
+        assert [one.message.tick for one in got if one] == list(range(300))
+        assert got[0] is not None
+        assert (got[0].frame.system, got[0].frame.component) == (255, 190)
+        drone.send(message("HEARTBEAT", type=2, autopilot=12))  # the ground's address was learned
+        answer = await ground.receive(SOON)
+        assert answer is not None
+        assert answer.message.autopilot == 12
+        assert drone.statistics.senders[255, 190].received == 300
+        assert drone.statistics.loss == 0.0
+        assert drone.framing["frames"] == 300
+        assert await drone.receive(0.01) is None
 
 
 def test_loss_is_counted_as_it_was() -> None:
@@ -119,106 +117,92 @@ def test_a_round_trip_is_measured() -> None:
     assert trips.offset == pytest.approx(50.0, abs=1e-6)  # the way takes as long there as back
 
 
-def test_every_peer_has_its_own_sequence() -> None:
-    async def work() -> None:
-        async with (
-            Connection(await open_transport("memin://two"), 1, 1) as drone,
-            Connection(await open_transport("mem://two"), 255, 190) as one,
-            Connection(await open_transport("mem://two"), 254, 190) as two,
-        ):
-            one.send(message("HEARTBEAT"))
-            first = await drone.receive(SOON)
-            assert first is not None
-            for number in range(600):
-                drone.send(message("TWODOF_TICK", tick=number), to=first.peer if number % 3 else None)
-            for ground, expected in ((one, 600), (two, 200)):
-                while ground.receive_now():
-                    pass
-                counts = ground.statistics.senders[1, 1]
-                assert (counts.received, counts.lost) == (expected, 0)
-
-    run(work())
+@in_loop
+async def test_every_peer_has_its_own_sequence() -> None:
+    async with (
+        Connection(await open_transport("memin://two"), 1, 1) as drone,
+        Connection(await open_transport("mem://two"), 255, 190) as one,
+        Connection(await open_transport("mem://two"), 254, 190) as two,
+    ):
+        one.send(message("HEARTBEAT"))
+        first = await drone.receive(SOON)
+        assert first is not None
+        for number in range(600):
+            drone.send(message("TWODOF_TICK", tick=number), to=first.peer if number % 3 else None)
+        for ground, expected in ((one, 600), (two, 200)):
+            while ground.receive_now():
+                pass
+            counts = ground.statistics.senders[1, 1]
+            assert (counts.received, counts.lost) == (expected, 0)
 
 
-def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
+@in_loop
+async def test_a_signed_link_and_an_intruder(tmp_path: Path) -> None:
     key = Key.fresh()
-
-    async def work() -> None:
-        async with (
-            Connection(await open_transport("memin://signed"), 1, 1, Signing(key, Stamps(tmp_path / "drone"))) as drone,
-            Connection(
-                await open_transport("mem://signed"), 255, 190, Signing(key, Stamps(tmp_path / "ground"))
-            ) as ground,
-            Connection(await open_transport("mem://signed"), 255, 191) as intruder,
-        ):
-            assert drone.signing is not None
-            intruder.send(message("COMMAND_LONG", command=400, param1=1.0))
-            ground.send(message("COMMAND_LONG", command=400, param1=0.0))
-            got = await drone.receive(SOON)
-            assert got is not None
-            assert (got.frame.component, got.message.param1) == (190, 0.0)
-            # What was recorded on the air and sent again is refused, by whoever sends it.
-            intruder.transport.send(got.frame.raw)
-            assert await drone.receive(0.05) is None
-            assert (drone.signing.counts.unsigned, drone.signing.counts.repeated) == (1, 1)
-            old = message("COMMAND_LONG", command=400, param1=1.0)
-            intruder.transport.send(bytes(old.pack(dialect.load().MAVLink(None, 255, 190), force_mavlink1=True)))
-            assert await drone.receive(0.05) is None
-            assert drone.framing["mavlink1_refused"] == 1
-            drone.send(message("COMMAND_ACK", command=400), to=got.peer)
-            answer = await ground.receive(SOON)
-            assert answer is not None
-            assert answer.frame.signed
-
-    run(work())
+    async with (
+        Connection(await open_transport("memin://signed"), 1, 1, Signing(key, Stamps(tmp_path / "drone"))) as drone,
+        Connection(await open_transport("mem://signed"), 255, 190, Signing(key, Stamps(tmp_path / "ground"))) as ground,
+        Connection(await open_transport("mem://signed"), 255, 191) as intruder,
+    ):
+        assert drone.signing is not None
+        intruder.send(message("COMMAND_LONG", command=400, param1=1.0))
+        ground.send(message("COMMAND_LONG", command=400, param1=0.0))
+        got = await drone.receive(SOON)
+        assert got is not None
+        assert (got.frame.component, got.message.param1) == (190, 0.0)
+        # What was recorded on the air and sent again is refused, by whoever sends it.
+        intruder.transport.send(got.frame.raw)
+        assert await drone.receive(0.05) is None
+        assert (drone.signing.counts.unsigned, drone.signing.counts.repeated) == (1, 1)
+        old = message("COMMAND_LONG", command=400, param1=1.0)
+        intruder.transport.send(bytes(old.pack(dialect.load().MAVLink(None, 255, 190), force_mavlink1=True)))
+        assert await drone.receive(0.05) is None
+        assert drone.framing["mavlink1_refused"] == 1
+        drone.send(message("COMMAND_ACK", command=400), to=got.peer)
+        answer = await ground.receive(SOON)
+        assert answer is not None
+        assert answer.frame.signed
 
 
-def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
-    async def work() -> None:
-        at = await open_transport("udpin://:0")
-        assert isinstance(at, UdpTransport)
-        drone = Connection(at, 1, 1, Signing(Key.fresh(), Stamps(None)))
-        stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
-        stranger.send(message("HEARTBEAT"))
-        stranger.send(
-            message("RADIO_STATUS", rssi=1)
-        )  # a radio's own word, which has no signature anywhere else either
-        assert await drone.receive(0.1) is None
-        assert not drone.statistics.senders
-        drone.send(message("HEARTBEAT"))
-        assert await stranger.receive(0.1) is None
-        await stranger.close()
-        await drone.close()
-
-    run(work())
+@in_loop
+async def test_an_unsigned_stranger_over_udp_gets_no_telemetry() -> None:
+    at = await open_transport("udpin://:0")
+    assert isinstance(at, UdpTransport)
+    drone = Connection(at, 1, 1, Signing(Key.fresh(), Stamps(None)))
+    stranger = Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 255, 190)
+    stranger.send(message("HEARTBEAT"))
+    stranger.send(message("RADIO_STATUS", rssi=1))  # a radio's own word, which has no signature anywhere else either
+    assert await drone.receive(0.1) is None
+    assert not drone.statistics.senders
+    drone.send(message("HEARTBEAT"))
+    assert await stranger.receive(0.1) is None
+    await stranger.close()
+    await drone.close()
 
 
-def test_what_is_not_signed_keeps_nobodys_place(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_loop
+async def test_what_is_not_signed_keeps_nobodys_place(monkeypatch: pytest.MonkeyPatch) -> None:
     """From the very address of one who has gone: its place goes to the next who signs."""
     monkeypatch.setattr(udp, "MOST_PEERS", 1)
     monkeypatch.setattr(udp, "SILENT_S", 0.2)
     key = Key.fresh()
-
-    async def work() -> None:
-        at = await open_transport("udpin://:0")
-        assert isinstance(at, UdpTransport)
-        async with (
-            Connection(at, 1, 1, Signing(key, Stamps(None))) as drone,
-            Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 9, 9, Signing(key, Stamps(None))) as gone,
-            Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 8, 8, Signing(key, Stamps(None))) as new,
-        ):
-            gone.send(message("HEARTBEAT"))
-            assert await drone.receive(SOON) is not None
-            (place,) = at.peers
-            for _ in range(5):
-                gone.transport.send(encode(message("HEARTBEAT"), 9, 9, 0))
-                assert await drone.receive(0.1) is None
-            new.send(message("HEARTBEAT"))
-            assert await drone.receive(SOON) is not None
-            assert len(at.peers) == 1
-            assert at.peers != (place,)
-
-    run(work())
+    at = await open_transport("udpin://:0")
+    assert isinstance(at, UdpTransport)
+    async with (
+        Connection(at, 1, 1, Signing(key, Stamps(None))) as drone,
+        Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 9, 9, Signing(key, Stamps(None))) as gone,
+        Connection(await open_transport(f"udp://127.0.0.1:{at.port}"), 8, 8, Signing(key, Stamps(None))) as new,
+    ):
+        gone.send(message("HEARTBEAT"))
+        assert await drone.receive(SOON) is not None
+        (place,) = at.peers
+        for _ in range(5):
+            gone.transport.send(encode(message("HEARTBEAT"), 9, 9, 0))
+            assert await drone.receive(0.1) is None
+        new.send(message("HEARTBEAT"))
+        assert await drone.receive(SOON) is not None
+        assert len(at.peers) == 1
+        assert at.peers != (place,)
 
 
 def test_half_a_frame_on_a_stream_holds_the_next_up_for_a_tenth_of_a_second() -> None:
@@ -240,100 +224,90 @@ def parsers() -> int:
     return sum(type(one) is Parser for one in gc.get_objects())
 
 
-def test_rubbish_arms_nothing_and_leaves_nothing_behind() -> None:
-    async def work() -> None:
-        here, there = memory_pair()
-        chance, before = random.Random(5), parsers()
-        async with Connection(here, 1, 1) as drone:
-            for _ in range(3000):
-                there.send(chance.randbytes(chance.randrange(300)))
-                assert drone.receive_now() is None
-            there.send(encode(message("HEARTBEAT"), 255, 190, 0))
-            got = await drone.receive(SOON)
-            assert got is not None
-            assert drone.framing["rubbish_bytes"] > 100_000
-            assert parsers() == before + 1
-
-    run(work())
-
-
-def test_peers_on_a_stream_each_have_a_parser_and_those_are_bounded() -> None:
-    async def work() -> None:
-        at = await open_transport("memin://many")
-        at.whole = False  # as TCP cuts it
-        heartbeat, before = encode(message("HEARTBEAT"), 255, 190, 0), parsers()
-        async with Connection(at, 1, 1) as drone:
-            clients = [await open_transport("mem://many") for _ in range(100)]
-            for cut in (5, len(heartbeat)):
-                for client in clients[:60]:
-                    client.send(heartbeat[:5] if cut == 5 else heartbeat[5:])
-            for _ in range(60):  # none took the other's half for its own
-                assert drone.receive_now() is not None
-            for client in clients:
-                client.send(b"\x00" + heartbeat)
-                assert drone.receive_now() is not None
-            assert parsers() == before + 64
-            assert drone.framing["frames"] == 160
-            assert drone.framing["rubbish_bytes"] == 100
-            for client in clients:
-                await client.close()
-
-    run(work())
-
-
-def test_a_router_passes_frames_on_as_they_are() -> None:
-    async def work() -> None:
-        here, there = memory_pair()
-        left, right = memory_pair()
-        strange = b"\xfd\x03\x00\x00\x05\x01\x01" + (300_000).to_bytes(3, "little") + b"abc" + b"\x12\x34"
-        sent = [encode(message("HEARTBEAT"), 7, 8, 9), strange]
-        router, onward = Connection(there, 1, 191), Connection(left, 1, 191)
-        for raw in sent:
-            here.send(raw)
-            found = await router.receive_frame(SOON)
-            assert found is not None
-            onward.forward(found[0])
-            packet = right.receive_now()
-            assert packet is not None
-            assert packet.data == raw
-        assert await router.receive_frame(0.0) is None
-        here.send(strange)
-        here.send(sent[0])
-        got = await router.receive(SOON)  # who reads messages does not see what the dialect has not
-        assert got is not None
-        assert got.frame.raw == sent[0]
-        await router.close()
-        await onward.close()
-
-    run(work())
-
-
-def test_two_tasks_cannot_receive_at_once() -> None:
-    async def work() -> None:
-        here, _ = memory_pair()
-        drone = Connection(here, 1, 1)
-        first = asyncio.create_task(drone.receive(SOON))
-        await asyncio.sleep(0)
-        with pytest.raises(RuntimeError, match="two tasks receive"):
-            await drone.receive(SOON)
-        await drone.close()
-        with pytest.raises(LinkLost):
-            await first
-
-    run(work())
-
-
-def test_ends_are_errors_of_their_type() -> None:
-    async def work() -> None:
-        here, there = memory_pair()
-        drone = Connection(here, 1, 1)
+@in_loop
+async def test_rubbish_arms_nothing_and_leaves_nothing_behind() -> None:
+    here, there = memory_pair()
+    chance, before = random.Random(5), parsers()
+    async with Connection(here, 1, 1) as drone:
+        for _ in range(3000):
+            there.send(chance.randbytes(chance.randrange(300)))
+            assert drone.receive_now() is None
         there.send(encode(message("HEARTBEAT"), 255, 190, 0))
-        await there.close()
-        assert await drone.receive(SOON) is not None  # what had arrived comes first
-        with pytest.raises(LinkLost, match="the other end was closed"):
-            await drone.receive(SOON)
-        with pytest.raises(LinkLost):
-            drone.send(message("HEARTBEAT"))
-        await drone.close()
+        got = await drone.receive(SOON)
+        assert got is not None
+        assert drone.framing["rubbish_bytes"] > 100_000
+        assert parsers() == before + 1
 
-    run(work())
+
+@in_loop
+async def test_peers_on_a_stream_each_have_a_parser_and_those_are_bounded() -> None:
+    at = await open_transport("memin://many")
+    at.whole = False  # as TCP cuts it
+    heartbeat, before = encode(message("HEARTBEAT"), 255, 190, 0), parsers()
+    async with Connection(at, 1, 1) as drone:
+        clients = [await open_transport("mem://many") for _ in range(100)]
+        for cut in (5, len(heartbeat)):
+            for client in clients[:60]:
+                client.send(heartbeat[:5] if cut == 5 else heartbeat[5:])
+        for _ in range(60):  # none took the other's half for its own
+            assert drone.receive_now() is not None
+        for client in clients:
+            client.send(b"\x00" + heartbeat)
+            assert drone.receive_now() is not None
+        assert parsers() == before + 64
+        assert drone.framing["frames"] == 160
+        assert drone.framing["rubbish_bytes"] == 100
+        for client in clients:
+            await client.close()
+
+
+@in_loop
+async def test_a_router_passes_frames_on_as_they_are() -> None:
+    here, there = memory_pair()
+    left, right = memory_pair()
+    strange = b"\xfd\x03\x00\x00\x05\x01\x01" + (300_000).to_bytes(3, "little") + b"abc" + b"\x12\x34"
+    sent = [encode(message("HEARTBEAT"), 7, 8, 9), strange]
+    router, onward = Connection(there, 1, 191), Connection(left, 1, 191)
+    for raw in sent:
+        here.send(raw)
+        found = await router.receive_frame(SOON)
+        assert found is not None
+        onward.forward(found[0])
+        packet = right.receive_now()
+        assert packet is not None
+        assert packet.data == raw
+    assert await router.receive_frame(0.0) is None
+    here.send(strange)
+    here.send(sent[0])
+    got = await router.receive(SOON)  # who reads messages does not see what the dialect has not
+    assert got is not None
+    assert got.frame.raw == sent[0]
+    await router.close()
+    await onward.close()
+
+
+@in_loop
+async def test_two_tasks_cannot_receive_at_once() -> None:
+    here, _ = memory_pair()
+    drone = Connection(here, 1, 1)
+    first = asyncio.create_task(drone.receive(SOON))
+    await asyncio.sleep(0)
+    with pytest.raises(RuntimeError, match="two tasks receive"):
+        await drone.receive(SOON)
+    await drone.close()
+    with pytest.raises(LinkLost):
+        await first
+
+
+@in_loop
+async def test_ends_are_errors_of_their_type() -> None:
+    here, there = memory_pair()
+    drone = Connection(here, 1, 1)
+    there.send(encode(message("HEARTBEAT"), 255, 190, 0))
+    await there.close()
+    assert await drone.receive(SOON) is not None  # what had arrived comes first
+    with pytest.raises(LinkLost, match="the other end was closed"):
+        await drone.receive(SOON)
+    with pytest.raises(LinkLost):
+        drone.send(message("HEARTBEAT"))
+    await drone.close()

@@ -1,4 +1,4 @@
-"""Signing: a differential against pymavlink, keys kept safe, and no stamp accepted twice whatever happens."""
+"""Signing: a differential against pymavlink, keys kept safe, and no stamp accepted twice."""
 
 import asyncio
 import copy
@@ -19,8 +19,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule
 
-from tests.faults.virtual_time import run_virtual
-from tests.link.ends import SOON, run
+from tests.faults.virtual_time import on_virtual_time
+from tests.link.ends import SOON, in_loop
 from twodof.errors import LinkError
 from twodof.link import signing as signing_module
 from twodof.link.connection import Connection
@@ -217,7 +217,7 @@ def test_a_forged_stamp_shuts_nobody_out() -> None:
 
 
 def test_a_peer_may_be_a_year_ahead_and_all_follow() -> None:
-    """What was refused of a wrong clock could be replayed when its time has come, so hardly anything is."""
+    """Frames refused for a wrong clock could be replayed later, so that few are refused."""
     day = 24 * 3600 * PER_SECOND
     mine, clock = signing(), Clock(START + 364 * day)
     wrong = signing(clock=clock)
@@ -233,57 +233,52 @@ def test_a_peer_may_be_a_year_ahead_and_all_follow() -> None:
 
 
 @pytest.mark.parametrize("before", [False, True])
-def test_who_has_a_time_of_before_catches_up_by_what_it_is_told(before: bool) -> None:
+@in_loop
+async def test_who_has_a_time_of_before_catches_up_by_what_it_is_told(before: bool) -> None:
     """Over UDP nobody is sent to before it was accepted; who signs rightly is told our time nevertheless."""
-
-    async def work() -> None:
-        day = 24 * 3600 * PER_SECOND
-        there = await open_transport("udpin://:0")
-        assert isinstance(there, UdpTransport)
-        here = await open_transport(f"udp://127.0.0.1:{there.port}")
-        mine, theirs = signing(), signing()
-        beat = message("HEARTBEAT", type=6, autopilot=8)
-        async with Connection(there, 1, 1, mine) as drone, Connection(here, 9, 190, theirs) as client:
-            # Somebody whose clock was ahead has set the time for all; `before`: in the client's own name.
-            frame = frame_of(
-                encode(beat, *((9, 190) if before else (8, 190)), 0, signing(clock=Clock(START + 5 * day)).outgoing())
-            )
-            assert mine.check(frame) is SigningVerdict.ACCEPTED
-            client.send(beat)
-            while not mine.counts.refused:
-                assert await drone.receive(0.01) is None
-            assert (mine.counts.repeated, mine.counts.stale) == ((1, 0) if before else (0, 1))
-            assert there.peers == ()
-            while not theirs.counts.accepted:  # it hears our question about time, and answers it by itself
-                assert await client.receive(0.01) is None
-            client.send(beat)
-            found = await drone.receive(SOON)
-            assert found is not None
-            assert found.message.get_type() == "HEARTBEAT"
-            assert len(there.peers) == 1
-
-    run(work())
+    day = 24 * 3600 * PER_SECOND
+    there = await open_transport("udpin://:0")
+    assert isinstance(there, UdpTransport)
+    here = await open_transport(f"udp://127.0.0.1:{there.port}")
+    mine, theirs = signing(), signing()
+    beat = message("HEARTBEAT", type=6, autopilot=8)
+    async with Connection(there, 1, 1, mine) as drone, Connection(here, 9, 190, theirs) as client:
+        # Somebody whose clock was ahead has set the time for all; `before`: in the client's own name.
+        frame = frame_of(
+            encode(beat, *((9, 190) if before else (8, 190)), 0, signing(clock=Clock(START + 5 * day)).outgoing())
+        )
+        assert mine.check(frame) is SigningVerdict.ACCEPTED
+        client.send(beat)
+        while not mine.counts.refused:
+            assert await drone.receive(0.01) is None
+        assert (mine.counts.repeated, mine.counts.stale) == ((1, 0) if before else (0, 1))
+        assert there.peers == ()
+        while not theirs.counts.accepted:  # it hears our question about time, and answers it by itself
+            assert await client.receive(0.01) is None
+        client.send(beat)
+        found = await drone.receive(SOON)
+        assert found is not None
+        assert found.message.get_type() == "HEARTBEAT"
+        assert len(there.peers) == 1
 
 
-def test_replayed_packets_are_answered_seldom_and_give_nobody_a_place() -> None:
-    async def work() -> None:
-        here, there = memory_pair()
-        loop = asyncio.get_running_loop()
-        mine, theirs = signing(), signing()
-        async with Connection(there, 1, 1, mine, loop.time) as drone:
-            raw = encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing())
+@on_virtual_time
+async def test_replayed_packets_are_answered_seldom_and_give_nobody_a_place() -> None:
+    here, there = memory_pair()
+    loop = asyncio.get_running_loop()
+    mine, theirs = signing(), signing()
+    async with Connection(there, 1, 1, mine, loop.time) as drone:
+        raw = encode(message("HEARTBEAT"), 9, 190, 0, theirs.outgoing())
+        here.send(raw)
+        assert await drone.receive(0.0) is not None
+        for _ in range(100):
             here.send(raw)
-            assert await drone.receive(0.0) is not None
-            for _ in range(100):
-                here.send(raw)
-                assert await drone.receive(0.01) is None
-            assert mine.counts.repeated == 100
-            answers = 0
-            while here.receive_now() is not None:
-                answers += 1
-            assert 1 <= answers <= 11  # in a second
-
-    run_virtual(work())
+            assert await drone.receive(0.01) is None
+        assert mine.counts.repeated == 100
+        answers = 0
+        while here.receive_now() is not None:
+            answers += 1
+        assert 1 <= answers <= 11  # in a second
 
 
 def test_half_a_key_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,7 +9,7 @@ from twodof.link.statistics import MOST_SENDERS, LinkStatistics, MessageRate, Ro
 
 
 def counted(sequences: list[int]) -> SenderCounts:
-    """What is counted of these sequence numbers."""
+    """Return the counts of these sequence numbers."""
     counts = SenderCounts()
     for sequence in sequences:
         counts.count(sequence % 256)

@@ -100,7 +100,7 @@ class CompanionLink(ABC):
         return await lost
 
     async def back_off(self, stood: bool) -> None:
-        """Wait before the link is opened again: longer than the last time, unless it `stood` meanwhile."""
+        """Wait before the link is opened again; each wait is longer, until the link was open for a while (`stood`)."""
         if stood:
             self._pause = FIRST_BACK_OFF_S
         await asyncio.sleep(self._pause)

@@ -44,7 +44,7 @@ def lower_priority(process: int, by: int) -> None:
     """Let the process, and what it starts, come after the others; what the system does not allow is left.
 
     By default Linux shares out its processors to sessions first (autogroup), and looks at the niceness of a process
-    only within its own. A process that is to be told so has a session of its own.
+    only within its own. Such a process therefore has a session of its own.
     """
     with suppress(OSError):  # it has ended already
         niceness = min(_LOWEST, os.getpriority(os.PRIO_PROCESS, process) + by)

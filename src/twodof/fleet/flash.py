@@ -1,4 +1,4 @@
-"""Flash a controller: check it, try it, compile it, tell its cost and its changes, and let it fly from now on."""
+"""Flash a controller: check, try and compile it, print its cost and changes, and let it fly from now on."""
 
 import math
 import tempfile

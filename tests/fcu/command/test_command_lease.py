@@ -27,7 +27,7 @@ IMPULSE = written_out(Impulse(0.05, 0.02, settle=0.2))
 
 
 def standing(commander: Commander) -> tuple[Source | None, int, int]:
-    """Who holds the lease, for how many ticks, and the count of changes."""
+    """Return holder of the lease, its remaining ticks, and the count of changes."""
     return commander.lease.holder, commander.lease.left, commander.lease.revision
 
 
@@ -156,7 +156,7 @@ def test_nobody_is_missed_once_the_failsafe_has_stopped_the_motors() -> None:
 
 
 def test_where_time_stands_who_died_gives_way_with_all_that_it_has_sent_ahead() -> None:
-    """`stands` counts real time, in which only the holder could let any pass; a frame of it counts anew."""
+    """`stands` counts real time without a grant of the holder; a frame of the holder resets the count."""
     for take in (lambda one: one.lease.ask(OTHER), lambda one: one.lease.take(OTHER)):
         cockpit = armed(talking=(), lockstep=True)
         commander = cockpit.commander

@@ -314,7 +314,7 @@ def test_numbers_beyond_all_bounds_are_refused_and_no_fault(name: str, number: f
 def test_whatever_fails_in_writing_one_out_is_a_refusal(
     fault: type[Exception], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Nothing that comes over a link may end the control loop."""
+    """A definition from a link must not end the control loop."""
 
     def fails(values: object) -> None:
         raise fault("here")

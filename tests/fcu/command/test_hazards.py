@@ -32,7 +32,7 @@ PITCHED = SetPoint(ATTITUDE, theta0=0.3, thrust=0.5)
 
 
 def test_what_waits_is_forgotten_with_the_lease_and_does_not_act_when_its_sender_has_it_again() -> None:
-    """A program that was started anew under its old number knows nothing of what the one before had sent ahead."""
+    """A restarted program with the same number does not know the set-points that the last run sent ahead."""
     cockpit = offboard()
     cockpit.commander.setpoint(ME, PITCHED, cockpit.tick + 10)
     assert cockpit.commander.lease.give_up(ME).accepted
@@ -186,7 +186,7 @@ def test_one_whose_tick_comes_while_the_failsafe_acts_is_refused_then() -> None:
 
 
 def test_the_safety_switch_set_in_flight_stops_the_motors_in_the_next_tick() -> None:
-    """Somebody stands at the rig: motors may turn only while the switch says so."""
+    """A person may stand at the rig: motors turn only while the switch allows it."""
     rig = Rig()
     cockpit = offboard(rig=rig)
     assert cockpit.commander.excitation.define(ME, 7, PULSE).accepted

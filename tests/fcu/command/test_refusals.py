@@ -1,4 +1,4 @@
-"""What the commander refuses, and in which words; what a refusal leaves as it was."""
+"""Refusals of the commander: their words and codes, and the state that they leave unchanged."""
 
 from __future__ import annotations
 

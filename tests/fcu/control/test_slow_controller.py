@@ -34,7 +34,7 @@ class Later(Script):
 
 @dataclass
 class Slow:
-    """The processor time of this thread, of which a step in the sandbox takes 7 ms in the ticks `during`."""
+    """Processor time of this thread; a step in the sandbox takes 7 ms of it in the ticks `during`."""
 
     during: range
     now: int = 0
@@ -140,7 +140,7 @@ def test_after_a_flight_it_is_tried_again_a_second_later(slow: Slow) -> None:
 
 
 def test_a_change_of_its_parameters_does_not_step_it_at_once(slow: Slow) -> None:
-    """Who pulls at a slider would make the loop late at each pull."""
+    """Otherwise each move of a slider would make the loop late."""
     slow.during = range(10**9)
     made = flown(slow, 10, Script(change=lambda _tick, _asked: ControlInput()))
     for number in range(200):

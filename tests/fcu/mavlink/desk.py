@@ -50,17 +50,17 @@ class Bench:
     name, virtual, seed, rings, safety_off = "bench", True, 7, False, True
 
     def read(self) -> SensorSample:
-        """Nothing moves."""
+        """Return the sample of a rig at rest."""
         return SensorSample(0.0, 0.0, -9.81, 0.0, 0.0, 0.0, True, 0.5, False, 0.0, 12.3, 0.8)
 
     def drive(self, fore: float, aft: float) -> None:
-        """Nothing turns."""
+        """Do nothing."""
 
     def stop(self) -> None:
-        """Nothing turns."""
+        """Do nothing."""
 
     def release(self) -> None:
-        """Nothing turns."""
+        """Do nothing."""
 
     def reset(self, seed: int, x: float, noise: float, rings: bool) -> dict[str, Any]:
         """Begins again."""

@@ -1,4 +1,4 @@
-"""Commands: every one is acknowledged, once, to who sent it; what repeats is not done twice."""
+"""Commands: each is acknowledged once to its sender, and a repeated one is not carried out twice."""
 
 import math
 

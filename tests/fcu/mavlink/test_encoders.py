@@ -1,4 +1,4 @@
-"""What flies as messages: each field against the step it tells of, for all numbers that a step may hold."""
+"""Telemetry messages: each field against its step, for all numbers that a step may hold."""
 
 import math
 import struct

@@ -72,7 +72,7 @@ class Server(World):
 
 
 class Master:
-    """What pymavlink's client sees of a connection, in front of a vehicle in memory.
+    """Connection of pymavlink's client to a vehicle in memory.
 
     It is its clock too: time passes where it listens in vain, so that a slow computer is not taken for a dead link.
     """

@@ -38,7 +38,7 @@ def world_of(folder: Path) -> tuple[World, OnboardLogger]:
 
 
 async def received(world: World, log: OnboardLogger, steps: int, loss: float = 0.0) -> list[Any]:
-    """What a client gets while `steps` steps are flown; it acknowledges, and some gets lost."""
+    """Return the messages of a client that acknowledges, while `steps` steps are flown and some are lost."""
     rng, got = random.Random(4), []
     sequences: set[int] = set()
     for tick in range(steps):

@@ -75,7 +75,7 @@ def stored(folder: Path) -> Iterator[World]:
 
 
 def answer(world: World, action: float) -> Any:
-    """What becomes of it; a tick after the other, as real time lets them pass."""
+    """Return the answer to a storage command, tick by tick as in real time."""
     world.say(message("COMMAND_LONG", command=STORAGE, param1=action, target_system=1, target_component=1))
     for _ in patiently():
         if acknowledged := world.taken("COMMAND_ACK"):

@@ -1,4 +1,4 @@
-"""What cannot be kept is said, once each time."""
+"""Storage monitor: each trouble of the disk is told once."""
 
 from pathlib import Path
 

@@ -39,7 +39,7 @@ CLOSED = Loop()
 
 @dataclass
 class Rig:
-    """What the controller stands on."""
+    """Hardware of the scripted controller."""
 
     name: str = "scripted"
     virtual: bool = True

@@ -67,7 +67,7 @@ def test_every_number_of_every_step_comes_back_to_the_bit(tmp_path: Path) -> Non
 
 
 def test_a_log_of_a_flight_is_the_log_of_the_simulated_one(tmp_path: Path) -> None:
-    """What the flight code gave in a flight on the rig, by both ways: as arrays in memory, and through ULog."""
+    """One flight on the rig, read from arrays in memory and from its ULog file."""
     script = flights.Script(disarm_at=900)
     controller = flights.controller(FlightCode(), script)
     with OnboardLogger(tmp_path, ParameterStore(values=ALWAYS), lockstep=True) as log:

@@ -1,4 +1,4 @@
-"""What is said to be done is on the disk: behind each change of a folder that somebody hears of, it is synced."""
+"""Durability: a folder is synced after each change that is reported as done."""
 
 from __future__ import annotations
 

@@ -208,7 +208,7 @@ def test_any_bytes_at_all(pieces: list[bytes]) -> None:
 
 
 def mutate(raw: bytes, chance: random.Random) -> bytes:
-    """A frame with a few bytes changed, cut, repeated or drawn anew, often with its checksum made right again."""
+    """Return a frame with some bytes changed, cut, repeated or drawn, often with its checksum corrected."""
     data = bytearray(raw)
     match chance.randrange(6):
         case 0:

@@ -26,7 +26,7 @@ from twodof.link.mavlink.messages import (
 
 
 def over_the_wire(sent: Any) -> Any:
-    """What the other side decodes."""
+    """Return the message as the receiver decodes it."""
     (frame,) = Parser().feed(encode(sent, 1, 1, 0))
     return decode(frame)
 

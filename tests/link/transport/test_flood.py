@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from tests.link.ends import SOON, run
+from tests.link.ends import SOON, in_loop
 from tests.patience import patiently
 from twodof.link.mavlink.framing import encode, looks_like_a_stop
 from twodof.link.mavlink.messages import message
@@ -95,98 +95,86 @@ def long_refusal(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "::1"])
-def test_a_flooder_is_refused_but_its_kill_passes(host: str) -> None:
-    async def work() -> None:
-        async with await listening(host) as there:
-            with senders(there.port, 3, host) as (flooder, pilot, late):
-                pilot.send(b"pilot")
-                await drain(there, b"pilot")
-                await pour(there, [flooder])
-                await drain(there)
-                before = there.counts.packets_in
-                for _ in range(100):
-                    flooder.send(BEAT)
-                flooder.send(STOPS[0])
-                pilot.send(b"again")
-                late.send(b"newcomer")
-                assert await drain(there, b"newcomer") == [STOPS[0], b"again", b"newcomer"]
-                assert there.counts.packets_in == before + 3
-                assert there.floods == 1
-
-    run(work())
+@in_loop
+async def test_a_flooder_is_refused_but_its_kill_passes(host: str) -> None:
+    async with await listening(host) as there:
+        with senders(there.port, 3, host) as (flooder, pilot, late):
+            pilot.send(b"pilot")
+            await drain(there, b"pilot")
+            await pour(there, [flooder])
+            await drain(there)
+            before = there.counts.packets_in
+            for _ in range(100):
+                flooder.send(BEAT)
+            flooder.send(STOPS[0])
+            pilot.send(b"again")
+            late.send(b"newcomer")
+            assert await drain(there, b"newcomer") == [STOPS[0], b"again", b"newcomer"]
+            assert there.counts.packets_in == before + 3
+            assert there.floods == 1
 
 
-def test_known_peers_are_heard_during_a_flood() -> None:
-    async def work() -> None:
-        async with await listening() as there:
-            with senders(there.port, 100) as many, senders(there.port, 2) as (pilot, late):
-                pilot.send(b"pilot")
-                packet = await there.receive(SOON)
-                assert packet is not None
-                there.confirm(packet.peer)
+@in_loop
+async def test_known_peers_are_heard_during_a_flood() -> None:
+    async with await listening() as there:
+        with senders(there.port, 100) as many, senders(there.port, 2) as (pilot, late):
+            pilot.send(b"pilot")
+            packet = await there.receive(SOON)
+            assert packet is not None
+            there.confirm(packet.peer)
+            await pour(there, many)
+            await drain(there)
+            for _ in range(3):
+                for one in many:
+                    one.send(BEAT)
+            pilot.send(b"again")
+            late.send(STOPS[2])
+            found = await drain(there, STOPS[2])
+            assert found[-2:] == [b"again", STOPS[2]]
+            assert len(found) < 20  # of 300 strangers' packets one in 256 passes
+
+
+@in_loop
+async def test_the_default_address_is_a_known_peer() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as default:
+        default.bind(("127.0.0.1", 0))
+        there = await open_transport(f"udp://127.0.0.1:{default.getsockname()[1]}?bind=0")
+        assert isinstance(there, UdpTransport)
+        async with there:
+            with senders(there.port, 100) as many:
                 await pour(there, many)
                 await drain(there)
-                for _ in range(3):
-                    for one in many:
-                        one.send(BEAT)
-                pilot.send(b"again")
-                late.send(STOPS[2])
-                found = await drain(there, STOPS[2])
-                assert found[-2:] == [b"again", STOPS[2]]
-                assert len(found) < 20  # of 300 strangers' packets one in 256 passes
-
-    run(work())
+                default.sendto(b"ground", ("127.0.0.1", there.port))
+                assert await drain(there, b"ground") == [b"ground"]
 
 
-def test_the_default_address_is_a_known_peer() -> None:
-    async def work() -> None:
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as default:
-            default.bind(("127.0.0.1", 0))
-            there = await open_transport(f"udp://127.0.0.1:{default.getsockname()[1]}?bind=0")
-            assert isinstance(there, UdpTransport)
-            async with there:
-                with senders(there.port, 100) as many:
-                    await pour(there, many)
-                    await drain(there)
-                    default.sendto(b"ground", ("127.0.0.1", there.port))
-                    assert await drain(there, b"ground") == [b"ground"]
-
-    run(work())
-
-
-def test_a_refusal_ends(monkeypatch: pytest.MonkeyPatch) -> None:
+@in_loop
+async def test_a_refusal_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(udp, "REFUSED_S", 0.05)
-
-    async def work() -> None:
-        async with await listening() as there:
-            with senders(there.port, 1) as (flooder,):
-                await pour(there, [flooder])
-                await drain(there)
-                for _ in patiently():
-                    flooder.send(b"sorry")
-                    packet = await there.receive(0.02)
-                    if packet is not None and packet.data == b"sorry":
-                        break
-
-    run(work())
+    async with await listening() as there:
+        with senders(there.port, 1) as (flooder,):
+            await pour(there, [flooder])
+            await drain(there)
+            for _ in patiently():
+                flooder.send(b"sorry")
+                packet = await there.receive(0.02)
+                if packet is not None and packet.data == b"sorry":
+                    break
 
 
-def test_a_sleeping_reader_notices_no_flood() -> None:
+@in_loop
+async def test_a_sleeping_reader_notices_no_flood() -> None:
     """A buffer full to the brim is read to its end, and nobody is blamed."""
-
-    async def work() -> None:
-        async with await listening() as there:
-            with senders(there.port, 1) as (busy,):
-                for _ in range(5000):
-                    busy.send(b"x")
-                await asyncio.sleep(0.05)
-                while await there.receive(0.05) is not None:
-                    pass
-                busy.send(b"y")
-                assert await drain(there, b"y") == [b"y"]
-                assert there.floods == 0
-
-    run(work())
+    async with await listening() as there:
+        with senders(there.port, 1) as (busy,):
+            for _ in range(5000):
+                busy.send(b"x")
+            await asyncio.sleep(0.05)
+            while await there.receive(0.05) is not None:
+                pass
+            busy.send(b"y")
+            assert await drain(there, b"y") == [b"y"]
+            assert there.floods == 0
 
 
 def test_a_stop_is_known_by_its_beginning() -> None:

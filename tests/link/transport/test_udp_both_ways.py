@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from tests.link.ends import SOON, run
+from tests.link.ends import SOON, in_loop
 from twodof.errors import LinkError
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Packet
@@ -76,54 +76,50 @@ async def opened(url: str) -> UdpTransport:
     return transport
 
 
-def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() -> None:
-    async def work() -> None:
-        with plain() as (default, port), plain() as (guest, guest_port), plain() as (mad, _):
-            async with await opened(f"udp://127.0.0.1:{port}?bind=0") as link:
-                assert isinstance(link, UdpTransport)
-                here = ("127.0.0.1", link.port)
-                link.send(b"1")
-                assert default.recvfrom(9) == (b"1", here)  # from the port that it is bound to
-                guest.sendto(b"hello", here)
-                mad.sendto(b"rubbish", here)
-                for _ in range(2):
-                    packet = await one(link)
-                    if packet.data == b"hello":
-                        assert packet.peer == ("127.0.0.1", guest_port)
-                        link.confirm(packet.peer)
-                default.sendto(b"mine", here)
+@in_loop
+async def test_it_sends_to_its_address_always_and_to_whoever_writes_soundly() -> None:
+    with plain() as (default, port), plain() as (guest, guest_port), plain() as (mad, _):
+        async with await opened(f"udp://127.0.0.1:{port}?bind=0") as link:
+            assert isinstance(link, UdpTransport)
+            here = ("127.0.0.1", link.port)
+            link.send(b"1")
+            assert default.recvfrom(9) == (b"1", here)  # from the port that it is bound to
+            guest.sendto(b"hello", here)
+            mad.sendto(b"rubbish", here)
+            for _ in range(2):
+                packet = await one(link)
+                if packet.data == b"hello":
+                    assert packet.peer == ("127.0.0.1", guest_port)
+                    link.confirm(packet.peer)
+            default.sendto(b"mine", here)
+            packet = await one(link)
+            link.confirm(packet.peer)
+            assert link.peers == (("127.0.0.1", port), ("127.0.0.1", guest_port))  # its own is not there twice
+            link.send(b"2")
+            assert (default.recv(9), guest.recv(9)) == (b"2", b"2")
+            mad.setblocking(False)
+            with pytest.raises(BlockingIOError):
+                mad.recv(9)
+
+
+@in_loop
+async def test_a_broadcast_ends_while_somebody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    with plain("0.0.0.0") as (listener, port):
+        # The loopback network's own broadcast address: nothing leaves this machine.
+        async with await opened(f"udpbcast://127.255.255.255:{port}?bind=127.0.0.1:0") as link:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
+                ground.settimeout(SOON)
+                assert link.peers == (("127.255.255.255", port),)
+                link.send(b"who is there")
+                assert listener.recvfrom(20) == (b"who is there", ("127.0.0.1", link.port))
+                ground.sendto(b"I am", ("127.0.0.1", link.port))
                 packet = await one(link)
                 link.confirm(packet.peer)
-                assert link.peers == (("127.0.0.1", port), ("127.0.0.1", guest_port))  # its own is not there twice
-                link.send(b"2")
-                assert (default.recv(9), guest.recv(9)) == (b"2", b"2")
-                mad.setblocking(False)
+                assert link.peers == (packet.peer,)
+                link.send(b"you alone")
+                assert ground.recv(20) == b"you alone"
+                listener.setblocking(False)
                 with pytest.raises(BlockingIOError):
-                    mad.recv(9)
-
-    run(work())
-
-
-def test_a_broadcast_ends_while_somebody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def work() -> None:
-        with plain("0.0.0.0") as (listener, port):
-            # The loopback network's own broadcast address: nothing leaves this machine.
-            async with await opened(f"udpbcast://127.255.255.255:{port}?bind=127.0.0.1:0") as link:
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ground:
-                    ground.settimeout(SOON)
-                    assert link.peers == (("127.255.255.255", port),)
-                    link.send(b"who is there")
-                    assert listener.recvfrom(20) == (b"who is there", ("127.0.0.1", link.port))
-                    ground.sendto(b"I am", ("127.0.0.1", link.port))
-                    packet = await one(link)
-                    link.confirm(packet.peer)
-                    assert link.peers == (packet.peer,)
-                    link.send(b"you alone")
-                    assert ground.recv(20) == b"you alone"
-                    listener.setblocking(False)
-                    with pytest.raises(BlockingIOError):
-                        listener.recv(20)
-                    monkeypatch.setattr(udp, "SILENT_S", 0.0)  # as if so long had passed
-                    assert link.peers == (("127.255.255.255", port),)
-
-    run(work())
+                    listener.recv(20)
+                monkeypatch.setattr(udp, "SILENT_S", 0.0)  # as if so long had passed
+                assert link.peers == (("127.255.255.255", port),)

@@ -246,7 +246,7 @@ class SetpointManager:
         self._say(said, tick)
 
     def _say(self, said: OpenLoopState | None, tick: int) -> None:
-        """Note the open-loop message in use, or that there is none."""
+        """Note the open-loop message in use; None for a closed loop."""
         before = self.openloop
         now = (said or OpenLoopState())._replace(tick=before.tick, revision=before.revision)
         if now != before:

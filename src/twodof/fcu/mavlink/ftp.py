@@ -32,7 +32,7 @@ BURST_BYTES = 35_000
 class FtpSession:
     """A file being read, or an upload to `path` that waits in memory; `used`, by the clock, when it last was.
 
-    `failed`: a write was refused, so what is here is not what was to be sent.
+    `failed`: a write was refused, so that the upload is incomplete.
     """
 
     file: OpenFile | None

@@ -73,7 +73,7 @@ def _always(rows: Rows) -> NDArray[np.bool_]:
 
 
 def _changed(rows: Rows) -> NDArray[np.bool_]:
-    """Choose each change of mode, arming or action, two rows a second, and the first row, whose past is unknown."""
+    """Choose the first row, each change of mode, arming or action, and two rows a second."""
     found = rows["tick"] % STATUS_TICKS == 0
     for name in ("armed", "asked_mode", "action"):
         found[1:] |= rows[name][1:] != rows[name][:-1]

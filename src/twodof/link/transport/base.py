@@ -292,7 +292,7 @@ class Transport(ABC):
     async def receive(self, timeout: float) -> Packet | None:
         """Return the next packet, or None if none comes within `timeout` [s]; with 0 it does not wait.
 
-        Raises LinkLost when the link is closed or lost, after all that had arrived. One task may wait at a time.
+        Raises LinkLost when the link is closed or lost, after the packets that had arrived. One task may wait at once.
         """
         return await self._inbox.wait(timeout)
 

@@ -123,7 +123,7 @@ class UdpTransport(Transport):
         return 0 if self.closed else int(self._socket.getsockname()[1])
 
     def confirm(self, peer: Hashable) -> None:
-        """Add `peer`; if there is no room, forget a peer that has been silent for SILENT_S."""
+        """Add `peer`; if all places are taken, forget a peer that has been silent for SILENT_S."""
         if not self._learns or peer == self._server:
             return
         now = self._loop.time()
