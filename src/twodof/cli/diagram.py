@@ -17,8 +17,7 @@ from twodof.cli.margins import margins
 from twodof.cli.options import RealType
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.compile.builder import emit_program
-from twodof.compile.c_files.c_files import c_files
-from twodof.compile.c_files.source_map import SourceLine, SourceMap, source_map
+from twodof.compile.c_files.c_files import SourceLine, SourceMap, c_files, source_map
 from twodof.compile.linear.linear_model import Array, LinearModel
 from twodof.compile.linear.linearize import linearize as linearize_diagram
 from twodof.compile.program.check import Findings

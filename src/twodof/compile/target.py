@@ -57,6 +57,19 @@ class EmittedProgram:
         return found
 
 
+def layout_checks(programs: Sequence[EmittedProgram]) -> str:
+    """Return C that refuses to compile if a struct of `programs` differs from its numpy type."""
+    lines = []
+    for program in programs:
+        for kind, size in zip("PSUY", program.sizes[1:], strict=True):
+            struct = f"{program.name}_{kind}"
+            lines.append(f'_Static_assert(sizeof({struct}) == {size}, "size of {struct}");')
+            for member, (offset, width) in program.places[kind].items():
+                place = f"offsetof({struct}, {member}) == {offset} && sizeof((({struct} *)0)->{member}) == {width}"
+                lines.append(f'_Static_assert({place}, "place of {member}");')
+    return "\n" + "\n".join(lines) + "\n"
+
+
 class TargetInstance(Protocol):
     """One running program: its structs, and calls that work on them.
 

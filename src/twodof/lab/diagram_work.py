@@ -15,7 +15,7 @@ from twodof.blocks.schema.json_form import block_shape, from_json, to_json
 from twodof.blocks.schema.json_form import catalogue as library_catalogue
 from twodof.blocks.schema.loader import Loader
 from twodof.compile.builder import emit_program
-from twodof.compile.c_files.source_map import source_map
+from twodof.compile.c_files.c_files import source_map
 from twodof.compile.program.check import check as check_diagram
 from twodof.compile.program.flatten import AlgebraicLoop
 from twodof.compile.px4 import export

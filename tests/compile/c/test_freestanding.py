@@ -11,14 +11,15 @@ import pytest
 from tests.compile import examples
 from twodof.compile import native as target
 from twodof.compile.builder import emit_program
-from twodof.compile.c import freestanding
+from twodof.compile.c import helpers
+from twodof.compile.target import layout_checks
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError
 
 
 @pytest.fixture(scope="module")
 def library() -> ctypes.CDLL:
-    source = f"#include <stddef.h>\n#include <stdint.h>\n{freestanding.MEMORY}"
+    source = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
     flags = ("-ffreestanding", "-Wl,-Bsymbolic")  # its own functions, not those of this process
     return target.load(source, compilers.find_compiler(), flags=flags)
 
@@ -63,7 +64,7 @@ def test_memory_is_moved_filled_and_compared_at_any_offset(library: ctypes.CDLL)
 def test_a_struct_that_numpy_sees_otherwise_does_not_compile(declared: str, instead: str) -> None:
     program = emit_program(examples.loop(), 0.01)
     source = program.source.replace("real ", "double ")
-    checks = freestanding.layout_checks([program])
+    checks = layout_checks([program])
     compiler = compilers.find_compiler()
     assert target.load(source + checks, compiler, "-O0") is not None
     assert source.count(declared) >= 1

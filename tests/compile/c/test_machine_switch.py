@@ -12,7 +12,7 @@ from twodof.blocks.reference import Reference
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.compile import build
 from twodof.compile.builder import emit_program
-from twodof.compile.c_files.source_map import source_map
+from twodof.compile.c_files.c_files import source_map
 
 
 class Door(StateMachine):

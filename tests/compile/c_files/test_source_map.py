@@ -11,7 +11,7 @@ from twodof.blocks import Diagram
 from twodof.blocks import library as lib
 from twodof.compile.builder import EmittedProgram, emit_program
 from twodof.compile.c.functions import COMMENTS
-from twodof.compile.c_files.source_map import SourceMap, source_map
+from twodof.compile.c_files.c_files import SourceMap, source_map
 from twodof.compile.program.check import compiled
 from twodof.flight.core import core
 from twodof.rig.rig import rig

@@ -15,16 +15,15 @@ from twodof.blocks.expressions.graph import of_kinds
 from twodof.blocks.expressions.numbers import BY_NAME, FLOATS, dtype_of
 from twodof.compile.c.expressions import Leaves, Renderer, Used
 from twodof.compile.c.functions import Function, Listing, Mark
+from twodof.compile.c.graph import in_doubles
 from twodof.compile.c.helpers import HELPERS
 from twodof.compile.c.integration import IntegrationEmitter
-from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.pieces import APART, in_pieces
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Assign, Call, Statement, Text, every
+from twodof.compile.c.statements import Assign, Call, CNames, Statement, Text, every
 from twodof.compile.c.step import StepEmitter
 from twodof.compile.c_files.interface import CInterface, comment, indented
-from twodof.compile.program.derived import in_doubles
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.target import EmittedProgram

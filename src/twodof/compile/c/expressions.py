@@ -11,12 +11,22 @@ import numpy as np
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
 from twodof.blocks.expressions.graph import KEPT, ordered
 from twodof.blocks.expressions.numbers import FLOATS, INTEGERS, Integer, dtype_of
-from twodof.compile.c.branches import Branch as Decided
-from twodof.compile.c.branches import Choice, Step, steps
-from twodof.compile.c.index_range import index_range
-from twodof.compile.c.names import CNames
+from twodof.compile.c.branches import Branch, Choice, Step, steps
+from twodof.compile.c.graph import index_range
 from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, row
-from twodof.compile.c.statements import EMPTY, NOTHING, Assign, Branch, Copy, Loop, Names, Statement, Text, name_of
+from twodof.compile.c.statements import (
+    EMPTY,
+    NOTHING,
+    Assign,
+    CNames,
+    Copy,
+    IfStatement,
+    LoopStatement,
+    Names,
+    Statement,
+    Text,
+    name_of,
+)
 from twodof.compile.program.flat_program import FlatSignal, Node
 
 WIDEST_LINE = 150  # an expression that would be longer becomes two
@@ -264,14 +274,14 @@ class Renderer:
     def _count(self, batch: Batch, found: Iterable[Step]) -> None:
         """Count a condition once for all values that one branch decides."""
         for step in found:
-            if isinstance(step, Decided):
+            if isinstance(step, Branch):
                 batch.uses[id(step.condition)] += 1 - sum(1 for item in step.chosen if item.op != "input")
                 self._count(batch, step.then)
                 self._count(batch, step.otherwise)
 
     def _steps(self, batch: Batch, found: Iterable[Step]) -> None:
         for step in found:
-            if isinstance(step, Decided):
+            if isinstance(step, Branch):
                 self._branch(batch, step)
             else:
                 self._step(batch, step)
@@ -343,7 +353,7 @@ class Renderer:
             declared = f"const {C_TYPES[item.kind]} *const"
             self.out.append(Assign(name, text.text, declared, owner=self.owner, reads=text.reads))
 
-    def _branch(self, batch: Batch, branch: Decided) -> None:
+    def _branch(self, batch: Batch, branch: Branch) -> None:
         """Add an `if` that gives variables their values."""
         decided = list(zip(branch.chosen, branch.choices, strict=True))
         for choice in branch.choices:
@@ -377,7 +387,7 @@ class Renderer:
         text = test.text
         if first:
             text, sides = (f"!{text}" if test.binding == ATOM else f"!({text})"), sides[::-1]
-        self.out.append(Branch(text, *sides, owner=self.owner, reads=test.reads))
+        self.out.append(IfStatement(text, *sides, owner=self.owner, reads=test.reads))
         self.owner = outer
         for (item, _), name in zip(decided, names, strict=True):
             batch.texts[id(item)] = self._name(item, Text(name, ATOM, frozenset((name_of(name),))))
@@ -401,7 +411,7 @@ class Renderer:
 
     def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr | bool]]) -> list[Statement]:
         """Return one side of a branch, which gives each variable its value."""
-        chosen = {id(item) for step in found if isinstance(step, Decided) for item in step.chosen}
+        chosen = {id(item) for step in found if isinstance(step, Branch) for item in step.chosen}
         for name, side in rows:
             if isinstance(side, Expr) and id(side) in chosen and batch.uses[id(side)] == 1:
                 batch.given[id(side)] = name
@@ -687,7 +697,9 @@ class Renderer:
         hidden = [key for key, loops in self._turning.items() if loops >> depth & 1]
         with self._scope(hidden), self.collecting() as body:
             yield counter
-        self.out.append(Loop(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)", body, owner=self.owner))
+        self.out.append(
+            LoopStatement(f"for (int32_t {counter} = 0; {counter} < {length}; {counter}++)", body, owner=self.owner)
+        )
         self.names.taken.discard(counter)
         self.bound, self.limits, self._resolved, self._before = outer
 

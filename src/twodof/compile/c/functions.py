@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from twodof.compile.c.statements import Branch, Loop, Statement, Switch, every, without_unread, written
+from twodof.compile.c.statements import (
+    IfStatement,
+    LoopStatement,
+    Statement,
+    SwitchStatement,
+    every,
+    without_unread,
+    written,
+)
 from twodof.compile.program.flat_program import Node
 
 COMMENTS = {
@@ -115,7 +123,7 @@ class _Body:
                     self._line(depth, comment, statement)
                 told = mine
             self._statement(statement, depth, mine)
-            if isinstance(statement, Branch) and statement.role == "condition":
+            if isinstance(statement, IfStatement) and statement.role == "condition":
                 told = ("", "")
 
     def _named(self, statement: Statement) -> tuple[str, str]:
@@ -133,13 +141,13 @@ class _Body:
         self.listing.add("    " * depth + text, Mark(self.part, block, role))
 
     def _statement(self, statement: Statement, depth: int, mine: tuple[str, str]) -> None:
-        if isinstance(statement, Branch):
+        if isinstance(statement, IfStatement):
             self._branch(statement, depth, mine)
-        elif isinstance(statement, Loop):
+        elif isinstance(statement, LoopStatement):
             self._line(depth, f"{statement.head} {{".lstrip(), statement)
             self.print(statement.body, depth + 1, mine)
             self._line(depth, f"}} {statement.end}".rstrip(), statement)
-        elif isinstance(statement, Switch):
+        elif isinstance(statement, SwitchStatement):
             self._line(depth, f"switch ({statement.value}) {{", statement)
             for case in statement.cases:
                 if not case.body and case.label == "default":
@@ -154,7 +162,7 @@ class _Body:
         else:
             self._line(depth, statement.text(), statement)
 
-    def _branch(self, branch: Branch, depth: int, mine: tuple[str, str]) -> None:
+    def _branch(self, branch: IfStatement, depth: int, mine: tuple[str, str]) -> None:
         inside = ("", "") if branch.role == "condition" else mine
         self._line(depth, f"if ({branch.test}) {{", branch)
         while True:
@@ -162,7 +170,7 @@ class _Body:
             rest = branch.otherwise
             if not rest:
                 break
-            if len(rest) == 1 and isinstance(rest[0], Branch):
+            if len(rest) == 1 and isinstance(rest[0], IfStatement):
                 branch = rest[0]
                 self._line(depth, f"}} else if ({branch.test}) {{", branch)
                 continue

@@ -11,6 +11,12 @@ from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 
 SHORT = 4  # rounds of a loop that is written out
 MOST_WRITTEN = 100  # operations that a written-out loop has at most
+DEEPEST = 20  # operations within one another whose range is looked for
+_LOW, _HIGH = -(2**31), 2**31 - 1
+EXACT = "float64"
+
+Span = tuple[int, int]
+"""The least and the largest value of an integer."""
 
 
 class ProgramGraph:
@@ -126,3 +132,81 @@ def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
         value = OPERATIONS[item.op](*(numbers.cast(a.data, a.kind) for a in args))
         return make("const", item.kind, (), numbers.plain(value))
     return make(item.op, item.kind, args, item.data, item.width)
+
+
+def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 0) -> Span | None:
+    """The least and the largest value of an int32, or None where that is not known or it may wrap around.
+
+    `limits` has one more than the largest value of each loop counter, by its depth and 0.
+    """
+    if item.kind != "int32" or item.width is not None or depth > DEEPEST:
+        return None
+    if item.op == "const":
+        return item.data, item.data
+    if item.op == "bound":
+        return (0, limits[item.data] - 1) if item.data in limits else None
+    if item.op == "where":
+        return _chosen(item, limits, depth + 4)
+    if item.op not in ("add", "sub", "mul", "quot", "rem"):
+        return None
+    a, b = (index_range(each, limits, depth + 1) for each in item.args)
+    if a is None or b is None:
+        return None
+    if item.op in ("quot", "rem"):
+        if a[0] < 0 or b[0] != b[1] or b[0] <= 0:
+            return None
+        return (a[0] // b[0], a[1] // b[0]) if item.op == "quot" else (0, min(a[1], b[0] - 1))
+    if item.op == "sub":
+        b = (-b[1], -b[0])
+    ends = [x * y if item.op == "mul" else x + y for x in a for y in b]
+    return (min(ends), max(ends)) if min(ends) >= _LOW and max(ends) <= _HIGH else None
+
+
+def _chosen(item: Expr, limits: Mapping[tuple[int, int], int], depth: int) -> Span:
+    """Of `where`: that of the smaller or the larger of two, as a clamp has them, or of either."""
+    test, a, b = item.args
+    low, high = zip(*(index_range(e, limits, depth) or (_LOW, _HIGH) for e in (a, b)), strict=True)
+    compared = [id(e) for e in test.args] if test.op == "lt" else []
+    if compared == [id(a), id(b)]:
+        return min(low), min(high)
+    return (max(low) if compared == [id(b), id(a)] else min(low)), max(high)
+
+
+def in_doubles(exprs: Mapping[str, Expr]) -> dict[str, Expr]:
+    """What `prepare` gives, with each real in it a float64, except the parameters and the results themselves.
+
+    In a build of float64 that is the same arithmetic.
+    """
+    wide: dict[int, Expr] = {}
+    for item in walk(exprs.values()):
+        wide[id(item)] = _widened(item, wide)
+    return {name: _rounded(wide[id(e)]) if e.kind == "real" else wide[id(e)] for name, e in exprs.items()}
+
+
+def _widened(item: Expr, wide: Mapping[int, Expr]) -> Expr:
+    """A node with float64 in the place of real; parameters are kept as they are and converted where they are read."""
+    args = [wide[id(a)] for a in item.args]
+    if item.op == "param":
+        return _converted(item, EXACT) if item.kind == "real" else item
+    if item.op == "select" and item.args[0].op == "param" and item.kind == "real":
+        return make("convert", EXACT, (make("select", "real", (item.args[0], args[1])),))
+    kind = EXACT if item.kind == "real" else item.kind
+    if item.op == "convert" and args[0].kind == kind:
+        return args[0]
+    return make(item.op, kind, tuple(args), item.data, item.width)
+
+
+def _rounded(item: Expr) -> Expr:
+    """A float64, or an array of them, as real."""
+    if item.op == "vector":
+        return make("vector", "real", tuple(_converted(a, "real") for a in item.args), None, item.width)
+    return _converted(item, "real")
+
+
+def _converted(item: Expr, kind: str) -> Expr:
+    """A number as another float kind; of an array each element, in a loop."""
+    if item.width is None:
+        return make("convert", kind, (item,))
+    # The array does not read the loop's counter, so it is made before the loop, whatever loops are around.
+    element = make("select", item.kind, (item, make("bound", "int32", (), (0, 0))))
+    return make("build", kind, (make("convert", kind, (element,)),), (item.width, 0), item.width)

@@ -1,6 +1,7 @@
-"""The small C functions that give integers and conversions the language's meaning everywhere."""
+"""Small C functions that emitted C brings along: operations of the language, and memory where there is no C library."""
 
 import re
+from importlib import resources
 
 from twodof.blocks.expressions.numbers import CONVERSIONS, FLOATS
 from twodof.compile.c.operators import C_TYPES
@@ -91,3 +92,8 @@ HELPERS = {
 }
 """The definition of each function, by precision and name."""
 NAMES = frozenset(HELPERS["float64"])
+_TEMPLATES = resources.files(__package__).joinpath("templates")
+FILES = {"string.h": _TEMPLATES.joinpath("string.h").read_text(encoding="utf-8")}
+"""Headers for `toolchain.compiled(..., files=FILES)` with the option `-I.` where there is no C library."""
+MEMORY = "\n" + _TEMPLATES.joinpath("memory.c").read_text(encoding="utf-8")
+"""C to append to a source that is linked without a C library."""

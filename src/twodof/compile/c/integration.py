@@ -11,7 +11,7 @@ from twodof.compile.c.functions import Function
 from twodof.compile.c.graph import leaf
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Assign, Branch, Call, Copy, Loop, Statement, Text, every, name_of
+from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, LoopStatement, Statement, Text, every, name_of
 from twodof.compile.c.step import StepEmitter, all_of
 from twodof.compile.program.flat_program import FlatSignal, Guard, Node
 from twodof.compile.program.layout import Member, Struct
@@ -93,11 +93,11 @@ class IntegrationEmitter:
         self.renderer.out.append(self._branch(guard, body))
         self._inside.difference_update(signals)
 
-    def _branch(self, guard: Guard, body: list[Statement]) -> Branch:
+    def _branch(self, guard: Guard, body: list[Statement]) -> IfStatement:
         if guard not in self.active:
             stem = "_".join(e.path for e in guard.enables)
             self.active[guard] = self.held.add(Member(f"{stem[:60]}_active", "bool", None))
-        return Branch(f"held->{self.active[guard].name}", body, role="condition", reads=HELD)
+        return IfStatement(f"held->{self.active[guard].name}", body, role="condition", reads=HELD)
 
     def _zero(self, node: Node) -> None:
         """Add derivatives of 0, for a node that is disabled."""
@@ -296,7 +296,7 @@ class IntegrationEmitter:
                 changed = f"!{s.kind}_equal({text}, {after})"
             reads = frozenset((fraction, after, name_of(text)))
             test = f"{changed} && {fraction} > {start} && {fraction} < {end}"
-            body.append(Branch(test, [Call(f"{end} = {fraction};", role=role)], role=role, reads=reads))
+            body.append(IfStatement(test, [Call(f"{end} = {fraction};", role=role)], role=role, reads=reads))
         for s, (fraction, after) in step.fractions.items():
             member = self.values.get(leaf(s))
             if member is not None:
@@ -306,7 +306,7 @@ class IntegrationEmitter:
                 body.append(Call(f"{held}.{member.name} = {chosen};", role=role, reads=reads))
         move = f"{self.prefix}_integrate(p, &{held}, &{x}, ({end} - {start}) * {dt});"
         body += [Call(move, role=role, reads=frozenset(("p", x))), Call(f"{start} = {end};", role=role)]
-        renderer.out.append(Loop("do", body, f"while ({start} < {one});", role=role))
+        renderer.out.append(LoopStatement("do", body, f"while ({start} < {one});", role=role))
 
     def _project(self, step: StepEmitter, node: Node, x: str) -> None:
         def state(owner: Node, name: str) -> str:
@@ -336,7 +336,7 @@ class IntegrationEmitter:
                     body.append(Copy(target, source, s.width, C_TYPES[s.kind], role="disabled states", reads=reads))
             tests = " && ".join(step.signal(e) for e in node.guard.enables)
             enables = frozenset(name_of(step.signal(e)) for e in node.guard.enables)
-            step.renderer.out.append(Branch(f"!({tests})", body, role="disabled states", reads=enables))
+            step.renderer.out.append(IfStatement(f"!({tests})", body, role="disabled states", reads=enables))
         step.renderer.out.append(Call(f"s->x = {x};", role="next states", reads=reads | {x}))
 
     def declarations(self) -> list[str]:
@@ -360,4 +360,4 @@ def _member(line: str, m: Member, role: str) -> Statement:
     if m.width is None:
         return Call(line.format(m=m.name), role=role, reads=MOVING)
     head = f"for (int32_t i = 0; i < {m.width}; i++)"
-    return Loop(head, [Call(line.format(m=f"{m.name}[i]"), role=role, reads=MOVING)], role=role)
+    return LoopStatement(head, [Call(line.format(m=f"{m.name}[i]"), role=role, reads=MOVING)], role=role)

@@ -16,7 +16,16 @@ from twodof.blocks.state_machine.state_machine import LONGEST
 from twodof.compile.c.commit import Commit
 from twodof.compile.c.expressions import Leaves, Renderer, constant
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Branch, Call, Case, Loop, Statement, Switch, Text, name_of
+from twodof.compile.c.statements import (
+    Call,
+    Case,
+    IfStatement,
+    LoopStatement,
+    Statement,
+    SwitchStatement,
+    Text,
+    name_of,
+)
 from twodof.compile.program.flat_program import FlatSignal, Node
 
 
@@ -48,7 +57,9 @@ class MachineSwitch:
         for clock in (ELAPSED, OUTER_ELAPSED):
             if clock in self.states:
                 step: list[Statement] = [self._line(f"{self.states[clock]} += 1u;")]
-                self._add(Branch(f"{self.states[clock]} < {LONGEST}u", step, owner=self.node, reads=frozenset("s")))
+                self._add(
+                    IfStatement(f"{self.states[clock]} < {LONGEST}u", step, owner=self.node, reads=frozenset("s"))
+                )
         cases = []
         for leaf in self.chart.leaves:
             with self._collecting() as body:
@@ -80,7 +91,7 @@ class MachineSwitch:
         return Call(text, owner=self.node, reads=frozenset("s"))
 
     def _switch(self, cases: list[Case], mode: str = MODE) -> None:
-        self._add(Switch(self.states[mode], cases, owner=self.node, reads=frozenset("s")))
+        self._add(SwitchStatement(self.states[mode], cases, owner=self.node, reads=frozenset("s")))
 
     def _during(self) -> None:
         leaves = self.chart.leaves
@@ -93,7 +104,7 @@ class MachineSwitch:
                 self._stay(leaf)
             cases.append(_case(leaf, body))
         if len(leaves) == 1:
-            self._add(Loop("", cases[0].body, owner=self.node))
+            self._add(LoopStatement("", cases[0].body, owner=self.node))
             return
         if len(acting) == len(leaves):
             cases[-1].label = "default"  # so that a compiler sees that each output is given
@@ -139,7 +150,7 @@ class MachineSwitch:
             test = renderer.text(guard)
             with self._collecting() as then:
                 self._take(route)
-            branch = Branch(test.text, then, owner=self.node, reads=test.reads)
+            branch = IfStatement(test.text, then, owner=self.node, reads=test.reads)
             self._add(branch)
             self.outer.out = branch.otherwise
         self.outer.out = outer

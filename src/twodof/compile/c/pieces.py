@@ -6,7 +6,7 @@ Variables that one piece declares and another one reads stand in a struct that t
 from collections.abc import Iterable
 
 from twodof.compile.c.functions import Function
-from twodof.compile.c.statements import Assign, Branch, Call, Copy, Statement, every, without_unread, written
+from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, Statement, every, without_unread, written
 
 LONGEST = 1200  # statements of a function that stays whole
 PIECE = 100  # statements of a piece, about
@@ -77,11 +77,11 @@ class _Pieces:
 
         for statement in body:
             size = _length([statement])
-            if isinstance(statement, Branch) and statement.role == "condition" and size > PIECE:
+            if isinstance(statement, IfStatement) and statement.role == "condition" and size > PIECE:
                 end()
                 inner: list[Statement] = []
                 self._divide(statement.then, inner)
-                calls.append(Branch(statement.test, inner, role="condition", reads=statement.reads))
+                calls.append(IfStatement(statement.test, inner, role="condition", reads=statement.reads))
                 continue
             piece.append(statement)
             length += size

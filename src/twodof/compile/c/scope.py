@@ -6,9 +6,8 @@ from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.expressions.expr import Expr
 from twodof.compile.c.expressions import Leaves, Renderer, Used, constant
 from twodof.compile.c.graph import ProgramGraph
-from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import ATOM, C_TYPES
-from twodof.compile.c.statements import Assign, Call, Copy, Loop, Statement, Text, name_of
+from twodof.compile.c.statements import Assign, Call, CNames, Copy, LoopStatement, Statement, Text, name_of
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 from twodof.compile.program.layout import MemoryLayout
 
@@ -108,11 +107,13 @@ class Scope:
             if zeroed and texts[0] in ZEROS:
                 return []
             body: list[Statement] = [Assign(f"{target}[i]", texts[0], owner=owner, role=role)]
-            return [Loop(f"for (int32_t i = 0; i < {width}; i++)", body, owner=owner, role=role)]
+            return [LoopStatement(f"for (int32_t i = 0; i < {width}; i++)", body, owner=owner, role=role)]
         table = f"static const {C_TYPES[kind]} initial[{width}] = {{{', '.join(texts)}}};"
         copy = f"(void)memcpy({target}, initial, sizeof initial);"
         return [
-            Loop("", [Call(table, owner=owner, role=role), Call(copy, owner=owner, role=role)], owner=owner, role=role)
+            LoopStatement(
+                "", [Call(table, owner=owner, role=role), Call(copy, owner=owner, role=role)], owner=owner, role=role
+            )
         ]
 
 

@@ -1,12 +1,15 @@
-"""Statements: what a C function does, with the names that each statement reads and the block that it belongs to."""
+"""Statements and identifiers of C functions; a statement knows the names that it reads and its block."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
+from twodof.blocks.elementary.functions import ARGUMENTS
+from twodof.compile.c.helpers import NAMES as HELPER_NAMES
 from twodof.compile.c.operators import ATOM
 from twodof.compile.program.flat_program import Node
 
@@ -92,7 +95,7 @@ class Call(Statement):
 
 
 @dataclass(eq=False)
-class Branch(Statement):
+class IfStatement(Statement):
     """`if (test) {then} else {otherwise}`."""
 
     test: str
@@ -106,7 +109,7 @@ class Branch(Statement):
 
 
 @dataclass(eq=False)
-class Loop(Statement):
+class LoopStatement(Statement):
     """A block behind a head such as `for (...)`, and perhaps an end such as `while (...);`."""
 
     head: str
@@ -129,7 +132,7 @@ class Case:
 
 
 @dataclass(eq=False)
-class Switch(Statement):
+class SwitchStatement(Statement):
     """`switch (value) {...}`."""
 
     value: str
@@ -167,9 +170,54 @@ def _remove_unread(body: list[Statement], local: set[str], reads: Counter[str]) 
         for inner in statement.bodies:
             _remove_unread(inner, local, reads)
         target = written(statement)
-        empty = isinstance(statement, Branch | Loop) and not any(statement.bodies)
+        empty = isinstance(statement, IfStatement | LoopStatement) and not any(statement.bodies)
         if empty or (target in local and reads[target] == 0):
             reads.subtract(statement.reads)
         else:
             kept.append(statement)
     body[:] = kept[::-1]
+
+
+RESERVED = """
+    auto break case char const continue default do double else enum extern float for goto if inline int
+    long register restrict return short signed sizeof static struct switch typedef union unsigned void
+    volatile while asm typeof real bool true false offsetof linux unix memcpy memmove memset NULL
+"""
+# A header is for C++ too, and for whoever includes others before it, which define these as macros.
+FOREIGN = """
+    alignas alignof and and_eq bitand bitor catch char16_t char32_t char8_t class co_await co_return co_yield compl
+    concept const_cast consteval constexpr constinit decltype delete dynamic_cast explicit export friend mutable
+    namespace new noexcept not not_eq nullptr operator or or_eq private protected public reinterpret_cast requires
+    static_assert static_cast template this thread_local throw try typeid typename using virtual wchar_t xor xor_eq
+    complex imaginary noreturn assert errno stdin stdout stderr EOF INFINITY NAN HUGE_VAL BUFSIZ
+"""
+KEYWORDS = frozenset((RESERVED + FOREIGN).split())
+# What the included headers and the emitted file itself define beside those: macros, types, helpers, a header's guard.
+DEFINED = re.compile(r"[A-Z][A-Z0-9_]*_(MAX|MIN|C|WIDTH)|[a-z0-9_]+_t|td_inline|td_apart|\w+_INCLUDED")
+FUNCTIONS = HELPER_NAMES | {f"td_{name}{kind}" for name in ARGUMENTS for kind in ("", "_float32", "_float64")}
+
+
+@dataclass
+class CNames:
+    """Identifiers of one C scope, each different."""
+
+    taken: set[str] = field(default_factory=set)
+    last: dict[str, int] = field(default_factory=dict)
+    tried: dict[str, int] = field(default_factory=dict)  # of a stem that is taken: the number that was tried last
+
+    def new(self, stem: str) -> str:
+        """`stem` with dots as underscores; with a number behind it if that is taken."""
+        name = base = stem.replace(".", "_")
+        number = self.tried.get(base, 2)
+        while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
+            name = f"{base}_{number}"
+            self.tried[base] = number
+            number += 1
+        self.taken.add(name)
+        return name
+
+    def numbered(self, stem: str) -> str:
+        """`stem` with the next number behind it."""
+        base = stem.replace(".", "_")
+        self.last[base] = self.last.get(base, 0) + 1
+        return self.new(f"{base}{self.last[base]}")

@@ -11,11 +11,10 @@ from twodof.compile.c.commit import Commit
 from twodof.compile.c.expressions import Leaves
 from twodof.compile.c.graph import leaf
 from twodof.compile.c.machine_switch import MachineSwitch
-from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.schedule import Schedule, Segment
 from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Assign, Branch, Copy, Statement, Text, name_of
+from twodof.compile.c.statements import Assign, CNames, Copy, IfStatement, Statement, Text, name_of
 from twodof.compile.program.flat_program import Action, FlatSignal, Guard, Node
 
 TICKS = 2**32  # a tick is a uint32
@@ -96,7 +95,7 @@ class StepEmitter:
         """Add statements under conditions."""
         if body:
             condition = all_of(tests)
-            self.renderer.out.append(Branch(condition.text, body, role="condition", reads=condition.reads))
+            self.renderer.out.append(IfStatement(condition.text, body, role="condition", reads=condition.reads))
 
     def outputs(self) -> None:
         """Add the outputs of all blocks, group by group, and the updates of states that may come early."""
@@ -188,7 +187,7 @@ class StepEmitter:
             return
         signals = [self.signal(r) for r in behind.start.signals]
         reads = frozenset(map(name_of, signals))
-        self.renderer.out.append(Branch(" || ".join(signals), self.scope.initial(node), owner=node, reads=reads))
+        self.renderer.out.append(IfStatement(" || ".join(signals), self.scope.initial(node), owner=node, reads=reads))
 
     def commit(self, node: Node) -> Commit:
         """Return the update of a block's states."""

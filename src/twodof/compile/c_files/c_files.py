@@ -1,20 +1,26 @@
-"""A diagram as two files, `name`.h and `name`.c."""
+"""A diagram as two files, `name`.h and `name`.c, and the map from the lines of the C to the blocks."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
-from twodof.blocks.declarations import check_name
+from twodof.blocks.declarations import Param, check_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.compile.c.emitter import emit
-from twodof.compile.c_files.header import header
+from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c_files.interface import CInterface, comment
+from twodof.compile.program.check import compiled
+from twodof.compile.program.flat_program import FlatProgram
+from twodof.compile.program.layout import Member, MemoryLayout
 from twodof.compile.program.lower import lower
 from twodof.compile.target import EmittedProgram
 from twodof.errors import DiagramError, LogError
 from twodof.flightlog.atomic import atomic_write, make_folder
 from twodof.flightlog.files import check_folder
 
+SHOWN = 6  # inputs and outputs in the example
 _HEADERS = """
     assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdalign stdarg stdatomic
     stdbit stdbool stdckdint stddef stdint stdio stdlib stdnoreturn string strings tgmath threads time uchar wchar
@@ -81,3 +87,163 @@ def c_files(
             raise DiagramError(f"{program.name}.h is a header of C", diagram.name, "give the program another `name`")
         (emitted,) = emit([program], precision, lean=not tables, header=f"{program.name}.h")
     return CFiles(emitted, header(program, emitted.layout, precision, tables))
+
+
+def header(program: FlatProgram, layout: MemoryLayout, precision: str, tables: bool) -> str:
+    """The text of `program.name`.h: `layout`'s structs with units and paths, and the functions' prototypes.
+
+    `real` is written as the C type of `precision`, so that programs of both can be included together. With `tables`
+    it declares `run`, the tables of parameters and signals, and the sizes as well.
+    """
+    name, single = program.name, precision == "float32"
+    interface = CInterface(
+        program,
+        layout,
+        run=tables,
+        tables=tables,
+        types={**C_TYPES, "real": "float" if single else "double"},
+        notes=dict(_notes(program, layout)),
+    )
+    return f"""/* {name}{f": {comment(program.text)}" if program.text else ""}
+
+   One step is {program.dt:.9g} s; numbers are {precision}. twodof made this file and {name}.c of a diagram.
+   Change the diagram and export again. The loop of a program that uses them:
+
+{"".join(f"       {line}".rstrip() + chr(10) for line in _example(program, layout))}
+   Each instance has structs of its own; nothing else changes. Compile {name}.c as C99 or later, with
+   -ffp-contract=off -fno-math-errno and without -ffast-math, to have the bits of all other targets.
+   Sizes [bytes]{_sizes(layout, precision)}. */
+#ifndef {name}_INCLUDED
+#define {name}_INCLUDED
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+{interface.text()}#ifdef __cplusplus
+}}
+#endif
+
+#endif
+"""
+
+
+def _sizes(layout: MemoryLayout, precision: str) -> str:
+    sizes = ", ".join(f"{name} {dtype.itemsize}" for name, dtype in layout.dtypes(precision).items())
+    return f" where a double is aligned to 8: {sizes}" if precision == "float64" else f": {sizes}"
+
+
+def _example(program: FlatProgram, layout: MemoryLayout) -> Iterator[str]:
+    p = program.name
+    for struct in "PSUY":
+        yield f"static {p}_{struct} {struct.lower()};"
+    yield ""
+    for call in ("defaults(&p)", "prepare(&p)", "init(&p, &s)"):
+        yield f"{p}_{call};"
+    yield "for (;;) {"
+    yield from _carried(layout.u.members, "u.{0} = read_{0}();", "read_{0}(u.{0});")
+    yield f"    {p}_step(&p, &s, &u, &y);"
+    yield from _carried(layout.y.members, "write_{0}(y.{0});", "write_{0}(y.{0});")
+    yield "}"
+
+
+def _carried(members: Sequence[Member], scalar: str, array: str) -> Iterator[str]:
+    """Lines that give or take the values of a struct's members."""
+    for member in members[:SHOWN]:
+        yield "    " + (scalar if member.width is None else array).format(member.name)
+    if len(members) > SHOWN:
+        yield f"    ...  and {len(members) - SHOWN} more"
+
+
+def _notes(program: FlatProgram, layout: MemoryLayout) -> Iterator[tuple[tuple[str, str], str]]:
+    """What the comment of a member has to say beside its path, unit and text, by struct and name."""
+    for parameter, member in layout.parameters.items():
+        yield ("P", member.name), "; ".join(filter(None, (_bounds(parameter.declared), _order(parameter.declared))))
+    for node in program.nodes:
+        for port in node.block.derived:
+            yield ("P", layout.derived[node, port.name].name), _order(port)
+        for state in node.block.states:
+            yield ("X" if state.continuous else "S", layout.states[node, state.name].name), _order(state)
+    for signal, member in layout.inputs.items():
+        yield ("U", member.name), _order(signal)
+    for path, signal in program.outputs.items():
+        yield ("Y", layout.outputs[path].name), _order(signal)
+
+
+def _order(declared: Any) -> str:
+    """How a matrix stands in its array."""
+    if declared.shape is None:
+        return ""
+    rows, columns = declared.shape
+    return f"{rows} x {columns}, column after column"
+
+
+def _bounds(declared: Param) -> str:
+    bounds = {"at least": declared.low, "at most": declared.high}
+    words = [f"{word} {value:g}" for word, value in bounds.items() if abs(value) != float("inf")]
+    value = declared.value if declared.width is None else None
+    if isinstance(value, bool):
+        words = [f"default {'true' if value else 'false'}"]
+    elif value is not None:
+        words = [f"default {float(value):g}", *words]
+    return ", ".join(words)
+
+
+@dataclass(frozen=True)
+class SourceLine:
+    """A line of C: its number (from 1), the function or struct it stands in, and its block.
+
+    `block` is a path, or "" for a line of no single block, whose `role` then says what it is for ("" if unknown).
+    """
+
+    number: int
+    text: str
+    part: str
+    block: str
+    role: str
+
+    @property
+    def executable(self) -> bool:
+        """Whether it is more than braces and comments."""
+        return bool(self.text.strip(" {}")) and not self.text.lstrip().startswith("/*")
+
+
+@dataclass
+class SourceMap:
+    """The C of one program, line by line, and its blocks."""
+
+    lines: list[SourceLine]
+    blocks: dict[str, str]  # path -> type
+    left_out: tuple[str, ...] = ()  # blocks of which nothing runs
+    _by_block: dict[str, list[SourceLine]] = field(default_factory=dict)
+
+    def of(self, path: str) -> dict[str, list[tuple[int, int]]]:
+        """Return the ranges of line numbers (first, last) that a block became, by function or struct."""
+        if not self._by_block:
+            for line in self.lines:
+                self._by_block.setdefault(line.block, []).append(line)
+        found: dict[str, list[tuple[int, int]]] = {}
+        for line in self._by_block.get(path, []):
+            ranges = found.setdefault(line.part, [])
+            if ranges and ranges[-1][1] == line.number - 1:
+                ranges[-1] = ranges[-1][0], line.number
+            else:
+                ranges.append((line.number, line.number))
+        return found
+
+
+def source_map(emitted: EmittedProgram) -> SourceMap:
+    """Return the map of the C file of `emitted`."""
+    text = emitted.source.splitlines()
+    lines = [
+        SourceLine(number, line, mark.part, mark.block, mark.role)
+        for number, (line, mark) in enumerate(zip(text, emitted.marks, strict=True), 1)
+    ]
+    nodes = emitted.flat.nodes
+    needed = compiled(emitted.flat)
+    kinds = {n.path: n.block.type_name or type(n.block).__name__ for n in nodes}
+    return SourceMap(lines, kinds, tuple(path for path in kinds if path not in needed))

@@ -3,8 +3,8 @@
 from collections.abc import Iterable, Mapping, Sequence
 
 from twodof.compile.c.functions import Listing, Mark
-from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c.statements import CNames
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 

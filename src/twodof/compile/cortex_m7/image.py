@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from twodof.compile.c import freestanding
+from twodof.compile.c import helpers
 from twodof.compile.toolchain import cache, compilers
 from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError
@@ -20,7 +20,7 @@ SCRIPT = "image.ld"
 CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
 SAME = ("aeabi", "memory", "boot", "server")  # in every image
-MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{freestanding.MEMORY}"
+MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
 
 FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
 # FPv5 with 16 double registers, the larger of the processor's two floating-point units; values in its registers.
@@ -92,7 +92,7 @@ def build_image(
         f"const uint32_t program_count = {len(names)};\n"
     )
     common = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
-    common |= {**freestanding.FILES, "memory.c": MEMORY}
+    common |= {**helpers.FILES, "memory.c": MEMORY}
     files = {**common, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
     firmware = (*compiler.command, compiler.identity(), *options, *common.values())

@@ -10,10 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.compile.c.freestanding import layout_checks
 from twodof.compile.cortex_m7.image import OPTIMISE, build_image, find_cross_compiler
 from twodof.compile.cortex_m7.processor import DEFAULTS, INIT, PREPARE, Processor
-from twodof.compile.target import EmittedProgram
+from twodof.compile.target import EmittedProgram, layout_checks
 from twodof.errors import ControllerFault
 
 

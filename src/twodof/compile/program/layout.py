@@ -8,8 +8,8 @@ import numpy as np
 
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.numbers import dtype_of
-from twodof.compile.c.names import CNames
 from twodof.compile.c.operators import C_TYPES
+from twodof.compile.c.statements import CNames
 from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
 
 WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not on the stack

@@ -13,10 +13,10 @@ from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import CostMeter
 from twodof.blocks.expressions.numbers import dtype_of
-from twodof.compile.c import freestanding
+from twodof.compile.c import helpers
 from twodof.compile.program.flat_program import FlatProgram, Node
 from twodof.compile.program.layout import Member
-from twodof.compile.target import EmittedProgram
+from twodof.compile.target import EmittedProgram, layout_checks
 from twodof.compile.toolchain import compilers
 from twodof.compile.toolchain.compilers import Compiler
 from twodof.errors import CompileError
@@ -183,8 +183,8 @@ def compile_module(
         *(f"-Wl,--export={f}" for f in functions),
     )
     ticks = (_tick(p.name, places[p.name]) for p in programs)
-    source = "".join([programs[0].source, *ticks, freestanding.MEMORY, freestanding.layout_checks(programs)])
-    data = compilers.compiled_bytes(source, found, options, ".wasm", freestanding.FILES)
+    source = "".join([programs[0].source, *ticks, helpers.MEMORY, layout_checks(programs)])
+    data = compilers.compiled_bytes(source, found, options, ".wasm", helpers.FILES)
     return WasmModule(data, pages, {p.name: p for p in programs}, places)
 
 

@@ -2,7 +2,7 @@
 
 from html import escape
 
-from twodof.compile.c_files.source_map import SourceMap
+from twodof.compile.c_files.c_files import SourceMap
 from twodof.report.template_texts import fill
 
 
