@@ -1,8 +1,8 @@
-"""Branches: what of an expression graph is computed only where a condition holds.
+"""Branches: the nodes of an expression graph that are computed only where a condition holds.
 
-`where` reads one of its two values, `and` and `or` their second one only where the first does not decide. What is read
-on one side alone, and is worth it, becomes an `if` with all that hangs on the same condition. The rest stays a choice
-between two values. Expressions have no effect, so both give the same bits.
+`where` reads one of its two values; `and` and `or` read the second one only where the first does not decide. Nodes
+that one side alone reads move into an `if` if they cost enough, together with all choices on the same condition.
+Other choices stay between two values. Expressions have no effect, so both forms give the same bits.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from twodof.blocks.expressions.numbers import FLOATS
 
 WORTH = 10  # operations from which on a branch costs less than computing what may not be read
 WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
-SLOW = {"div": 4, "sqrt": 4, "call": CALL}  # operations that take as long as some
+SLOW = {"div": 4, "sqrt": 4, "call": CALL}  # cost in simple operations
 DEEPEST = 24  # branches within one another
-MOST_ROUNDS = 4  # before what two branches on one condition share is no longer looked for
-MOST_ALIKE = 32  # nodes that are looked at for whether they can share a branch
-WALKED = 20  # nodes that are looked at for each node of the graph, in finding what can share a branch
+MOST_ROUNDS = 4  # attempts at moving shared nodes before two branches on one condition
+MOST_ALIKE = 32  # choices that are tried for sharing one branch
+WALKED = 20  # nodes visited for each node of the graph, in the search for choices that share a branch
 
 
 @dataclass(frozen=True)
 class Choice:
-    """What `where`, `and` or `or` decide: by `condition`, the value of each side, a constant that is not a node."""
+    """A choice that `where`, `and` or `or` makes by `condition`; a side is a node, or True or False."""
 
     condition: Expr
     then: Expr | bool
@@ -36,7 +36,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """An `if`: the steps of each side, after which the values of all `chosen` are known, by their `choices`."""
+    """An `if` with the steps of each side. Behind it, all nodes `chosen` have their values, by their `choices`."""
 
     condition: Expr
     chosen: tuple[Expr, ...]
@@ -53,7 +53,7 @@ Arguments = Callable[[Expr], Sequence[Expr]]
 
 
 def decision(item: Expr, args: Sequence[Expr]) -> Choice | None:
-    """What a node with these arguments decides, if it is one that reads one of two values."""
+    """Return the choice that a node with these arguments makes, or None."""
     if item.op == "where":
         return Choice(*args)
     if item.op in ("and", "or") and item.kind == "bool":
@@ -64,7 +64,7 @@ def decision(item: Expr, args: Sequence[Expr]) -> Choice | None:
 
 @dataclass(frozen=True, eq=False)
 class _Place:
-    """Where a node is computed: on the side `holds` of a condition, within the place around it (None: anywhere)."""
+    """A side of a condition (where it holds, or not), within the place around it; None stands for outside of all."""
 
     around: _Place | None
     condition: Expr
@@ -74,7 +74,7 @@ class _Place:
 
 
 def _common(a: _Place | None, b: _Place | None) -> _Place | None:
-    """The innermost place around both."""
+    """Return the innermost place around both."""
     while a is not b:
         if b is None or (a is not None and a.depth > b.depth):
             a = a.around if a is not None else None
@@ -95,7 +95,7 @@ def steps(
 ) -> Sequence[Step]:
     """Return the nodes `order`, arguments before their users, as steps.
 
-    Those `always` are computed in any case; those whose identity is in `hand` are there and cost nothing. The signals
+    The nodes `always` are computed in any case; nodes whose identity is in `hand` are computed already. The signals
     `optional` may be 0 where a condition keeps all others from reading them.
     """
     if not any(item.op in ("where", "and", "or") for item in order):
@@ -115,7 +115,7 @@ def steps(
 
 
 class _Plan:
-    """Which node is computed where, and in which order."""
+    """Plan of where each node is computed, and in which order."""
 
     def __init__(
         self,
@@ -130,8 +130,8 @@ class _Plan:
         self.hand = hand
         self.args: dict[int, tuple[Expr, ...]] = {}
         self.decisions: dict[int, Choice] = {}
-        self.known: set[int] = set()  # what is at hand
-        self.flags: dict[int, bool] = {}  # whether nothing real is in it
+        self.known: set[int] = set()  # nodes that cost nothing
+        self.flags: dict[int, bool] = {}  # True if a node depends on no real number
         for item in order:
             below = args(item)
             if not below:
@@ -145,7 +145,7 @@ class _Plan:
         self.always = {id(item) for item in always}
         self.rank = {id(item): i for i, item in enumerate(order)}
         self._kept: list[Expr] = []
-        self.raised: set[int] = set()  # what two branches on one condition share: it is computed before both
+        self.raised: set[int] = set()  # nodes that two branches on one condition share: computed before both
         self.clashes: set[int] = set()
         self.clashing: set[int] = set()  # conditions of such branches
         self._leave_out(optional)
@@ -196,7 +196,7 @@ class _Plan:
         return frozenset(found)
 
     def _place(self) -> None:
-        """Find of each node the innermost place in which all stand that read it."""
+        """Find the innermost place of each node that is around all of its readers."""
         place: dict[int, _Place | None] = dict.fromkeys(self.always)
         for item in reversed(self.order):
             own = place.setdefault(id(item), None)
@@ -207,7 +207,7 @@ class _Plan:
         self.place = place
 
     def _reads(self, item: Expr, own: _Place | None) -> Iterator[tuple[Expr, _Place | None]]:
-        """The arguments of a node in the place `own`, each with the place where it is read."""
+        """Yield the arguments of a node in the place `own`, each with the place where it is read."""
         found = self.decisions.get(id(item))
         if found is None or id(found.condition) not in self.worth or not self._may_open(found.condition, own):
             yield from ((a, own) for a in self.args[id(item)])
@@ -219,7 +219,7 @@ class _Plan:
                 yield side, self._inside(own, found.condition, holds)
 
     def _may_open(self, condition: Expr, own: _Place | None) -> bool:
-        """Whether a branch on the condition may stand in a place: not within another one on it."""
+        """Return True if a branch on the condition may open in a place: no other one on it is around, and few are."""
         if own is not None and own.depth >= DEEPEST:
             return False
         while own is not None:
@@ -236,7 +236,7 @@ class _Plan:
         return known[key]
 
     def _worthwhile(self, in_loop: bool) -> set[int]:
-        """The conditions on which enough hangs."""
+        """Return the conditions whose branches save enough operations."""
         costs: dict[int, int] = {}
         self.costs: dict[int, int] = {}
         for item in self.order:
@@ -255,7 +255,7 @@ class _Plan:
         return {key for key, cost in costs.items() if cost >= (WORTH_OF_FLAG if calm[key] else WORTH)}
 
     def _calm(self, condition: Expr) -> bool:
-        """Whether a condition is a mode or a flag, or needs two reals to be the same, which they seldom are."""
+        """Return True if a condition is a mode or a flag, or compares reals for equality: it seldom changes."""
         if condition.op == "not":
             return self._calm(condition.args[0])
         if condition.op == "and" and any(self._calm(a) for a in condition.args):
@@ -263,7 +263,7 @@ class _Plan:
         return condition.op in ("eq", "ne") or self.flags.get(id(condition), True)
 
     def all_steps(self) -> list[Step]:
-        """The steps in the places that were found."""
+        """Return the steps, each node in its place."""
         self.outermost = {}
         self._place()
         self.clashes, self.clashing = set(), set()
@@ -272,7 +272,7 @@ class _Plan:
         return self._level([item for item in self.order if self.place[id(item)] is None], None)
 
     def _opens(self, item: Expr) -> Expr | None:
-        """The condition of the branch that a node needs, if one of its sides stands in one."""
+        """Return the condition of the branch that a node needs, or None if neither side is computed in one."""
         found = self.decisions.get(id(item))
         if found is None or id(found.condition) not in self.worth:
             return None
@@ -286,7 +286,7 @@ class _Plan:
         return found.condition if any(p in inside for p in places) else None
 
     def _level(self, items: Sequence[Expr], place: _Place | None) -> list[Step]:
-        """The steps of what stands in a place; `items` are in order."""
+        """Return the steps of the nodes `items` of a place, which are in order."""
         opening = {id(item): self._opens(item) for item in items}
         alike: dict[int, deque[Expr]] = {}
         for item in items:
@@ -306,7 +306,10 @@ class _Plan:
         return found
 
     def _branch(self, first: Expr, condition: Expr, alike: deque[Expr], place: _Place | None) -> Iterable[Step]:
-        """The branch that gives `first`, and those like it whose sides can be computed now; none if that is little."""
+        """Return the branch that gives `first`, with other choices on its condition whose arguments are known.
+
+        Where the branch would save little, return the nodes without a branch.
+        """
         sides = [self._inside(place, condition, holds) for holds in (True, False)]
         chosen, inside = [first], self._below(first, place, set())
         while alike and (alike[0] is first or id(alike[0]) in self.done):
@@ -329,7 +332,10 @@ class _Plan:
         return (Branch(condition, tuple(chosen), choices, tuple(lists[0]), tuple(lists[1])),)
 
     def _below(self, item: Expr, place: _Place | None, seen: set[int], strict: bool = False) -> dict[int, Expr] | None:
-        """What must be computed inside a branch in `place` for a node; `strict`: None if more is missing before it."""
+        """Return the nodes that a branch in `place` must compute for a node.
+
+        With `strict`, return None if a node before the branch is missing, or one inside is computed already.
+        """
         found: dict[int, Expr] = {}
         depth = 0 if place is None else place.depth
         stack = [item]

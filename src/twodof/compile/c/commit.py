@@ -1,4 +1,4 @@
-"""Commit: the statements that replace a block's states by their next values, all of which are made of the old ones."""
+"""Commit: the statements that replace a block's states by their next values, which read only the old ones."""
 
 from collections.abc import Callable, Mapping, Sequence
 from itertools import islice

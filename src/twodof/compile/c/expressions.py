@@ -77,7 +77,7 @@ def _paren(item: Text, loosest: int) -> str:
 
 
 def _loop_key(item: Expr) -> tuple[Any, ...]:
-    """What the results of one fold have in common."""
+    """Return a key that all results of one fold share."""
     return (*map(id, item.args), *item.data[:2])
 
 
@@ -424,7 +424,7 @@ class Renderer:
         return body
 
     def _counts(self, item: Expr) -> bool:
-        """Whether it is an index of loop counters: it stands where it is used, as by hand."""
+        """Return True if a node is an index made of loop counters: it is written where it is used."""
         return item.op in PLAIN and item.kind == "int32" and index_range(item, self.limits) is not None
 
     def _args(self, item: Expr) -> tuple[Expr, ...]:

@@ -1,4 +1,4 @@
-"""ProgramGraph: the expressions of all blocks over the signals, states and parameters of the whole program."""
+"""Rewriting of expressions: over the whole program, short loops written out, ranges of indices, derived parameters."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -20,7 +20,7 @@ Span = tuple[int, int]
 
 
 class ProgramGraph:
-    """Rewrites a block's expressions over leaves that are unique in the program, and writes out short loops.
+    """The expressions of all blocks over leaves that are unique in the program, with short loops written out.
 
     The `data` of an `input` leaf is a FlatSignal, and that of a `state` leaf (node, name). A given parameter has a
     FlatParameter, a derived one (node, name). `dt` becomes a constant.
@@ -135,7 +135,7 @@ def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
 
 
 def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 0) -> Span | None:
-    """The least and the largest value of an int32, or None where that is not known or it may wrap around.
+    """Return the least and the largest value of an int32, or None if unknown or if it may wrap around.
 
     `limits` has one more than the largest value of each loop counter, by its depth and 0.
     """
@@ -163,7 +163,7 @@ def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 
 
 
 def _chosen(item: Expr, limits: Mapping[tuple[int, int], int], depth: int) -> Span:
-    """Of `where`: that of the smaller or the larger of two, as a clamp has them, or of either."""
+    """Return the range of a `where`: of a minimum or maximum, as in a clamp, or of either value."""
     test, a, b = item.args
     low, high = zip(*(index_range(e, limits, depth) or (_LOW, _HIGH) for e in (a, b)), strict=True)
     compared = [id(e) for e in test.args] if test.op == "lt" else []
@@ -173,9 +173,9 @@ def _chosen(item: Expr, limits: Mapping[tuple[int, int], int], depth: int) -> Sp
 
 
 def in_doubles(exprs: Mapping[str, Expr]) -> dict[str, Expr]:
-    """What `prepare` gives, with each real in it a float64, except the parameters and the results themselves.
+    """Return the results of `prepare` computed in float64 and rounded once, in builds of float32 too.
 
-    In a build of float64 that is the same arithmetic.
+    Parameters and results stay real. In a build of float64 the arithmetic is the same.
     """
     wide: dict[int, Expr] = {}
     for item in walk(exprs.values()):
@@ -184,7 +184,7 @@ def in_doubles(exprs: Mapping[str, Expr]) -> dict[str, Expr]:
 
 
 def _widened(item: Expr, wide: Mapping[int, Expr]) -> Expr:
-    """A node with float64 in the place of real; parameters are kept as they are and converted where they are read."""
+    """Return a node with float64 in the place of real; parameters are converted where they are read."""
     args = [wide[id(a)] for a in item.args]
     if item.op == "param":
         return _converted(item, EXACT) if item.kind == "real" else item
@@ -197,14 +197,14 @@ def _widened(item: Expr, wide: Mapping[int, Expr]) -> Expr:
 
 
 def _rounded(item: Expr) -> Expr:
-    """A float64, or an array of them, as real."""
+    """Return a float64, or an array of them, as real."""
     if item.op == "vector":
         return make("vector", "real", tuple(_converted(a, "real") for a in item.args), None, item.width)
     return _converted(item, "real")
 
 
 def _converted(item: Expr, kind: str) -> Expr:
-    """A number as another float kind; of an array each element, in a loop."""
+    """Return a number, or each element of an array, converted to another float kind."""
     if item.width is None:
         return make("convert", kind, (item,))
     # The array does not read the loop's counter, so it is made before the loop, whatever loops are around.

@@ -42,7 +42,7 @@ def _returning(head: str, value: str, *before: str) -> str:
 
 
 def _copying(head: str, declared: str, origin: str, value: str, *before: str) -> str:
-    """A function that gives bits another type: it copies them from `origin` into what is declared."""
+    """Return a function that copies the bits of `origin` into a variable of another type."""
     name = declared.split()[1]
     return _returning(head, value, *before, f"{declared};", f"(void)memcpy(&{name}, &{origin}, sizeof {name});")
 
@@ -76,7 +76,7 @@ _REAL = re.compile(r"\breal(?=_|\b)|(?<=_to_)real\b")
 
 
 def _of(kind: str, texts: dict[str, str]) -> dict[str, str]:
-    """The functions of reals as those of a `kind` whose precision they are in."""
+    """Return functions of reals as functions of the float kind that has their precision."""
     made = {}
     for name, text in texts.items():
         own = _REAL.sub(kind, name)

@@ -1,4 +1,4 @@
-"""The operations of the language as C99: one row each, which other styles of C override."""
+"""The operations of the language as C99, one row each."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,12 +36,12 @@ class Operator:
 
 
 def called(name: str, operands: int, helper: str = "") -> Operator:
-    """The call of a function."""
+    """Return the operator that calls a function."""
     return Operator(f"{name}({', '.join(f'{{{i}}}' for i in range(operands))})", helper=helper)
 
 
 def row(item: Expr, operand: str) -> str:
-    """The name of the row in OPERATORS for an operation whose first operand is of the type `operand`."""
+    """Return the name of the row in OPERATORS for an operation whose first operand is of the type `operand`."""
     if item.op == "where":
         return f"pick_{item.kind}"
     if item.op in COMPARISONS:

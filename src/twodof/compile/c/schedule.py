@@ -69,7 +69,7 @@ class Schedule:
         return made
 
     def _switches(self, action: Action) -> bool:
-        """Return True if an action is the whole tick of a state machine, and all that it reads is there."""
+        """Return True if an action is the whole tick of a state machine whose inputs have all been computed."""
         node = action.node
         if not isinstance(node.block, StateMachine):
             return False

@@ -48,9 +48,9 @@ class CFiles:
         return {f"{self.name}.h": self.header, f"{self.name}.c": self.emitted.source}
 
     def write(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
-        """Writes both files into `folder`, which it makes if it is not there, and gives their paths.
+        """Write both files into `folder`, which is made if it does not exist, and return their paths.
 
-        Raises LogError if one is there already (unless `overwrite`), or the folder cannot be made or written.
+        Raises LogError if a file exists already (unless `overwrite`), or the folder cannot be made or written.
         """
         paths = [Path(folder, file) for file in self.files]
         try:
@@ -74,7 +74,7 @@ def c_files(
     name: str = "",
     tables: bool = False,
 ) -> CFiles:
-    """`diagram` as C for a firmware; `dt` [s], `precision`, `log` and `integrator` as in `build`.
+    """Return `diagram` as C for a firmware; `dt` [s], `precision`, `log` and `integrator` as in `build`.
 
     All names begin with `name`, by default the diagram's; programs in one firmware need different ones. With `tables`
     there are `run` and the tables of parameters and signals as well. Raises DiagramError as `build`, and for a name
@@ -90,7 +90,7 @@ def c_files(
 
 
 def header(program: FlatProgram, layout: MemoryLayout, precision: str, tables: bool) -> str:
-    """The text of `program.name`.h: `layout`'s structs with units and paths, and the functions' prototypes.
+    """Return the text of `program.name`.h: `layout`'s structs with units and paths, and the functions' prototypes.
 
     `real` is written as the C type of `precision`, so that programs of both can be included together. With `tables`
     it declares `run`, the tables of parameters and signals, and the sizes as well.
@@ -152,7 +152,7 @@ def _example(program: FlatProgram, layout: MemoryLayout) -> Iterator[str]:
 
 
 def _carried(members: Sequence[Member], scalar: str, array: str) -> Iterator[str]:
-    """Lines that give or take the values of a struct's members."""
+    """Yield lines that give or take the values of a struct's members."""
     for member in members[:SHOWN]:
         yield "    " + (scalar if member.width is None else array).format(member.name)
     if len(members) > SHOWN:
@@ -160,7 +160,7 @@ def _carried(members: Sequence[Member], scalar: str, array: str) -> Iterator[str
 
 
 def _notes(program: FlatProgram, layout: MemoryLayout) -> Iterator[tuple[tuple[str, str], str]]:
-    """What the comment of a member has to say beside its path, unit and text, by struct and name."""
+    """Yield further text for the comments of members, by struct and name."""
     for parameter, member in layout.parameters.items():
         yield ("P", member.name), "; ".join(filter(None, (_bounds(parameter.declared), _order(parameter.declared))))
     for node in program.nodes:
@@ -175,7 +175,7 @@ def _notes(program: FlatProgram, layout: MemoryLayout) -> Iterator[tuple[tuple[s
 
 
 def _order(declared: Any) -> str:
-    """How a matrix stands in its array."""
+    """Return how a matrix is stored in its array."""
     if declared.shape is None:
         return ""
     rows, columns = declared.shape
@@ -208,7 +208,7 @@ class SourceLine:
 
     @property
     def executable(self) -> bool:
-        """Whether it is more than braces and comments."""
+        """True if the line is more than braces and comments."""
         return bool(self.text.strip(" {}")) and not self.text.lstrip().startswith("/*")
 
 

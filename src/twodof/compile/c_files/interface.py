@@ -1,4 +1,4 @@
-"""What a program's C shows to its callers: the structs P, S, U and Y, prototypes, and what is in the tables."""
+"""Declarations of a program's C for its callers: the structs P, S, U and Y, prototypes and tables."""
 
 from collections.abc import Iterable, Mapping, Sequence
 
@@ -56,7 +56,7 @@ class CInterface:
         listing.add((self._tables() if self.tables else "") + (self._sizes() if self.run else ""))
 
     def _enumerations(self) -> str:
-        """The members of enumerations as constants, for programs around this one."""
+        """Return the members of enumerations as constants, for programs around this one."""
         names = CNames()
         lines = []
         for e in self.program.enumerations:
@@ -146,12 +146,12 @@ def _prototype(head: str, taken: str) -> str:
 
 
 def indented(lines: Iterable[str]) -> str:
-    """The lines one level deeper."""
+    """Return lines, indented by one level."""
     return "".join(f"    {line}\n" for line in lines)
 
 
 def comment(text: str) -> str:
-    """User's text made harmless within a C comment."""
+    """Return a user's text, made harmless within a C comment."""
     plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
 

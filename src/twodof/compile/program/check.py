@@ -1,4 +1,4 @@
-"""check: every problem of a diagram at once, what is odd about it though it compiles, and how large it is."""
+"""Checks of a diagram: all problems at once, remarks on a diagram that compiles, and its size."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ MAX_PROBLEMS = 1000
 
 @dataclass(frozen=True)
 class Remark:
-    """Something that compiles and is probably not meant: what, where (a path), what to do about it."""
+    """Remark on a diagram that compiles but is probably not meant so: text, path and remedy."""
 
     what: str
     where: str
@@ -43,12 +43,12 @@ class DiagramSizes:
 
 @dataclass(frozen=True)
 class Findings:
-    """What `check` found.
+    """Findings of `check`.
 
     `problems` keep the diagram from compiling. The rest is there only without problems: `remarks`; `sizes`;
     `feedthrough`, for each output of the diagram the inputs that it depends on in the same tick; `port_feedthrough`,
-    the same for each output port of each block; `unread`, the output ports that nobody reads; `left_out`, the blocks
-    of which nothing is compiled, because nobody needs them.
+    the same for each output port of each block; `unread`, the output ports without a reader; `left_out`, the blocks
+    of which nothing is compiled because nothing needs them.
     """
 
     problems: tuple[DiagramError, ...]
@@ -61,14 +61,14 @@ class Findings:
 
     @property
     def fine(self) -> bool:
-        """Whether the diagram compiles."""
+        """True if the diagram compiles."""
         return not self.problems
 
 
 def check(diagram: Diagram, dt: float) -> Findings:
-    """Everything that `lower` would refuse in `diagram` (1000 problems at most), or, if nothing, what it consists of.
+    """Return all errors that `lower` would raise for `diagram` (1000 at most), or its remarks and size.
 
-    `dt` is the base tick [s]. Raises DiagramError only for a `dt` that is none.
+    `dt` is the base tick [s]. Raises DiagramError only for an invalid `dt`.
     """
     problems: list[DiagramError] = []
 
@@ -102,11 +102,11 @@ def check(diagram: Diagram, dt: float) -> Findings:
 
 
 class _Enough(Exception):
-    """Ends a check that has found more problems than anybody reads."""
+    """Signal that a check has found MAX_PROBLEMS problems."""
 
 
 def compiled(program: FlatProgram) -> dict[str, None]:
-    """The paths of the blocks of which something runs at a tick: outputs, or states that change."""
+    """Return the paths of the blocks that run at a tick: their outputs are computed, or their states change."""
     found = {a.node.path: None for group in (*program.tick, *program.stage) for a in group.actions}
     for n in program.nodes:
         moving = any(not (e.op == "state" and e.data == name) for name, e in n.trace.update.items())
@@ -116,7 +116,7 @@ def compiled(program: FlatProgram) -> dict[str, None]:
 
 
 def _feedthrough(ordered: Iterable[FlatSignal]) -> dict[FlatSignal, frozenset[str]]:
-    """For each signal the inputs of the diagram on which it depends in the same tick."""
+    """Return, for each signal, the inputs of the diagram on which it depends in the same tick."""
     through: dict[FlatSignal, frozenset[str]] = {}
     for s in ordered:
         if s.node is not None:
@@ -177,7 +177,7 @@ def _remarks(
 
 
 def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
-    """A default at a bound leaves no room on one side. 0 is not counted: it switches things off."""
+    """Yield remarks on a default that is a bound: no room on one side. 0 is left out: it switches things off."""
     if declared.kind == "bool" or declared.low == declared.high or not declared.tunable:
         return
     for bound, word in ((declared.low, "lower"), (declared.high, "upper")):
@@ -186,7 +186,7 @@ def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
 
 
 def _not_finite(diagram: Diagram, program: FlatProgram) -> Iterator[Remark]:
-    """Derived parameters that the defaults make infinite or NaN, else signals that are so at once with inputs 0."""
+    """Yield remarks on derived parameters that the defaults make infinite or NaN, else on such signals at inputs 0."""
     found = False
     for (node, name), value in parameter_values(program, {}).items():
         if name not in node.parameters and not _finite(value):

@@ -37,12 +37,12 @@ class FlatSignal:
 
     @property
     def before(self) -> Any:
-        """What it holds before it is first computed."""
+        """The value before the first computation."""
         return 0 if self.initial is None else self.initial
 
     @property
     def cleared(self) -> Any:
-        """What it is reset to where it is disabled."""
+        """The value that a disabled part resets the signal to."""
         return self.before if self.disabled is None else self.disabled
 
 
@@ -72,7 +72,7 @@ class Condition:
 
     @property
     def signals(self) -> list[FlatSignal]:
-        """What decides over it."""
+        """The signals that enable or reset the sub-diagram."""
         return [s for s in (self.enable, self.reset, self.trigger, self.restart) if s is not None]
 
 
@@ -112,19 +112,19 @@ class Node:
 
     @property
     def enumerations(self) -> tuple[Enumeration, ...]:
-        """Those of what the block declares, each once."""
+        """The enumerations of the block's declarations, each once."""
         block = self.block
         declared: tuple[Any, ...] = (*block.inputs, *block.outputs, *block.states, *block.params, *block.derived)
         return tuple(dict.fromkeys(d.enum for d in declared if d.enum is not None))
 
     @property
     def added(self) -> bool:
-        """Whether the language added it, to decide over a sub-diagram: no name of a part begins so."""
+        """True if the language added the node, to trigger or restart a sub-diagram."""
         return self.path.rpartition(".")[2].startswith("_")
 
     @property
     def starts(self) -> tuple[Start, ...]:
-        """What sets the node's states to their initial values."""
+        """The conditions that set the node's states to their initial values."""
         if not self.block.states:
             return ()
         found: dict[Guard, list[FlatSignal]] = {}
@@ -150,13 +150,13 @@ class Guard:
 
     @property
     def always(self) -> bool:
-        """Whether the nodes act at every tick."""
+        """True if the nodes act at every tick."""
         return self.rate.divider == 1 and not self.enables
 
 
 @dataclass(frozen=True)
 class Start:
-    """Where `guard` lets it, any of `signals` sets the states of `node` to their initial values."""
+    """Start of a node: where `guard` holds, any of `signals` sets its states to their initial values."""
 
     node: Node
     guard: Guard
@@ -165,7 +165,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Action:
-    """Compute `signals`, outputs of `node`, or (with none) do what `start` says."""
+    """Computation of `signals`, outputs of `node`; or, without signals, the start of its states."""
 
     node: Node
     signals: tuple[FlatSignal, ...]
@@ -210,7 +210,7 @@ class FlatProgram:
 
     @property
     def enumerations(self) -> tuple[Enumeration, ...]:
-        """Those of which an input, or what a block declares, is; each once."""
+        """The enumerations of inputs and blocks, each once."""
         of_inputs = (s.enum for s in self.inputs.values() if s.enum is not None)
         return tuple(dict.fromkeys((*of_inputs, *(e for node in self.nodes for e in node.enumerations))))
 
@@ -225,7 +225,7 @@ Key = tuple[Node, str]
 
 
 def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key, Any]:
-    """The parameters of every node, given (by path in `given`, else default) and derived, by node and own name."""
+    """Return the parameters of every node, given (by path in `given`, else default) and derived, by node and name."""
     values: dict[Key, Any] = {}
     with numbers.precision("float64"):
         for node in program.nodes:
@@ -243,7 +243,7 @@ def parameter_values(program: FlatProgram, given: Mapping[str, Any]) -> dict[Key
 
 
 def initial_states(program: FlatProgram, parameters: Mapping[Key, Any]) -> dict[Key, Any]:
-    """The initial value of every state."""
+    """Return the initial value of every state."""
     with numbers.precision("float64"):
         return {
             (node, s.name): parameters[node, s.initial]

@@ -1,4 +1,4 @@
-"""Flat: the blocks of a diagram without its sub-diagrams: connected, checked, in an order in which they can run."""
+"""Flattening: the blocks of a diagram without sub-diagrams, connected, checked and in an order of execution."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagra
 MAX_LOOPS = 20  # algebraic loops that are listed; each costs a walk through the diagram
 
 Report = Callable[[DiagramError], None]
-"""What is done with a problem: `lower` raises the first, `twodof.compile.program.check` collects them all."""
+"""Handler of a problem: `lower` raises the first, `twodof.compile.program.check` collects them all."""
 
 
 class AlgebraicLoop(DiagramError):
@@ -32,7 +32,7 @@ class AlgebraicLoop(DiagramError):
 
 
 def refuse(error: DiagramError) -> None:
-    """Raise it."""
+    """Raise the error."""
     raise error
 
 
@@ -145,7 +145,7 @@ class FlatDiagram:
 
     @contextmanager
     def _reported(self) -> Iterator[None]:
-        """What is refused inside is reported, and left undone."""
+        """Report a DiagramError raised inside, and go on."""
         try:
             yield
         except DiagramError as error:
@@ -228,7 +228,7 @@ class FlatDiagram:
         drivers: Sequence[FlatSignal],
         around: tuple[Condition, ...],
     ) -> FlatSignal:
-        """The output of a node that decides over a sub-diagram, beside which it stands."""
+        """Add a node that triggers or restarts a sub-diagram, and return its output."""
         node = Node(f"{condition.path}._{name}", block, condition.rate, around)
         node.drivers = {port.name: signal for port, signal in zip(block.inputs, drivers, strict=True)}
         return self._with_outputs(node).outputs["y"]
@@ -257,7 +257,7 @@ class FlatDiagram:
         return stand_in
 
     def _field(self, level: Level, source: str, field: str) -> FlatSignal:
-        """The signal that is a field of what `source` means; of a wide bus it is looked up a thousand times."""
+        """Return a field of the bus `source`. The bus is kept: a wide one is asked a thousand times."""
         key = level.path, source
         if key not in self.buses:
             self.buses[key] = level.signals(source)
@@ -265,7 +265,7 @@ class FlatDiagram:
         return level.resolve(level.diagram.field(source, field)) if found is None else found
 
     def _stored(self, level: Level, part: str, where: str, port: str) -> FlatSignal:
-        """What feeds an input without a connection: a data store, or its writer."""
+        """Return the signal of an unconnected input: of a data store, or of its writer."""
         y = f"y{port.removeprefix('u')}"  # perhaps a field
         item, node = level.diagram.parts[part].item, level.parts.get(part)
         if isinstance(item, StoreRead):
@@ -282,7 +282,7 @@ class FlatDiagram:
         return node.outputs[output]
 
     def _store(self, level: Level, name: str, where: str) -> tuple[Level, Node]:
-        """The data store `name` that is nearest to a level, and where it stands."""
+        """Return the nearest data store `name` at or around a level, with its level."""
         at: Level | None = level
         while at is not None:
             found = at.parts.get(name)
@@ -292,7 +292,7 @@ class FlatDiagram:
         raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
 
     def _find_writers(self) -> None:
-        """Find who writes each data store: one at most."""
+        """Find the writer of each data store: one at most."""
         for level in self.levels:
             for node in level.parts.values():
                 if not isinstance(node, Node) or not isinstance(node.block, StoreWrite):
@@ -330,14 +330,14 @@ class FlatDiagram:
                 )
 
     def ordered(self) -> list[FlatSignal]:
-        """All outputs of all nodes, each after those it needs, ties by path; checks for loops and for rates."""
+        """Return all outputs of all nodes, each after those it needs, ties by path; check for loops and for rates."""
         everything = [s for n in self.nodes for s in n.outputs.values()]
         order = _ordered(self.diagram.name, everything, self.report)
         _check_rates(self.nodes, order, self.unknown, self.report)
         return order
 
     def logged(self, path: str) -> dict[str, FlatSignal]:
-        """What drives the signal with the path "part.sub.port", or each field of a bus. DiagramError without one."""
+        """Return the signal with the path "part.sub.port", or each field of a bus. Raises DiagramError without one."""
         if path in self.signals:
             return {path: self.signals[path]}
         fields = {p: s for p, s in self.signals.items() if p.startswith(f"{path}.")}
@@ -346,7 +346,7 @@ class FlatDiagram:
         return fields
 
     def _is_bus(self, path: str) -> bool:
-        """Whether the signals that begin with `path` are fields of one bus, and not the signals of a part."""
+        """Return True if the signals below `path` are the fields of one bus, and not the signals of a part."""
         parts = {node.path for node in self.nodes} | {level.path for level in self.levels}
         return path not in parts
 
@@ -356,31 +356,31 @@ def _clash(a: str, b: str) -> bool:
 
 
 def node_of(signal: FlatSignal) -> Node:
-    """The node that gives a signal. Raises ValueError for an input of the program, which the callers never ask."""
+    """Return the node that gives a signal. Raises ValueError for an input of the program."""
     if signal.node is None:
         raise ValueError(f"{signal.path} is an input of the program")
     return signal.node
 
 
 def drivers_of(signal: FlatSignal) -> list[FlatSignal]:
-    """The driven signals that this one depends on in the same tick through its block."""
+    """Return the driven signals that this one depends on in the same tick through its block."""
     node = node_of(signal)
     found = [node.drivers[name] for name in sorted(node.trace.feedthrough[signal.port])]
     return [d for d in found if d.node is not None]
 
 
 def tick_needs(signal: FlatSignal) -> list[FlatSignal]:
-    """The signals that must be known before this one can be computed in a tick."""
+    """Return the signals that must be known before this one can be computed in a tick."""
     return drivers_of(signal) + conditions_of(node_of(signal))
 
 
 def conditions_of(node: Node) -> list[FlatSignal]:
-    """The driven signals that enable and reset a node."""
+    """Return the driven signals that enable and reset a node."""
     return [s for c in node.conditions for s in c.signals if s.node is not None]
 
 
 def _ordered(name: str, signals: Sequence[FlatSignal], report: Report) -> list[FlatSignal]:
-    """`signals` with each after those it needs, ties by path. Reports each algebraic loop, and goes on as if cut."""
+    """Sort `signals`, each after those it needs, ties by path; report each algebraic loop and go on as if cut."""
     rank = {s: i for i, s in enumerate(signals)}
     needs = {s: set(tick_needs(s)) for s in signals}
     users: dict[FlatSignal, list[FlatSignal]] = {s: [] for s in signals}
@@ -416,7 +416,7 @@ def _ordered(name: str, signals: Sequence[FlatSignal], report: Report) -> list[F
 
 
 def _loop(needs: Mapping[FlatSignal, Sequence[FlatSignal]]) -> list[FlatSignal]:
-    """A cycle in a graph in which everything needs something."""
+    """Return a cycle in a graph in which each node needs another one."""
     at = min(needs, key=lambda s: s.path)
     seen: dict[FlatSignal, int] = {}
     while at not in seen:
@@ -426,7 +426,7 @@ def _loop(needs: Mapping[FlatSignal, Sequence[FlatSignal]]) -> list[FlatSignal]:
 
 
 def constants(ordered: Iterable[FlatSignal]) -> set[FlatSignal]:
-    """The signals that never change while parameters do not: they have no rate."""
+    """Return the signals that change only with parameters: they have no rate."""
     constant: set[FlatSignal] = set()
     for s in ordered:
         node = node_of(s)

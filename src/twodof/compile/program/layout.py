@@ -27,7 +27,7 @@ class Member:
     remark: str = ""
 
     def declaration(self, types: Mapping[str, str] = C_TYPES) -> str:
-        """The member's line in the struct."""
+        """Return the member's line in the struct."""
         size = "" if self.width is None else f"[{self.width}]"
         return f"{types[self.kind]} {self.name}{size};"
 
@@ -40,7 +40,7 @@ class Struct:
     names: CNames = field(default_factory=CNames)
 
     def add(self, wanted: Member) -> Member:
-        """A new member; its name becomes unique within the struct."""
+        """Add a member, whose name becomes unique within the struct, and return it."""
         self.members.append(replace(wanted, name=self.names.new(wanted.name)))
         return self.members[-1]
 
@@ -84,7 +84,7 @@ class MemoryLayout:
             self.outputs[path] = self.y.add(_member(path, signal, _about(signal)))
 
     def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
-        """The numpy types of P, S, U and Y: their memory is that of the C structs."""
+        """Return the numpy types of P, S, U and Y, which have the memory layout of the C structs."""
         x = _struct_dtype([_place(m, precision) for m in self.x.members])
         made = {}
         for name, struct in (("P", self.p), ("S", self.s), ("U", self.u), ("Y", self.y)):
@@ -117,7 +117,7 @@ def _passing(program: FlatProgram) -> set[FlatSignal]:
 
 
 def _about(declared: Port | State | Param | FlatSignal, remark: str = "") -> str:
-    """What a member's comment says: a remark, and what the values of an enumeration mean."""
+    """Return the text of a member's comment: a remark, and the values of an enumeration."""
     return " ".join(filter(None, (remark, "" if declared.enum is None else str(declared.enum))))
 
 
@@ -143,13 +143,13 @@ class _Place(NamedTuple):
 
 
 def _place(m: Member, precision: str) -> _Place:
-    """Where a member stands in numpy."""
+    """Return a member's type and alignment in numpy."""
     base = dtype_of(m.kind, precision)
     return _Place(m.name, np.dtype((base, () if m.width is None else (m.width,))), base.itemsize)
 
 
 def _struct_dtype(places: Sequence[_Place]) -> np.dtype[Any]:
-    """The numpy type of a C struct with these members. An empty one holds a byte."""
+    """Return the numpy type of a C struct with these members. An empty one holds a byte."""
     if not places:
         return np.dtype({"names": ["none"], "formats": ["u1"]})
     offsets, end = [], 0

@@ -1,4 +1,4 @@
-"""Level: a diagram in its place, and what its connections lead to."""
+"""Level: a diagram in its place, with the signals that its connections lead to."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Level:
         return found if self.parent is None else [*found, *self.parent.conditions]
 
     def driver(self, output: str) -> FlatSignal:
-        """The signal that drives one of this diagram's outputs, or a field of one."""
+        """Return the signal that drives one of this diagram's outputs, or a field of one."""
         return scalar(self._driven(output), f"{self.path}.{output}")
 
     def drivers(self, output: str) -> dict[str, FlatSignal]:
-        """The signal that drives one of this diagram's outputs by its name; of a bus those of its fields, by path."""
+        """Return the signals that drive one of this diagram's outputs, by path: one, or the fields of a bus."""
         return {f"{output}.{field}" if field else output: s for field, s in self._driven(output).items()}
 
     def _driven(self, output: str) -> dict[str, FlatSignal]:
@@ -44,14 +44,11 @@ class Level:
         return self.signals(source)
 
     def resolve(self, source: str) -> FlatSignal:
-        """The signal that `source` means in this diagram; not a bus."""
+        """Return the signal that `source` names in this diagram; not a bus."""
         return scalar(self.signals(source), f"{self.path}.{source}")
 
     def signals(self, source: str) -> dict[str, FlatSignal]:
-        """What `source` means in this diagram, followed through the borders of sub-diagrams: "" and the signal.
-
-        Of a bus they are the signals of its fields, by path.
-        """
+        """Follow `source` through the borders of sub-diagrams; return {"": signal}, or a bus's signals by field."""
         at, text = self, source
         seen: set[tuple[int, str]] = set()
         while (id(at), text) not in seen:
@@ -87,7 +84,7 @@ def _fields(signals: Mapping[str, FlatSignal], name: str) -> dict[str, FlatSigna
 
 
 def scalar(found: Mapping[str, FlatSignal], where: str) -> FlatSignal:
-    """The signal of what is not a bus; else DiagramError."""
+    """Return the one signal of a source. Raises DiagramError for a bus."""
     if "" not in found:
         raise DiagramError(f"a bus with the fields {nearest('', found)}", where, "name one of its fields")
     return found[""]

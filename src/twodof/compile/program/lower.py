@@ -1,4 +1,4 @@
-"""From a diagram to a program: check, flatten, find what is needed, order."""
+"""Lowering of a diagram to a program: check, flatten, drop unneeded signals, order."""
 
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -17,7 +17,7 @@ INTEGRATORS = ("rk4", "euler")
 
 
 def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str = "rk4") -> FlatProgram:
-    """The program of `diagram` at the base tick `dt` [s], which also returns the signals whose paths are in `log`.
+    """Return the program of `diagram` at the base tick `dt` [s], with the signals in `log` as further outputs.
 
     Raises DiagramError, with the whole path, where the diagram is incomplete or contradicts itself.
     """
@@ -58,7 +58,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
 
 
 def _moving(ordered: Sequence[FlatSignal]) -> set[FlatSignal]:
-    """The signals that change inside a step: by an edge, with a continuous state, or with such an input."""
+    """Return the signals that change inside a step: by an edge, a continuous state, or such an input."""
     moving: set[FlatSignal] = set()
     for s in ordered:
         node = node_of(s)
@@ -74,12 +74,12 @@ def _moving(ordered: Sequence[FlatSignal]) -> set[FlatSignal]:
 
 
 def inputs_of(node: Node, roots: Iterable[Expr]) -> set[FlatSignal]:
-    """The signals that expressions of `node` read."""
+    """Return the signals that expressions of `node` read."""
     return {node.drivers[name] for name in leaves(roots, "input")}
 
 
 def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: set[FlatSignal]) -> list[FlatSignal]:
-    """The continuous outputs that the derivatives depend on, in order; edged ones are given, not computed."""
+    """Return the continuous outputs that the derivatives depend on, in order; edged ones are given, not computed."""
     needed = {s for n in integrated for s in inputs_of(n, n.trace.derivative.values())}
     chosen = []
     for s in reversed(ordered):
@@ -92,7 +92,7 @@ def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: se
 def _read_inside(
     integrated: Sequence[Node], stage: Sequence[FlatSignal], moving: set[FlatSignal]
 ) -> Iterator[FlatSignal]:
-    """The signals of the tick that the integration reads."""
+    """Yield the signals of the tick that the integration reads."""
     for n in integrated:
         yield from (s for s in inputs_of(n, n.trace.derivative.values()) if s not in moving)
     for s in stage:
@@ -103,7 +103,7 @@ def _read_inside(
 
 
 def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal]:
-    """The signals that must be computed at the tick: `always`, and those that states need."""
+    """Return the signals that must be computed at the tick: `always`, and those that states need."""
     stack = list(always)
     for n in nodes:
         if n.block.states:
@@ -124,7 +124,7 @@ def _grouped(
     nodes: Sequence[Node],
     before_it: Callable[[FlatSignal], list[FlatSignal]],
 ) -> list[Group]:
-    """`signals` in an order that keeps blocks of one guard together, as actions; `nodes` that reset start with that."""
+    """Sort `signals` into groups of one guard, as actions; the states of `nodes` are reset before their outputs."""
     chosen = set(signals)
     starts = {n: n.starts for n in nodes}
     # What is done: a signal, or the start of a node's states.
@@ -170,7 +170,7 @@ def _grouped(
 def _nearest_first(
     things: Sequence[FlatSignal | Start], before: Mapping[FlatSignal | Start, set[FlatSignal | Start]]
 ) -> list[FlatSignal | Start]:
-    """Those first that wait for the shortest chain of others, so that a processor has several chains to work at."""
+    """Sort by the length of the chain that each waits for, so that a processor works at several chains at once."""
     depth: dict[FlatSignal | Start, int] = {}
     for thing in TopologicalSorter(before).static_order():
         depth[thing] = max((depth[b] + 1 for b in before[thing]), default=0)
