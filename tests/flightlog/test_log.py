@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.flightlog.synthetic import attitude_steps, channel
 from twodof.errors import LogError
-from twodof.flightlog.log import Channel, FlightLog, How
+from twodof.flightlog.log import Channel, FlightLog, How, log_of_rows
 
 pytestmark = pytest.mark.slow
 
@@ -57,6 +57,8 @@ def test_missing_channel_names_what_there_is() -> None:
         log["q"].field("M")
     with pytest.raises(LogError, match="at least one channel"):
         FlightLog({})
+    with pytest.raises(LogError, match="no channel holds a sample"):
+        FlightLog({"q": Channel([], [])}).slice(0.0, 1.0)
 
 
 @given(STAMPS, TIMES)
@@ -157,6 +159,30 @@ def test_armed_is_first_to_last_sample_with_thrust() -> None:
         FlightLog({"q": Channel([0.0], [0.0])}).armed()
 
 
-def test_span_of_a_log_without_samples() -> None:
-    with pytest.raises(LogError, match="no channel holds a sample"):
-        FlightLog({"q": Channel([], [])}).slice(0.0, 1.0)
+def test_rows_of_a_plot_become_channels() -> None:
+    time = np.arange(4) * 0.004
+    theta, x = np.array([1, 2, 3, 4], "<f4"), np.array([np.nan, 5, np.nan, 6], "<f4")
+    data = time.astype("<f8").tobytes() + theta.tobytes() + x.tobytes()
+    log = log_of_rows(data, ["estimate.theta", "estimate.x"], {"seed": 1})
+    assert log["theta"].value.tolist() == [1, 2, 3, 4]
+    assert log["theta"].unit == "rad"
+    assert log["x"].time.tolist() == [0.004, 0.012]
+    assert log["x"].value.tolist() == [5, 6]
+
+
+@pytest.mark.parametrize(
+    ("data", "columns", "what"),
+    [
+        (b"", ["estimate.theta"], "whole rows"),
+        (b"\0" * 13, ["estimate.theta"], "whole rows"),
+        (b"\0" * 12, [], "give one"),
+        (b"\0" * 16, ["estimate.theta", "estimate.theta"], "each once"),
+        (b"\0" * 12, ["estimate.thrust"], "no column"),
+        (b"\0" * 12, ["imu.gyro_y"], "no column"),
+        (b"\0" * 24, ["estimate.theta"], "does not rise"),
+        (b"\xff" * 12, ["estimate.theta"], "not finite"),
+    ],
+)
+def test_rows_that_are_no_log_are_refused(data: bytes, columns: list[str], what: str) -> None:
+    with pytest.raises(LogError, match=what):
+        log_of_rows(data, columns, {})

@@ -1,72 +1,25 @@
-"""MCAP: bit for bit there and back, against the readers of others, and within bounds."""
+"""MCAP files: read by the readers of others, and files that others wrote."""
 
 from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 from mcap.reader import NonSeekingReader, make_reader
 from mcap.writer import CompressionType, Writer
 from rosbags.highlevel import AnyReader
-from scipy.io import loadmat
 
 from tests.flightlog.synthetic import attitude_steps, same_bits
-from twodof.errors import LogError
-from twodof.flightlog.files import attachments, convert, read_log
+from twodof.flightlog.files import attachments, read_log
 from twodof.flightlog.log import Channel, FlightLog
-from twodof.flightlog.mcap_encoder import MAGIC, Attachment, McapEncoder, McapSamples
+from twodof.flightlog.mcap_encoder import Attachment, McapEncoder, McapSamples
 from twodof.flightlog.mcap_file import write_mcap
 from twodof.flightlog.mcap_stream import ros_names, seconds, stream_of, streams_of
 from twodof.signals import TOPICS, topic
 
 pytestmark = pytest.mark.slow
-
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
-
-
-def test_real_logs_pass_through_mcap_channel_for_channel(flight_data: Path, tmp_path: Path) -> None:
-    paths = sorted(flight_data.glob("*.mat"))
-    assert len(paths) == 7
-    for path in paths[::3]:
-        convert(path, tmp_path / "a.mcap", overwrite=True)
-        convert(tmp_path / "a.mcap", tmp_path / "b.mat", overwrite=True)
-        same_bits(read_log(path), read_log(tmp_path / "b.mat"))
-        theirs, ours = loadmat(path, mat_dtype=True), loadmat(tmp_path / "b.mat", mat_dtype=True)
-        for name in [name for name in theirs if not name.startswith("__")]:
-            for part in theirs[name].dtype.names:
-                before, after = theirs[name][0, 0][part], ours[name][0, 0][part]
-                assert (before.dtype, before.shape) == (after.dtype, after.shape), (path.name, name, part)
-                assert before.tobytes() == after.tobytes(), (path.name, name, part)
-
-
-def test_a_log_survives_a_tour_of_all_formats(tmp_path: Path) -> None:
-    log = attitude_steps()
-    write_mcap(log, tmp_path / "a.mcap")
-    for source, target in [("a.mcap", "b.parquet"), ("b.parquet", "c.mcap"), ("c.mcap", "d.csv"), ("d.csv", "e.mcap")]:
-        convert(tmp_path / source, tmp_path / target, overwrite=True)
-    back = read_log(tmp_path / "e.mcap")
-    same_bits(log, back)
-    assert [one["name"] for one in back.provenance["history"]] == ["a.mcap", "b.parquet", "c.mcap", "d.csv"]
-
-
-@settings(max_examples=40)
-@given(st.data())
-def test_any_channels_round_trip(tmp_path_factory: pytest.TempPathFactory, data: st.DataObject) -> None:
-    sizes = data.draw(st.dictionaries(st.text(min_size=1, max_size=9), st.integers(0, 9), min_size=1, max_size=4))
-    channels = {}
-    for name, n in sizes.items():
-        steps = arrays(float, n, elements=st.floats(1e-6, 1e6))
-        width = data.draw(st.integers(1, 3))
-        value = data.draw(arrays(float, (n, width), elements=FINITE))
-        fields = data.draw(st.sampled_from([(), tuple(f"f {k}" for k in range(width))]))
-        channels[name] = Channel(np.cumsum(data.draw(steps)), value, data.draw(st.text(max_size=5)), fields)
-    path = tmp_path_factory.getbasetemp() / "any.mcap"
-    log = FlightLog(channels)
-    write_mcap(log, path)
-    same_bits(log, read_log(path))
 
 
 @given(st.integers(0, 2**53))
@@ -146,9 +99,6 @@ def test_wide_samples_are_read_again(tmp_path: Path) -> None:
     log = FlightLog({"wide": Channel(np.arange(1200.0), np.arange(1_200_000.0).reshape(1200, 1000))})
     write_mcap(log, tmp_path / "a.mcap")
     same_bits(log, read_log(tmp_path / "a.mcap"))
-    for channels in ({"w": Channel([0.0], np.zeros((1, 1001)))}, {f"c{k}": Channel([], []) for k in range(1001)}):
-        with pytest.raises(LogError, match="at most 1000"):
-            write_mcap(FlightLog(channels), tmp_path / "b.mcap")
 
 
 def test_schemas_name_units() -> None:
@@ -175,13 +125,7 @@ def test_files_that_others_wrote_of_our_topics(tmp_path: Path, compression: Comp
             data = b"\0\1\0\0" + np.array(values).tobytes()
             writer.add_message(ids[name], 4_000_000 * k, data, 4_000_000 * k, k)
         writer.add_message(other, k, b"{}", k, k)
-    writer.add_attachment(
-        1,
-        2,  # created, logged
-        "diagram.json",
-        "application/json",
-        b"{}",
-    )
+    writer.add_attachment(1, 2, "diagram.json", "application/json", b"{}")
     writer.finish()
     (tmp_path / "a.mcap").write_bytes(buffer.getvalue())
     log = read_log(tmp_path / "a.mcap")
@@ -200,25 +144,3 @@ def test_what_a_channel_cannot_hold_is_left_out_and_counted(tmp_path: Path) -> N
     assert log["q"].time.tolist() == [0.005, 0.01, 0.02, 0.04]
     assert log["q"].value.tolist() == [0.0, 1.0, 2.0, 4.0]
     assert log.provenance["left_out"] == {"q": {"not_finite": 1, "reordered": 1, "repeated": 1}}
-
-
-def test_foreign_files_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "a.mcap"
-    buffer = BytesIO()
-    writer = Writer(buffer)
-    writer.start()
-    writer.add_message(writer.register_channel("/camera", "json", 0), 1, b"{}", 1)
-    writer.finish()
-    for content, says in [
-        (b"", "the file is empty"),
-        (b"PK\3\4" + bytes(100), "is no MCAP file"),
-        (MAGIC, "was not closed"),
-        (MAGIC + b"\x06" + b"\xff" * 8, "promises 18446744073709551615 bytes"),
-        (buffer.getvalue(), "no topic of a flight log is in it; topics: /camera"),
-        (buffer.getvalue() + b"x", "goes on after its end"),
-    ]:
-        path.write_bytes(content)
-        with pytest.raises(LogError, match=says):
-            read_log(path)
-    with pytest.raises(LogError, match="MCAP counts from 0"):
-        write_mcap(FlightLog({"q": Channel([-1.0], [0.0])}), path)

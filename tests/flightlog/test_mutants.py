@@ -5,6 +5,7 @@ import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.flightlog.limited import Limited, limited
@@ -15,8 +16,10 @@ from tests.fuzz.runner import mutated
 from twodof.errors import LogError
 from twodof.flightlog.contents import describe
 from twodof.flightlog.files import read_log, write_log
+from twodof.flightlog.recovery import recover
 
 SUFFIXES = (".mat", ".mcap", ".parquet", ".csv", ".ulg")
+RECOVERED = (".mcap", ".ulg")
 
 
 @pytest.fixture(scope="module")
@@ -26,36 +29,46 @@ def process() -> Iterator[Limited]:
 
 
 def whole(suffix: str, folder: Path) -> bytes:
-    """A small sound file."""
+    """Return a small sound file."""
     if suffix == ".ulg":
-        return px4_log()
+        return px4_log(12)
     path = folder / f"whole{suffix}"
-    write_log(attitude_steps().slice(100.0, 106.0), path)
+    write_log(attitude_steps().slice(100.0, 100.2), path)
     return path.read_bytes()
 
 
-def read(suffix: str, rounds: int, seed: int, folder: Path) -> int:
-    """How many of the mutants were read; each one that is not gives a LogError."""
-    chance, data, path, count = random.Random(seed), whole(suffix, folder), folder / f"a{suffix}", 0
+def read(suffix: str, rounds: int, seed: int, folder: Path) -> list[int]:
+    """Return how many mutants were read and how many recovered; each other one is a LogError that names the file."""
+    chance, data, path = random.Random(seed), whole(suffix, folder), folder / f"a{suffix}"
+    ways = (read_log, lambda path: recover(path).log)[: 1 + (suffix in RECOVERED)]
+    counts, named = [0, 0], 0
     for _ in range(rounds):
         path.write_bytes(mutated(chance, [data], 1 << 26))
-        try:
-            describe(read_log(path))
-            count += 1
-        except LogError:
-            continue
-    return count
+        for way, function in enumerate(ways):
+            try:
+                log = function(path)
+                describe(log)
+            except LogError as reason:
+                named += path.name in reason.where
+                continue
+            assert all(np.isfinite(channel.value).all() for channel in log.channels.values())
+            counts[way] += 1
+    assert sum(counts) + named == rounds * len(ways)
+    return counts
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_mutants_are_logs_or_log_errors(suffix: str, tmp_path: Path) -> None:
-    assert read(suffix, 20, 1, tmp_path) < 20
+    whole_ones, recovered = read(suffix, 150, 1, tmp_path)
+    assert whole_ones < 150
+    assert suffix not in RECOVERED or recovered > max(30, whole_ones)
 
 
 @pytest.mark.soak
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_ten_thousand_mutants(suffix: str, tmp_path: Path) -> None:
-    assert 0 <= read(suffix, 2000, 2, tmp_path) < 2000
+def test_very_many_mutants(suffix: str, tmp_path: Path) -> None:
+    rounds = 100_000 if suffix == ".mcap" else 2000
+    assert read(suffix, rounds, 2, tmp_path)[0] < rounds
 
 
 @pytest.mark.soak

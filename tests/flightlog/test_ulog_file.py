@@ -1,7 +1,6 @@
 """ULog: what is written is read by PX4's own reader, field by field; PX4's topics become the drone's channels."""
 
 import struct
-from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +11,11 @@ from pyulog import ULog as TheirULog
 from tests.flightlog.conftest import SlowDisk
 from tests.flightlog.recording_child import FORMATS, gyro
 from tests.flightlog.test_recorder import kill, start
-from tests.flightlog.test_recovery import damaged
 from tests.patience import PATIENCE_S
-from twodof.cli.app import run
 from twodof.errors import LogError, RecordingError
 from twodof.flightlog.files import convert, read_log, write_log
 from twodof.flightlog.recovery import recover
-from twodof.flightlog.ulog_file import ULogContents, scan_ulog
+from twodof.flightlog.ulog_file import scan_ulog
 from twodof.flightlog.ulog_writer import ULogWriter
 from twodof.signals import TOPICS
 
@@ -28,25 +25,6 @@ EVERY_TYPE = (
     "uint64_t timestamp;int8_t a;uint8_t b;int16_t c;uint16_t d;int32_t e;uint32_t f;int64_t g;uint64_t h;"
     "float i;double j;bool k;float[3] l;uint8_t[5] m;"
 )
-
-
-def agree(ours: ULogContents, theirs: TheirULog) -> int:
-    """Asserts that both readers found the same topics, to the bit of every field; returns how many fields."""
-    fields = 0
-    filled = {(one.name, one.instance): one for one in ours.topics if len(one.rows)}
-    assert set(filled) == {(data.name, data.multi_id) for data in theirs.data_list}
-    for data in theirs.data_list:
-        rows = filled[data.name, data.multi_id].rows
-        for name, column in data.data.items():
-            field, _, index = name.removesuffix("]").rpartition("[")
-            mine: Any = rows[name] if name in rows.dtype.names else rows[field][:, int(index)]
-            if mine.dtype.kind != "S":  # pyulog gives letters one by one
-                assert mine.tobytes() == column.astype(mine.dtype).tobytes(), (data.name, name)
-                fields += 1
-    assert ours.start_us == theirs.start_timestamp
-    assert {k: v for k, v in ours.info.items() if isinstance(v, int | str)}.items() <= theirs.msg_info_dict.items()
-    assert ours.parameters == theirs.initial_parameters
-    return fields
 
 
 def test_their_reader_finds_every_field(tmp_path: Path) -> None:
@@ -71,7 +49,6 @@ def test_their_reader_finds_every_field(tmp_path: Path) -> None:
         assert writer.parameter("K_INT", 12, 800_000)
         assert writer.parameter("K_FLOAT", 0.5, 800_000)
     ours, theirs = scan_ulog(path.read_bytes(), "a.ulg"), TheirULog(str(path))
-    assert agree(ours, theirs) == 20
     assert not theirs.file_corruption
     assert theirs.msg_info_dict == {"sys_name": "twodof", "ver_hw": "virtual", "ver_n": 3}
     assert theirs.initial_parameters == {"K_INT": -7, "K_FLOAT": float(np.float32(0.0854))}
@@ -209,8 +186,6 @@ def test_px4s_topics_become_channels(tmp_path: Path) -> None:
     assert log.provenance["ignored"] == ["esc_status"]
     assert log.provenance["parameters"] == {"MC_PITCH": 6.5}
     assert log.provenance["dropouts"] == {"count": 1, "total_s": 0.03}
-    theirs = TheirULog(BytesIO(px4_log()))
-    assert agree(scan_ulog(px4_log(), "a.ulg"), theirs) > 50
 
 
 def test_a_log_that_ends_in_a_message(tmp_path: Path) -> None:
@@ -287,7 +262,6 @@ def test_what_a_slow_disk_cannot_take_is_logged_as_a_dropout(tmp_path: Path, slo
 
 def test_what_ulog_cannot_hold_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ulg"
-    recursive = px4_log(0)[:59] + message("F", b"a:a x;") + message("A", b"\0\x77\0a")
     wrong: list[dict[str, Any]] = [
         {"formats": {"a": "float x;"}},
         {"formats": {"a": "uint64_t timestamp;text x;"}},
@@ -320,47 +294,3 @@ def test_what_ulog_cannot_hold_is_refused(tmp_path: Path) -> None:
         ULogWriter(path, FORMATS)
     with pytest.raises(RecordingError, match="is closed"):
         writer.write("imu_gyro", 1, (1.0, 2.0, 3.0))
-    for content, says in [
-        (b"", "the file is empty"),
-        (b"ULog", "is no ULog file"),
-        (px4_log(0)[:7] + b"\x09" + bytes(8), "is of ULog version 9"),
-        (px4_log(1) + bytes(50), "no message at byte"),
-        (px4_log(0), "no topic in it becomes a channel; topics: battery_status"),
-        (px4_log(1) + message("D", b"\x55\x55" + bytes(8)), "a message is not described"),
-        (px4_log(1) + message("D", b"\0\0" + bytes(8)), "is not as long as its description"),
-        (recursive, "a description in it is damaged"),
-    ]:
-        path.write_bytes(content)
-        with pytest.raises(LogError, match=says):
-            read_log(path)
-
-
-def test_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "a.ulg"
-    path.write_bytes(px4_log() + bytes(100))
-    assert run(["log", "info", str(path)]) == 2
-    assert f"twodof log recover {path}\n" in capsys.readouterr().err
-    assert run(["log", "recover", str(path)]) == 1  # a ULog has no checksums
-    assert "bytes could not be used" in capsys.readouterr().out
-    assert len(read_log(tmp_path / "a.recovered.mcap")["theta"]) == 40
-    path.write_bytes(px4_log())
-    assert run(["log", "info", str(path)]) == 0
-    assert "twodof_mine_out_m" in capsys.readouterr().out
-    assert run(["log", "convert", str(path), str(tmp_path / "b.parquet")]) == 0
-    assert len(read_log(tmp_path / "b.parquet")["theta"]) == 40
-
-
-def test_damaged_logs_are_log_errors_or_logs(tmp_path: Path) -> None:
-    whole, path = px4_log(12), tmp_path / "fuzz.ulg"
-    chance = np.random.default_rng(6)
-    outcomes = {"read": 0, "refused": 0}
-    for _ in range(250):
-        path.write_bytes(damaged(whole, chance))
-        for way in (read_log, recover):
-            try:
-                way(path)
-                outcomes["read"] += 1
-            except LogError as reason:
-                outcomes["refused"] += path.name in reason.where
-    assert sum(outcomes.values()) == 500
-    assert min(outcomes.values()) > 50

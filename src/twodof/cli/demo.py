@@ -21,8 +21,8 @@ from twodof.flightlog.public_data import VARIABLE, available
 from twodof.report.characterisation.compose import CharacterisedMachine, content, rows
 from twodof.report.characterisation.demonstration import REPETITIONS, comparisons, planned, real, virtual
 from twodof.report.content import ParameterRow
-from twodof.report.numbers import plain, with_sigma
-from twodof.report.pages.report_page import to_html
+from twodof.report.report_page import to_html
+from twodof.report.wording import plain, with_sigma
 
 _REPORT = Path("out/demo/report.html")
 _RIGS = ("paper", "lab")

@@ -25,8 +25,8 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram, save_diagram
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
 from twodof.flightlog.provenance import read_bytes
+from twodof.report.plots.comparison_view import promise_view
 from twodof.report.plots.flight_view import check_place
-from twodof.report.plots.promise_view import promise_view
 from twodof.sim.promised.rail_design import RailDesign, rail_design
 from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import MEMBERS as RAIL_MEMBERS

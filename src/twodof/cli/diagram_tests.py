@@ -62,7 +62,7 @@ def run_tests(
     if junit is not None:
         _write(junit, to_junit(results))
     if html is not None:
-        page = importlib.import_module("twodof.report.pages.failed_tests_page")  # matplotlib takes a second to load
+        page = importlib.import_module("twodof.report.report_page")  # matplotlib takes a second to load
         _write(html, page.failed_tests_page(tested.name, every))
     enough = covered is None or 100.0 * covered.share >= (coverage_min or 0.0)
     passed = enough and all(one.passed for one in every)

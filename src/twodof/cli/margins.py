@@ -14,7 +14,7 @@ from twodof.cli.output import Force, Json, print_json, progress, table_console
 from twodof.design import LoopMargins
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
-from twodof.report.plots.pictures import SUFFIXES, check_picture
+from twodof.report.plots.flight_view import PICTURES, check_place
 from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.resimulation import load_rig_or_model
 
@@ -40,7 +40,7 @@ def margins(
         typer.Option(
             metavar="FILE",
             help="Draw Bode, Nyquist, Nichols, sensitivities and step responses; of one loop its root locus too "
-            f"({', '.join(SUFFIXES)}).",
+            f"({', '.join(PICTURES)}).",
         ),
     ] = None,
     force: Force = False,
@@ -54,7 +54,7 @@ def margins(
     Exit status 1: a loop is unstable.
     """
     if plot is not None:
-        check_picture(plot, force)
+        check_place(plot, force, PICTURES)
     flown = [load_diagram(one) for one in diagrams or []]
     values, stock = load_rig_or_model(rig), load_gains(gains)
     wanted = tuple(dict.fromkeys(loop)) if loop else tuple(LOOPS)

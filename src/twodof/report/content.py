@@ -1,4 +1,4 @@
-"""What a report shows, as plain data: `characterisation` fills it in, `pages` lays it out."""
+"""Content of a report, as plain data: `characterisation` fills it in, `report_page` lays it out."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twodof.identify.validate import Comparison
 
 Array = NDArray[np.float64]
-# What a line stands for; each has its own colour and stroke, the same in every figure.
+# Each role of a line has its own colour and stroke, the same in every figure.
 LineRole = Literal["measured", "input", "set-point", "simple", "grey-box"]
 
 
@@ -25,7 +25,7 @@ class Uncertain:
 
 @dataclass(frozen=True)
 class ParameterRow:
-    """One line of Table 1: what the paper prints, what is true (on a virtual rig), and what was found.
+    """One line of Table 1: the paper's values, the truth (of a virtual rig), and the estimates.
 
     `symbol` may hold HTML (a subscript); `paper` is the paper's method by hand, `paper_greybox` its "greyest".
     `greybox_spread` is the standard deviation of the grey-box estimate among repeated flights.
@@ -44,18 +44,18 @@ class ParameterRow:
 
     @property
     def greybox_sigma(self) -> float:
-        """What a grey-box estimate's distance is measured by: its own sigma or the spread, the larger; NaN for none."""
+        """Return the larger of the grey-box estimate's sigma and the spread; NaN without an estimate."""
         own = math.nan if self.greybox is None else self.greybox.sigma
         return own if self.greybox_spread is None else max(own, self.greybox_spread)
 
     @property
     def greybox_error(self) -> float:
-        """How far the grey-box estimate is off the truth, as a share of it; NaN where there is no such share."""
+        """Return the relative error of the grey-box estimate; NaN if one is missing or the truth is 0."""
         return abs(self.greybox.value / self.truth - 1.0) if self.greybox and self.truth else math.nan
 
     @property
     def greybox_sigmas(self) -> float:
-        """How far it is off in `greybox_sigma`, also where the truth is 0; NaN where one of them is not known."""
+        """Return the error of the grey-box estimate in `greybox_sigma`; NaN if one is missing."""
         if self.greybox is None or self.truth is None:
             return math.nan
         return abs(self.greybox.value - self.truth) / self.greybox_sigma
@@ -72,7 +72,7 @@ class FigureLine:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of time [s] to point out, with a word about it."""
+    """A labelled stretch of time [s]."""
 
     start: float
     stop: float
@@ -90,7 +90,7 @@ class FigureBand:
 
 @dataclass(frozen=True)
 class FigurePoint:
-    """A point to read off a curve: where it is and what it says."""
+    """A labelled point of a curve."""
 
     time: float
     value: float
@@ -121,9 +121,9 @@ class Figure:
 
 @dataclass(frozen=True, eq=False)
 class FitCheck:
-    """What a grey-box fit leaves unexplained: one output of the data it was fitted to, and of data it did not use.
+    """Residuals of a grey-box fit: one output of the identification data, and of validation data.
 
-    `unit` is the output's; `note` says what the residual tests mean for the standard deviations that are given.
+    `unit` is the output's; `note` explains the meaning of the residual tests for the standard deviations.
     """
 
     experiment: str
@@ -135,7 +135,7 @@ class FitCheck:
 
 @dataclass(frozen=True, eq=False)
 class Subject:
-    """One machine that was flown, virtual or real, and everything found out about it."""
+    """One machine, virtual or real, and all results about it."""
 
     name: str
     text: str
@@ -147,7 +147,7 @@ class Subject:
 
 @dataclass(frozen=True)
 class Erratum:
-    """A place in the paper, what it prints, and what this work shows."""
+    """A place in the paper, the printed text, and the finding of this work."""
 
     place: str
     printed: str

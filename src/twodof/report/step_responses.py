@@ -1,4 +1,4 @@
-"""Step responses of a flight: what the drone made of each step of a set-point, in figures."""
+"""Step responses of a flight: rise, overshoot and settling of each step of a set-point."""
 
 import math
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from twodof.models.lti import StepFigures, step_figures
 from twodof.signals import PERIOD
 
 FOLLOWING = MappingProxyType({"rate": "q", "attitude": "theta", "velocity": "v", "position": "x"})
-"""The channel that follows a loop's set-point, by mode; loops from the innermost to the outermost."""
+"""Channel that follows a loop's set-point, by mode, from the innermost loop to the outermost."""
 
 SETTLED = 0.05
 """A response has settled within this share of the step: gusts and noise keep a real drone outside the usual 2 %."""
@@ -39,16 +39,16 @@ class FlownStep:
     peak_moment: float
 
     def to_json(self) -> dict[str, Any]:
-        """As plain data; what the response never reached is None."""
+        """Return plain data, with None for a figure that the response never reached."""
         rows = {k: v for k, v in asdict(self).items() if k != "figures"} | asdict(self.figures)
         return {k: None if isinstance(v, float) and np.isnan(v) else v for k, v in rows.items()}
 
 
 def step_responses(log: FlightLog) -> tuple[FlownStep, ...]:
-    """The responses to all steps of set-points that were in use, by time.
+    """Return the responses to all steps of set-points that were in use, by time.
 
-    A step counts where its loop was the outermost one closed, and where both levels were held for a quarter of a
-    second. Raises LogError for a log without the channels that tell the mode.
+    A step counts if its loop was the outermost closed one and both levels were held for a quarter of a second. Raises
+    LogError for a log without the channels of the mode.
     """
     found = []
     for stretch in modes(log):
@@ -69,7 +69,7 @@ def step_responses(log: FlightLog) -> tuple[FlownStep, ...]:
 
 
 def _peak_moment(log: FlightLog, start: float, end: float) -> float:
-    """The largest |M|; NaN without samples. M answers at once to a set-point, and is stamped a little before it."""
+    """Return the largest |M|, NaN without samples. M answers a set-point at once and is stamped a little before it."""
     if "M" not in log:
         return math.nan
     early = 0.5 * PERIOD
@@ -78,6 +78,6 @@ def _peak_moment(log: FlightLog, start: float, end: float) -> float:
 
 
 def most_stepped(responses: Sequence[FlownStep]) -> tuple[FlownStep, ...]:
-    """Those of the loop that was stepped most often, of several the outermost: what a flight was flown for."""
+    """Return the responses of the loop that was stepped most often; of several, of the outermost."""
     by_loop = [tuple(one for one in responses if one.loop == loop) for loop in reversed(FOLLOWING)]
     return max(by_loop, key=len)

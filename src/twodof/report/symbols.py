@@ -272,7 +272,7 @@ def arrow(x: float, y: float, dx: int, dy: int) -> str:
 
 
 def _special(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
-    """Return the usual symbol of a block; None if it has none or does not fit."""
+    """Return the usual symbol of a block; None if it does not have one that fits."""
     kind = type(block).type_name
     if kind == "sum":
         return _sum(part, block, flip)

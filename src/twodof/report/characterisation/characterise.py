@@ -28,14 +28,14 @@ _TRAVELS = 3
 
 @dataclass(frozen=True, eq=False)
 class ExperimentRecords:
-    """Records of the three experiments; of each the first identifies and is drawn, the next two validate (of the
-    velocity the first three identify).
+    """Records of the three experiments; an experiment that was not flown is empty.
 
-    All repetitions together give the spread of the readings by hand. An experiment that was not flown is empty.
-    `by_hand` names what the simple method may be read from. Without a doublet of pitch, for example, a motion along the
-    rail does not show a step response. `trim` is the moment that holds the drone level (default:
-    the moment before the doublet). With `gyro_bias` the gyro's bias is estimated too, as a real gyro needs it.
-    `surroundings` hold, by a record's name, a longer stretch of the same flight, for pictures.
+    The first record of each identifies and is drawn, the next two validate; of the velocity the first three identify.
+    All repetitions together give the spread of the readings by hand. `by_hand` names the experiments for the simple
+    method: without a doublet of pitch, for example, a motion along the rail does not show a step response. `trim` is
+    the moment that holds the drone level (default: the moment before the doublet). With `gyro_bias` the bias of a real
+    gyro is estimated too. `surroundings` hold a longer stretch of a record's flight, by the record's name, for
+    pictures.
     """
 
     impulses: Sequence[Record]
@@ -49,12 +49,11 @@ class ExperimentRecords:
 
 @dataclass(frozen=True, eq=False)
 class Characterisation:
-    """Everything found out about one machine.
+    """Results about one machine.
 
     `free`, `forced` and `travel` are the grey-box fits of the three experiments, `dry` that of the free response with
-    dry friction and hardening; `simple` and `greybox` hold the parameters of Table 1 by key; `spreads`, where there
-    are repetitions, the standard deviation of the grey-box estimates among them; `refusals` say what could not be
-    identified and why.
+    dry friction and hardening. `simple` and `greybox` hold the parameters of Table 1 by key, `spreads` the standard
+    deviation of the grey-box estimates among repetitions. `refusals` are the reasons for missing results.
     """
 
     flights: ExperimentRecords
@@ -71,7 +70,7 @@ class Characterisation:
 
     @property
     def fits(self) -> dict[str, Estimate]:
-        """The grey-box fits that Table 1 takes its values from, by experiment."""
+        """Return the grey-box fits of Table 1, by experiment."""
         found = {"free response": self.dry or self.free, "doublet": self.forced, "velocity": self.travel}
         return {name: estimate for name, estimate in found.items() if estimate is not None}
 
@@ -80,7 +79,7 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
     """Identify one machine by both methods.
 
     `dry_friction`: take w_n and xi of the grey-box column from the model with dry friction and a hardening spring (real
-    bearings), not from the paper's linear one. What the data refuse is noted and left out, not raised.
+    bearings), not from the paper's linear one. Failed identifications are noted in `refusals`, not raised.
     """
     refusals: list[str] = []
     pitch, along = None, None
@@ -98,7 +97,7 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
     def identify(
         records: Sequence[Record], keys: Sequence[str], work: Callable[..., Estimate], count: int = 1
     ) -> Estimate | None:
-        """The fit of the first `count` records; into the table the values of `keys` and their spread."""
+        """Fit the first `count` records, and enter the values of `keys` and their spread into the table."""
         if not records:
             return None
         unseen = records[count : count + 2]
@@ -131,7 +130,7 @@ def characterise(flights: ExperimentRecords, dry_friction: bool) -> Characterisa
 
 
 def _curve(idle: Estimate | None, run: Estimate | None, refusals: list[str]) -> dict[str, float]:
-    """The thrust curve that the gains without and with thrust amount to; empty where there is none."""
+    """Return the thrust curve of the gains without and with thrust; empty if there is none."""
     if idle is None or run is None:
         return {}
     try:
@@ -147,7 +146,7 @@ _Found = TypeVar("_Found")
 
 
 def _tried(work: Callable[[], _Found], refusals: list[str]) -> _Found | None:
-    """What `work` finds, or None and why the data refuse it."""
+    """Return the result of `work`, or None, with the reason in `refusals`."""
     try:
         return work()
     except IdentificationError as error:
@@ -158,7 +157,7 @@ def _tried(work: Callable[[], _Found], refusals: list[str]) -> _Found | None:
 def _readings(
     flights: ExperimentRecords, pitch: SimplePitch | None, along: SimpleVelocity | None
 ) -> dict[str, Uncertain]:
-    """The first reading of each parameter by hand, with the spread of the same reading over all repetitions."""
+    """Return the first reading of each parameter by hand, with the spread of the reading over all repetitions."""
     values: dict[str, list[float]] = {}
     if pitch is not None:
         model = pitch.model

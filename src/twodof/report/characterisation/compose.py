@@ -1,18 +1,24 @@
-"""From characterisations to the report: Table 1's rows, the checks, what the data could not tell, the findings."""
+"""Composition of the report from characterisations: Table 1, checks, doubts, findings, and errata of the paper."""
 
+import math
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
 
+import numpy as np
+
+from twodof.excitation import Doublet, Excitation, Impulse
 from twodof.identify.estimate import Estimate
-from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE
+from twodof.identify.record import Record
+from twodof.identify.simple_velocity import read_step
+from twodof.models.lti import DelayedStateSpace
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE, PitchRate, Velocity
 from twodof.report.characterisation.characterise import Characterisation
-from twodof.report.characterisation.errata import errata
 from twodof.report.characterisation.paper_figures import figures
-from twodof.report.content import Content, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
-from twodof.report.numbers import plain, with_sigma
-from twodof.report.template_texts import say
+from twodof.report.content import Content, Erratum, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
+from twodof.report.wording import plain, say, text, with_sigma
 
 _PAPER = (
     ParameterRow("w_n", "ω<sub>n</sub>", "natural frequency", "rad/s", PAPER_PITCH_RATE.w_n),
@@ -32,8 +38,9 @@ _DRY = (
     ParameterRow("coulomb", "f<sub>c</sub>", "dry friction over inertia", "rad/s²"),
     ParameterRow("hardening", "k<sub>3</sub>", "hardening of the spring", "1/s²"),
 )
-# From here on two errors go together, or one is large, to a degree that a reader should know.
+# A correlation, or a relative error, from here on is told to the reader.
 _CORRELATED, _ROUGH = 0.8, 0.1
+_STEP_S, _PERIOD_S, _PEAK = 1e-3, 1.83, 2.40  # of the errata: the simulations' step, and what the paper prints
 _GREEK: Mapping[str, str] = {"theta": "θ"}
 # A table in milliseconds reads better than one in hundredths of a second.
 _SHOWN_TIMES: Mapping[str, float] = {"tau": 1e3}
@@ -51,7 +58,7 @@ class CharacterisedMachine:
 
 
 def rows(machine: CharacterisedMachine) -> list[ParameterRow]:
-    """Table 1 for one machine; parameters that neither method found and nobody knows are left out."""
+    """Return Table 1 for one machine; parameters beyond the paper's are left out if not found."""
     found, made = machine.found, []
     for row in (*_PAPER, *_DRY):
         scale = _SHOWN_TIMES.get(row.key, 1.0)
@@ -73,7 +80,7 @@ def _scaled(value: Uncertain | None, scale: float) -> Uncertain | None:
 
 
 def subject(machine: CharacterisedMachine) -> Subject:
-    """Everything the report shows of one machine."""
+    """Return the report's content about one machine."""
     return Subject(
         machine.name,
         machine.text,
@@ -101,13 +108,13 @@ def _note(estimate: Estimate) -> str:
 
 
 def _doubts(found: Characterisation) -> list[str]:
-    said = [escape(text) for text in found.refusals]
+    said = [escape(refusal) for refusal in found.refusals]
     if found.forced is not None:
         said.append(say("poles"))
     if found.travel is not None:
         said.append(say("friction"))
     for name, estimate in found.fits.items():
-        said.extend(f"{name.capitalize()}: {text}" for text in _unsure(estimate))
+        said.extend(f"{name.capitalize()}: {remark}" for remark in _unsure(estimate))
     for row in _PAPER:
         claimed, spread = found.greybox.get(row.key), found.spreads.get(row.key)
         if claimed is not None and spread is not None and spread.exceeds(claimed.sigma):
@@ -116,9 +123,9 @@ def _doubts(found: Characterisation) -> list[str]:
 
 
 def _unsure(estimate: Estimate) -> Iterator[str]:
-    """The pair that is hardest to tell apart, what is known only roughly, and the fit's own remarks.
+    """Yield the pair that is hardest to tell apart, the rough estimates, and the fit's own remarks.
 
-    Those on residuals are left to the section about residuals.
+    Remarks about residuals are left to the section about residuals.
     """
     own = [i for i, label in enumerate(estimate.labels) if label not in estimate.local and estimate.sigma(label) > 0.0]
     pairs = [(abs(estimate.correlation[i, j]), i, j) for i in own for j in own if i < j]
@@ -138,7 +145,7 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
 
 
 def _symbol(label: str) -> str:
-    """An estimate's label as HTML: Table 1's symbol, else what stands behind `_` as a subscript."""
+    """Return an estimate's label as HTML: Table 1's symbol, else the part after `_` as a subscript."""
     known = {row.key: row.symbol for row in (*_PAPER, *_DRY)}
     if label in known:
         return known[label]
@@ -146,10 +153,10 @@ def _symbol(label: str) -> str:
     return f"{escape(_GREEK.get(stem, stem))}<sub>{escape(index)}</sub>" if below else escape(stem)
 
 
-def _in_symbols(text: str, labels: Sequence[str]) -> str:
-    """A fit's remark as HTML, its labels as symbols, its signs as they are set in print."""
+def _in_symbols(remark: str, labels: Sequence[str]) -> str:
+    """Return a fit's remark as HTML, with symbols for labels and printed signs."""
     names = "|".join(re.escape(label) for label in sorted(labels, key=len, reverse=True))
-    parts = re.split(rf"(?<!\w)({names})(?!\w)", text.replace("+-", "±"))
+    parts = re.split(rf"(?<!\w)({names})(?!\w)", remark.replace("+-", "±"))
     signed = [re.sub(r"(?<!\w)-(?=\d)|(?<=\de)-(?=\d)", "−", part) for part in parts]
     return "".join(_symbol(part) if i % 2 else escape(part) for i, part in enumerate(signed))
 
@@ -157,7 +164,7 @@ def _in_symbols(text: str, labels: Sequence[str]) -> str:
 def content(
     machines: Sequence[CharacterisedMachine], provenance: Mapping[str, str], tables: Sequence[ReportTable] = ()
 ) -> Content:
-    """The whole report about several machines; `tables` are sections of their own."""
+    """Return the whole report about several machines; `tables` are sections of their own."""
     return Content(
         "The 2DoF Drone, characterised",
         say("lead"),
@@ -170,14 +177,14 @@ def content(
 
 
 def _findings(machine: CharacterisedMachine) -> list[str]:
-    """One sentence about a machine: the gain and the worst deviation from the truth, or what stands for it."""
+    """Return a sentence about a machine: the worst deviation from the truth or, if that is unknown, the estimates."""
     table, name = rows(machine), escape(machine.name)
     measured = [row for row in table if row.greybox is not None and row.greybox.sigma > 0.0]
     known = [row for row in measured if row.truth is not None]
     if known:
         worst = max(known, key=lambda row: row.greybox_sigmas)
         repeated = any(row.greybox_spread is not None for row in known)
-        text = say(
+        finding = say(
             "farthest",
             name=name,
             inside=sum(row.greybox_sigmas <= 3.0 for row in known),
@@ -191,7 +198,62 @@ def _findings(machine: CharacterisedMachine) -> list[str]:
         coarse = [
             f"<i>{row.symbol}</i> {100.0 * row.greybox_error:.0f} %" for row in known if row.greybox_error > _ROUGH
         ]
-        return [text + (say("coarse", listed=", ".join(coarse)) if coarse else "")]
+        return [finding + (say("coarse", listed=", ".join(coarse)) if coarse else "")]
     found = [(row, row.greybox) for row in table if row.greybox is not None]
     shown = [f"<i>{row.symbol}</i> = {with_sigma(value)} {row.unit}".strip() for row, value in found]
     return [f"<b>{name}</b>: {', '.join(shown[:6])}."] if shown else []
+
+
+def unit_peak() -> float:
+    """Return the first peak of q [rad/s] after the paper's doublet (0.03, period 0.6 s) with mu = 1 and no delay."""
+    model = PitchRate(PAPER_PITCH_RATE.w_n, PAPER_PITCH_RATE.xi, 1.0, 0.0)
+    return float(_response(model.state_space(), Doublet(0.03, 0.6), 1.0)[:, 1].max())
+
+
+def impulse_angle_deg() -> float:
+    """Return the largest pitch [deg] of the paper's model after the paper's impulse (0.1 for 0.2 s)."""
+    pitch = _response(PAPER_PITCH_RATE.state_space(), Impulse(0.1, 0.2), 4.0)[:, 0]
+    return float(np.degrees(np.abs(pitch).max()))
+
+
+def doublet_travel(model: Velocity, amplitude_deg: float, half_period_s: float) -> float:
+    """Return the travel [m] of the cart during a doublet of pitch from rest, without attitude dynamics."""
+    excitation = Doublet(math.radians(amplitude_deg), 2.0 * half_period_s)
+    position = _response(model.state_space(), excitation, 2.0 * half_period_s)[:, 0]
+    return float(np.ptp(position))
+
+
+def read_by_hand() -> tuple[float, float]:
+    """Read k_v and p_v by the paper's method by hand from its own grey-box model (15 deg, half-period 0.8 s)."""
+    lead = 1.0
+    pitch = Doublet(math.radians(15.0), 1.6, lead=lead)
+    time = np.arange(0.0, lead + 1.6, _STEP_S)
+    theta = pitch.at(time)
+    v = PAPER_VELOCITY_GREYBOX.state_space().zero_order_hold(_STEP_S).simulate(theta)[:, 1]
+    step = read_step(Record.from_columns(time, {"theta0": theta, "v": v}, ["theta0"], ["v"]))
+    return step.k_v, step.p_v
+
+
+def _response(plant: DelayedStateSpace, excitation: Excitation, duration: float) -> np.ndarray:
+    time = np.arange(0.0, duration, _STEP_S)
+    return plant.zero_order_hold(_STEP_S).simulate(excitation.at(time))
+
+
+def errata() -> list[Erratum]:
+    """Return the paper's errors with the figures that show them, in the order of its pages."""
+    pitch, simple, greybox = PAPER_PITCH_RATE, PAPER_VELOCITY_SIMPLE, PAPER_VELOCITY_GREYBOX
+    peak = unit_peak()
+    rows = text("errata.toml").format(
+        pitch=pitch,
+        simple=simple,
+        greybox=greybox,
+        w_n=2.0 * math.pi / _PERIOD_S,
+        period_of_w_n=2.0 * math.pi / pitch.w_n,
+        damped=100.0 * (1.0 / math.sqrt(1.0 - pitch.xi**2) - 1.0),
+        angle=impulse_angle_deg(),
+        unit_peak=1e3 * peak,
+        mu=_PEAK / peak,
+        travels=[doublet_travel(model, 20.0, 1.0) for model in (simple, greybox)],
+        read=read_by_hand(),
+    )
+    return [Erratum(**row) for row in tomllib.loads(rows)["errata"]]

@@ -20,8 +20,8 @@ from twodof.models.structures import pitch_rate
 from twodof.report.characterisation.characterise import FORCED, ExperimentRecords, characterise
 from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
-from twodof.report.numbers import plain, power_of_ten
 from twodof.report.template_texts import table
+from twodof.report.wording import plain, power_of_ten
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.replay import replay
@@ -81,7 +81,7 @@ def virtual(
 
 
 def planned(machines: Mapping[str, CharacterisedMachine]) -> ReportTable:
-    """What the doublet was bound to tell, by Fisher information before flying, beside what it told; by rig name."""
+    """Return the uncertainties predicted for the doublet by Fisher information beside the found ones, by rig name."""
     rows: list[tuple[str, ...]] = []
     structure = pitch_rate(lag=True)
     for name, machine in machines.items():
@@ -122,14 +122,14 @@ def _table(name: str, rows: Sequence[Sequence[str]]) -> ReportTable:
 
 
 def truth_of(rig: Mapping[str, float]) -> dict[str, float]:
-    """The parameters of Table 1 that a virtual rig's own parameters amount to (SI); dry friction where it has any."""
+    """Return the true parameters of Table 1 (SI) of a virtual rig; dry friction if it has any."""
     known = model_parameters(rig)
     dry = {name: known[name] for name in ("coulomb", "hardening") if known[name] > 0.0}
     return {name: known[name] for name in ("w_n", "xi", "mu", "tau", "k_v", "p_v")} | dry
 
 
 def real(logs: Mapping[str, Path], progress: StepProgress) -> CharacterisedMachine | None:
-    """Identify the real drone from those of the public logs that are at hand; None without any of the three."""
+    """Identify the real drone from the public logs on this computer; return None without any of the three."""
     needed = {stem: read_log(logs[stem]) for stem in dict.fromkeys(row[0] for row in _REAL) if stem in logs}
     if not needed:
         return None
@@ -170,7 +170,7 @@ def _real_flights(logs: Mapping[str, FlightLog]) -> ExperimentRecords:
 
 
 def comparisons(logs: Mapping[str, Path], progress: StepProgress) -> list[ReportTable]:
-    """Compiled code against the real flights: the laws replayed, and the lab rig flown like them."""
+    """Compare compiled code with the real flights: the laws replayed, and the lab rig flown like them."""
     replayed, flown = [], []
     rig = lab()
     for name, known in PUBLIC_LOGS.items():

@@ -21,8 +21,7 @@ from twodof.models.structures import rail
 from twodof.report.characterisation.characterise import Characterisation
 from twodof.report.content import Figure, FigureBand, FigureLine, FigurePoint, Panel, Span
 from twodof.report.diagram_svg import to_inline_svg
-from twodof.report.numbers import plain
-from twodof.report.template_texts import say
+from twodof.report.wording import plain, say
 
 Array = NDArray[np.float64]
 
@@ -31,7 +30,7 @@ _V = "v [m/s]"
 
 
 def figures(found: Characterisation) -> Iterator[Figure]:
-    """Those of the figures for which the experiment was flown, times counted from the excitation's first edge."""
+    """Yield the figures of the experiments that were flown, with times from the excitation's first edge."""
     if found.flights.impulses:
         yield _figure_3(found)
     if found.flights.doublets:
@@ -184,7 +183,7 @@ def _figure_8(found: Characterisation) -> Figure:
 
 
 def _velocity(estimate: Estimate, record: Record) -> Array:
-    """v of the fitted model, at the samples of the on-board estimate, in a record that the fit has used."""
+    """Return v of the fitted model, at the samples of the on-board estimate, in a record that the fit has used."""
     values = dict(estimate.fixed)
     for label in estimate.labels:
         name, _, owner = label.partition("[")
@@ -194,19 +193,19 @@ def _velocity(estimate: Estimate, record: Record) -> Array:
 
 
 def _whole_flight(found: Characterisation, record: Record) -> Record:
-    """The flight around the record, as far as it is known."""
+    """Return the flight around the record, as far as it is known."""
     return found.flights.surroundings.get(record.name, record)
 
 
 def _used(record: Record, whole: Record, zero: float) -> list[Span]:
-    """The stretch of the flight that the model is identified from, where more than that is drawn."""
+    """Return a mark on the stretch that identifies the model, if more than that is drawn."""
     if whole is record:
         return []
     return [Span(record.start - zero, float(record.time[-1]) - zero, "identification")]
 
 
 def _first_edge(record: Record, channel: str) -> float:
-    """Time [s] of the excitation's first edge; of one without edges (a sweep) the record's start."""
+    """Return the time [s] of the excitation's first edge; without edges (a sweep), the record's start."""
     try:
         return record.start + edges_of(record, record.inputs[channel], channel)[0] * record.dt
     except IdentificationError:
@@ -214,7 +213,7 @@ def _first_edge(record: Record, channel: str) -> float:
 
 
 def _input_panel(record: Record, whole: Record, zero: float) -> Panel:
-    """M over the whole flight, to the scale of the excitation: what stops the drone afterwards may be far larger."""
+    """Return the panel of M over the whole flight, to the scale of the excitation, not of the larger M afterwards."""
     # Two points a step, so that a held input is drawn held.
     time = np.repeat(whole.time - zero, 2)[1:]
     line = FigureLine("input", time, np.repeat(whole.inputs["M"], 2)[:-1])
@@ -228,7 +227,7 @@ def _measured(record: Record, output: str, zero: float) -> FigureLine:
 
 
 def _by_hand(pair: tuple[Array, Array], record: Record, output: str, zero: float) -> FigureLine:
-    """The simple method's model about the mean of what was measured; `pair` is the output it takes, and its own."""
+    """Return the line of the simple method about the measured mean; `pair` is its measured and simulated output."""
     shown, model = pair
     rest = float(np.mean(record.outputs[output].value - shown))
     return FigureLine("simple", record.output_time(output) - zero, model + rest)

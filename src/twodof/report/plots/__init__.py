@@ -1,1 +1,1 @@
-"""What matplotlib draws: a flight, the figures of the report."""
+"""Pictures by matplotlib: flights, loops, fits, and the figures of the report."""

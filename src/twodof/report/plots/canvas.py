@@ -1,21 +1,26 @@
-"""What all figures share: colours by name, fonts, axes without a box, and the SVG that follows the page."""
+"""Common parts of all figures: the colours of the design, fonts, axes, files, and inline SVG in the page's colours."""
 
+import functools
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf
 from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from twodof.report.design_tokens import colours as design_colours
-from twodof.report.design_tokens import style
-from twodof.report.template_texts import fill, text
+from twodof.report.wording import fill, text
+
+_BOTH = re.compile(r"--([\w-]+): light-dark\((#\w+), (#\w+)\);")
+_ONE = re.compile(r"--([\w-]+): (#\w+);")
+_ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
 
 # Colours of the page. matplotlib draws with a stand-in for each; in an SVG that becomes the CSS variable.
 _NAMES = "ink soft rule measured input set-point simple grey-box band paper bad"
@@ -25,6 +30,32 @@ Colours = Mapping[str, str]
 
 STAND_IN: Colours = MappingProxyType({name: f"#0a0b{i:02x}" for i, name in enumerate(_NAMES.split(), 1)})
 """For figures that `svg` turns into an element of a page."""
+
+
+class Shades(NamedTuple):
+    """A colour on a light page, and on a dark one."""
+
+    light: str
+    dark: str
+
+
+@functools.cache
+def design_colours() -> Mapping[str, Shades]:
+    """Return every colour of tokens.css, which the page in the browser has too, by its name."""
+    tokens = text("tokens.css")
+    found = {name: Shades(light, dark) for name, light, dark in _BOTH.findall(tokens)}
+    return MappingProxyType(found | {name: Shades(one, one) for name, one in _ONE.findall(tokens)})
+
+
+@functools.cache
+def style() -> str:
+    """Return the colours as CSS without `light-dark()`, which tokens.css has and older browsers lack."""
+
+    def rows(dark: bool) -> str:
+        return " ".join(f"--{name}: {shades[dark]};" for name, shades in design_colours().items())
+
+    light = f":root {{ color-scheme: light dark; {rows(dark=False)} }}\n"
+    return light + f"@media (prefers-color-scheme: dark) {{ :root {{ {rows(dark=True)} }} }}\n"
 
 
 def page(title: str, lead: str, main: str, findings: str = "") -> str:
@@ -41,7 +72,7 @@ def on_paper() -> Colours:
 
 
 def settings(colours: Colours) -> Any:
-    """For `matplotlib.rc_context`."""
+    """Return the settings for `matplotlib.rc_context`."""
     return {
         "svg.fonttype": "none",
         "text.parse_math": False,  # a name may hold a dollar sign
@@ -69,9 +100,33 @@ def settings(colours: Colours) -> Any:
 
 
 def quiet(ax: Axes) -> None:
-    """Axes with a horizontal grid."""
+    """Give axes a horizontal grid."""
     ax.grid(visible=True, axis="y")
     ax.yaxis.set_major_locator(MaxNLocator(4))
+
+
+def picture_bytes(suffix: str, title: str, dpi: int, draw: Callable[[Colours], Canvas]) -> bytes:
+    """Return a .png, .svg or .pdf file of a canvas in the colours of paper: same bytes for the same data."""
+    colours = on_paper()
+    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
+    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
+        canvas = draw(colours)
+        _ALONE[suffix](canvas)
+        out = io.BytesIO()
+        undated: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
+        canvas.savefig(out, format=suffix[1:], dpi=dpi, metadata=undated)
+    return out.getvalue()
+
+
+def figure_page(
+    title: str, about: str, notes: Sequence[str], draw: Callable[[Colours], Canvas], below: str = ""
+) -> str:
+    """Return a page, without script or network, with one figure, notes under it, and the HTML `below`."""
+    with matplotlib.rc_context(settings(STAND_IN)):
+        picture = svg(draw(STAND_IN), escape(title))
+    caption = "".join(f"<p>{escape(note)}</p>" for note in notes)
+    figure = f'<figure class="wide" style="max-width:72rem">{picture}<figcaption>{caption}</figcaption></figure>'
+    return page(title, escape(about), f"<main>{figure}{below}</main>")
 
 
 def svg(canvas: Canvas, title: str) -> str:
@@ -95,7 +150,7 @@ def svg(canvas: Canvas, title: str) -> str:
 
 
 def _settle(canvas: Canvas) -> None:
-    """Lays the axes out, to a thousandth of a point: the last bits of the solver's places change from run to run."""
+    """Lay the axes out, to a thousandth of a point: the last bits of the solver's places change from run to run."""
     canvas.draw_without_rendering()
     canvas.set_layout_engine("none")
     for ax in canvas.axes:

@@ -1,34 +1,48 @@
-"""What a plot of several flights shows: the same channels one over the other, aligned where the set-point steps."""
+"""Content of a plot of several flights, aligned at their first steps, or of a flight over the bands of a promise."""
 
+import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from statistics import median
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from twodof.errors import LogError, printable
 from twodof.flightlog.events import SETPOINTS
 from twodof.flightlog.log import FlightLog
-from twodof.report.plots.flight_view import PANELS, SYMBOL, Curve, FlightView, View, cut_curve
+from twodof.report.plots.flight_view import PANELS, SYMBOL, Curve, ExpectedBand, FlightView, View, cut_curve
 from twodof.report.step_responses import FOLLOWING, FlownStep, most_stepped, step_responses
 
+if TYPE_CHECKING:
+    from twodof.design.promise import Promise
+
 MOST_FLIGHTS = 6
-"""In one picture: more lines than colours cannot be told apart."""
+"""Most flights in one picture: there are no more colours than that."""
 
 _BEFORE_S, _AFTER_S = 0.5, 3.0
 _PANEL_OF = {"rate": "pitch rate", "attitude": "pitch", "velocity": "velocity", "position": "position"}
+_PROMISED: Mapping[str, tuple[str, float]] = {
+    "theta": ("θ [deg]", 180.0 / math.pi),
+    "q": ("q [deg/s]", 180.0 / math.pi),
+    "M": ("M about its trim [–]", 1.0),
+    "v": ("v [m/s]", 1.0),
+    "x": ("x from where it was [m]", 1.0),
+}
+_MOST_STEPS = 4
+"""Most steps over the bands of a promise in one picture."""
 _UNIT = {"rate": "deg/s", "attitude": "deg", "velocity": "m/s", "position": "m"}
 
 
 class Align(StrEnum):
-    """Where the clocks of several flights are set to 0: at the first step of a set-point, or at their starts."""
+    """Time 0 of several flights: at the first step of a set-point, or at their starts."""
 
     step = "step"
     start = "start"
 
 
 def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ...]]:
-    """The steps of each flight's loop that was stepped most often, by the flight's name.
+    """Return the steps of each flight's loop that was stepped most often, by the flight's name.
 
     Raises LogError for a flight without a step, and for flights that stepped different loops.
     """
@@ -46,11 +60,11 @@ def flight_steps(logs: Mapping[str, FlightLog]) -> dict[str, tuple[FlownStep, ..
 def comparison_view(
     logs: Mapping[str, FlightLog], align: Align = Align.step, window: tuple[float, float] | None = None
 ) -> FlightView:
-    """The flights `logs`, by the names that the legend gives them, one over the other.
+    """Return the view of the flights `logs`, by their names in the legend, one over the other.
 
-    `window` [s] counts from where they are aligned. The default is from half a second before the first step to three
-    seconds after the last, or the whole flights. Raises LogError for fewer than two flights or more than
-    `MOST_FLIGHTS`, and as `flight_steps` does. Raises it also for a window in which nothing was logged.
+    `window` [s] counts from the alignment. The default is from half a second before the first step to three seconds
+    after the last, or the whole flights. Raises LogError for fewer than two flights or more than `MOST_FLIGHTS`, for a
+    window in which nothing was logged, and as `flight_steps` does.
     """
     if not 2 <= len(logs) <= MOST_FLIGHTS:
         raise LogError(f"{len(logs)} flights", "comparison", f"give 2 to {MOST_FLIGHTS}, each with a name of its own")
@@ -91,7 +105,7 @@ def comparison_view(
 
 
 def _panel(name: str, logs: Mapping[str, FlightLog], zero: Mapping[str, float], span: tuple[float, float]) -> View:
-    """The followed channel of every flight, and the first flight's set-point; of the motors the moment."""
+    """Return the panel of each flight's followed channel with the first one's set-point; of the motors, M."""
     scale, unit, _ = PANELS[name]
     loop = next((loop for loop, panel in _PANEL_OF.items() if panel == name), "")
     channel = FOLLOWING.get(loop, "M")
@@ -136,7 +150,10 @@ def _said(value: float, unit: str) -> str:
 
 
 def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]:
-    """Return all steps as text: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|."""
+    """Return a row of text for each step.
+
+    Columns: flight, time [s], step, rise [s], overshoot [%], settling [s], peak, peak |M|.
+    """
     rows: list[tuple[str, ...]] = []
     for name, found in steps.items():
         for step in found:
@@ -153,3 +170,40 @@ def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]
             )
             rows.append((printable(name), f"{step.time:.2f}", change, *shown))
     return rows
+
+
+def promise_view(made: "Promise", log: FlightLog | None = None) -> FlightView:
+    """Return the view of a promise's bands and, with `log`, of its first promised steps, each from its own start.
+
+    Raises ParameterError as the promise's `steps_of`, LogError where channels are missing.
+    """
+    time = made.time
+    flown = [] if log is None else made.steps_of(log)[:_MOST_STEPS]
+    step, stepped = made.step, made.step.follows
+    about = f"a step of {step.setpoint} by {step.factor * made.goal:g} {step.unit}"
+    shown = (stepped, *(name for name in step.channels if name != stepped))
+    views = []
+    for name in shown:
+        label, factor = _PROMISED[name]
+        curves = [Curve("expected", name, time, factor * made.middle[name])]
+        curves += [
+            Curve(f"step {number}" if len(flown) > 1 else "flown", name, at, factor * signals[name])
+            for number, (at, signals) in enumerate(flown, 1)
+        ]
+        if name == stepped:
+            curves.append(Curve("set-point", name, time, np.full(time.size, factor * made.goal)))
+        band = ExpectedBand(
+            f"{100.0 * made.level:g} % of flights", time, factor * made.low[name], factor * made.high[name]
+        )
+        views.append(View(label, tuple(curves), band))
+    return FlightView(
+        title=f"{made.controller}: {'promised' if log is None else 'promised and flown'}",
+        about=f"{about}; {made.members} members of the identified family",
+        span=(float(flown[0][0][0]) if flown else 0.0, float(time[-1])),
+        views=tuple(views),
+        modes=(),
+        failsafe=(),
+        excitations=(),
+        notes=(),
+        clock="time from the step",
+    )

@@ -1,19 +1,13 @@
-"""A flight as a picture: PNG, SVG or PDF to put into a text, or a page that follows light and dark."""
+"""Picture of a flight: PNG, SVG or PDF to put into a text, or a page that follows light and dark."""
 
-import io
 from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
@@ -21,10 +15,8 @@ from matplotlib.ticker import MaxNLocator
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
 from twodof.flightlog.atomic import atomic_write
 from twodof.report.content import Span
-from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, page, quiet, settings, svg
+from twodof.report.plots.canvas import Colours, figure_page, picture_bytes, quiet
 from twodof.report.plots.flight_view import Curve, FlightView, View, check_place
-
-_ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
 
 _WIDTH_IN, _PANEL_IN, _STRIP_IN = 10.0, 1.75, 0.27
 _DPI = 150
@@ -58,33 +50,20 @@ _TINT = MappingProxyType(
 
 
 def write_plot(view: FlightView, path: str | Path, overwrite: bool = False) -> None:
-    """Draws the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError as `check_place`."""
+    """Draw the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError as `check_place`."""
     check_place(path, overwrite)
     suffix = Path(path).suffix.lower()
-    content = to_html(view).encode() if suffix == ".html" else _alone(view, suffix)
+    if suffix == ".html":
+        content = to_html(view).encode()
+    else:
+        content = picture_bytes(suffix, view.title, _DPI, lambda colours: _drawn(view, colours, heading=True))
     with atomic_write(path, "wb") as file:
         file.write(content)
 
 
 def to_html(view: FlightView) -> str:
-    """A page of its own, without script or network."""
-    with matplotlib.rc_context(settings(STAND_IN)):
-        picture = svg(_drawn(view, STAND_IN, heading=False), escape(view.title))
-    notes = "".join(f"<p>{escape(note)}</p>" for note in view.notes)
-    figure = f'<figure class="wide" style="max-width:72rem">{picture}<figcaption>{notes}</figcaption></figure>'
-    return page(view.title, escape(view.about), f"<main>{figure}</main>")
-
-
-def _alone(view: FlightView, suffix: str) -> bytes:
-    colours = on_paper()
-    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
-    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": view.title}):
-        canvas = _drawn(view, colours, heading=True)
-        _ALONE[suffix](canvas)
-        out = io.BytesIO()
-        dated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-        canvas.savefig(out, format=suffix[1:], dpi=_DPI, metadata=dated)
-    return out.getvalue()
+    """Return a page of its own, without script or network."""
+    return figure_page(view.title, view.about, view.notes, lambda colours: _drawn(view, colours, heading=False))
 
 
 def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
@@ -107,7 +86,7 @@ def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:
 
 
 def _head(ax: Axes, view: FlightView, colours: Colours, legend: float) -> None:
-    """Title and notes above the uppermost axes, and above their legend of this height [points]."""
+    """Write title and notes above the uppermost axes, and above their legend of this height [points]."""
     lines = [line for part in (view.about, *view.notes) for line in wrap(part, _LINE)]
     under = 7.0 + 13.0 * len(lines) + legend
     ax.set_title(view.title, loc="left", fontsize=12.5, fontweight="bold", pad=under)
@@ -118,7 +97,7 @@ def _head(ax: Axes, view: FlightView, colours: Colours, legend: float) -> None:
 def _draw_strips(
     ax: Axes, strips: Sequence[tuple[str, tuple[Span, ...]]], span: tuple[float, float], colours: Colours
 ) -> None:
-    """Bands with their names, a row for each kind; names that fit into none of their bands stand in a key below."""
+    """Draw bands with their names, a row for each kind; names too long for all their bands stand in a key below."""
     named: set[str] = set()
     keys: dict[str, Patch] = {}
     inch = (span[1] - span[0]) / (0.87 * _WIDTH_IN)
@@ -147,7 +126,7 @@ def _draw_strips(
 
 
 def _paint(strip: str, label: str, colours: Colours) -> tuple[str, float]:
-    """Colour and opacity of a band; the stronger what the failsafe does, the darker."""
+    """Return colour and opacity of a band; a stronger act of the failsafe is darker."""
     if strip == "failsafe":
         return colours["bad"], 0.15 * (1 + ACTIONS.index(label.partition(":")[0]))
     return (colours["ink"], 0.18) if strip == "excitation" else (colours[_TINT.get(label, "rule")], 0.38)
@@ -183,7 +162,7 @@ def _draw_curve(ax: Axes, curve: Curve, other: str, colours: Colours) -> None:
 
 
 def _draw_background(ax: Axes, view: FlightView, colours: Colours) -> None:
-    """What the strips say, faintly behind the curves, so that one sees what belongs together."""
+    """Draw the bands of the strips faintly behind the curves."""
     for band in view.modes[1:]:
         ax.axvline(band.start, color=colours["rule"], linewidth=0.8, zorder=0)
     for band in view.excitations:

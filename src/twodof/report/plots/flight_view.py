@@ -1,4 +1,4 @@
-"""What a plot of a flight shows: curves in panels, and above them what flew, what the failsafe did, what was played."""
+"""Content of a plot of a flight: curves in panels, and bands of modes, acts of the failsafe and excitations."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -21,17 +21,19 @@ from twodof.signals import BY_MAT, BY_NAME
 
 Array = NDArray[np.float64]
 
-SUFFIXES = (".png", ".svg", ".pdf", ".html")
-"""Of the files into which a plot can be drawn."""
+PICTURES = (".png", ".svg", ".pdf")
+"""Suffixes of pictures."""
+SUFFIXES = (*PICTURES, ".html")
+"""Suffixes of the files into which a flight can be drawn."""
 
 MOST_POINTS = 4000
-"""Of a line; of a longer one each stretch is drawn from its lowest to its highest sample, so that nothing is missed."""
+"""Most points of a line; a longer line is decimated to the lowest and highest sample of each bucket."""
 
 MOST_BANDS = 200
-"""Above a plot: of modes, acts of the failsafe and excitations each."""
+"""Most bands above a plot, for modes, acts of the failsafe and excitations each."""
 
 STILL = 0.02
-"""A cart that is said to move by less than this [m] stands still, as far as the range sensor can tell (4 mm noise)."""
+"""A cart whose estimate moves by less than this [m] stands still: the range sensor has 4 mm of noise."""
 
 _DEGREES = 180.0 / math.pi
 
@@ -44,7 +46,7 @@ PANELS = MappingProxyType(
         "motors": (1.0, "–", (("M", "moment M"), ("T", "thrust T"))),
     }
 )
-"""Panel -> scale, unit, and its channels with what the legend calls them."""
+"""Panel -> scale, unit, and its channels with their names in the legend."""
 
 SYMBOL = MappingProxyType({"pitch": "θ", "pitch rate": "q", "position": "x", "velocity": "v", "motors": "M, T"})
 
@@ -66,7 +68,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False)
 class ExpectedBand:
-    """Where a signal is expected: from `low` to `high`, each (n,), at `time` (n,) [s]."""
+    """Range in which a signal is expected: from `low` to `high`, each (n,), at `time` (n,) [s]."""
 
     label: str
     time: Array
@@ -76,7 +78,7 @@ class ExpectedBand:
 
 @dataclass(frozen=True)
 class View:
-    """One pair of axes: quantity and unit, its curves, and the band that they should stay in, if there is one."""
+    """One pair of axes: quantity and unit, its curves, and the band in which they are expected, if there is one."""
 
     label: str
     curves: tuple[Curve, ...]
@@ -85,10 +87,7 @@ class View:
 
 @dataclass(frozen=True)
 class FlightView:
-    """Everything a plot shows, over `span` [s] of the time that `clock` names.
-
-    `notes` say what is not in it, and why.
-    """
+    """Content of a plot over `span` [s] of the time that `clock` names; `notes` name what is left out and why."""
 
     title: str
     about: str
@@ -101,21 +100,21 @@ class FlightView:
     clock: str = "the drone's time"
 
 
-def check_place(path: str | Path, overwrite: bool = False) -> None:
-    """Whether a plot can be written there, before what it is to show is made. Raises LogError."""
-    if Path(path).suffix.lower() not in SUFFIXES:
-        raise LogError(f"no picture has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(SUFFIXES)}")
+def check_place(path: str | Path, overwrite: bool = False, suffixes: Sequence[str] = SUFFIXES) -> None:
+    """Check that a plot can be written there, before it is drawn. Raises LogError."""
+    if Path(path).suffix.lower() not in suffixes:
+        raise LogError(f"no picture has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(suffixes)}")
     check_folder(path, overwrite)
 
 
 def flight_view(
     log: FlightLog, topics: Iterable[str] = (), window: tuple[float, float] | None = None, title: str = ""
 ) -> FlightView:
-    """The view of a log, in `window` [s] if one is given.
+    """Return the view of a log, in `window` [s] if one is given.
 
-    `topics` are names of signals, of their .mat channels or of channels that only this log has. Without any, pitch,
-    rate, position, velocity and what the motors are told are shown, each with its set-point and, where known, the
-    truth. Raises LogError for a topic that the log lacks, and for a window in which nothing was logged.
+    `topics` are names of signals, of their .mat channels or of channels that only this log has. By default the panels
+    are pitch, rate, position, velocity and motor commands, with set-points and, if known, the truth. Raises LogError
+    for a topic that the log lacks, and for a window in which nothing was logged.
     """
     span = _span(log, window)
     notes: list[str] = []
@@ -165,7 +164,7 @@ def _usual(log: FlightLog, flown: Sequence[Span], span: tuple[float, float], not
 
 
 def _own(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, float]) -> View:
-    """The panel of a signal that was asked for: a usual one, or one of its own with a line for each field."""
+    """Return the panel of a requested signal: a usual one, or one of its own with a line for each field."""
     row = BY_NAME.get(name) or BY_MAT.get(name)
     channel = row.mat if row else name
     if channel not in log:
@@ -203,7 +202,7 @@ def _panel(log: FlightLog, name: str, flown: Sequence[Span], span: tuple[float, 
 
 
 def _where(time: Array, value: Array, bands: Sequence[Span]) -> Array:
-    """The values within the bands, NaN elsewhere."""
+    """Return the values within the bands, NaN elsewhere."""
     inside = np.zeros(time.shape, dtype=bool)
     edges = np.searchsorted(time, np.array([(band.start, band.stop) for band in bands]).reshape(-1, 2))
     for start, stop in edges:
@@ -214,7 +213,7 @@ def _where(time: Array, value: Array, bands: Sequence[Span]) -> Array:
 def cut_curve(
     log: FlightLog, channel: str, time: Array, value: Array, span: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """Within the span, interrupted where samples were lost, thinned where there are very many."""
+    """Return the points within the span, interrupted by NaN where samples were lost, decimated to MOST_POINTS."""
     # A sample beyond each end, so that a line reaches the edge.
     first, last = np.searchsorted(time, span[0]) - 1, np.searchsorted(time, span[1], side="right") + 1
     part = slice(max(0, int(first)), int(last))
@@ -229,7 +228,7 @@ def cut_curve(
 
 
 def _few(what: str, bands: tuple[Span, ...], notes: list[str]) -> tuple[Span, ...]:
-    """No more bands than one can tell apart."""
+    """Return the first MOST_BANDS bands, with a note if there are more."""
     if len(bands) > MOST_BANDS:
         notes.append(f"only the first {MOST_BANDS} of {len(bands)} {what} are shown: draw a shorter window")
     return bands[:MOST_BANDS]
@@ -258,9 +257,9 @@ def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Span, ...]:
 
 
 def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> tuple[Span, ...]:
-    """What the failsafe did within `span` [s] (None: ever), from the channel `safety`, and the deciding causes.
+    """Return the failsafe's acts within `span` [s] (None: the whole log) with their deciding causes.
 
-    Motors that are off without a cause are those of a drone that is disarmed. Empty for a log without that channel.
+    Motors that are off without a cause are those of a disarmed drone, not an act. Empty without the channel `safety`.
     """
     span = span if span is not None else log.span
     if "safety" not in log or "action" not in log["safety"].fields or not len(log["safety"]):
@@ -288,7 +287,7 @@ def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> t
 
 
 def _about(log: FlightLog) -> str:
-    """One line about where a log comes from."""
+    """Return a line about the origin of a log."""
     said: dict[str, Any] = dict(log.provenance)
     drone, flown = said.get("drone"), said.get("flown")
     rig = said.get("rig") or (drone.get("rig") if isinstance(drone, dict) else None)

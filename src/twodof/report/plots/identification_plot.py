@@ -1,6 +1,5 @@
-"""A fit as a picture: data and model, residuals and their tests, Bode with bands, what the data tell of unknowns."""
+"""Picture of a fit: data and model, residuals and their tests, Bode plot with bands, ellipses of the unknowns."""
 
-import io
 import math
 import textwrap
 from collections.abc import Sequence
@@ -9,12 +8,8 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.figure import SubFigure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
@@ -29,13 +24,12 @@ from twodof.identify.model_response import ModelResponse, model_response
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, Correlation
 from twodof.models.structure import Structure
-from twodof.report.plots.canvas import STAND_IN, Colours, on_paper, page, quiet, settings, svg
+from twodof.report.plots.canvas import Colours, figure_page, picture_bytes, quiet
 from twodof.report.plots.flight_view import check_place
 from twodof.signals import unit_of
 
 Array = NDArray[np.float64]
 
-_ALONE: dict[str, Any] = {".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf}
 _WIDTH_IN, _DPI = 10.0, 150
 _PANEL_IN, _TEST_IN, _BODE_IN, _ELLIPSE_IN = 1.7, 1.9, 3.3, 2.5
 _LINE_IN, _COLUMNS, _TITLE = 0.17, 125, 80
@@ -43,7 +37,7 @@ _MOST_RECORDS, _MOST_UNKNOWNS, _ACROSS = 3, 4, 3
 _POINTS, _FEWEST_POINTS = 200, 8
 _NYQUIST_SHARE = 0.9
 _UNTOLD = 30.0
-"""A gain that is known to no more than this factor is drawn as known to it."""
+"""Widest band of a gain that is drawn, as a factor."""
 _LEVEL = 0.95
 _LEVEL_RADIUS = {0.68: math.sqrt(-2.0 * math.log(0.32)), _LEVEL: math.sqrt(-2.0 * math.log(0.05))}
 """Radius of the region of two normal variables with that probability, in standard deviations."""
@@ -60,12 +54,12 @@ def write_identification_plot(
     title: str = "",
     reference: str = "",
 ) -> None:
-    """Draws a fit into a .png, .svg, .pdf or .html file, whole or not at all.
+    """Draw a fit into a .png, .svg, .pdf or .html file, whole or not at all.
 
-    `records` are those of the fit and of the validation; the first three are shown. `reference` is an
-    input of the first record from which the measured response is taken in closed loop (see `frequency_response`); it is
-    for structures with one input beside those that are measured. Raises IdentificationError where it is not in the
-    record, LogError for a file that cannot be written or is there already.
+    `records` are those of the fit and of the validation; the first three are shown. `reference` names an input of the
+    first record, from which `frequency_response` measures in closed loop. The structure then has one input beside the
+    measured ones. Raises IdentificationError if the record lacks it, LogError for a file that
+    cannot be written or exists.
     """
     check_place(path, overwrite)
     suffix = Path(path).suffix.lower()
@@ -73,29 +67,17 @@ def write_identification_plot(
     title = printable(title or textwrap.shorten(named, _TITLE, placeholder=" ..."))
     drawing = _Drawing(found, structure, records[:_MOST_RECORDS], reference)
     if suffix == ".html":
-        with matplotlib.rc_context(settings(STAND_IN)):
-            picture = svg(drawing.canvas(STAND_IN, ""), escape(title))
-        notes = "".join(f"<p>{escape(note)}</p>" for note in drawing.notes)
-        figure = f'<figure class="wide" style="max-width:72rem">{picture}<figcaption>{notes}</figcaption></figure>'
-        content = page(
-            title, escape(drawing.about), f"<main>{figure}<pre>{escape(found.table())}</pre></main>"
-        ).encode()
+        table = f"<pre>{escape(found.table())}</pre>"
+        shown = figure_page(title, drawing.about, drawing.notes, lambda colours: drawing.canvas(colours, ""), table)
+        content = shown.encode()
     else:
-        colours = on_paper()
-        ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
-        with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
-            canvas = drawing.canvas(colours, title)
-            _ALONE[suffix](canvas)
-            out = io.BytesIO()
-            dated = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-            canvas.savefig(out, format=suffix[1:], dpi=_DPI, metadata=dated)
-        content = out.getvalue()
+        content = picture_bytes(suffix, title, _DPI, lambda colours: drawing.canvas(colours, title))
     with atomic_write(path, "wb") as file:
         file.write(content)
 
 
 class _Drawing:
-    """What is shown of a fit, computed once."""
+    """Drawing of a fit, with its content computed once."""
 
     def __init__(self, found: Estimate, structure: Structure, records: Sequence[Record], reference: str = "") -> None:
         self.found, self.structure, self.reference = found, structure, reference
@@ -117,7 +99,7 @@ class _Drawing:
 
     @property
     def about(self) -> str:
-        """The estimates in a line."""
+        """Return the estimates in a line."""
         parts = []
         for i, label in enumerate(self.found.labels):
             if label not in self.found.local:
@@ -129,7 +111,7 @@ class _Drawing:
 
     @property
     def _head_in(self) -> float:
-        """Height of the title and of what is said below it."""
+        """Return the height of the title and of the lines below it."""
         return 0.55 + _LINE_IN * len(self.heading)
 
     def canvas(self, colours: Colours, heading: str) -> Canvas:
@@ -170,7 +152,7 @@ class _Drawing:
         )
 
     def _bodes(self) -> tuple[list[_Bode], list[str]]:
-        """For each input and output: the model's response and the measured one, where there are any."""
+        """Return the model's and the measured response of each input and output, and notes about them."""
         found: list[_Bode] = []
         notes: list[str] = []
         record = self.columns[0][0]
@@ -196,7 +178,7 @@ class _Drawing:
         return found, list(dict.fromkeys(notes))
 
     def _pairs(self) -> list[tuple[int, int]]:
-        """Pairs of unknowns of the machine whose uncertainty is known."""
+        """Return the pairs of unknowns of the machine whose uncertainty is known."""
         known = [
             i
             for i, label in enumerate(self.found.labels)
@@ -253,7 +235,7 @@ class _Drawing:
             below.set_ylabel("residual" + (f" [{unit}]" if unit else ""))
 
     def _ahead(self, one: Comparison) -> str:
-        """In closed loop, where the model alone is another flight: how well it foretells the next sample."""
+        """Return the FIT of the one-step prediction for a closed loop, where gusts change the flight."""
         if one.ahead is None or not self.found.disturbance.answering:
             return ""
         # Of several records each has a third of the width.
@@ -293,14 +275,14 @@ class _Drawing:
 
 
 def _grid_of_tests(comparisons: Sequence[Comparison]) -> tuple[int, int]:
-    """Lines for each output, and tests beside each other, so that their titles have room."""
+    """Return the lines for each output and the tests in a line, so that titles have room."""
     width = 1 + max((len(one.inputs) for one in comparisons), default=0)
     lines = -(-width // _ACROSS)
     return lines, -(-width // lines)
 
 
 def _units(structure: Structure, dt: float) -> dict[str, str]:
-    """The units of inputs and outputs, as the diagram declares them."""
+    """Return the units of inputs and outputs, as the diagram declares them."""
     program = lower(structure.diagram, dt)
     declared = {name: one.unit or unit_of(name) for name, one in {**program.inputs, **program.outputs}.items()}
     return {name: unit for name, unit in declared.items() if unit != "-"}
@@ -309,7 +291,7 @@ def _units(structure: Structure, dt: float) -> dict[str, str]:
 def _measured(
     record: Record, input: str, output: str, others: Sequence[str], reference: str
 ) -> FrequencyResponse | None:
-    """The averaged response, or None where the record is too short or nothing can be told."""
+    """Return the averaged response, or None if the record is too short or too few points are known."""
     try:
         found = frequency_response(record, input, output, given=others, reference=[reference] if reference else [])
     except IdentificationError:
@@ -320,9 +302,9 @@ def _measured(
 
 
 def _clear(measured: FrequencyResponse) -> NDArray[np.bool_]:
-    """Points that are known to half of their size, below the frequency at which a sampled signal ends.
+    """Return True for the points known to half of their size, below the Nyquist frequency.
 
-    What leaks into the gaps of the input's spectrum has larger errors, most of the time.
+    Leakage into the gaps of the input's spectrum mostly has larger errors.
     """
     size = abs(measured.response)
     known = measured.trusted() & (measured.radius(_LEVEL) < 0.5 * size)

@@ -1,56 +1,42 @@
-"""Loops as pictures: Bode, Nyquist, Nichols, both sensitivities and the step response, one colour a loop."""
+"""Pictures of loops: Bode, Nyquist, Nichols, both sensitivities, step response, and the root locus of one loop."""
 
-import io
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from twodof.design import LoopMargins, LoopTransfer, margins
+from twodof.design import LoopMargins, LoopTransfer, margins, root_locus
 from twodof.design.margins import bode_at
 from twodof.flightlog.atomic import atomic_write
 from twodof.models.lti import DelayedStateSpace
-from twodof.report.plots.canvas import Colours, on_paper, settings
-from twodof.report.plots.pictures import check_picture
-from twodof.report.plots.root_locus_plot import draw_root_locus
+from twodof.report.plots.canvas import Colours, picture_bytes
+from twodof.report.plots.flight_view import PICTURES, check_place
 
 Array = NDArray[np.float64]
-
-_ALONE = MappingProxyType({".png": FigureCanvasAgg, ".svg": FigureCanvasSVG, ".pdf": FigureCanvasPdf})
 
 _COLOURS = ("ink", "grey-box", "input", "simple", "paper", "measured", "bad")
 _POINTS = 1500
 _DPI = 130
 _STEP_S, _STEPS = 12.0, 4000  # of the step response: the longest time, and the most samples
+_GAINS = np.concatenate([[0.0], np.geomspace(0.02, 20.0, 600)])
+_DAMPING = (0.2, 0.4, 0.6, 0.8)
+_SPEED = 4.0  # range of the root locus, in crossovers
 
 
 def write_loop_plot(
     loops: Mapping[str, LoopTransfer], path: str | Path, title: str = "", overwrite: bool = False
 ) -> None:
-    """Draws the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `check_picture`."""
-    check_picture(path, overwrite)
-    suffix = Path(path).suffix.lower()
-    colours = on_paper()
-    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
-    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
-        canvas = _drawn(loops, title, colours)
-        _ALONE[suffix](canvas)
-        out = io.BytesIO()
-        dated: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-        canvas.savefig(out, format=suffix[1:], dpi=_DPI, metadata=dated)
+    """Draw the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `check_place` does."""
+    check_place(path, overwrite, PICTURES)
+    content = picture_bytes(Path(path).suffix.lower(), title, _DPI, lambda colours: _drawn(loops, title, colours))
     with atomic_write(path, "wb") as file:
-        file.write(out.getvalue())
+        file.write(content)
 
 
 def _drawn(loops: Mapping[str, LoopTransfer], title: str, colours: Colours) -> Canvas:
@@ -100,7 +86,7 @@ def _span(found: Mapping[str, LoopMargins]) -> tuple[float, float]:
 
 
 def step_response(m: LoopMargins) -> tuple[Array, Array]:
-    """(time [s], value) of T after a unit step: how the loop follows its set-point.
+    """Return (time [s], value) of T after a unit step: how the loop follows its set-point.
 
     A continuous loop is sampled at a hundredth of its crossover's period.
     """
@@ -173,7 +159,7 @@ def _circle(ax: Axes, centre: float, radius: float, look: Mapping[str, Any]) -> 
 
 
 def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, Any]) -> None:
-    """Where |S| is `peak` [dB]: a circle about -1 with the radius 1 / |S|; named at its lower or upper end."""
+    """Draw the contour of |S| = `peak` [dB]: a circle about -1 with the radius 1 / |S|; labelled at one end."""
     l = -1.0 + np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400)) / 10.0 ** (peak / 20.0)
     angle = np.degrees(np.angle(l)) % 360.0 - 360.0
     size = 20.0 * np.log10(np.abs(l))
@@ -187,3 +173,55 @@ def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, 
         ha="center",
         va="top" if below else "bottom",
     )
+
+
+def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
+    """Draw the poles for .02 to 20 times the gain, those of the loop itself, and lines of equal damping.
+
+    A sampled loop's poles are drawn as z = e^(sT), so the axes are those of the s plane [rad/s] for both.
+    """
+    z = root_locus(found.loop, _GAINS)
+    dt = found.loop.dt
+    # A pole at z = 0, of a delay, has no place in the s plane.
+    branches = z if dt is None else np.log(np.where(z == 0.0, np.nan, z)) / dt
+    reach = _SPEED * (found.crossover if found.phases else 1.0)
+    if dt is not None:
+        reach = min(reach, math.pi / dt)
+    # Where a branch jumps, from the upper half to the lower one, the line is broken.
+    jump = np.abs(np.diff(branches, axis=0)) > 0.5 * reach
+    lines = branches.copy()
+    lines[1:][jump] = np.nan
+    for j in range(lines.shape[1]):
+        ax.plot(lines[:, j].real, lines[:, j].imag, color=colours["input"], linewidth=1.3)
+    ax.plot(branches[0].real, branches[0].imag, "x", color=colours["soft"], markersize=6, label="open loop")
+    now = found.poles_rad
+    ax.plot(now.real, now.imag, "s", color=colours["ink"], markersize=4.5, label="closed loop")
+    for crossing in (found.increase, found.decrease):
+        if crossing is not None and 0.0 < crossing.omega < reach:
+            ax.plot([0.0, 0.0], [crossing.omega, -crossing.omega], "o", color=colours["bad"], markersize=5)
+            ax.annotate(
+                f"{crossing.factor:.2g} x the gain",
+                (0.0, crossing.omega),
+                xytext=(6, 0),
+                textcoords="offset points",
+                fontsize=8,
+                color=colours["bad"],
+                va="center",
+            )
+    soft: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.7, "linestyle": (0, (2, 3))}
+    for damping in _DAMPING:
+        slope = math.sqrt(1.0 - damping**2) / damping
+        far = 2.0 * reach
+        ax.plot([-far, 0.0, -far], [far * slope, 0.0, -far * slope], **soft)
+        x = min(0.93, 0.93 / slope) * reach
+        ax.annotate(f"{damping:g}", (-x, x * slope), fontsize=8, color=colours["soft"], ha="right", va="bottom")
+    ax.axvline(0.0, color=colours["soft"], linewidth=0.8)
+    ax.axhline(0.0, color=colours["soft"], linewidth=0.8)
+    ax.set_xlim(-reach, 0.5 * reach)
+    ax.set_ylim(-reach, reach)
+    ax.set_aspect("equal", adjustable="box")
+    ax.set_title("root locus [rad/s], lines of equal damping", loc="left", fontsize=10)
+    ax.set_xlabel("real part [1/s]")
+    ax.grid(visible=True)
+    # Between the real axis and the branches that leave to the right.
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.28))

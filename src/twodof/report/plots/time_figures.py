@@ -25,7 +25,7 @@ _WIDTH_IN = 5.0
 
 
 def time_figure(figure: Figure, title: str) -> str:
-    """The figure's panels above one another over a common time axis, as an `<svg>` element titled `title`."""
+    """Return the figure's panels above one another over a common time axis, as an `<svg>` element."""
     heights = [panel.height for panel in figure.panels]
     with matplotlib.rc_context(settings(STAND_IN)):
         canvas = Canvas(figsize=(_WIDTH_IN, 0.75 + 1.45 * sum(heights)), layout="constrained")
@@ -60,12 +60,12 @@ def _draw_panel(ax: Axes, panel: Panel) -> None:
 
 
 def _note(ax: Axes, text: str, at: tuple[float, float], points: tuple[float, float], **look: Any) -> None:
-    """A text beside the place `at`, so many points away."""
+    """Write a text at the distance `points` from the place `at`."""
     ax.annotate(text, at, points, textcoords="offset points", fontsize=8.5, **look)
 
 
 def _draw_span(ax: Axes, span: Span, high: float) -> None:
-    """An arrow from start to stop at the top of the panel with the label above its middle."""
+    """Draw an arrow from start to stop at the top of the panel with the label above its middle."""
     arrow = {"arrowstyle": "<->", "color": STAND_IN["ink"], "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
     ax.annotate("", (span.stop, high), (span.start, high), arrowprops=arrow)
     for edge in (span.start, span.stop):
@@ -75,7 +75,7 @@ def _draw_span(ax: Axes, span: Span, high: float) -> None:
 
 
 def correlation_figure(tests: Mapping[str, Correlation], title: str) -> str:
-    """Correlations of residuals, one panel each under its name, with their bounds."""
+    """Return the correlations of residuals with their bounds, one panel each under its name."""
     with matplotlib.rc_context(settings(STAND_IN)):
         canvas = Canvas(figsize=(_WIDTH_IN, 1.9), layout="constrained")
         axes = canvas.subplots(1, len(tests), squeeze=False)[0]
@@ -92,7 +92,7 @@ def correlation_figure(tests: Mapping[str, Correlation], title: str) -> str:
 
 
 def estimates_figure(subjects: Sequence[Subject], title: str) -> str:
-    """For each of the paper's parameters, one line a machine: by hand, grey-box, one sigma, truth and paper."""
+    """Return a panel for each parameter of the paper, with each machine's estimates and truth."""
     keys = list(dict.fromkeys(row.key for one in subjects for row in one.rows if row.paper is not None))
     with matplotlib.rc_context(settings(STAND_IN)):
         columns = 3

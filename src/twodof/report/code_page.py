@@ -1,13 +1,13 @@
-"""The generated C beside the blocks it came from, as one self-contained page: point at one to see the other."""
+"""Page of the generated C beside its blocks: point at one to see the other."""
 
 from html import escape
 
 from twodof.compile.c_files.c_files import SourceMap
-from twodof.report.template_texts import fill
+from twodof.report.wording import fill
 
 
 def code_page(name: str, text: str, found: SourceMap) -> str:
-    """The page of a diagram `name` that says `text` about itself; the same arguments give the same bytes."""
+    """Return the page of a diagram `name` described by `text`; the same arguments give the same bytes."""
     number = {path: i for i, path in enumerate(sorted(found.blocks))}
     about = f"{len(found.blocks)} blocks, {len(found.lines)} lines of C. Point at a block or a line; click to keep it."
     rows = []
@@ -27,7 +27,7 @@ def code_page(name: str, text: str, found: SourceMap) -> str:
 
 
 def _tree(found: SourceMap, number: dict[str, int]) -> str:
-    """The blocks as nested lists, by their paths."""
+    """Return the blocks as nested lists, by their paths."""
     lines = ["<ul>"]
     open_: list[str] = []
     left_out = set(found.left_out)

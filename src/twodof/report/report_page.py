@@ -1,16 +1,35 @@
-"""The report as one self-contained HTML file: no script, no network, light and dark, fit to print."""
+"""Pages without script or network, for light, dark and print: the report, and the failed tests of a diagram."""
 
 import math
 import re
 from collections.abc import Iterator, Sequence
 from html import escape
 
+import numpy as np
+
+from twodof.compile.diagram_test.assertions import Judgement, element_of
+from twodof.compile.diagram_test.scenario import ScenarioResult
 from twodof.identify.validate import Correlation
-from twodof.report.content import Content, Erratum, Figure, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
-from twodof.report.numbers import deviation, plain, with_sigma
+from twodof.report.content import (
+    Content,
+    Erratum,
+    Figure,
+    FigureBand,
+    FigureLine,
+    FigurePoint,
+    FitCheck,
+    Panel,
+    ParameterRow,
+    ReportTable,
+    Subject,
+    Uncertain,
+)
 from twodof.report.plots.canvas import page
 from twodof.report.plots.time_figures import correlation_figure, estimates_figure, time_figure
-from twodof.report.template_texts import say
+from twodof.report.wording import deviation, plain, say, with_sigma
+
+MAX_FIGURES = 50
+"""Most failed tests that are drawn."""
 
 _KEY = {
     "measured": "measured",
@@ -79,7 +98,7 @@ def _table(heads: Sequence[str], body: str, style: str = "") -> str:
 
 
 def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.nan) -> str:
-    """An estimate, and below it how far it is from the truth, also in `sigma` where one is given."""
+    """Return an estimate and, below it, its deviation from the truth, also in `sigma` if one is given."""
     if estimate is None:
         return "–"
     below = "" if truth is None else f"<small>{deviation(Uncertain(estimate.value, sigma), truth)}</small>"
@@ -110,7 +129,7 @@ def _figure_sections(subjects: Sequence[Subject]) -> Iterator[tuple[str, str, st
 
 
 def _grid(columns: int) -> str:
-    """The opening of a grid of cards, beside one another where there is room for all `columns`, else in one column."""
+    """Return the opening tag of a grid of cards, in `columns` if there is room for them, else in one column."""
     return f'<div class="grid of-{min(columns, 3)}">'
 
 
@@ -121,7 +140,7 @@ def _figure_card(subject: Subject, figure: Figure) -> str:
 
 
 def _tied(text: str) -> str:
-    """The same text with numbers tied to their units and deviations, so that no line begins with one."""
+    """Return the text with numbers tied to their units and deviations, so that no line begins with one."""
     return re.sub(r"(?<=\d) (?=%|°|m?s\b|rad|m/s|1/s|σ|±)|(?<=±) ", "\N{NO-BREAK SPACE}", text)
 
 
@@ -193,3 +212,34 @@ def _errata_section(errata: Sequence[Erratum]) -> Iterator[str]:
 def _provenance_table(content: Content) -> str:
     lines = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in content.provenance.items())
     return f"<dl>{lines}</dl>" if lines else ""
+
+
+def failed_tests_page(name: str, results: Sequence[ScenarioResult]) -> str:
+    """Return the page of the failed tests of the diagram `name`; the first MAX_FIGURES are drawn.
+
+    A drawing shows the signal, the expected values of a table (dashed), and the violation.
+    """
+    failed = [(result, judgement) for result in results for judgement in result.failed]
+    scenarios = sum(not result.passed for result in results)
+    lead = f"{scenarios} of {len(results)} tests failed. Claims that do not hold: {len(failed)}."
+    figures = "".join(_failed_figure(number, *one) for number, one in enumerate(failed[:MAX_FIGURES], 1))
+    return page(f"Tests of {name}", escape(lead), f"<main>{figures}</main>")
+
+
+def _failed_figure(number: int, result: ScenarioResult, judgement: Judgement) -> str:
+    value = element_of(result.signals, judgement.signal, result.name).astype(np.float64)
+    marks: list[FigureBand | FigurePoint] = []
+    if judgement.limit is not None and np.isfinite(judgement.limit):
+        marks.append(FigureBand(judgement.limit, judgement.limit, ""))
+    if judgement.time is not None and judgement.value is not None and np.isfinite(judgement.value):
+        marks.append(
+            FigurePoint(judgement.time, judgement.value, f"{judgement.time:.4g} s, limit {judgement.limit:.4g}")
+        )
+    lines = [FigureLine("measured", result.time, value)]
+    if judgement.check in result.expected:
+        lines.append(FigureLine("set-point", *result.expected[judgement.check]))
+    panel = Panel(judgement.signal, lines, marks, 1.3)
+    title = escape(f"{result.name}: {judgement.check}")
+    drawn = time_figure(Figure(number, title, "", [panel]), title)
+    caption = f"<b>{title}</b><br>{escape(judgement.text)}"
+    return f'<figure class="wide">{drawn}<figcaption>{caption}</figcaption></figure>'

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 
 from twodof.design import LoopTransfer, margins
 from twodof.report.plots.canvas import on_paper
-from twodof.report.plots.loop_plot import write_loop_plot
-from twodof.report.plots.root_locus_plot import draw_root_locus
+from twodof.report.plots.loop_plot import draw_root_locus, write_loop_plot
 from twodof.sim.linear import cascade_loop
 
 pytestmark = pytest.mark.slow

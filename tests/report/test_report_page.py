@@ -9,8 +9,8 @@ import pytest
 
 from tests.report.made_up import HOSTILE, content
 from twodof.report.content import Content, Figure, Subject
-from twodof.report.pages.report_page import to_html
 from twodof.report.plots.time_figures import time_figure
+from twodof.report.report_page import to_html
 
 pytestmark = pytest.mark.slow
 

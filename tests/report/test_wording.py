@@ -1,11 +1,15 @@
-"""Numbers carry the digits their standard deviation supports."""
+"""Numbers carry the digits their standard deviation supports; colours are those of the page in the browser."""
 
 import math
+import re
+from pathlib import Path
 
 import pytest
 
+from tools.design_tokens import COPIES, SOURCE, render
 from twodof.report.content import Uncertain
-from twodof.report.numbers import deviation, plain, power_of_ten, with_sigma
+from twodof.report.plots.canvas import design_colours, on_paper, style
+from twodof.report.wording import deviation, plain, power_of_ten, text, with_sigma
 
 
 @pytest.mark.parametrize(
@@ -41,3 +45,23 @@ def test_small_numbers_have_a_power_of_ten() -> None:
     assert power_of_ten(4.94e-8) == "4.9·10⁻⁸"
     assert power_of_ten(-2.5e3) == "−2.5·10³"
     assert power_of_ten(0.0) == "0"
+
+
+@pytest.mark.parametrize("copy", COPIES, ids=lambda path: path.parent.name)
+def test_a_copy_is_the_source(copy: Path) -> None:
+    assert copy.read_text(encoding="utf-8") == render(), "run: python -m tools.design_tokens"
+
+
+def test_the_report_has_every_colour_of_the_page_in_both_themes() -> None:
+    named = set(re.findall(r"--([\w-]+):[^;]*#", SOURCE.read_text(encoding="utf-8")))
+    assert set(design_colours()) == named
+    light, dark = style().split("@media", 1)
+    for name, shades in design_colours().items():
+        assert f"--{name}: {shades.light};" in light
+        assert f"--{name}: {shades.dark};" in dark
+
+
+def test_what_the_style_sheet_and_the_figures_use_is_there() -> None:
+    used = set(re.findall(r"var\(--([\w-]+)\)", text("style.css")))
+    assert used <= {*design_colours(), "paper"}
+    assert on_paper()["paper"] == design_colours()["truth"].light

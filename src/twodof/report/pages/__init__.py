@@ -1,1 +1,0 @@
-"""HTML pages that stand alone: the report, the generated C."""
