@@ -20,8 +20,7 @@ from twodof.models.structures import pitch_rate
 from twodof.report.characterisation.characterise import FORCED, ExperimentRecords, characterise
 from twodof.report.characterisation.compose import CharacterisedMachine
 from twodof.report.content import ReportTable
-from twodof.report.template_texts import table
-from twodof.report.wording import plain, power_of_ten
+from twodof.report.wording import plain, power_of_ten, table
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.replay import replay
