@@ -5,15 +5,13 @@ import json
 import os
 import signal
 import sys
-import textwrap
 from pathlib import Path
 
 import pytest
-from typer.testing import CliRunner
 
 from tests.companion.scripted import Listener, Vehicle, until
 from tests.patience import PATIENCE_S
-from twodof.cli.app import app, run
+from twodof.cli.app import run
 from twodof.link.transport import open_transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.url import parse
@@ -109,10 +107,3 @@ def test_a_mistake_is_told_with_its_remedy(
 ) -> None:
     assert run(["companion", *arguments]) == 2
     assert complaint in capsys.readouterr().err
-
-
-def test_its_options_are_documented() -> None:
-    page = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "companion.md").read_text()
-    result = CliRunner().invoke(app, ["companion", "--help"], env={"COLUMNS": "200"})
-    options = {word for word in textwrap.dedent(result.output).split() if word.startswith("--")}
-    assert options - {"--help", "--json"} <= {word.strip("`[],;.:()") for word in page.split()} | {"--help"}

@@ -6,7 +6,6 @@ soak it flies as a user's does.
 
 import json
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -94,15 +93,3 @@ def test_the_report_is_whole(demo: tuple[dict[str, Any], str]) -> None:
     for number in (3, 4, 5, 7, 8):
         assert f'id="figure-{number}"' in page
     assert "none at hand" in page
-
-
-def test_a_report_that_cannot_be_written_is_the_callers_mistake(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("twodof.cli.demo.virtual", lambda *_: pytest.fail("flew before looking where to write"))
-    (tmp_path / "file").write_text("")
-    assert run(["demo", "--out", str(tmp_path / "file" / "report.html")]) == 2
-    assert "remedy" in capfd.readouterr().err
-    assert run(["demo", "--out", str(tmp_path / "nowhere" / "report.html")]) == 2
-    assert "mkdir -p" in capfd.readouterr().err
-    assert not (tmp_path / "nowhere").exists()

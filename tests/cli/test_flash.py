@@ -172,7 +172,9 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         found = answer(capfd, "flash", "stock-attitude", "--to", url, status=2)
         assert found["error"]["kind"] == "Rejected"
         assert "lease" in found["error"]["what"]
-        assert drone.state.armed, "and it is not disarmed by that"
+        assert "take_lease" not in found["error"]["remedy"]
+        assert f"twodof kill --url {url}" in found["error"]["remedy"]
+        assert drone.state.armed, "a refusal does not disarm"
         with pytest.raises(Rejected, match="armed"):
             drone.fly_controller("attitude_control", to_json(starter("stock-attitude")))
         drone.disarm()
@@ -186,17 +188,6 @@ def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
         drone.command("REQUEST_MESSAGE", 54206)
         drone.run(0.1)
         assert drone.state.rig.controller == "stock"
-
-
-def test_a_drone_that_is_flown_refuses_in_words_for_the_shell(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
-    with drone_thread() as url, Drone.connect(url):
-        assert run(["flash", "pid-attitude", "--to", url]) == 2
-    said = capfd.readouterr().err
-    assert "holds the lease" in said
-    assert f"twodof kill --url {url}" in said
-    assert "take_lease" not in said
 
 
 def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -40,33 +40,6 @@ def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None
     assert "no-such-rig.json" in capfd.readouterr().err
 
 
-@pytest.mark.parametrize("command", [["fly", "doublet", "--rig", "paper"], ["simulate", "doublet"]])
-@pytest.mark.parametrize(
-    ("name", "word"),
-    [
-        ("flight.h5", "no log format has the suffix '.h5'"),
-        ("nowhere/flight.mat", "mkdir -p"),
-        ("folder.mat", "is a directory"),
-    ],
-)
-def test_a_log_that_cannot_be_written_is_refused_before_anything_flies(
-    command: list[str],
-    name: str,
-    word: str,
-    tmp_path: Path,
-    capfd: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    def moved(*_: object, **__: object) -> None:
-        raise AssertionError("it flew")
-
-    monkeypatch.setattr("twodof.cli.fly.virtual_drone", moved)
-    monkeypatch.setattr("twodof.cli.simulate.Laboratory", moved)
-    (tmp_path / "folder.mat").mkdir()
-    assert run([*command, "--out", str(tmp_path / name)]) == 2
-    assert word in capfd.readouterr().err
-
-
 @pytest.mark.long
 def test_progress_goes_to_a_terminal_only(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """What is done and where the drone is, on stderr; a pipe gets none of it, and JSON stays alone on stdout."""

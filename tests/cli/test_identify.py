@@ -14,9 +14,8 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.identify import ready_made
 from twodof.identify.experiments import cut
 from twodof.identify.greybox import fit
-from twodof.models.plant import PitchRate, Velocity
+from twodof.models.plant import PitchRate
 from twodof.models.structures import pitch_rate
-from twodof.rig.steady_state import model_parameters
 
 pytestmark = pytest.mark.slow
 
@@ -54,15 +53,6 @@ def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict:
     return json.loads(capfd.readouterr().out)
 
 
-def test_grey_box_finds_the_truth_within_three_sigma(
-    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["identify", str(pitch_logs[0]), "--experiment", "impulse", "--window", "0", "18"]
-    found = answer(arguments, capfd)["estimates"]
-    for name in ("w_n", "xi", "mu", "tau"):
-        assert abs(found[name]["value"] - getattr(TRUTH, name)) < 3.0 * found[name]["sigma"], name
-
-
 def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"]
     arguments += [
@@ -81,28 +71,6 @@ def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: 
     assert set(found["estimates"]) == {"mu", "tau"}
     assert found["fixed"]["w_n"] == 3.437
     assert found["estimates"]["mu"]["value"] == pytest.approx(358.5, rel=0.01)
-
-
-def test_a_velocity_doublet_tells_gain_and_pole(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    steps = 600
-    theta = np.zeros(steps)
-    theta[50:250], theta[250:450] = 0.26, -0.26
-    # The pitch moves on between its samples: within a step it is what it is half-way.
-    between = 0.5 * (theta + np.append(theta[1:], 0.0))
-    states = Velocity(4.748, 1.168).state_space().zero_order_hold(DT).simulate(between)
-    v = states[:, 1] + np.random.default_rng(2).normal(0.0, 0.002, steps)
-    still = np.zeros(steps)
-    channels = {"theta0": theta, "theta": theta, "q": still, "M": still, "T": still + 0.4}
-    channels |= {"v": v, "dist": 0.5 + states[:, 0]}
-    log = save(tmp_path / "velocity.csv", channels)
-    arguments = ["identify", str(log), "--experiment", "velocity", "--window", "0", "2.4"]
-    found = answer([*arguments, "--model", "velocity"], capfd)["estimates"]
-    for name, truth in (("k_v", 4.748), ("p_v", 1.168)):
-        assert abs(found[name]["value"] - truth) < 3.0 * found[name]["sigma"], name
-    by_hand = answer([*arguments, "--method", "simple"], capfd)["model"]
-    # The line through 10 to 40 % of the peak has the slope that the response has at 25 % of it: with 0.8 s of
-    # p_v = 1.168 the peak is at 61 % of the final value, so 1 - 0.25 * 0.61 of the initial slope.
-    assert by_hand["k_v"] == pytest.approx(4.748 * 0.848, rel=0.02)
 
 
 def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
@@ -189,47 +157,19 @@ def test_python_and_the_command_line_find_the_same_from_a_doublet(
 
 
 @pytest.mark.long
-def test_an_impulse_gives_the_poles_that_a_doublet_hardly_shows(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("impulse", "doublet"):
-        write_log(Laboratory("paper").fly(name, 1).log, tmp_path / f"{name}.mat")
-    arguments = ["identify", str(tmp_path / "doublet.mat"), "--experiment", "doublet"]
-    free = answer(arguments, capfd)["estimates"]
-    held = answer([*arguments, "--impulse", str(tmp_path / "impulse.mat")], capfd)
-    assert held["fixed"]["w_n"] == pytest.approx(TRUTH.w_n, rel=1e-3)
-    assert held["fixed"]["xi"] == pytest.approx(TRUTH.xi, rel=1e-2)
-    assert not {"w_n", "xi"} & set(held["estimates"])
-    assert not any("wanders" in remark for remark in held["remarks"]), "rotors vibrate; nothing pushes the rig `paper`"
-    mu = held["estimates"]["mu"]
-    assert mu["sigma_robust"] < free["mu"]["sigma_robust"], "what is known need not be found"
-    assert abs(mu["value"] - TRUTH.mu) < 3.0 * mu["sigma_robust"]
-    assert run([*arguments, "--impulse", str(tmp_path / "impulse.mat")]) == 0
-    assert "held: w_n 3.4" in capfd.readouterr().out
-
-
-@pytest.mark.long
 def test_several_flights_say_how_far_they_spread(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """Gusts push the rig `lab`, and output error looks for its noise at the sensor: one flight claims too much."""
-    laboratory, logs = Laboratory("lab"), []
+    laboratory, logs = Laboratory("lab"), list[str]()
     for seed in (1, 2, 3, 4):
         (tmp_path / f"run-{seed}").mkdir()
         logs.append(str(tmp_path / f"run-{seed}" / "doublet.mat"))
         write_log(laboratory.fly("doublet", seed).log, logs[-1])
     alone = answer(["identify", logs[0], "--experiment", "doublet", "--disturbance", "white"], capfd)
     assert any("wanders" in remark for remark in alone["remarks"])
-    assert any("xi is negative" in remark for remark in alone["remarks"])
-    assert run(["identify", logs[0], "--experiment", "doublet", "--disturbance", "white"]) == 0
-    shown = next(line for line in capfd.readouterr().out.splitlines() if line.startswith("mu "))
-    assert "> " in shown, "the table says that the claim is a lower bound"
     together = answer(["identify", *logs, "--experiment", "doublet", "--disturbance", "white"], capfd)
     assert [*together["flights"]] == logs, "files of one name are told apart by their folders"
     mu = together["repeated"]["mu"]
-    each = [flight["estimates"]["mu"]["value"] for flight in together["flights"].values()]
-    assert mu["spread"] == pytest.approx(np.std(each, ddof=1))
-    assert mu["mean"] == pytest.approx(np.mean(each))
     assert mu["spread"] > 2.0 * mu["claimed"]
-    assert any(remark.startswith("mu: the flights spread") for remark in together["remarks"])
     pushed = answer(["identify", *logs, "--experiment", "doublet"], capfd)
     assert {flight["disturbance"]["kind"] for flight in pushed["flights"].values()} == {"input"}
     mu = pushed["repeated"]["mu"]
@@ -298,19 +238,13 @@ def test_in_closed_loop_the_bode_takes_the_set_point(
 
 
 @pytest.mark.long
-def test_a_flight_in_closed_loop_tells_gain_and_delay(
+def test_a_real_flight_is_fitted_and_drawn_in_pieces(
     flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    laboratory, log = Laboratory("lab"), str(tmp_path / "flight.mat")
-    write_log(laboratory.fly("attitude-prbs", 1).log, log)
-    found = answer(["identify", log], capfd)
-    assert found["experiment"] == "attitude"
-    truth = model_parameters(laboratory.parameters.snapshot())
-    # The battery sags by half a per cent of mu.
-    assert abs(found["estimates"]["mu"]["value"] - 0.995 * truth["mu"]) < 3.3 * found["estimates"]["mu"]["sigma"]
-    assert abs(found["sums"]["tau"]["value"] - truth["tau"]) < 3.3 * found["sums"]["tau"]["sigma"]
-    # A log of the real drone, which lost the moment twice, is fitted in pieces.
-    real = answer(["identify", str(flight_data / "attitude-steps-10deg-student.mat")], capfd)
+    log, picture = flight_data / "attitude-steps-10deg-student.mat", tmp_path / "fit.png"
+    real = answer(["identify", str(log), "--plot", str(picture)], capfd)
+    assert picture.is_file()
+    # The log lost the moment twice.
     assert [one["record"].rpartition(", ")[2] for one in real["identification"]] == ["piece 1", "piece 2", "piece 3"]
     assert abs(real["estimates"]["mu"]["value"] - 300.0) < 3.3 * real["estimates"]["mu"]["sigma"]
     # By M alone, which answers the gusts, the flight is not simulated; a sample ahead it is foretold.
@@ -325,13 +259,6 @@ def test_a_real_flight_in_closed_loop_ends_its_search_and_does_not_send_to_a_fre
     found = answer(["identify", str(flight_data / "rate-doublets-30dps-student.mat")], capfd)
     assert found["converged"]
     assert not any("free response" in remark for remark in found["remarks"])
-
-
-@pytest.mark.long
-def test_a_real_flight_in_pieces_is_drawn(flight_data: Path, tmp_path: Path) -> None:
-    log, picture = flight_data / "attitude-steps-10deg-student.mat", tmp_path / "fit.png"
-    assert run(["identify", str(log), "--plot", str(picture)]) == 0
-    assert picture.is_file()
 
 
 def test_a_cart_in_rings_is_not_taken_for_a_free_one(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:

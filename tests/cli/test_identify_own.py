@@ -119,28 +119,6 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
     assert "is there already" in capfd.readouterr().err
 
 
-@pytest.mark.long
-def test_the_measured_bode_of_a_closed_loop_comes_from_the_reference(folder: Path) -> None:
-    """u = r - speed/20 with a noisy tachometer: u follows the noise, and the two measured responses differ."""
-    generator = np.random.default_rng(3)
-    time, reference = DT * np.arange(2000), 3.0 * np.sign(generator.standard_normal(200)).repeat(10)
-    noise, speed, state, u = generator.normal(0.0, 8.0, 2000), np.zeros(2000), 0.0, np.zeros(2000)
-    for k in range(2000):
-        speed[k] = state + noise[k]
-        u[k] = reference[k] - 0.1 * speed[k]
-        state += (1.0 - np.exp(-DT / TIME_CONSTANT)) * (GAIN * u[k] - state)
-    rows = np.column_stack([time, u, speed, reference])
-    np.savetxt(folder / "loop.csv", rows, delimiter=",", header="time,u,speed,r", comments="", fmt="%.17g")
-    arguments = ["identify", str(folder / "loop.csv"), "--structure", str(folder / "model.py")]
-    drawn = []
-    for name, more in (("plain", []), ("reference", ["--reference", "r"])):
-        assert run([*arguments, "--plot", str(folder / f"{name}.svg"), *more]) == 0
-        drawn.append((folder / f"{name}.svg").read_text())
-    assert "measured, 95 %" in drawn[1]
-    # All else is the same; the points differ, as tests/identify/test_frequency_response.py says.
-    assert drawn[0] != drawn[1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

@@ -7,19 +7,14 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from tests.cli.program import program
 from tests.fleet.drone_numbers import free_numbers
 from tests.gcs.virtual import on_board
 from tests.lab.served import holds_samples
@@ -29,55 +24,6 @@ from twodof.cli.app import run
 from twodof.flightlog.files import read_log
 
 pytestmark = pytest.mark.slow
-
-
-class Program:
-    """A command of ours that runs until it is told to end, and all that it says."""
-
-    def __init__(self, folder: Path, *arguments: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "twodof.cli", *arguments],
-            env=os.environ | {"TWODOF_DATA": str(folder)},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        )
-        self.lines: list[str] = []
-        self._thread = threading.Thread(target=lambda: self.lines.extend(iter(self.process.stdout.readline, "")))
-        self._thread.start()
-
-    def said(self) -> dict[str, Any]:
-        """Its line of JSON."""
-        for _ in patiently():
-            if self.lines:
-                found: dict[str, Any] = json.loads(self.lines[0])
-                return found
-            assert self.process.poll() is None
-        raise AssertionError
-
-    def ended(self) -> int:
-        """Its exit status, after Ctrl-C."""
-        self.process.send_signal(signal.SIGINT)
-        status = self.process.wait(PATIENCE_S)
-        self._thread.join(PATIENCE_S)
-        return status
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.wait(PATIENCE_S)
-        self._thread.join(PATIENCE_S)
-        self.process.stdout.close()
-
-
-@contextmanager
-def program(folder: Path, *arguments: str) -> Iterator[Program]:
-    running = Program(folder, *arguments)
-    try:
-        yield running
-    finally:
-        running.close()
 
 
 def status(port: int, path: str, token: str = "", host: str = "127.0.0.1", method: str = "GET", **more: str) -> int:
@@ -95,7 +41,7 @@ def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path:
     with program(
         tmp_path, "lab", "--json", "--host", "0.0.0.0", "--port", "0", "--connect", "udp://127.0.0.1:9"
     ) as lab:
-        told = lab.said()
+        told = lab.document()
         port = told["port"]
         tokens = {who: parse_qs(urlsplit(link).query)["token"][0] for who, link in told["page"].items()}
         assert tokens["command"] != tokens["watch"]
@@ -107,15 +53,15 @@ def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path:
         with connect(f"ws://127.0.0.1:{port}/api/telemetry?token={tokens['command']}") as websocket:
             assert json.loads(websocket.recv(PATIENCE_S))["role"] == "command"
             websocket.send("no JSON")
-            assert lab.ended() == 0
-        assert not any(token in line for line in lab.lines[1:] for token in tokens.values())
+            assert lab.interrupted() == 0
+        assert not any(token in line for line in [*lab.out[1:], *lab.err] for token in tokens.values())
         assert list(tmp_path.rglob("*token*")) == []
 
 
 @pytest.mark.long
 def test_with_token_nobody_on_this_computer_gets_in_without_the_link(tmp_path: Path) -> None:
     with program(tmp_path, "lab", "--json", "--token", "--port", "0", "--connect", "udp://127.0.0.1:9") as lab:
-        told = lab.said()
+        told = lab.document()
         assert status(told["port"], "/api/session") == 401
         token = parse_qs(urlsplit(told["page"]["command"]).query)["token"][0]
         assert status(told["port"], "/api/session", token) == 200
@@ -127,7 +73,7 @@ def test_a_drone_that_it_flies_is_left_disarmed(tmp_path: Path) -> None:
         on_board(conditions={"rings": True}) as there,
         program(tmp_path, "lab", "--json", "--port", "0", "--connect", there.url) as lab,
     ):
-        port = lab.said()["port"]
+        port = lab.document()["port"]
         with connect(f"ws://127.0.0.1:{port}/api/telemetry") as websocket:
             while "heard" not in str(websocket.recv(PATIENCE_S)):
                 pass
@@ -143,7 +89,7 @@ def test_a_drone_that_it_flies_is_left_disarmed(tmp_path: Path) -> None:
             for _ in patiently():  # what it flies is recorded from a moment after it is armed
                 if any(map(holds_samples, (tmp_path / "flights").glob("*.mcap"))):
                     break
-            assert lab.ended() == 0
+            assert lab.interrupted() == 0
         assert not there.drone.controller.latest.armed
         (flight,) = (tmp_path / "flights").glob("*.mcap")
         assert len(read_log(flight)["theta"])
@@ -174,7 +120,7 @@ def opens(url: str, origin: str) -> bool:
 def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_this_computer(tmp_path: Path) -> None:
     options = ("--page-port", "0", "--rings", "--host", "0.0.0.0")
     with free_numbers(1) as first, program(tmp_path, "up", "--json", "--first", str(first + 1), *options) as up:
-        told = up.said()
+        told = up.document()
         links = {who: urlsplit(link) for who, link in told["page"].items()}
         tokens = {who: parse_qs(link.query)["token"][0] for who, link in links.items()}
         port = links["command"].port
@@ -200,8 +146,8 @@ def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_th
         socket.create_connection((drone.hostname, drone.port), PATIENCE_S).close()
         with pytest.raises(ConnectionRefusedError):  # a drone's own ports are those of the loopback's one address
             socket.create_connection(("127.0.0.2", drone.port), PATIENCE_S)
-        assert up.ended() == 0
-        assert not any(token in line for line in up.lines[1:] for token in tokens.values())
+        assert up.interrupted() == 0
+        assert not any(token in line for line in [*up.out[1:], *up.err] for token in tokens.values())
 
 
 @pytest.mark.parametrize(
@@ -227,7 +173,7 @@ def test_up_serves_the_page_of_its_drones_and_takes_it_along(tmp_path: Path) -> 
         free_numbers(1) as first,
         program(tmp_path, "up", "--json", "--first", str(first + 1), "--page-port", "0", "--rings") as up,
     ):
-        told = up.said()
+        told = up.document()
         link = urlsplit(told["page"]["command"])
         assert (link.hostname, link.query) == ("127.0.0.1", "")
         assert link.port is not None
@@ -247,5 +193,5 @@ def test_up_serves_the_page_of_its_drones_and_takes_it_along(tmp_path: Path) -> 
                 break
             except OSError:
                 continue
-        assert up.ended() == 0
+        assert up.interrupted() == 0
         assert not any(map(alive, children))

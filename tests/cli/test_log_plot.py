@@ -64,12 +64,3 @@ def test_a_simulated_flight_is_drawn_at_once(tmp_path: Path) -> None:
     out = tmp_path / "flight.html"
     assert run(["simulate", "attitude-steps", "--plot", str(out)]) == 0
     assert "<h1>attitude-steps on lab</h1>" in out.read_text()
-
-
-@pytest.mark.parametrize("command", [["simulate", "attitude-steps"], ["fly", "attitude-steps", "--rig", "lab"]])
-def test_a_place_that_cannot_be_is_refused_before_anything_flies(
-    command: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("twodof.cli.simulate.Laboratory", lambda *_, **__: pytest.fail("it was flown"))
-    monkeypatch.setattr("twodof.cli.fly.fly_experiment", lambda *_, **__: pytest.fail("it was flown"))
-    assert run([*command, "--plot", "/nowhere/a.png"]) == 2

@@ -8,33 +8,38 @@ import pytest
 
 from twodof.cli.app import run
 
-# Command, and what does its work: which must not begin.
+# Command with its option for a file, the suffix of that file, and the function that does its work and must not begin.
 COMMANDS = (
-    (["calibrate"], "twodof.cli.log.calibrate_rig"),
-    (["demo"], "twodof.cli.demo.fly_series"),
-    (["diagram", "render", "stock-attitude"], "twodof.cli.diagram.to_svg"),
-    (["diagram", "code", "stock-attitude"], "twodof.cli.diagram.emit_program"),
-    (["simulate", "doublet"], "twodof.cli.simulate.Laboratory"),
-    (["fly", "doublet", "--rig", "lab"], "twodof.cli.fly.virtual_drone"),
+    ("calibrate --out", ".mat", "twodof.cli.log.calibrate_rig"),
+    ("demo --out", ".html", "twodof.cli.demo.fly_series"),
+    ("diagram render stock-attitude --out", ".svg", "twodof.cli.diagram.to_svg"),
+    ("diagram code stock-attitude --out", ".mat", "twodof.cli.diagram.emit_program"),
+    ("simulate doublet --out", ".mat", "twodof.cli.simulate.Laboratory"),
+    ("simulate doublet --plot", ".png", "twodof.cli.simulate.Laboratory"),
+    ("fly doublet --rig lab --out", ".mat", "twodof.cli.fly.virtual_drone"),
+    ("fly doublet --rig lab --plot", ".png", "twodof.cli.fly.virtual_drone"),
 )
 
 
-def places(folder: Path, suffix: str) -> dict[str, Path]:
-    """Places that no file can have, as root too, by what is said of them."""
+def places(folder: Path, command: str, suffix: str) -> dict[str, Path]:
+    """Return places where no file can be, also for root, by what the error says about them."""
     (folder / f"is a folder{suffix}").mkdir()
     (folder / "a file").touch()
-    return {"is a directory": folder / f"is a folder{suffix}", "folder": folder / "a file" / f"below{suffix}"}
+    found = {"is a directory": folder / f"is a folder{suffix}", "folder": folder / "a file" / f"below{suffix}"}
+    wrong = {"suffix '.h5'": folder / "flight.h5"} if command.startswith(("simulate", "fly")) else {}
+    return {**found, "mkdir -p": folder / "nowhere" / f"a{suffix}", **wrong}
 
 
-@pytest.mark.parametrize(("command", "work"), COMMANDS, ids=[" ".join(command[:2]) for command, _ in COMMANDS])
-def test_a_place_that_cannot_be_is_refused_before_the_work(
-    command: list[str],
+@pytest.mark.parametrize(("command", "suffix", "work"), COMMANDS)
+def test_a_place_is_checked_before_the_work(
+    command: str,
+    suffix: str,
     work: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(work, lambda *_, **__: pytest.fail("the work was begun"))
-    for said, place in places(tmp_path, ".svg" if "render" in command else ".mat").items():
-        assert run([*command, "--out", str(place)]) == 2
+    for said, place in places(tmp_path, command, suffix).items():
+        assert run([*command.split(), str(place)]) == 2
         assert said in capsys.readouterr().err

@@ -4,14 +4,11 @@ import math
 
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 
-from twodof.design import LoopTransfer, margins
 from twodof.design.cascade import CascadeLoops, cascade_design
 from twodof.design.pid import PidGains, pid, pid_at, shaped_pid
 from twodof.errors import ParameterError
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, Velocity
-from twodof.signals import PERIOD
 
 PRINTED = {10: (0.02901, 0.02789, 0.001105), 30: (0.08535, 0.25103, 0.000541), 40: (0.11269, 0.44628, 0.000268)}
 """Crossover [rad/s] -> Kp, Ki, Kd of the course's rate PID on the paper's model."""
@@ -23,36 +20,6 @@ def test_course_gains_follow_their_rule(crossover: int) -> None:
     found = shaped_pid(358.52, crossover)
     for own, printed, digits in zip((found.kp, found.ki, found.kd), PRINTED[crossover], (5, 5, 6), strict=True):
         assert round(own, digits) == printed
-
-
-def test_platform_margins_at_30() -> None:
-    # 33.5 rad/s, 57.7 deg and 6.9 dB are printed for the plant discretised without the hold's half sample (bilinear)
-    # and a delay of five samples.
-    plain = PAPER_PITCH_RATE.state_space()
-    a, b, c, d, _ = cont2discrete((plain.a, plain.b, plain.c[1:], plain.d[1:]), PERIOD, "bilinear")
-    steps = 5
-    n = len(a) + steps
-    whole_a, whole_b, whole_c = np.zeros((n, n)), np.zeros((n, 1)), np.zeros((1, n))
-    whole_a[:2, :2], whole_a[:2, 2] = a, b[:, 0]
-    whole_a[2:-1, 3:] = np.eye(steps - 1)
-    whole_b[-1] = 1.0
-    whole_c[:, :2], whole_c[0, 2] = c, d[0, 0]
-    gains = PidGains(*PRINTED[30])
-    lag = 1.0 / gains.n
-    # u = Kp e + Ki Ts (s + e) + Kd (g e - slope): the integral's and the filter's states
-    pole, rise = lag / (lag + PERIOD), 1.0 / (lag + PERIOD)
-    ca = np.diag([1.0, pole])
-    cb = np.array([[1.0], [rise * (pole - 1.0)]])
-    cc = np.array([[gains.ki * PERIOD, gains.kd]])
-    cd = gains.kp + gains.ki * PERIOD + gains.kd * rise
-    both = np.block([[whole_a, whole_b @ cc], [np.zeros((2, n)), ca]])
-    loop = LoopTransfer(both, np.vstack([whole_b * cd, cb]), np.hstack([whole_c, np.zeros((1, 2))]), 0.0, PERIOD)
-    found = margins(loop)
-    at = min(found.phases, key=lambda crossing: abs(crossing.omega - 30.0))
-    assert found.increase is not None
-    assert at.omega == pytest.approx(33.5, abs=0.05)
-    assert math.degrees(at.phase) == pytest.approx(57.7, abs=0.1)
-    assert 20.0 * math.log10(found.increase.factor) == pytest.approx(6.9, abs=0.1)
 
 
 def test_platform_margins_of_the_outer_loops() -> None:

@@ -8,7 +8,6 @@ import pytest
 from scipy.signal import lfilter
 
 from tests.identify.signals import DT, doublet, pitch_record
-from twodof.blocks.diagram import Diagram
 from twodof.errors import IdentificationError
 from twodof.identify import (
     PITCH_LIMITS,
@@ -22,25 +21,13 @@ from twodof.identify import (
     three_two_one_ones,
 )
 from twodof.identify.information import Family, simulate_planned
-from twodof.models import PAPER_PITCH_RATE, Structure, pitch_and_velocity, pitch_rate, velocity
-from twodof.models.around_plant import Offset
+from twodof.models import PAPER_PITCH_RATE, pitch_rate, velocity
 
 pytestmark = pytest.mark.slow
 
 U = doublet(1500, 0.5, 0.6, 0.03)
 CHOSEN = ("w_n", "xi", "mu", "tau")
 LIMIT = PITCH_LIMITS.within["theta"]
-
-
-def test_a_constant_is_known_to_sigma_over_root_n() -> None:
-    d = Diagram("constant")
-    d.input("u")
-    d.param("c")
-    d.add("sum", Offset(), params={"offset": "c"}, u="u")
-    d.output("y", "sum")
-    told = predict(Structure(d, ("c",)), {"u": np.zeros(400)}, DT, {"y": 0.2})
-    # Differences of a linear output are exact to rounding over the step, 1e-16 / 1e-5.
-    assert told.sigma[0] == pytest.approx(0.2 / math.sqrt(400), rel=1e-9)
 
 
 def test_predicted_is_what_a_fit_then_claims() -> None:
@@ -108,14 +95,6 @@ def test_what_no_experiment_can_tell_is_refused_before_flying() -> None:
         best(pitch_rate(), doublets(), [3.0], 1.0, DT, {"q": 0.06}, PITCH_LIMITS)
     with pytest.raises(IdentificationError, match="equal lengths"):
         predict(pitch_rate(), {"M": U[:1]}, DT, {"q": 0.06})
-
-
-def test_more_outputs_tell_more() -> None:
-    arguments = (pitch_and_velocity(), {"M": U}, DT)
-    told = (*CHOSEN, "k_v", "p_v", "v_0")
-    few = predict(*arguments, {"q": 0.06, "v": 0.008}, estimate=told)
-    more = predict(*arguments, {"q": 0.06, "v": 0.008, "x": 0.004}, estimate=told)
-    assert (more.sigma <= few.sigma * (1.0 + 1e-6)).all()
 
 
 def test_the_bound_of_a_lag_is_that_of_its_closed_form() -> None:

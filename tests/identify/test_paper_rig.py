@@ -97,15 +97,6 @@ def test_unseen_doublets_are_predicted(greybox: Estimate) -> None:
         assert one.inputs["M"].passed
 
 
-def test_vibration_shows_in_the_noise_model(greybox: Estimate) -> None:
-    # The gyro's noise in hover is a band around 38 Hz: of the doublet's noise model the largest density is there.
-    assert greybox.disturbance.kind == "ar"
-    assert greybox.white
-    frequency = np.linspace(1.0, 120.0, 240)
-    density = greybox.disturbance.noise["q[doublet 1]"].spectrum(frequency, DT)
-    assert frequency[density.argmax()] == pytest.approx(38.0, abs=3.0)
-
-
 def test_grey_box_on_the_velocity_from_gyro_and_range() -> None:
     curve = thrust_curve(TRUE_PITCH["mu[impulse]"], TRUE_PITCH["mu[doublet 1]"])
     records = []

@@ -9,7 +9,7 @@ from tests.identify.signals import DT, doublet
 from twodof.errors import IdentificationError
 from twodof.identify import Record, fit
 from twodof.identify.information import simulate_planned
-from twodof.models import Structure, pitch_rate
+from twodof.models import pitch_rate
 
 TRUTH = {"w_n": 2.8, "xi": 0.04, "mu": 300.0, "dead_time": 0.0092, "lag": 0.012, "theta_0": 0.0, "q_0": 0.0}
 SIGMA = 0.02
@@ -48,11 +48,6 @@ def test_a_part_that_is_held_counts_with_its_value(record: Record) -> None:
     assert held.summed == ()
     with pytest.raises(IdentificationError, match="'tau' was not estimated"):
         held.sigma("tau")
-
-
-def test_a_sum_of_something_else_is_refused() -> None:
-    with pytest.raises(IdentificationError, match="there is no parameter 'late'"):
-        Structure(pitch_rate().diagram, ("mu",), sums={"delay": ("tau", "late")})
 
 
 def test_the_total_delay_is_as_sure_where_a_bound_holds_a_part(record: Record) -> None:

@@ -136,12 +136,12 @@ def _unit_svd(jacobian: Array) -> tuple[Array, Array, Array]:
     """Lengths of the columns; singular values (falling) and right vectors of the Jacobian with columns of unit length.
 
     They come from the small matrix J' J, which costs a hundredth of a decomposition of the tall one. A singular value
-    is then known to 1e-8 of the largest, well below RANK_TOLERANCE.
+    is then known to 1e-8 of the largest, well below RANK_TOLERANCE. None is below 1e-16, so that inverses are finite.
     """
     length = np.linalg.norm(jacobian, axis=0)
     unit = jacobian / length
     squares, vectors = np.linalg.eigh(unit.T @ unit)
-    return np.asarray(length), np.sqrt(np.maximum(squares[::-1], 0.0)), np.asarray(vectors.T[::-1])
+    return np.asarray(length), np.sqrt(np.maximum(squares[::-1], 1e-32)), np.asarray(vectors.T[::-1])
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from tests.identify.signals import DT, doublet, pitch_record
+from tests.identify.signals import DT, doublet
 from twodof.errors import IdentificationError
 from twodof.identify import DisturbanceModel, Estimate, Record, fit, predict
 from twodof.identify.information import simulate_planned
-from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.models.structures import free_response, pitch_rate
 
 pytestmark = pytest.mark.slow
@@ -109,8 +108,3 @@ def test_a_structure_without_the_lag_is_not_trusted_with_a_gust() -> None:
     assert any("fit a linear structure with the actuators' lag" in remark for remark in auto.remarks)
     asked = fit(pitch_rate(), flown(1), estimate=wanted, values=held, disturbance="input")
     assert asked["mu"] < TRUE_MU - 2.0 * asked.sigma("mu")
-
-
-def test_white_noise_takes_the_old_way() -> None:
-    record = pitch_record(PAPER_PITCH_RATE, U, 0.05, np.random.default_rng(4))
-    assert fit(pitch_rate(), record).disturbance.kind == "white"

@@ -1,6 +1,5 @@
 """Noise that is louder where an input has just moved: it is found, and a fit under it claims what it is worth."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.stats import chi2
 from tests.identify.signals import DT
 from twodof.experiment import Laboratory
 from twodof.identify import Estimate, Record, cut, fit
-from twodof.identify.disturbance.coloured_problem import ColouredProblem, loudness, moves
+from twodof.identify.disturbance.coloured_problem import moves
 from twodof.identify.problem import Problem
 from twodof.models.plant import PitchRate
 from twodof.models.structures import free_response, pitch_rate
@@ -87,43 +86,6 @@ def test_a_sample_does_not_count_in_its_own_weight() -> None:
     for one, two in zip(moved(record), moved(other), strict=True):
         assert (one[:701] == two[:701]).all()
         assert two[701] == pytest.approx(one[701] + 1.0, abs=0.1)
-
-
-def test_the_even_error_of_a_still_input_tells_nothing() -> None:
-    error = np.random.default_rng(3).normal(size=500)
-    assert loudness(error, [("M", 8, np.zeros(500))]) is None
-
-
-def test_weights_spend_no_degree_of_freedom_twice_and_give_none_back() -> None:
-    # 60 coefficients of 1,600 samples make the prediction errors too small by 2 %, and sigma is taken larger by that.
-    wanted = ("mu", "tau", "theta_0", "q_0")
-    coloured = ColouredProblem(Problem(pitch_rate(), [flown(1)], wanted, {"w_n": TRUTH.w_n, "xi": TRUTH.xi}, {}))
-    x = np.array([TRUTH.mu, TRUTH.tau, 0.0, 0.0])
-    coloured.choose(x)
-    coloured.lengthen(x)
-    even = coloured.whitened(x)
-    (order,) = (model.order for model in coloured.at(x)[1])
-    assert coloured.listen(x)
-    louder = coloured.whitened(x)
-    assert float(even @ even) == pytest.approx(SAMPLES - order - x.size, rel=2e-3)
-    assert float(louder @ louder) == pytest.approx(float(even @ even))
-
-
-def test_an_exact_model_is_not_louder_anywhere() -> None:
-    assert loudness(np.zeros(500), [("M", 8, np.arange(500.0))]) is None
-
-
-def test_a_million_samples_are_listened_to_in_seconds() -> None:
-    rng = np.random.default_rng(5)
-    moved = np.where(rng.random(1_000_000) < 0.02, rng.random(1_000_000), 0.0)
-    error = rng.normal(size=1_000_000) * np.sqrt(1.0 + 8.0 * moved**2 / (moved**2 + 0.25))
-    began = time.process_time()
-    found = loudness(error, [("M", 8, moved), ("M", 16, moved), ("M", 32, moved)])
-    # With each size apart it takes 6 s.
-    assert time.process_time() - began < 3.0
-    assert found is not None
-    assert found.strength == pytest.approx(8.0, rel=0.5)
-    assert found.half == pytest.approx(0.5, rel=0.5)
 
 
 def test_a_search_that_steps_too_far_comes_back() -> None:
