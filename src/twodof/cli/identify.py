@@ -3,7 +3,7 @@
 import importlib
 import json as json_text
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
@@ -17,6 +17,7 @@ from twodof.errors import LogError, ParameterError
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
+from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, cut, kind_of
 from twodof.identify.greybox import fit
@@ -144,35 +145,67 @@ def identify(
 
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
+    simple, several = method is FitMethod.simple, len(files) > 1
+    named = " ".join(map(str, files))[:200]
+    _refuse(
+        (plot and simple, "by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out"),
+        (plot and several, "a plot shows the fit of one log", "--plot", "give one log, or leave it out"),
+        (reference and not plot, "it is of use to a plot only", "--reference", "add --plot FILE, or leave it out"),
+        (
+            len({path.resolve() for path in files}) < len(files),
+            "a log is named twice: its spread with itself is 0",
+            named,
+            "name each once",
+        ),
+        (several and simple, "by hand one log is read", named, "give one, and further doublets with --validate"),
+        (
+            several and validate,
+            "several logs are compared with each other",
+            "--validate",
+            "leave it out, or identify from one log",
+        ),
+    )
     if out is not None:
         check_free(out, force)
     if plot is not None:
-        _check_plot(plot, method, files, force)
-    elif reference is not None:
-        raise ParameterError("it is of use to a plot only", "--reference", "add --plot FILE, or leave it out")
+        check_place(plot, force)
     numbers = _numbers(value or [])
     if structure is not None or input or output or time is not None or hold:
-        _check_own(structure, experiment, method, model, impulse)
+        idle = _given(
+            {
+                "--experiment": experiment is not None,
+                "--method simple": simple,
+                "--impulse": impulse is not None,
+                "--model": structure is not None and model is not Model.auto,
+            }
+        )
+        _refuse(
+            (
+                idle,
+                "columns that you name are fitted to a structure, not read as an experiment",
+                idle,
+                "leave it out",
+            ),
+            (
+                structure is None and model is Model.auto,
+                "which structure is to be fitted to these columns?",
+                "--input, --output, --time, --hold",
+                "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate",
+            ),
+        )
         shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
         _check_unknowns(shape, estimate or (), numbers)
         records, others = (
             [own_record(path, shape, input or (), output or (), time, window, hold or ()) for path in paths]
             for paths in (files, validate or ())
         )
-        _check_several(method, [""] * len(files), files, validate)
         records = _distinctly_named(records, files)
-        own: Estimate | Repeated
-        if len(records) > 1:
-            own = repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance.value)
-        else:
-            own = fit(
-                shape,
-                records[0],
-                estimate=estimate,
-                values=numbers,
-                validation=others,
-                disturbance=disturbance.value,
-            )
+        noise: Disturbance = disturbance.value
+        own: Estimate | Repeated = (
+            repeat(shape, records, estimate=estimate, values=numbers, disturbance=noise)
+            if several
+            else fit(shape, records[0], estimate=estimate, values=numbers, validation=others, disturbance=noise)
+        )
         _say(own, {"method": method.value}, out, json, own.converged)
         if plot is not None and isinstance(own, Estimate):
             if reference is not None:
@@ -185,8 +218,47 @@ def identify(
     asked = kinds[0]
     if experiment is None and "experiment" not in logs[0].provenance:
         say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
-    _check_options(method, asked, model, estimate, value, impulse, disturbance)
-    _check_several(method, kinds, files, validate)
+    read_off = _given(
+        {
+            "--model": model is not Model.auto,
+            "--estimate": estimate,
+            "--value": value,
+            "--disturbance": disturbance is not NoiseModel.auto,
+        }
+    )
+    _refuse(
+        (
+            simple and read_off,
+            "by hand everything is read off: it takes no structure, no guess and no value to hold",
+            read_off,
+            "leave it out, or take --method grey-box",
+        ),
+        (
+            impulse and asked != "doublet",
+            "the impulse's log is of use to a doublet only",
+            f"--impulse, --experiment {asked}",
+            "leave it out, or give it with --experiment doublet",
+        ),
+        (
+            len(set(kinds)) > 1,
+            f"these are logs of different experiments: {', '.join(sorted(set(kinds)))}",
+            named,
+            "give one kind at a time",
+        ),
+        (
+            simple and asked == "impulse",
+            "by hand, the impulse gives only the poles",
+            "--method simple",
+            "call it with the doublet's log, --experiment doublet and --impulse LOG",
+        ),
+        (simple and asked == "attitude", NOT_BY_HAND, "--method simple", "take --method grey-box"),
+        (
+            simple and asked == "doublet" and not impulse,
+            "a doublet by hand needs the poles, which come from the free response",
+            "--method simple",
+            "add --impulse LOG, or take --method grey-box",
+        ),
+    )
     kind = KINDS[asked]
     if window is not None:
         for log in logs:
@@ -196,13 +268,20 @@ def identify(
     others = [cut(log, kind) for log in checks]
     free = None if impulse is None else cut(read_log(impulse), KINDS["impulse"])
     found: SimplePitch | SimpleVelocity | Estimate | Repeated
-    if method is FitMethod.simple:
-        _check_by_hand(asked, free)
+    if simple:
         found = by_hand(asked, records[0], others, free)
         converged = True
     else:
         shape = structure_for(asked if model is Model.auto else "", model)
-        _check_request(shape, asked, model, estimate or (), numbers)
+        _refuse(
+            (
+                not set(shape.inputs) <= set(kind.inputs),
+                f"this model is driven by {', '.join(shape.inputs)}, the experiment by {', '.join(kind.inputs)}",
+                f"--model {model.value} --experiment {asked}",
+                "leave --model out",
+            ),
+        )
+        _check_unknowns(shape, estimate or (), numbers)
         flown = zip([*logs, *checks], [*records, *others], strict=True)
         machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in flown]
         found, records = by_output_error(
@@ -215,6 +294,18 @@ def identify(
             _draw(found, shape, records, plot, force, reference)
     _say(found, {"experiment": asked, "method": method.value}, out, json, converged)
     _end(converged)
+
+
+def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
+    """Raise ParameterError for the first of the mistakes (made, what, where, remedy) that was made."""
+    for made, what, where, remedy in mistakes:
+        if made:
+            raise ParameterError(what, where, remedy)
+
+
+def _given(options: Mapping[str, object]) -> str:
+    """Return the names of the options that were given."""
+    return " ".join(name for name, there in options.items() if there)
 
 
 def _say(
@@ -249,15 +340,6 @@ def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[
     return [replace(record, name=str(path)) for record, path in zip(records, files, strict=True)]
 
 
-def _check_plot(plot: Path, method: FitMethod, files: Sequence[Path], force: bool) -> None:
-    """Check the plot: raise ParameterError for a fit without one, LogError for a place that cannot be written."""
-    if method is FitMethod.simple:
-        raise ParameterError("by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out")
-    if len(files) > 1:
-        raise ParameterError("a plot shows the fit of one log", "--plot", "give one log, or leave it out")
-    check_place(plot, force)
-
-
 def _draw(
     found: Estimate,
     structure: Structure,
@@ -269,28 +351,6 @@ def _draw(
     # matplotlib takes a second to load.
     drawing = importlib.import_module("twodof.report.plots.identification_plot")
     drawing.write_identification_plot(found, structure, records, path, force, reference=reference or "")
-
-
-def _check_own(
-    structure: str | None, experiment: str | None, method: FitMethod, model: Model, impulse: Path | None
-) -> None:
-    """Raise ParameterError for options of the paper's experiments only, and for a missing structure."""
-    given = {
-        "--experiment": experiment is not None,
-        "--method simple": method is FitMethod.simple,
-        "--impulse": impulse is not None,
-        "--model": structure is not None and model is not Model.auto,
-    }
-    if idle := [name for name, there in given.items() if there]:
-        raise ParameterError(
-            "columns that you name are fitted to a structure, not read as an experiment", " ".join(idle), "leave it out"
-        )
-    if structure is None and model is Model.auto:
-        raise ParameterError(
-            "which structure is to be fitted to these columns?",
-            "--input, --output, --time, --hold",
-            "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate",
-        )
 
 
 def _experiment(name: str | None, log: FlightLog) -> str:
@@ -310,89 +370,11 @@ def _experiment(name: str | None, log: FlightLog) -> str:
     return FLOWN_AS.get(said, said)
 
 
-def _check_options(
-    method: FitMethod,
-    experiment: str,
-    model: Model,
-    estimate: Sequence[str] | None,
-    value: Sequence[str] | None,
-    impulse: Path | None,
-    disturbance: NoiseModel,
-) -> None:
-    """Raise ParameterError for an option without effect on this method or experiment."""
-    if method is FitMethod.simple:
-        given = {"--model": model is not Model.auto, "--estimate": estimate, "--value": value}
-        given["--disturbance"] = disturbance is not NoiseModel.auto
-        if idle := [name for name, there in given.items() if there]:
-            raise ParameterError(
-                "by hand everything is read off: it takes no structure, no guess and no value to hold",
-                " ".join(idle),
-                "leave it out, or take --method grey-box",
-            )
-    if impulse is not None and experiment != "doublet":
-        raise ParameterError(
-            "the impulse's log is of use to a doublet only",
-            f"--impulse, --experiment {experiment}",
-            "leave it out, or give it with --experiment doublet",
-        )
-
-
-def _check_several(
-    method: FitMethod, kinds: Sequence[str], files: Sequence[Path], validate: Sequence[Path] | None
-) -> None:
-    """Raise ParameterError for several logs that are not repetitions of one experiment."""
-    if len(kinds) == 1:
-        return
-    where = " ".join(map(str, files))[:200]
-    if len(set(kinds)) > 1:
-        raise ParameterError(
-            f"these are logs of different experiments: {', '.join(sorted(set(kinds)))}",
-            where,
-            "give one kind at a time",
-        )
-    if len({path.resolve() for path in files}) < len(files):
-        raise ParameterError("a log is named twice: its spread with itself is 0", where, "name each once")
-    if method is FitMethod.simple:
-        raise ParameterError("by hand one log is read", where, "give one, and further doublets with --validate")
-    if validate:
-        raise ParameterError(
-            "several logs are compared with each other", "--validate", "leave it out, or identify from one log"
-        )
-
-
 def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
     """Raise LogError for a window that is not finite or holds no samples."""
     if not all(map(math.isfinite, window)):
         raise LogError(f"window {window[0]:g} to {window[1]:g} s", log.source, "give finite times, in seconds")
     log.slice(*window)
-
-
-def _check_by_hand(experiment: str, free: Record | None) -> None:
-    """Raise ParameterError for an experiment that is not identified by hand, BadParameter without poles."""
-    if experiment == "impulse":
-        raise ParameterError(
-            "by hand, the impulse gives only the poles",
-            "--method simple",
-            "call it with the doublet's log, --experiment doublet and --impulse LOG",
-        )
-    if experiment == "attitude":
-        raise ParameterError(NOT_BY_HAND, "--method simple", "take --method grey-box")
-    if experiment == "doublet" and free is None:
-        raise typer.BadParameter("a doublet by hand needs --impulse LOG: the poles come from the free response")
-
-
-def _check_request(
-    structure: Structure, experiment: str, model: Model, estimate: Sequence[str], values: dict[str, float]
-) -> None:
-    """Raise ParameterError for a model of another experiment, a wrong unknown, or a value out of bounds."""
-    kind = KINDS[experiment]
-    if not set(structure.inputs) <= set(kind.inputs):
-        raise ParameterError(
-            f"this model is driven by {', '.join(structure.inputs)}, the experiment by {', '.join(kind.inputs)}",
-            f"--model {model.value} --experiment {experiment}",
-            "leave --model out",
-        )
-    _check_unknowns(structure, estimate, values)
 
 
 def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:

@@ -134,7 +134,7 @@ def cascade_design(
 
 
 def cascade_loops_of(pitch: PitchRate, gains: Gains, lag: float = 0.0) -> CascadeDesign:
-    """The rate and attitude loops of given `gains`: crossover [rad/s] and margin [rad], NaN where |L| is not 1."""
+    """Return the rate and attitude loops of `gains`: crossover [rad/s] and margin [rad], NaN where |L| is not 1."""
     loops, rate = CascadeLoops(pitch, None, lag), PidGains(*gains.rate)
 
     def rate_loop(w: float) -> complex:
@@ -153,7 +153,7 @@ def cascade_loops_of(pitch: PitchRate, gains: Gains, lag: float = 0.0) -> Cascad
 
 
 def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
-    """The pitch behind the rotors' first-order lag; outputs theta and q."""
+    """Return the pitch behind the rotors' first-order lag; outputs theta and q."""
     plain = pitch.state_space()
     if lag == 0.0:
         return plain
@@ -165,7 +165,7 @@ def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
 
 
 def _crossing(around: Any, near: float) -> float:
-    """The frequency [rad/s] where |L| is 1, the nearest to `near`; NaN where it is nowhere within a factor of 4."""
+    """Return the frequency [rad/s] nearest to `near` where |L| is 1; NaN without one within a factor of 4."""
     from scipy.optimize import brentq  # imported late: most commands start without it
 
     grid = np.geomspace(near / 4.0, min(4.0 * near, 0.999 * math.pi / PERIOD), 200)
@@ -205,11 +205,11 @@ def cascade_hinf(
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> HinfCascade:
-    """Minimise the largest of three weighted responses of the family's estimate, sampled as it flies:
+    """Minimise the largest of three weighted responses of the family's estimate, sampled as it flies.
 
-    the error theta_0 - theta over its weight of `bandwidth`; M per theta_0 over `peak_moment` of the step; and the
-    sensitivity at M over `peak_sensitivity`. The starts are the course's rule at several crossovers. The outer gains
-    are those of `kept`. Raises ParameterError where no gains that the drone takes stabilise the estimate.
+    The responses are the error theta_0 - theta over its weight of `bandwidth`, M per theta_0 over `peak_moment` of the
+    step, and the sensitivity at M over `peak_sensitivity`. The starts are the course's rule at several crossovers. The
+    outer gains are those of `kept`. Raises ParameterError where no gains that the drone takes stabilise the estimate.
     """
     closed = weighted_cascade(family, specification)
     v = family.values
@@ -227,7 +227,7 @@ def cascade_hinf(
 
 
 def weighted_cascade(family: PitchFamily, specification: Specification) -> Callable[[Array], tuple[System, System]]:
-    """The weighted closed loops, from theta_0 and from a moment added to M, at 250 Hz.
+    """Return the weighted closed loops, from theta_0 and from a moment added to M, at 250 Hz.
 
     They are functions of the gains (Kp, Ki, Kd, the attitude's Kp).
     """

@@ -37,7 +37,7 @@ class Motion:
 
 
 def closed_loop_poles(loop: LoopTransfer) -> Complex:
-    """The poles of the closed loop in the z plane or in rad/s: shape (k,), the least stable first.
+    """Return the poles of the closed loop in the z plane or in rad/s: shape (k,), the least stable first.
 
     A continuous loop with a delay has infinitely many. This gives those that lie to the right. They come from Chebyshev
     collocation of the delay line, and Newton's method refines them. Source: Breda, Maset and Vermiglio, Stability of
@@ -115,7 +115,7 @@ def _delayed(loop: LoopTransfer) -> Complex:
 
 
 def _newton(loop: LoopTransfer, s: complex) -> complex:
-    """The root of det(s - A + B C exp(-s delay)) near `s`; `s` itself where it does not come nearer."""
+    """Return the root of det(s - A + B C exp(-s delay)) near `s`; `s` itself if the search comes no nearer."""
     at = s
     for _ in range(12):
         decay = np.exp(-at * loop.delay)
@@ -140,7 +140,7 @@ MAX_GAINS = 5000
 
 
 def root_locus(loop: LoopTransfer, gains: ArrayLike) -> Complex:
-    """The closed loop's poles for each factor in `gains` on L, shape (k, n): column j follows one pole.
+    """Return the closed loop's poles for each factor in `gains` on L, shape (k, n): column j follows one pole.
 
     In the z plane, or in rad/s. A pole is matched with the nearest one of the gain before. Raises ParameterError for
     no gains, one that is not finite, more than `MAX_GAINS`, and a continuous loop with a delay.

@@ -72,7 +72,7 @@ def _on_the_axis(g: LoopTransfer, last: Array, through: float | None) -> Array:
 
 
 def refined_roots(f: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """The roots of `f` between neighbours of `grid`, to the last digits, where `values` change their sign."""
+    """Return the roots of `f` between neighbours of `grid` where `values` change sign, to the last digits."""
     from scipy.optimize import brentq  # imported late: most commands start without it
 
     signs = np.sign(values)

@@ -83,11 +83,11 @@ class LoopTransfer:
 
     @classmethod
     def of_gain(cls, gain: float, dt: float | None = None) -> Self:
-        """A number alone."""
+        """Return a loop that is a number alone."""
         return cls(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), float(gain), dt)
 
     def times(self, other: "LoopTransfer") -> "LoopTransfer":
-        """The product of both, `other` first: a controller's `times` a plant's is their loop.
+        """Return the product of both, `other` first: a controller's `times` a plant's is their loop.
 
         Raises ParameterError for different sample times.
         """
@@ -99,11 +99,11 @@ class LoopTransfer:
         return LoopTransfer(a, b, c, self.d * other.d, self.dt, self.delay + other.delay)
 
     def scaled(self, factor: float) -> "LoopTransfer":
-        """The loop with `factor` times the gain."""
+        """Return the loop with `factor` times the gain."""
         return LoopTransfer(self.a, self.b, factor * self.c, factor * self.d, self.dt, self.delay)
 
     def balanced(self) -> "LoopTransfer":
-        """The same loop with states of like size, as the searches for eigenvalues like it."""
+        """Return the same loop with states of similar size, which makes eigenvalues more accurate."""
         from scipy.linalg import matrix_balance  # imported late: most commands start without it
 
         n = len(self.a)
@@ -138,12 +138,13 @@ class LoopTransfer:
         return found
 
     def poles(self) -> Complex:
-        """The open loop's poles: in the z plane, or in rad/s, shape (n,)."""
+        """Return the open loop's poles: in the z plane, or in rad/s, shape (n,)."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
     def to_control(self) -> Any:
-        """The loop as python-control's StateSpace. Raises CompileError if that is not installed, ParameterError for a
-        continuous loop with a delay, which it does not have.
+        """Return the loop as python-control's StateSpace.
+
+        Raises CompileError if that is not installed, and ParameterError for a continuous loop with a delay.
         """
         if self.delay:
             raise _error("python-control has no delays in continuous time", "sample it with zero_order_hold first")
@@ -154,7 +155,7 @@ class LoopTransfer:
 
 
 def _solved(matrices: Complex, b: Complex) -> Complex:
-    """The solutions for a stack of matrices, infinite for those that are singular to the last bit."""
+    """Return the solutions for a stack of matrices, infinite for singular ones."""
     try:
         return np.array(np.linalg.solve(matrices, b))
     except np.linalg.LinAlgError:
@@ -192,7 +193,7 @@ _NOTHING = 1e-11
 
 
 def minimal(loop: LoopTransfer) -> LoopTransfer:
-    """The same transfer in fewer states, so that what cancels exactly does not look like a crossing near frequency 0.
+    """Return the transfer without states that cancel exactly: they would look like a crossing near frequency 0.
 
     The vectors b, A b, A^2 b, ... span the states that the input reaches. Arnoldi's iteration builds an orthonormal
     basis of them, vector by vector. It ends when the next vector has nothing new. The same with c for those that are
@@ -212,7 +213,7 @@ def minimal(loop: LoopTransfer) -> LoopTransfer:
 
 
 def _unseen(a: Array, c: Array, pole: float) -> Array | None:
-    """A basis of what is left without one motion of the pole `pole` that c does not show; None if there is none."""
+    """Return a basis without one motion of the pole `pole` that c does not show; None if there is none."""
     n = len(a)
     _, sizes, rows = np.linalg.svd(np.vstack([a - pole * np.eye(n), c]))
     if sizes[-1] > _HIDDEN * sizes[0]:
@@ -221,7 +222,7 @@ def _unseen(a: Array, c: Array, pole: float) -> Array | None:
 
 
 def _reached(a: Array, start: Array) -> Array:
-    """An orthonormal basis, shape (n, k), of what `a` makes of `start` in any number of steps."""
+    """Return an orthonormal basis, shape (n, k), of the space that `a` reaches from `start` in any number of steps."""
     n = len(a)
     basis = np.zeros((n, n))
     size = float(np.linalg.norm(start))

@@ -155,7 +155,7 @@ class LoopMargins:
 
 
 def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
-    """The margins of `loop` with negative feedback, by `skew` of the disk margin.
+    """Return the margins of `loop` with negative feedback, by `skew` of the disk margin.
 
     `loop` is a LoopTransfer, or a model that `LoopTransfer.of` takes.
 
@@ -242,7 +242,7 @@ def _ends(loop: LoopTransfer) -> list[tuple[float, complex]]:
 
 
 def _bandwidth(t: Sensitivity, grid: Array) -> float:
-    """The highest frequency at which |T| falls through 1 / sqrt(2): Skogestad and Postlethwaite, section 2.4.5.
+    """Return the highest frequency where |T| falls through 1 / sqrt(2): Skogestad and Postlethwaite, section 2.4.5.
 
     Infinity where it does not fall, 0 where it is nowhere above.
     """
@@ -270,7 +270,7 @@ class Bode(NamedTuple):
 
 
 def bode(of: LoopMargins, points: int = 300) -> Bode:
-    """The Bode plot around the loop's crossover, up to half the sampling frequency."""
+    """Return the Bode plot around the loop's crossover, up to half the sampling frequency."""
     place = of.crossover if of.phases else 1.0
     end = max(TO * place, LEAST)
     return bode_at(
@@ -279,7 +279,7 @@ def bode(of: LoopMargins, points: int = 300) -> Bode:
 
 
 def bode_at(of: LoopMargins, omega: Array) -> Bode:
-    """The Bode plot at the frequencies `omega` [rad/s], rising, (n,).
+    """Return the Bode plot at the frequencies `omega` [rad/s], rising, (n,).
 
     The phase at the crossover is -pi plus the phase margin, so that the margin can be read from the plot.
     """

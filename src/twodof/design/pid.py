@@ -31,14 +31,14 @@ class PidGains:
     n: float = 100.0
 
     def response(self, omega: ArrayLike) -> Complex:
-        """The frequency response at `omega` [rad/s], shape (k,)."""
+        """Return the frequency response at `omega` [rad/s], shape (k,)."""
         z = np.exp(1j * np.atleast_1d(np.asarray(omega, dtype=float)) * PERIOD)
         integral, derivative = _parts(z, self.n)
         return np.asarray(self.kp + self.ki * integral + self.kd * derivative, dtype=np.complex128)
 
 
 def shaped_pid(mu: float, crossover: float, n: float = 100.0) -> PidGains:
-    """The course's rate PID for mu / s, by loop shaping at `crossover` w [rad/s]:
+    """Return the course's rate PID for mu / s, by loop shaping at `crossover` w [rad/s].
 
         C = w / mu (1 + w / (10 s)) (1 + s / (2 w)) / (1 + s / N)
 
@@ -68,8 +68,9 @@ def pid(
     n: float = 100.0,
     integral_share: float = INTEGRAL_SHARE,
 ) -> PidGains:
-    """The gains with which the sampled loop of `plant` (one input, its `output`) crosses over at `crossover` [rad/s]
-    with `phase_margin` [rad]; see `pid_at`. The plant is held and delayed exactly as it flies at 250 Hz.
+    """Return the gains for a sampled loop of `plant` with `crossover` [rad/s] and `phase_margin` [rad]; see `pid_at`.
+
+    The plant has one input, and `output` is its controlled one. It is held and delayed as it flies at 250 Hz.
     """
     _positive("crossover", crossover)
     if crossover >= math.pi / PERIOD:
@@ -87,7 +88,7 @@ def pid_at(
     n: float = 100.0,
     integral_share: float = INTEGRAL_SHARE,
 ) -> PidGains:
-    """The gains of the `form` P, PI, PD or PID for a plant whose frequency response at `crossover` is `response`.
+    """Return the gains of the `form` P, PI, PD or PID for a plant whose response at `crossover` is `response`.
 
     C G = exp(j (phase_margin - pi)) at the crossover is two equations. PI and PD have two gains. PID has its third by
     Ki = `integral_share` crossover Kp (Astrom and Hagglund, Advanced PID Control, sec. 6.3). P only meets the
@@ -141,7 +142,7 @@ def _parts(z: NDArray[np.complex128] | complex, n: float) -> tuple[Complex, Comp
 
 
 def _solved(wanted: complex, one: complex, other: complex) -> tuple[float, float]:
-    """(a, b) real with a one + b other = wanted."""
+    """Return real (a, b) with a one + b other = wanted."""
     rows = np.array([[one.real, other.real], [one.imag, other.imag]])
     a, b = np.linalg.solve(rows, [wanted.real, wanted.imag])
     return float(a), float(b)

@@ -37,7 +37,7 @@ class PitchMembers:
         return int(self.mu.size)
 
     def one(self, index: int) -> dict[str, float]:
-        """The member `index` by name."""
+        """Return the parameters of the member `index` by name."""
         return {name: float(getattr(self, name)[index]) for name in PARAMETERS}
 
 
@@ -88,7 +88,7 @@ class PitchFamily:
         gust_time: float = 0.1,
         q_noise: float = 0.0,
     ) -> Self:
-        """A family of the paper's parameters (`tau` in place of dead_time and lag is fine) with independent `sigmas`.
+        """Return a family of the paper's parameters (`tau` may replace dead_time and lag) with independent `sigmas`.
 
         Raises ParameterError as the class does.
         """
@@ -98,7 +98,7 @@ class PitchFamily:
 
     @classmethod
     def from_identified(cls, document: object, where: str = "model") -> Self:
-        """The family of what `twodof identify --json` prints, of one flight or of several.
+        """Return the family of what `twodof identify --json` prints, of one flight or of several.
 
         Of one flight the larger of the two standard deviations counts, with the correlation. The noise of q is taken
         for that of the sensor, unless gusts were identified too. Of several flights their spread counts, for what
@@ -161,7 +161,7 @@ class PitchFamily:
     def disturbed(
         self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
     ) -> Self:
-        """The same with another disturbance; None leaves a figure as it is."""
+        """Return the family with another disturbance; None leaves a figure as it is."""
         return replace(
             self,
             gust=self.gust if gust is None else gust,
@@ -170,7 +170,7 @@ class PitchFamily:
         )
 
     def nominal(self) -> PitchMembers:
-        """The estimate itself, as the only member."""
+        """Return the estimate itself, as the only member."""
         return PitchMembers(**{name: np.array([float(self.values[name])]) for name in PARAMETERS})
 
     def draw(self, count: int, seed: int = NOISE_SEED) -> PitchMembers:
@@ -248,7 +248,7 @@ def _told_apart(labels: Iterable[str]) -> list[str]:
 
 
 def _own(label: str) -> str:
-    """The paper's one delay is a dead time without lag."""
+    """Return the values with the paper's one delay as a dead time without lag."""
     return "dead_time" if label == "tau" else label
 
 
@@ -277,7 +277,7 @@ def _sigma(row: Mapping[str, Any], name: str) -> float:
 
 
 def _scaled(p: Array) -> Array:
-    """The correlation of a covariance; a parameter without variance is alone."""
+    """Return the correlation of a covariance; a parameter without variance correlates with none."""
     size = np.sqrt(np.maximum(np.diag(p), 0.0))
     size = np.where(size > 0.0, size, 1.0)
     return np.asarray(p / np.outer(size, size))

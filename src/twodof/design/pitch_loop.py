@@ -25,11 +25,11 @@ _CHUNK = 64  # steps between two calls of `progress`
 
 @dataclass(frozen=True, eq=False)
 class PitchLoop:
-    """n members under one controller, sampled at 250 Hz as they fly: M held, the dead time exact, q of the sample
-    itself and theta of the sample before.
+    """Loop of n members under one controller, sampled at 250 Hz as they fly.
 
-    The states are theta, q, the rotors' moment and the gust. Then come the moments under way, the theta published, and
-    the states of the controller. The gust enters as a Gauss-Markov process with the correlation time `gust_time` [s].
+    M is held, the dead time exact, q that of the sample itself and theta that of the sample before. The states are
+    theta, q, the rotors' moment and the gust, then the moments under way, the theta published, and the states of the
+    controller. The gust enters as a Gauss-Markov process with the correlation time `gust_time` [s].
     """
 
     members: PitchMembers
@@ -37,7 +37,7 @@ class PitchLoop:
     gust_time: float = 0.1
 
     def under(self, controller: SampledController) -> "PitchLoop":
-        """The same members under another controller; their own matrices are not computed again."""
+        """Return the same members under another controller; their own matrices are not computed again."""
         other = PitchLoop(self.members, controller, self.gust_time)
         other.__dict__["plant"] = self.plant
         return other
@@ -104,16 +104,16 @@ class PitchLoop:
         return a, drive, c, d
 
     def poles(self) -> Complex:
-        """The poles of each member in the z plane, (n, m), that of the gust left out."""
+        """Return the poles of each member in the z plane, (n, m), without the gust's."""
         a = np.delete(np.delete(self.matrices[0], GUST, axis=1), GUST, axis=2)
         return np.linalg.eigvals(a).astype(np.complex128)
 
     def radii(self) -> Array:
-        """The largest magnitude of a pole of each member, (n,), that of the gust left out: below 1 it is stable."""
+        """Return each member's largest pole magnitude, (n,), without the gust's: below 1 the member is stable."""
         return np.asarray(np.abs(self.poles()).max(axis=1))
 
     def broken(self) -> tuple[Array, Array, Array, Array]:
-        """(A, B, C, D) of the first member's closed loop, without its gust.
+        """Return (A, B, C, D) of the first member's closed loop, without its gust.
 
         From (theta_0, a moment added to M ahead of the delay) to (theta, the M of the controller).
         """
@@ -170,7 +170,7 @@ class PitchLoop:
         q_noise: float = 0.0,
         progress: Callable[[float], None] = lambda share: None,
     ) -> tuple[Array, Array, Array]:
-        """The theta, q and M, each (steps, n), that follow the set-point `theta_0` (steps,) [rad].
+        """Return theta, q and M, each (steps, n), for the set-point `theta_0` (steps,) [rad].
 
         Flights start from rest, the gust as ever. `gust` [rad/s2] and `q_noise` [rad/s] are standard deviations; q has
         its noise in it. `progress` is called with the share done. Raise ParameterError for a set-point that is empty

@@ -45,7 +45,7 @@ class SampledController:
 
     @classmethod
     def of(cls, diagram: Diagram, values: Mapping[str, Any] | None = None) -> Self:
-        """The exact linear model of a diagram of the template attitude_control, in attitude mode and off its limits.
+        """Return the exact linear model of a diagram of the template attitude_control: attitude mode, off its limits.
 
         `values` are those of its parameters, by path, that are not at their defaults. Raises DiagramError for a diagram
         that does not fit the template or has no linear model.
@@ -63,7 +63,7 @@ class SampledController:
 
     @classmethod
     def of_cascade(cls, kp: float, ki: float, kd: float, attitude: float, theta_loop: bool = True) -> Self:
-        """The stock law of the rate's gains and the attitude's, off its limits; `ki` may be 0.
+        """Return the stock law with the gains of rate and attitude, off its limits; `ki` may be 0.
 
         Without `theta_loop` the law does not read theta: the attitude loop is open, theta_0 still enters it.
         """

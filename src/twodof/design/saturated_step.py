@@ -107,7 +107,7 @@ def saturated_step(
 def _flown(
     diagram: Diagram, loop: PitchLoop, goal: float, steps: int, progress: Callable[[float], None]
 ) -> tuple[Array, int]:
-    """theta (steps,) under the diagram itself, and how many samples its moment was more than the motors give."""
+    """Return theta (steps,) under the diagram itself, and the number of samples with a moment beyond the motors."""
     a, b = (part[0] for part in loop.plant)
     machine = Reference(diagram, PERIOD).machine()
     x, theta, clipped = np.zeros(len(a)), np.empty(steps), 0

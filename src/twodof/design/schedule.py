@@ -12,7 +12,7 @@ LEAST_THRUST = 0.05
 
 
 def gain_ratio(thrust: float, curve: float, designed_at: float = HOVER) -> float:
-    """mu at `thrust` over mu at the thrust of the design, for a pair's thrust (1 - curve) u + curve u^2.
+    """Return mu at `thrust` over mu at the design's thrust, for a pair's thrust (1 - curve) u + curve u^2.
 
     The pairs are told T + M and T - M, so M makes 2 (1 - curve + 2 curve T) M of thrust apart: exactly linear in M.
     Raises ParameterError for a curve or thrust outside 0 to 1.
@@ -26,7 +26,7 @@ def gain_ratio(thrust: float, curve: float, designed_at: float = HOVER) -> float
 
 
 def scheduled_motor(curve: float, designed_at: float = HOVER) -> Diagram:
-    """The stock mixer with the moment of the closed loops over `gain_ratio` of the thrust: a diagram that flies.
+    """Return a mixer diagram like the stock one, with the moment of closed loops divided by `gain_ratio`.
 
     Whatever controls the pitch then meets the mu that it was designed for, at any thrust. In open loop M is flown as
     it is given. `models.plant.thrust_curve` finds the curve from mu at rest and in hover. Raises ParameterError as

@@ -52,7 +52,7 @@ class Sensitivity:
         return [(omega, abs(value)) for omega, value in at if np.isfinite(value)]
 
     def response(self, omega: ArrayLike) -> Complex:
-        """The frequency response at `omega` [rad/s], shape (k,)."""
+        """Return the frequency response at `omega` [rad/s], shape (k,)."""
         if self.matrices is not None:
             return self.matrices.response(omega)
         return np.asarray(self.direct + self.share / (1.0 + self.loop.response(omega)))

@@ -59,7 +59,7 @@ class StateFeedback:
 
 
 def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
-    """The feedback that gives the estimate of `family` these three poles [rad/s], of theta, q and the integral.
+    """Return the feedback that gives the estimate of `family` these poles [rad/s] of theta, q and the integral.
 
     A pole in the left half plane comes with its conjugate; they are sampled at 250 Hz. The rotors keep their own pole.
     Raises ParameterError for other poles, and for equal ones.
@@ -90,7 +90,7 @@ def lqi(
     largest_integral: float = 0.3,
     largest_moment: float = 0.1,
 ) -> StateFeedback:
-    """The feedback that minimises a sum of squares, each over its largest size, for the family's estimate.
+    """Return the feedback that minimises a sum of squares, each over its largest size, for the family's estimate.
 
     The sum is that of (theta / largest_theta)^2 + (q / largest_q)^2 + (integral / largest_integral)^2 + (M /
     largest_moment)^2 (Bryson's rule). The units are rad, rad/s and rad s. Raises ParameterError for sizes that are not
@@ -112,7 +112,7 @@ def lqi(
 
 
 def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
-    """The plant of `PitchLoop` as (A, b, C), and the gain L (m, 2) of its stationary Kalman filter on theta and q.
+    """Return `PitchLoop`'s plant as (A, b, C), and the gain L (m, 2) of its stationary Kalman filter on theta and q.
 
     The gust is the family's, taken as .3 rad/s2 at least, so that a constant load is found. Source: Astrom and
     Wittenmark, sec. 11.3.
@@ -134,7 +134,7 @@ def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
 
 
 def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, gains: Gains | None = None) -> Diagram:
-    """A diagram that flies: `feedback` of the observed state in attitude mode, the rate PID of `gains` in rate mode.
+    """Return a diagram with `feedback` of the observed state in attitude mode and the rate PID of `gains` in rate mode.
 
     The observer is told the moment after its limit of +-1, so it does not count on what the motors cannot do. The
     integral is bounded to +-.5 rad s. `gains` None: the course's rule at 20 rad/s.
@@ -203,7 +203,7 @@ def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 
 
 
 def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
-    """(A, b) of theta, q, the rotors, the moment before and the integral, without the whole steps of the dead time."""
+    """Return (A, b) of theta, q, rotors, last moment and integral, without the whole steps of the dead time."""
     whole = _whole(family)
     members = {name: np.array([float(family.values[name])]) for name in PARAMETERS}
     members["dead_time"] = np.maximum(0.0, members["dead_time"] - whole * PERIOD)
@@ -230,7 +230,7 @@ def _predicted(family: PitchFamily, gains: Array, poles: Complex) -> StateFeedba
 
 
 def _cut(a: Array, b: Array) -> tuple[Array, Array]:
-    """The plant without the gust and the published theta."""
+    """Return the plant without the gust and the published theta."""
     kept = [i for i in range(len(a) - 1) if i != GUST]
     return a[np.ix_(kept, kept)], b[kept]
 
@@ -244,7 +244,7 @@ def _with_integral(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _whole(family: PitchFamily) -> int:
-    """The whole steps of the dead time, as `PitchLoop` counts them."""
+    """Return the whole steps of the dead time, as `PitchLoop` counts them."""
     return int(PitchLoop(family.nominal(), _NO_CONTROLLER).plant[0].shape[1]) - 6
 
 

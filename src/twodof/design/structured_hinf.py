@@ -36,8 +36,9 @@ _MOST_GAINS = 60
 
 @dataclass(frozen=True, eq=False)
 class StructuredHinf:
-    """The `gains` (k,) and their `norm`, met at `omega` [rad/s]; `norms` are those that each start came to, the best
-    first: where several agree, it is hardly a minimum of that start alone.
+    """The `gains` (k,) and their `norm`, met at `omega` [rad/s].
+
+    `norms` has the end of each start, the best first: if several agree, it is hardly a local minimum.
     """
 
     gains: Array
@@ -55,7 +56,7 @@ def structured_hinf(
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> StructuredHinf:
-    """The gains that minimise the H-infinity norm of `closed`, each between `low` and `high` (none: unbounded).
+    """Return the gains that minimise the H-infinity norm of `closed`, each from `low` to `high` (None: unbounded).
 
     The search is scaled by the first start's gains. `dt` [s] is the sample time of the loop, None a continuous one.
     `progress` is called with the share done. Raise ParameterError for starts that do not fit, and if no start leads
@@ -106,7 +107,7 @@ class _Search:
         return np.asarray(np.clip(y, self.low, self.high) * self.scale)
 
     def stable(self, y: Array, rng: np.random.Generator) -> Array | None:
-        """A stable point, by lowering the least stable pole from `y`; None where that does not come inside."""
+        """Return a stable point, by lowering the least stable pole from `y`; None if that ends unstable."""
         for _ in range(4):
             if self._inside(self.abscissa(y)):
                 return y
@@ -165,7 +166,7 @@ class _Search:
         return np.array([(self.abscissa(y + step) - value) / _DIFFERENCE for step in _DIFFERENCE * np.eye(y.size)])
 
     def _norm_slope(self, y: Array) -> Array | None:
-        """The gradient by the singular vectors at the peak; None where the loop is unstable or a bound holds all."""
+        """Return the gradient by the singular vectors at the peak; None if unstable or if bounds hold all."""
         systems = self.closed(self.gains(y))
         value, omega, place = largest_norm(systems, self.dt)
         if not math.isfinite(value):
@@ -240,7 +241,7 @@ class _Search:
 
 
 def _shortest(rows: Array) -> Array:
-    """The shortest vector of the convex hull of the rows, by non-negative least squares."""
+    """Return the shortest vector of the convex hull of the rows, by non-negative least squares."""
     from scipy.optimize import nnls  # imported late: most commands start without it
 
     # min |w R| with w >= 0 and sum w = 1: a row of large weight asks for the sum.
@@ -313,7 +314,7 @@ def _continuous(a: Array, b: Array, c: Array, d: Array, poles: Complex, through:
 
 
 def _met(a: Array, b: Array, c: Array, d: Array, level: float) -> Array:
-    """The frequencies, sorted, at which a singular value is `level`, which is larger than that of D."""
+    """Return the sorted frequencies at which a singular value is `level`, which is larger than that of D."""
     r = d.T @ d - level**2 * np.eye(d.shape[1])
     left = np.linalg.solve(r, d.T @ c)
     right = np.linalg.solve(r, b.T)
@@ -328,7 +329,7 @@ def _met(a: Array, b: Array, c: Array, d: Array, level: float) -> Array:
 
 
 def _sizes(a: Array, b: Array, c: Array, d: Array, omega: Array) -> Array:
-    """The largest singular value at each frequency."""
+    """Return the largest singular value at each frequency."""
     s = 1j * omega[:, None, None] * np.eye(len(a)) - a
     response = c @ np.linalg.solve(s, np.broadcast_to(b, (len(omega), *b.shape)).astype(np.complex128)) + d
     return np.asarray(np.linalg.svd(response, compute_uv=False).max(axis=1))

@@ -143,7 +143,7 @@ def _cut(side: Mapping[str, Array]) -> dict[str, Array]:
 def _settling(
     family: PitchFamily, controller: SampledController, made: Promise, progress: Callable[[float], None]
 ) -> Array:
-    """The settling time [s] of each member without gust and noise; infinite where the time shown does not hold it."""
+    """Return each member's settling time [s] without gust and noise; infinite if it is longer than the time shown."""
     loop = PitchLoop(family.draw(made.members, made.seed), controller, family.gust_time)
     with np.errstate(over="ignore", invalid="ignore"):
         theta, _, _ = loop.simulate(np.full(len(made.time), made.goal), progress=progress)
@@ -189,7 +189,7 @@ class PitchLaw:
     def flown(
         cls, values: Mapping[str, float], diagram: str | bytes | None = None, paths: Mapping[str, str] | None = None
     ) -> Self:
-        """The law of a drone with the parameters `values`, by name.
+        """Return the law of a drone with the parameters `values`, by name.
 
         `diagram` is the JSON of its own controller of the template attitude_control, whose parameters `paths` says
         where they are: name -> "attitude_control.k_q". Raises ParameterError for gains that cannot be, DiagramError for

@@ -17,9 +17,10 @@ RANK_TOLERANCE = 1e-6
 
 
 def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], where: str) -> float:
-    """The condition number of `jacobian` (rows, unknowns), or IdentificationError naming what the data cannot tell.
+    """Return the condition number of `jacobian` (rows, unknowns).
 
-    Columns are scaled to unit length, so units do not matter. An unknown has no effect if its change by its whole
+    Raises IdentificationError naming the unknowns that the data cannot tell. Columns are scaled to unit length, so
+    units do not matter. An unknown has no effect if its change by its whole
     `scale` moves the outputs less than 1e-9 times as much as that of the most effective one.
     """
     effect = np.linalg.norm(jacobian, axis=0) * scale
@@ -45,7 +46,7 @@ def check_identifiable(jacobian: Array, scale: Array, labels: Sequence[str], whe
 
 
 def doubted(jacobian: Array, scale: Array, free: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The unknowns over which a covariance is taken: the `free` ones, and those held by a bound if the data tell them.
+    """Return the unknowns for the covariance: the `free` ones, and those held by a bound if the data show them.
 
     A bound ends the search, not the doubt. With other noise the unknown would have left its bound and moved the others.
     """

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,10 +10,21 @@ from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
-from twodof.identify.remarks import remarks
 from twodof.identify.validate import Comparison, deviations
 
 Array = NDArray[np.float64]
+
+_CONTRADICTED = 3.0
+"""Standard deviations between an estimate and its prior that are not put down to chance."""
+
+_UNTOLD = 0.9
+"""Share of the prior's standard deviation that is left if the data hardly show an unknown."""
+
+_TOGETHER = 0.2
+"""A sum is known this much better than its parts if the data show the parts only together."""
+
+_ALIKE = 0.98
+"""Correlation from which on two unknowns are hardly told apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +67,7 @@ class Estimate:
     gaps: tuple[str, ...] = ()
 
     def __getitem__(self, label: str) -> float:
-        """The value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
+        """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
         held = sum(self.fixed[part] for part in self.sums.get(label, ()) if part not in self.labels)
         return float(self._weights(label) @ self.values) + held
 
@@ -76,15 +87,15 @@ class Estimate:
         return self.covariance if self.white else self.robust
 
     def sigma(self, label: str) -> float:
-        """The standard deviation to quote (see `quoted`)."""
+        """Return the standard deviation to quote (see `quoted`)."""
         return self._deviation(self.quoted, label)
 
     def cramer_rao(self, label: str) -> float:
-        """The Cramer-Rao bound on the standard deviation, at the estimate and for white noise of the size found."""
+        """Return the Cramer-Rao bound on the standard deviation at the estimate, for white noise of the size found."""
         return self._deviation(self.covariance, label)
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float]:
-        """The confidence interval at `level` (normal distribution, standard deviation as quoted).
+        """Return the confidence interval at `level` (normal distribution, standard deviation as quoted).
 
         Raises IdentificationError for an unknown name and for a level that is not between 0 and 1.
         """
@@ -97,7 +108,7 @@ class Estimate:
         return tuple(name for name, parts in self.sums.items() if any(part in self.labels for part in parts))
 
     def unit(self, label: str) -> str:
-        """The unit of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
+        """Return the unit of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
         parts = self.sums[label] if label in self.summed and label not in self.labels else (label,)
         return self.units[self._index(next((part for part in parts if part in self.labels), label))]
 
@@ -126,23 +137,21 @@ class Estimate:
     @property
     def remarks(self) -> tuple[str, ...]:
         """Return what a reader should know before using the figures, one sentence each with what to do about it."""
-        return remarks(self)
+        return (*_on_search(self), *_on_priors(self), *_on_unknowns(self), *_on_residuals(self))
 
     def table(self) -> str:
-        """Values, standard deviations (white, robust), fits and remarks as text for a terminal."""
+        """Return values, standard deviations (white, robust), fits and remarks as text for a terminal."""
         width = max(12, *(len(label) for label in self.labels)) + 1
         lines = [f"{self.structure} ({self.domain}), condition number {self.condition_number:.3g}"]
         lines.append(f"{'':{width}}{'estimate':>12}{'1 sigma':>11}{'robust':>11}  unit")
-        for i, label in enumerate(self.labels):
+        for label in (*self.labels, *self.summed):
             white, robust = self._deviation(self.covariance, label), self._deviation(self.robust, label)
-            # Of residuals that wander all that is known is that it is more.
+            # For residuals that wander, only a lower limit is known.
             least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
-            lines.append(f"{label:{width}}{self.values[i]:12.5g}{white:11.2g}{least:>11}  {self.units[i] or '-'}")
-        for name in self.summed:
-            white, robust = self._deviation(self.covariance, name), self._deviation(self.robust, name)
-            parts = f"{self.unit(name) or '-'} ({' + '.join(self.sums[name])})"
-            least = f"{'> ' if self.wanders and not math.isnan(robust) else ''}{robust:.2g}"
-            lines.append(f"{name:{width}}{self[name]:12.5g}{white:11.2g}{least:>11}  {parts}")
+            unit = self.unit(label) or "-"
+            if label not in self.labels:
+                unit += f" ({' + '.join(self.sums[label])})"
+            lines.append(f"{label:{width}}{self[label]:12.5g}{white:11.2g}{least:>11}  {unit}")
         if self.disturbance.kind != "white":
             lines.append(f"disturbance: {self.disturbance.text}")
         lines.extend(self.supposed)
@@ -152,7 +161,7 @@ class Estimate:
         return "\n".join(lines)
 
     def _compared(self, one: Comparison) -> str:
-        """How well the model reproduces an output; in closed loop how well it predicts it, which is what counts."""
+        """Say how well the model reproduces an output; in closed loop how well it predicts it, which is what counts."""
         place = f"{one.output} in '{one.record}'"
         if one.ahead is not None and self.disturbance.answering:
             return (
@@ -165,7 +174,7 @@ class Estimate:
         return f"{place}: FIT {one.fit_percent:.2f} %, VAF {one.vaf:.2f} %, RMSE {one.rmse:.3g}"
 
     def to_json(self) -> str:
-        """Everything but the signals as JSON text; NaN is null."""
+        """Return everything but the signals as JSON text; NaN is null."""
         return json.dumps(
             {
                 "structure": self.structure,
@@ -174,13 +183,13 @@ class Estimate:
                     label: {
                         "value": float(self.values[i]),
                         "unit": self.units[i],
-                        "sigma": _plain(self._deviation(self.covariance, label)),
-                        "sigma_robust": _plain(self._deviation(self.robust, label)),
+                        "sigma": finite(self._deviation(self.covariance, label)),
+                        "sigma_robust": finite(self._deviation(self.robust, label)),
                     }
                     for i, label in enumerate(self.labels)
                 },
                 "sums": {
-                    name: {"value": self[name], "sigma": _plain(self.sigma(name)), "parts": list(self.sums[name])}
+                    name: {"value": self[name], "sigma": finite(self.sigma(name)), "parts": list(self.sums[name])}
                     for name in self.summed
                 },
                 "fixed": self.fixed,
@@ -188,7 +197,7 @@ class Estimate:
                 "noise": self.noise,
                 "disturbance": self.disturbance.to_json(),
                 "condition_number": self.condition_number,
-                "correlation": [[_plain(v) for v in row] for row in self.correlation],
+                "correlation": [[finite(v) for v in row] for row in self.correlation],
                 "identification": [c.to_json() for c in self.identification],
                 "validation": [c.to_json() for c in self.validation],
                 "converged": self.converged,
@@ -200,13 +209,13 @@ class Estimate:
         )
 
     def _weights(self, label: str) -> Array:
-        """Which estimates `label` adds up, as 0 or 1 each."""
+        """Return the share of each estimate in `label`: 1 for a part of a sum, else 0."""
         if label not in self.summed or label in self.labels:
             return np.asarray(np.arange(len(self.labels)) == self._index(label), dtype=float)
         return np.array([float(one in self.sums[label]) for one in self.labels])
 
     def _deviation(self, covariance: Array, label: str) -> float:
-        """The root of the variance of an unknown or a sum; NaN for an unknown that its bound holds."""
+        """Return the root of the variance of an unknown or a sum; NaN for an unknown that its bound holds."""
         used = self._weights(label) > 0.0
         if used.sum() == 1 and label in self.at_bound:
             return math.nan
@@ -222,5 +231,98 @@ class Estimate:
         return self.labels.index(label)
 
 
-def _plain(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """Return `value` as JSON has it: None for NaN and infinity."""
     return float(value) if math.isfinite(value) else None
+
+
+def _on_search(found: Estimate) -> Iterator[str]:
+    """Yield remarks on the end of the search and on what was held."""
+    if not found.converged:
+        yield "the search did not converge: give better first guesses or fix unknowns"
+    for gap in found.gaps:
+        yield f"{gap}: fit the pieces between (Record.pieces)"
+    for label in found.at_bound:
+        yield f"{label} is held by its bound: widen the bound or fix it"
+    for name in found.at_rest:
+        yield f"{name} is held at 0: dry friction holds the drone at the start, where no speed can be told"
+    if "xi" in found.labels and "xi" not in found.prior and found["xi"] < -found.sigma("xi"):
+        yield (
+            "xi is negative, a swing that grows by itself: the record does not show the damping. "
+            "Hold w_n and xi at those of a free response"
+        )
+
+
+def _on_priors(found: Estimate) -> Iterator[str]:
+    """Yield remarks on priors that the data contradict, then on those that they only repeat."""
+    repeated = []
+    for label in found.labels:
+        mean, width = found.prior.get(label.partition("[")[0], (0.0, math.inf))
+        known = f"{mean:.3g} +- {width:.2g}"
+        if abs(found[label] - mean) > _CONTRADICTED * width:
+            yield (
+                f"the data contradict what was known of {label}, {known}: "
+                "give another `prior`, or look for what the structure leaves out"
+            )
+        elif found.sigma(label) > _UNTOLD * width:
+            repeated.append(f"{label} is mostly what was known before, {known}: the data hardly tell it")
+    yield from repeated
+
+
+def _on_unknowns(found: Estimate) -> Iterator[str]:
+    """Yield remarks on unknowns that the data show only together, hardly, or hardly apart."""
+    together = set[str]()
+    for name in found.summed:
+        parts = [part for part in found.sums[name] if part in found.labels]
+        known = [found.sigma(part) for part in parts if not math.isnan(found.sigma(part))]
+        if len(parts) > 1 and known and found.sigma(name) < _TOGETHER * max(known):
+            together.update(found.sums[name])
+            yield f"the data tell {' and '.join(found.sums[name])} only together: use {name}, or hold one of them"
+    for label, value in zip(found.labels, found.values.tolist(), strict=True):
+        sigma = found.sigma(label)
+        if label not in {*found.local, *together, *found.prior} and sigma > abs(value):
+            yield f"the data hardly tell {label}: {value:.3g} +- {sigma:.2g}"
+    correlation = found.correlation
+    for i, label in enumerate(found.labels):
+        for j, other in enumerate(found.labels[:i]):
+            if abs(correlation[i, j]) > _ALIKE and not {label, other} <= together:
+                yield (
+                    f"{other} and {label} are hardly told apart (correlation {correlation[i, j]:.3f}): "
+                    "fix one or add an experiment"
+                )
+
+
+def _on_residuals(found: Estimate) -> Iterator[str]:
+    """Yield remarks on the colour of the residuals and on what they still hold of the inputs."""
+    noise = found.disturbance
+    if not found.white:
+        yield (
+            "the residuals are not white, so the robust standard deviations are quoted: "
+            "the structure or the noise model leaves something out"
+        )
+    if not found.white and noise.kind == "white" and noise.answering:
+        yield (
+            f"{' and '.join(noise.answering)} {'answer' if len(noise.answering) > 1 else 'answers'} the noise, as a "
+            "controller does: coloured noise that is taken for white then makes the estimates wrong, not only unsure. "
+            "Fit with disturbance='ar' (--disturbance ar)"
+        )
+    if not found.white and noise.kind == "white" and noise.change > 0.0:
+        yield (
+            f"coloured noise would change an estimate by {noise.change:.0f} standard deviations, which in open loop it "
+            "must not: the structure leaves out a part of the response, and output error is kept"
+        )
+    for one in found.identification:
+        if one.wanders:
+            yield (
+                f"the residual of {one.output} in '{one.record}' wanders, so the standard deviations are too small by "
+                "an unknown factor: something pushes the machine itself, as a gust does, or the structure is wrong. "
+                "Repeat the experiment and believe the spread of the estimates, or fit a linear structure with the "
+                "actuators' lag, which lets the push be a part of the model"
+            )
+    for one in found.identification:
+        for name, test in one.inputs.items():
+            if not test.causal.passed:
+                yield (
+                    f"the residual of {one.output} in '{one.record}' still depends on {name}: "
+                    "the structure leaves out a part of the response"
+                )

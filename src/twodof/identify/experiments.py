@@ -1,6 +1,4 @@
-"""The paper's three experiments, and the pitch in closed loop, as records: which excitation to look for in a log and
-which channels to take.
-"""
+"""Kinds of experiments: the excitation to look for in a log, and the channels to take into a record."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -85,7 +83,7 @@ KINDS: Mapping[str, ExperimentKind] = MappingProxyType({kind.name: kind for kind
 def cut(
     log: FlightLog, kind: str | ExperimentKind, window: tuple[float, float] | None = None, name: str | None = None
 ) -> Record:
-    """The record of an experiment: the longest excitation of its kind in the log, or the `window` [s] given.
+    """Cut out the record of an experiment: its longest excitation in the log, or the `window` [s] given.
 
     `kind` is one of `KINDS` or its name. A doublet ends where the drone nears an end stop, a free response where it is
     over. Raises LogError where the log does not hold the excitation, and IdentificationError for a kind that is not
@@ -112,7 +110,7 @@ def cut(
 
 
 def kind_of(log: FlightLog) -> ExperimentKind:
-    """The experiment that a log holds: the kind of its longest excitation.
+    """Return the experiment that a log holds: the kind of its longest excitation.
 
     Steps and doublets of the pitch count as the velocity's experiment if the drone moved along the rail, and else as
     the pitch's in closed loop. Raises LogError for a log without an excitation of any of the `KINDS`.
@@ -131,7 +129,7 @@ def kind_of(log: FlightLog) -> ExperimentKind:
 
 
 def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2.0) -> Record:
-    """The channels of a `record` that was cut from `log`, over a stretch longer by `before` and `after` [s].
+    """Return the channels of a `record` cut from `log`, over a stretch longer by `before` and `after` [s].
 
     It is for pictures: one sees what led to the excitation and what became of the flight.
     """
@@ -146,7 +144,7 @@ def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2
 
 
 def only(record: Record, *outputs: str) -> Record:
-    """The same record with these of its outputs: a fit uses every output that it finds."""
+    """Return the record with these of its outputs alone: a fit uses every output that it finds."""
     return replace(record, outputs={name: record.outputs[name] for name in outputs})
 
 
@@ -191,7 +189,7 @@ def _names(found: Sequence[DetectedExcitation]) -> str:
 
 
 def _after_start(log: FlightLog, one: DetectedExcitation) -> tuple[float, float]:
-    """The excitation's window, without what comes before its mode and the moment in which the rotors come up."""
+    """Return the excitation's window, without the time before its mode and the rotors' start."""
     start, stop = one.window
     for stretch in modes(log):
         if stretch.mode == one.mode and start < stretch.t0 < one.edges[0]:

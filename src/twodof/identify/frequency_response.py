@@ -37,7 +37,7 @@ class Spectra:
     length: float
 
     def block(self, rows: Sequence[str], columns: Sequence[str]) -> Complex:
-        """The part of the matrix between these signals, shape (k, rows, columns)."""
+        """Return the part of the matrix between these signals, shape (k, rows, columns)."""
         i, j = ([self.names.index(name) for name in part] for part in (rows, columns))
         return np.asarray(self.matrix[np.ix_(range(self.omega.size), i, j)])
 
@@ -70,7 +70,7 @@ def spectra(record: Record, names: Sequence[str], length: int, *, window: str = 
 
 
 def check_segment(record: Record, length: int) -> None:
-    """Raises IdentificationError for segments of `length` samples that are too short or fit less than 1.5 times."""
+    """Raise IdentificationError for segments of `length` samples that are too short or fit less than 1.5 times."""
     if length < _FEWEST or 3 * length > 2 * record.steps:
         raise IdentificationError(
             f"segments of {length} samples do not fit at least twice into {record.steps} samples",
@@ -80,7 +80,7 @@ def check_segment(record: Record, length: int) -> None:
 
 
 def grid_signal(record: Record, name: str) -> Array:
-    """A channel of the record on its grid: an input as it is held, an output interpolated linearly."""
+    """Return a channel of the record on its grid: an input as it is held, an output interpolated linearly."""
     if name in record.inputs:
         return record.inputs[name]
     if name in record.outputs:
@@ -209,7 +209,7 @@ def frequency_response(
     given: str | Sequence[str] = (),
     reference: str | Sequence[str] = (),
 ) -> FrequencyResponse:
-    """The averaged cross-spectrum over the input's spectrum (H1), half-overlapped segments of `segment` [s].
+    """Return the averaged cross-spectrum over the input's spectrum (H1), half-overlapped segments of `segment` [s].
 
     The default segment gives eight segments. Its length sets the resolution, 1/segment Hz; fewer than two leave the
     coherence without meaning.
@@ -279,7 +279,7 @@ def _check_channels(record: Record, inputs: Sequence[str], references: Sequence[
 def _response(
     made: Spectra, inputs: Sequence[str], output: str, references: Sequence[str], record: Record
 ) -> FrequencyResponse:
-    """The response to the first of the inputs, all of them and the references (instruments) taken together.
+    """Return the response to the first of the inputs, from all inputs and references (instruments) together.
 
     With r = u for instruments this is least squares at each frequency. The covariance is that of regression: cov H =
     S_vv A^-1 S_rr A^-H / (n - q). Here A = S_ru, and the noise is v = y - H u.

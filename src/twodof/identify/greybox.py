@@ -159,7 +159,7 @@ def _gaps(structure: Structure, records: Sequence[Record]) -> Iterator[str]:
 
 
 def _names(names: Collection[str]) -> tuple[str, ...]:
-    """The names in the order asked for; those of a set, which lacks an order, sorted."""
+    """Return the names in the order asked for; those of a set, which has no order, sorted."""
     if isinstance(names, str):
         return (names,)
     return tuple(names) if isinstance(names, Sequence) else tuple(sorted(names))

@@ -1,7 +1,7 @@
 """IdentifiedFlight: one log read by hand and by output error, with the curves for a picture of the fit."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.log import FlightLog
 from twodof.identify import simple_pitch, simple_velocity
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.estimate import Estimate
+from twodof.identify.estimate import Estimate, finite
 from twodof.identify.experiments import KINDS, cut
 from twodof.identify.ready_made import (
     AUTO,
@@ -28,6 +28,7 @@ from twodof.identify.ready_made import (
 from twodof.identify.record import Record
 from twodof.identify.simple_pitch import SimplePitch
 from twodof.identify.simple_velocity import SimpleVelocity
+from twodof.identify.validate import rmse
 from twodof.models.structure import Structure
 from twodof.signals import unit_of
 
@@ -59,7 +60,7 @@ class IdentifiedFlight:
         return sufficiency(self.greybox, PURPOSE.get(self.experiment, ()))
 
     def model(self) -> dict[str, Any]:
-        """The model's document, as `twodof identify --out` writes it and `twodof design` reads it."""
+        """Return the model's document, as `twodof identify --out` writes it and `twodof design` reads it."""
         about = {"experiment": self.experiment, "method": "grey-box"}
         return {**about, **json.loads(self.greybox.to_json())}
 
@@ -79,7 +80,7 @@ class IdentifiedFlight:
                 for name, value in self.record.inputs.items()
                 if name in self.structure.inputs
             ],
-            "outputs": [*self._outputs(), *self._by_hand_only()],
+            "outputs": self._outputs(),
             "tests": [test for one in found.identification for test in _tests(one.output, one)],
             "estimates": [self._row(label) for label in (*found.labels, *found.summed)],
             "held": dict(found.held),
@@ -104,9 +105,9 @@ class IdentifiedFlight:
             "unit": found.unit(label),
             "text": self._text(label),
             "value": found[label],
-            "sigma": _plain(found.sigma(label)),
-            "low": _plain(low),
-            "high": _plain(high),
+            "sigma": finite(found.sigma(label)),
+            "low": finite(low),
+            "high": finite(high),
             "local": label in found.local,
             "sum": label in found.summed,
             "simple": by_hand,
@@ -120,50 +121,28 @@ class IdentifiedFlight:
         return "" if known is None else known.text
 
     def _outputs(self) -> list[dict[str, Any]]:
+        """Return a row for each fitted or validated output, and one for an output that only the simple method reads."""
+        fitted, checked = self.greybox.identification, self.greybox.validation
         rows = []
-        validated = self.greybox.validation
-        for one in (*self.greybox.identification, *validated):
+        for one in (*fitted, *checked):
             curves = {"measured": one.measured, "greybox": one.simulated, "residual": one.residual}
-            if one not in validated and self.simple is not None and one.output == self.simple.output:
+            if one in fitted and self.simple is not None and one.output == self.simple.output:
                 _, _, offset, simulated = self._simulated()
                 curves["simple"] = simulated + offset
-            rows.append(
-                {
-                    "name": one.output,
-                    "unit": unit_of(one.output),
-                    "record": one.record,
-                    "validation": one in validated,
-                    "fit_percent": one.fit_percent,
-                    "fit_percent_ahead": one.ahead if self.greybox.disturbance.answering else None,
-                    "rmse": one.rmse,
-                    "wanders": one.wanders,
-                    **_curve(one.time - one.time[0], **curves),
-                }
-            )
+            ahead = one.ahead if self.greybox.disturbance.answering else None
+            figures = {"fit_percent": one.fit_percent, "fit_percent_ahead": ahead, "rmse": one.rmse}
+            figures |= {"validation": one in checked, "wanders": one.wanders}
+            rows.append(_output(one.output, one.record, figures, one.time - one.time[0], curves))
+        if self.simple is not None and all(one.output != self.simple.output for one in fitted):
+            time, measured, offset, simulated = self._simulated()
+            curves = {"measured": measured + offset, "simple": simulated + offset, "residual": measured - simulated}
+            figures = {"fit_percent": self.simple.identification[1], "fit_percent_ahead": None}
+            figures |= {"rmse": rmse(measured, simulated), "validation": False, "wanders": False}
+            rows.append(_output(self.simple.output, self.record.name, figures, time - self.record.start, curves))
         return rows
 
-    def _by_hand_only(self) -> list[dict[str, Any]]:
-        """The output that the simple method reads, where the grey-box fit has another."""
-        if self.simple is None or any(one.output == self.simple.output for one in self.greybox.identification):
-            return []
-        time, measured, offset, simulated = self._simulated()
-        curves = {"measured": measured + offset, "simple": simulated + offset, "residual": measured - simulated}
-        return [
-            {
-                "name": self.simple.output,
-                "unit": unit_of(self.simple.output),
-                "record": self.record.name,
-                "validation": False,
-                "fit_percent": self.simple.identification[1],
-                "fit_percent_ahead": None,
-                "rmse": float(np.sqrt(np.mean((measured - simulated) ** 2))),
-                "wanders": False,
-                **_curve(time - self.record.start, **curves),
-            }
-        ]
-
     def _simulated(self) -> tuple[Array, Array, float, Array]:
-        """Times, the measured output less its rest, that rest, and what the simple model makes of the input."""
+        """Return times, the measured output less its rest, that rest, and the simple model's output."""
         if isinstance(self.simple, SimplePitch):
             time, value, _ = self.record.signals("M", "q")
             measured, simulated = simple_pitch.simulated_pair(self.simple.model, self.record)
@@ -214,6 +193,12 @@ def identify_flight(
     return IdentifiedFlight(kind, shape, record, tuple(fitted[len(fitted) - len(checks) :]), found, simple, refusal)
 
 
+def _output(
+    name: str, record: str, figures: Mapping[str, Any], time: Array, curves: Mapping[str, Array]
+) -> dict[str, Any]:
+    return {"name": name, "unit": unit_of(name), "record": record, **figures, **_curve(time, **curves)}
+
+
 def _tests(output: str, one: Any) -> list[dict[str, Any]]:
     tests = {"itself": one.whiteness, **one.inputs}
     return [
@@ -238,8 +223,4 @@ def _curve(time: Array, **values: Array) -> dict[str, Any]:
 
 
 def _listed(values: Array) -> list[float | None]:
-    return [_plain(float(f"{value:.6g}")) for value in values]
-
-
-def _plain(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return [finite(float(f"{value:.6g}")) for value in values]

@@ -94,7 +94,7 @@ def predict(
     sampled: Mapping[str, ArrayLike] | None = None,
     covariance: Mapping[str, Array] | None = None,
 ) -> Information:
-    """The accuracy that `inputs` (name -> samples, each `dt` [s]) will give for the unknowns `estimate`.
+    """Predict the accuracy that `inputs` (name -> samples, each `dt` [s]) will give for the unknowns `estimate`.
 
     `noise`: standard deviation of each output that will be measured (its unit). `values`: what the unknowns are thought
     to be (default: the structure's guesses). `repeats`: how often the experiment is flown; local unknowns, one value a
@@ -156,7 +156,7 @@ def _blank(
     outputs: Sequence[str],
     sampled: Mapping[str, ArrayLike] | None = None,
 ) -> Record:
-    """A record with the inputs and no measurements yet (zeros)."""
+    """Return a record with the inputs and no measurements yet (zeros)."""
     columns = {name: np.asarray(u, dtype=float) for name, u in inputs.items()}
     lengths = {u.size for u in columns.values()}
     if len(lengths) != 1 or min(lengths) < 2:
@@ -177,7 +177,7 @@ def simulate_planned(
 
 
 def _repeated(jacobian: Array, size: int, shared: NDArray[np.int64], repeats: int) -> Array:
-    """The covariance after `repeats` flights that each have their own local unknowns.
+    """Return the covariance after `repeats` flights that each have their own local unknowns.
 
     The first `size` rows of `jacobian` are those of a flight's data, the others what was known before them all.
     """
@@ -264,7 +264,7 @@ def best(
     estimate: Collection[str] | None = None,
     disturbance: DisturbanceModel | None = None,
 ) -> Design:
-    """The best of `family(shape, amplitude)` over `shapes`, each with the largest amplitude that `limits` allow.
+    """Return the best of `family(shape, amplitude)` over `shapes`, each with the largest amplitude within `limits`.
 
     The experiment lasts `duration` [s], rest and free response included. Excitations that do not fit into it are passed
     over. `disturbance` as in `predict`. Raises IdentificationError if none fits the limits, saying which limit is in
@@ -322,7 +322,7 @@ def _largest(
     limits: Limits,
     values: Mapping[str, float] | None,
 ) -> tuple[float, str]:
-    """The largest amplitude within the limits, to 1 %, or 0 and the limit that is in the way."""
+    """Return the largest amplitude within the limits, to 1 %, or 0 and the limit that is in the way."""
     full = {name: unknown.value for name, unknown in structure.unknowns.items()} | dict(values or {})
 
     def broken(amplitude: float) -> str:

@@ -35,7 +35,7 @@ class ModelResponse:
     phase_sigma: Array
 
     def gain_band(self, level: float = 0.95) -> tuple[Array, Array]:
-        """The gain's lower and upper limit at `level`."""
+        """Return the gain's lower and upper limit at `level`."""
         share = deviations(level) * self.gain_sigma
         return np.asarray(abs(self.response) * np.exp(-share)), np.asarray(abs(self.response) * np.exp(share))
 
@@ -43,7 +43,7 @@ class ModelResponse:
 def model_response(
     structure: Structure, estimate: Estimate, input: str, output: str, omega: ArrayLike, dt: float, record: str = ""
 ) -> ModelResponse:
-    """The response from `input` to `output` of `structure` with the values of `estimate`, linearised at rest.
+    """Return the response from `input` to `output` of `structure` with the values of `estimate`, linearised at rest.
 
     `dt` [s] is the step of the data; `omega` lies below pi / dt. Unknowns that belong to one record alone (initial
     states, biases) move nothing. Of unknowns that were found for each record by itself those of `record` count, else

@@ -126,7 +126,7 @@ class Problem:
         return fixed
 
     def noise(self) -> dict[str, float]:
-        """sigma by output, or by "output[record]" if there are several records."""
+        """Return sigma by output, or by "output[record]" if there are several records."""
         several = len(self.records) > 1
         return {(f"{o}[{self.records[r].name}]" if several else o): s for (r, o), s in self.sigma.items()}
 
@@ -149,7 +149,7 @@ class Problem:
         return self._simulators[record].run({name: plain[i] for name, i in self._pick[record].items()})
 
     def residual(self, x: Array) -> Array:
-        """The weighted residuals of all records, and how far x is from what was known before."""
+        """Return the weighted residuals of all records, and how far x is from what was known before."""
         own = [self._rows(x, r) for r in range(len(self.records))]
         return _joined([*own, self.prior.rows(x)] if len(self.prior) else own)
 
@@ -290,7 +290,7 @@ class Prior:
 
 
 def check_prior(prior: Mapping[str, tuple[float, float]], unknowns: Sequence[str], where: str) -> None:
-    """Raises IdentificationError for a name that is not an unknown, and for no mean or no standard deviation.
+    """Check a prior: raise IdentificationError for a name that is no unknown, and for no mean or standard deviation.
 
     A standard deviation may be infinite: then nothing is known.
     """
@@ -348,7 +348,7 @@ class Band:
 
 
 def _numbers(position: Array, where: str) -> NDArray[np.int64]:
-    """The number of each sample on the uniform clock, counting those that are lost."""
+    """Return the number of each sample on the uniform clock, counting lost samples."""
     interval = np.diff(position)
     if interval.size:
         count = np.maximum(1.0, np.round(interval / np.median(interval)))

@@ -91,7 +91,7 @@ def known_before(rig: Mapping[str, float] | None, structure: Structure) -> dict[
 
 
 def machine_of(log: FlightLog, start: float, stop: float) -> FlownMachine:
-    """The machine of a log, by the rig that it names, and by the way that the cart made from `start` to `stop` [s].
+    """Return the machine of a log, by the rig that it names and by the travel of the cart from `start` to `stop` [s].
 
     A log that names no virtual rig is one of the real drone, whose calibration is `lab`.
     """
@@ -195,7 +195,7 @@ TRAVEL = ("k_v", "p_v", "tau", "theta_0", "x_0", "v_0")
 
 
 def experiment_in(log: FlightLog) -> str:
-    """Which of `KINDS` a log holds: what it says, else what it looks like.
+    """Return the experiment of `KINDS` that a log holds: by its own words, else by its signals.
 
     Raises LogError where none is found, IdentificationError where it says an experiment that tells no model.
     """
@@ -213,7 +213,7 @@ def experiment_in(log: FlightLog) -> str:
 
 
 def structure_for(experiment: str, name: str = AUTO) -> Structure:
-    """The structure `name` of `STRUCTURES`, or with `AUTO` the paper's for an experiment of `KINDS`.
+    """Return the structure `name` of `STRUCTURES`, or with `AUTO` the paper's for an experiment of `KINDS`.
 
     Raises IdentificationError for a name that is not there, and for a structure of another experiment's inputs.
     """
@@ -237,7 +237,7 @@ def structure_for(experiment: str, name: str = AUTO) -> Structure:
 def by_hand(
     experiment: str, record: Record, others: Sequence[Record] = (), free: Record | None = None
 ) -> SimplePitch | SimpleVelocity:
-    """The paper's simple method; of a doublet it needs the `free` response too. Raises IdentificationError."""
+    """Read a model by the paper's simple method; a doublet needs a `free` response. Raises IdentificationError."""
     if experiment == "velocity":
         return identify_velocity([record, *others])
     if experiment == "attitude":

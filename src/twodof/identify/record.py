@@ -87,11 +87,11 @@ class Record:
         return np.asarray(self.start + self.dt * np.arange(self.steps))
 
     def output_time(self, output: str) -> Array:
-        """Times of the samples of `output` on the log's axis [s]."""
+        """Return the times of the samples of `output` on the log's axis [s]."""
         return np.asarray(self.start + self.dt * self.outputs[output].position)
 
     def signals(self, input: str, output: str) -> tuple[Array, Array, Array]:
-        """Times and values of an output, and the steps of an input. Raises IdentificationError for one it lacks."""
+        """Return times and values of an output, and an input's steps. Raises IdentificationError if one is missing."""
         if input not in self.inputs or output not in self.outputs:
             raise IdentificationError(
                 f"the record does not hold '{input}' as input and '{output}' as output",
@@ -112,7 +112,7 @@ class Record:
         smooth: Collection[str] = (),
         hold: str | Mapping[str, str] = "zoh",
     ) -> Self:
-        """A record from one table whose columns share the column `time` [s]; `smooth`, `hold` as in `from_channels`.
+        """Make a record from a table whose columns share the column `time` [s]; `smooth`, `hold` as in `from_channels`.
 
         Raises IdentificationError for a missing column, NaN, time that does not increase, fewer than two rows.
         """
@@ -133,7 +133,7 @@ class Record:
         hold: str | Mapping[str, str] = "zoh",
         name: str = "record",
     ) -> Self:
-        """A record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
+        """Make a record from channels (time [s], value), each with its own clock, in the window `start` to `stop` [s].
 
         The grid is that of the first input: its step is the mean of its regular intervals unless `dt` is given, its
         phase fits all its stamps. Inputs are held: step k takes the latest sample at or before it, half a step of
@@ -227,7 +227,7 @@ class Record:
         hold: str | Mapping[str, str] = "zoh",
         name: str = "",
     ) -> Self:
-        """A record from a flight log's window `start` to `stop` [s]; see `from_channels`.
+        """Make a record from a flight log's window `start` to `stop` [s]; see `from_channels`.
 
         Channels are named as in the log, or as {name in the structure: channel in the log}. Raises LogError for a
         channel that the log lacks, IdentificationError as `from_channels` does.
@@ -247,7 +247,7 @@ class Record:
         return cls.from_channels(channels, list(ins), list(outs), **window, smooth=smooth, hold=hold, name=title)
 
     def part(self, start: float, stop: float, name: str | None = None) -> Self:
-        """The piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
+        """Return the piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
         first = max(0, math.ceil((start - self.start) / self.dt - 1e-6))
         last = min(self.steps - 1, math.floor((stop - self.start) / self.dt + 1e-6))
         if last - first < 1:
@@ -289,7 +289,7 @@ class Record:
 
 
 def check_record(one: object) -> None:
-    """Raises IdentificationError for what is not a Record."""
+    """Raise IdentificationError for anything but a Record."""
     if not isinstance(one, Record):
         raise IdentificationError(
             f"a {type(one).__name__} is not a record", "records", "cut one from a log: cut(log, 'doublet')"
@@ -308,7 +308,7 @@ def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError
 
 
 def _check_any(keep: NDArray[np.bool_], start: float, stop: float, where: str, time: Array) -> None:
-    """Raises IdentificationError where the window `start` to `stop` [s] keeps none of the samples at `time`."""
+    """Raise IdentificationError if the window `start` to `stop` [s] keeps none of the samples at `time`."""
     if not keep.any():
         what = f"the window {start:g} to {stop:g} s holds no sample of the output"
         raise IdentificationError(what, where, _span_of(time))

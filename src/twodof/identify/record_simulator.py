@@ -68,7 +68,7 @@ class RecordSimulator:
         self._at = {name: _sampler(position, record.steps) for name, position in positions.items()}
 
     def run(self, values: Mapping[str, float]) -> dict[str, Array]:
-        """Outputs at their samples' times for the parameters `values`; those not named keep their last value."""
+        """Return the outputs at their samples' times for `values`; other parameters keep their last value."""
         # Most runs of a Jacobian change one value.
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         self._values |= changed
@@ -101,7 +101,7 @@ def _on_steps(position: Array) -> Array:
 
 
 def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
-    """Picks values of a simulated output at given positions, linearly between steps."""
+    """Return a function that picks values of a simulated output at `position`, linearly between steps."""
     index = np.minimum(np.floor(position).astype(np.int64), max(steps - 2, 0))
     share = position - index
     first = int(index[0])
@@ -117,7 +117,7 @@ def _sampler(position: Array, steps: int) -> Callable[[Array], Array]:
 
 
 def program_of(structure: Structure, dt: float, pieces: int | None = None) -> CompiledProgram | Reference:
-    """The structure compiled for data with the step `dt` [s]; kept, so that a second fit does not compile again.
+    """Compile the structure for data with the step `dt` [s]; a second fit uses the same program.
 
     Each step has `pieces` ticks, by default the structure's substeps.
     """
@@ -133,7 +133,7 @@ def _program(structure: Structure, dt: float, pieces: int) -> CompiledProgram | 
 
 @functools.lru_cache(maxsize=64)
 def _direct(structure: Structure) -> frozenset[str]:
-    """The inputs on which an output depends in the same tick."""
+    """Return the inputs on which an output depends in the same tick."""
     return frozenset().union(*(check(structure.diagram, 1.0).feedthrough or {}).values())
 
 
@@ -162,7 +162,7 @@ def ticks(values: Array, hold: str, pieces: int, direct: bool = False) -> Array:
 
 @functools.lru_cache(maxsize=16)
 def _held(pieces: int, direct: bool) -> Array:
-    """The ticks' values from those at the nodes of a step, shape (pieces, nodes).
+    """Return the matrix from values at the nodes of a step to the ticks' values, shape (pieces, nodes).
 
     They are the means over each tick, changed as little as the moments ask for. Moments are taken with Legendre's
     polynomials on -1..1, the step.
@@ -185,13 +185,13 @@ def _held(pieces: int, direct: bool) -> Array:
 
 
 def _linear(values: Array, late: Array) -> Array:
-    """The straight lines `late` shares of a step after each sample, shape (steps, late); held after the last."""
+    """Interpolate linearly, `late` shares of a step after each sample, shape (steps, late); hold after the last."""
     rise = np.append(np.diff(values), 0.0)
     return np.asarray(values[:, None] + rise[:, None] * late)
 
 
 def _band_limited(values: Array, late: Array) -> Array:
-    """The interpolation by sines, `late` shares of a step after each sample, shape (steps, late).
+    """Interpolate by sines, `late` shares of a step after each sample, shape (steps, late).
 
     The record less the line through its ends is continued by its point reflection at both ends, and fades out there.
     """

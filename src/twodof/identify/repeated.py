@@ -9,7 +9,7 @@ import numpy as np
 
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.estimate import Estimate
+from twodof.identify.estimate import Estimate, finite
 from twodof.identify.greybox import fit
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
@@ -48,15 +48,15 @@ class Repeated:
         return all(one.converged for one in self.estimates)
 
     def mean(self, label: str) -> float:
-        """The mean over the flights."""
+        """Return the mean over the flights."""
         return float(np.mean([one[label] for one in self.estimates]))
 
     def spread(self, label: str) -> Spread:
-        """How far the flights' estimates spread."""
+        """Return the spread of the flights' estimates."""
         return Spread(float(np.std([one[label] for one in self.estimates], ddof=1)), len(self.estimates))
 
     def claimed(self, label: str) -> float:
-        """The standard deviation that one flight claims: root of the mean of the squares of those to quote."""
+        """Return the standard deviation that one flight claims: root mean square of the quoted ones."""
         return math.sqrt(float(np.mean([one.sigma(label) ** 2 for one in self.estimates])))
 
     @property
@@ -84,7 +84,7 @@ class Repeated:
         return tuple(found)
 
     def table(self) -> str:
-        """The estimates flight by flight, their mean and spread, and what one flight claims, as text for a terminal."""
+        """Return the estimates by flight, mean, spread, and the claim of one flight, as text for a terminal."""
         first, labels = self.estimates[0], self.labels
         width = max(18, *(len(name) for name in self.names)) + 2
         lines = [f"{first.structure} ({first.domain}), each of {len(self.names)} flights by itself"]
@@ -105,12 +105,12 @@ class Repeated:
         return "\n".join(lines)
 
     def to_json(self) -> str:
-        """Everything but the signals as JSON text; NaN is null."""
+        """Return everything but the signals as JSON text; NaN is null."""
         figures = {
             label: {
                 "mean": self.mean(label),
                 "spread": self.spread(label).value,
-                "claimed": None if math.isnan(self.claimed(label)) else self.claimed(label),
+                "claimed": finite(self.claimed(label)),
             }
             for label in self.labels
         }

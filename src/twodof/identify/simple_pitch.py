@@ -104,7 +104,7 @@ class SimpleEstimate:
         )
 
     def table_with(self, steps: Sequence[str]) -> str:
-        """The lines `steps`, and below them fits and remarks."""
+        """Return the lines `steps`, and below them fits and remarks."""
         name, value = self.identification
         lines = [*steps, f"identification '{name}': FIT {value:.1f} %"]
         lines.extend(f"validation '{name}': FIT {value:.1f} %" for name, value in self.validation)
@@ -112,7 +112,7 @@ class SimpleEstimate:
         return "\n".join(lines)
 
     def json_with(self, figures: Mapping[str, object]) -> str:
-        """The `figures`, and below them fits and remarks, as JSON text."""
+        """Return the `figures`, and below them fits and remarks, as JSON text."""
         fits = {"identification": dict([self.identification]), "validation": dict(self.validation)}
         return json.dumps({**figures, **fits, "remarks": self.remarks}, indent=2, default=np.ndarray.tolist)
 
@@ -306,7 +306,7 @@ def rest_before(record: Record, time: Array, edge: float, output: str) -> NDArra
 
 
 def edges_of(record: Record, u: Array, input: str) -> list[int]:
-    """Steps at which the input jumps by more than a fifth of its range. Raises IdentificationError if none."""
+    """Return the steps where the input jumps by over a fifth of its range. Raises IdentificationError if none."""
     span = float(np.ptp(u))
     jumps = np.flatnonzero(np.abs(np.diff(u)) > 0.2 * span) + 1 if span > 0.0 else np.array([], dtype=int)
     if jumps.size == 0:
@@ -317,7 +317,7 @@ def edges_of(record: Record, u: Array, input: str) -> list[int]:
 
 
 def _moved(u: Array, edges: Sequence[int]) -> float:
-    """The largest peak-to-peak of the input before the first edge and between edges.
+    """Return the largest peak-to-peak of the input before the first edge and between edges.
 
     The edge may take a sample or two, as a telemetry channel shows it.
     """

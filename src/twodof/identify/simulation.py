@@ -29,7 +29,7 @@ def simulate(
     *,
     initial: int | None = None,
 ) -> dict[str, Array]:
-    """The outputs of `structure` for the inputs of `record`, each at the times of its samples: arrays by output.
+    """Return the outputs of `structure` for the inputs of `record`, at the times of their samples: arrays by output.
 
     `values`: the unknowns by name, or what a fit found; others have the structure's own. With `initial` the states at
     the start are those that fit the first `initial` samples best (see `initial_state`), nothing else is looked at.
@@ -49,7 +49,7 @@ def initial_state(
     *,
     samples: int = 50,
 ) -> dict[str, float]:
-    """The initial states, by name, that reproduce the first `samples` steps of a record best, all else given.
+    """Return the initial states, by name, that reproduce the first `samples` steps of a record best, all else given.
 
     They are the structure's local unknowns whose names end in "_0"; those that `samples` steps do not tell keep their
     values. Raises IdentificationError for a structure without any, for no samples, and as `simulate` does.
@@ -137,7 +137,7 @@ def _weights(polynomial: Array, steps: int) -> Array:
 
 
 def _start(record: Record, samples: int, where: str) -> Record:
-    """The first steps of a record, with those of its outputs that lie in the first `samples`."""
+    """Return the first steps of a record, with the samples of its outputs in the first `samples` steps."""
     steps = min(record.steps, samples + _BEHIND)
     outputs = {}
     for name, output in record.outputs.items():
@@ -174,7 +174,7 @@ def _given(structure: Structure, record: Record, values: Mapping[str, float] | E
 
 
 def _of_estimate(record: Record, found: Estimate) -> dict[str, float]:
-    """An estimate's values; of those that each record has for itself, this record's, or the structure's own."""
+    """Return an estimate's values; for unknowns of each record this record's, or the structure's own."""
     values = dict(found.fixed)
     for label, value in zip(found.labels, found.values, strict=True):
         name, bracket, of = label.partition("[")

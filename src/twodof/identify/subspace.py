@@ -47,7 +47,7 @@ class SubspaceModel:
         return int(self.a.shape[0])
 
     def simulate(self, u: Array) -> Array:
-        """Outputs (k, p) for the inputs (k, m)."""
+        """Return the outputs (k, p) for the inputs (k, m)."""
         drive = u @ self.b.T
         states = np.empty((u.shape[0], self.order))
         x = self.x0
@@ -64,7 +64,7 @@ class SubspaceModel:
         return np.asarray(np.log(z) / self.dt)
 
     def structure(self, feed_through: bool = False, name: str = "subspace") -> Structure:
-        """This model in continuous time as a structure to `fit`, with as many unknowns as can be told.
+        """Return this model in continuous time as a structure to `fit`, with as many unknowns as data can show.
 
         Each pair of poles is x1' = x2 + b u, x2' = -stiffness x1 - damping x2 + b u, each real pole x' = -rate x + b u.
         The output in which it shows most reads x1 itself. All else is unknown: B, the rest of C, with `feed_through` D.
@@ -83,7 +83,7 @@ def subspace(
     horizon: int | None = None,
     feed_through: bool = False,
 ) -> SubspaceModel:
-    """A linear model of `record` between `inputs` and `outputs` (default: all), taken as held inputs.
+    """Return a linear model of `record` between `inputs`, taken as held, and `outputs` (default: all).
 
     `order`: the number of states, by default that before the largest gap between singular values, at most
     `horizon` / 2. `horizon`: how many samples before and after are looked at, by default 10 to 30 by the record's
@@ -157,7 +157,7 @@ def _observability(u: Array, y: Array, reach: int, where: str) -> tuple[Array, A
 
 
 def _stable(a: Array) -> Array:
-    """The same modes, those that grow as slowly as those that would decay."""
+    """Return the same modes, growing ones turned into decaying ones of the same rate."""
     z, v = np.linalg.eig(a)
     if (np.abs(z) <= 1.0).all():
         return a
@@ -193,67 +193,59 @@ def _rest(
 
 
 def _modal(model: SubspaceModel, feed_through: bool, name: str) -> Structure:
+    """Return the structure of real blocks: each one's first state is its part of the output in which it shows most."""
     z, v = np.linalg.eig(model.a)
     if np.linalg.cond(v) > 1e8:
         raise IdentificationError("two poles are equal", f"structure '{name}'", "choose another order")
-    enter, start, read = np.linalg.solve(v, model.b), np.linalg.solve(v, model.x0), model.c @ v
+    left, read = np.linalg.inv(v), model.c @ v
     m, p, n = len(model.inputs), len(model.outputs), model.order
     size = np.maximum(np.abs(model.c).max(axis=1), 1e-300)
+    poles = np.log(np.where(z.imag != 0.0, z, np.maximum(z.real, _FASTEST)).astype(complex)) / model.dt
+    # From the input held over a step to the input in continuous time, mode by mode.
+    fast = np.abs(poles) * model.dt > _SLOWEST
+    drive = np.where(fast, poles / np.where(fast, np.expm1(poles * model.dt), 1.0), 1.0 / model.dt)
     a: list[list[Entry]] = [[0.0] * n for _ in range(n)]
-    b = [[f"b{i + 1}_{one}" for one in model.inputs] for i in range(n)]
-    c: list[list[Entry]] = [[0.0] * n for _ in range(p)]
     guess: dict[str, float] = {}
-    at = 0
-    for i in range(n):
-        if z[i].imag < 0.0:
-            continue  # the other one of a pair
-        pair = z[i].imag > 0.0
-        pole = np.log(z[i] if pair else max(z[i].real, _FASTEST)) / model.dt
-        # The discrete input's share, of the input in continuous time.
-        drive = enter[i] * (pole / np.expm1(pole * model.dt) if abs(pole) * model.dt > _SLOWEST else 1.0 / model.dt)
+    rows: list[Array] = []
+    shown: dict[int, int] = {}
+    for i in np.flatnonzero(z.imag >= 0.0).tolist():
+        at, pair = len(rows), z[i].imag > 0.0
         main = int(np.argmax(np.abs(read[:, i]) / size))
-        turn = read[main, i]
+        shown[at] = main
+        row = (2.0 if pair else 1.0) * read[main, i] * left[i]
+        rows.append(row)
         if pair:
-            mine = np.array([[2.0 * turn.real, -2.0 * turn.imag], _halves(turn * pole)])
+            rows.append(row * poles[i])
+            shown[at + 1] = main
             a[at][at + 1] = 1.0
             a[at + 1][at], a[at + 1][at + 1] = f"-stiffness{at + 1}", f"-damping{at + 1}"
-            guess[f"stiffness{at + 1}"], guess[f"damping{at + 1}"] = abs(pole) ** 2, -2.0 * pole.real
-            driven = [2.0 * (turn * drive).real, 2.0 * (turn * pole * drive).real]
-            started = [2.0 * (turn * start[i]).real, 2.0 * (turn * pole * start[i]).real]
+            guess[f"stiffness{at + 1}"], guess[f"damping{at + 1}"] = abs(poles[i]) ** 2, -2.0 * poles[i].real
         else:
             a[at][at] = f"-rate{at + 1}"
-            guess[f"rate{at + 1}"] = -pole.real
-            driven, started = [(turn * drive).real], [(turn * start[i]).real]
-        for o in range(p):
-            if o == main:
-                c[o][at] = 1.0
-                continue
-            row = np.linalg.solve(mine.T, _halves(read[o, i])) if pair else [(read[o, i] / turn).real]
-            for j, value in enumerate(row):
-                c[o][at + j] = f"c_{model.outputs[o]}_{at + j + 1}"
-                guess[f"c_{model.outputs[o]}_{at + j + 1}"] = float(value)
-        for j, (forced, first) in enumerate(zip(driven, started, strict=True)):
-            guess |= {b[at + j][k]: float(forced[k]) for k in range(m)}
-            guess[f"x{at + j + 1}_0"] = float(first)
-        at += 2 if pair else 1
+            guess[f"rate{at + 1}"] = -poles[i].real
+    turned = np.array(rows).real
+    driven, started = turned @ (v * drive @ left @ model.b).real, turned @ model.x0
+    seen = np.linalg.solve(turned.T, model.c.T).T
+    b = [[f"b{i + 1}_{one}" for one in model.inputs] for i in range(n)]
+    guess |= {b[i][k]: float(driven[i, k]) for i in range(n) for k in range(m)}
+    c: list[list[Entry]] = [[f"c_{o}_{i + 1}" for i in range(n)] for o in model.outputs]
+    guess |= {f"c_{o}_{i + 1}": float(seen[k, i]) for k, o in enumerate(model.outputs) for i in range(n)}
+    for i, main in shown.items():
+        del guess[f"c_{model.outputs[main]}_{i + 1}"]
+        c[main][i] = 1.0 if i == 0 or a[i - 1][i] != 1.0 else 0.0
     d: list[list[Entry]] | None = None
     if feed_through:
         d = [[f"d_{o}_{one}" for one in model.inputs] for o in model.outputs]
         guess |= {str(d[i][k]): float(model.d[i, k]) for i in range(p) for k in range(m)}
-    states = {f"x{i + 1}_0": guess.pop(f"x{i + 1}_0") for i in range(n)}
     made = linear_model(a, b, c, d, inputs=model.inputs, outputs=model.outputs, guess=guess, name=name)
     biases = {f"{o}_bias": float(model.bias[i]) for i, o in enumerate(model.outputs)}
-    made = made.with_guess(**states, **biases)
+    made = made.with_guess(**{f"x{i + 1}_0": float(started[i]) for i in range(n)}, **biases)
     scale = _scales(made, guess) | {f"{o}_bias": float(size[i]) for i, o in enumerate(model.outputs)}
     return Structure(made.diagram, (*made.estimate, *biases), made.local, scale)
 
 
-def _halves(value: complex) -> list[float]:
-    return [2.0 * value.real, -2.0 * value.imag]
-
-
 def _scales(made: Structure, guess: dict[str, float]) -> dict[str, float]:
-    """A first guess that happens to be small says little of what matters: the largest of its kind does."""
+    """Return scales for the unknowns: the size of the guess, at least a hundredth of the largest of its kind."""
     found: dict[str, float] = {}
     for kind in ("b", "c_", "d_", "stiffness", "damping", "rate"):
         own = [name for name in guess if name.startswith(kind)]

@@ -57,7 +57,7 @@ class TransferFit:
     converged: bool
 
     def __getitem__(self, label: str) -> float:
-        """A coefficient. Raises IdentificationError for one that is not there."""
+        """Return a coefficient. Raises IdentificationError for an unknown one."""
         found = self._all(self.values)
         if label not in found:
             raise IdentificationError(
@@ -66,11 +66,11 @@ class TransferFit:
         return found[label]
 
     def sigma(self, label: str) -> float:
-        """Standard deviation of a coefficient; 0 for one that was held."""
+        """Return the standard deviation of a coefficient; 0 for a held one."""
         return 0.0 if label in self.fixed else math.sqrt(float(self.covariance[self._index(label), self._index(label)]))
 
     def interval(self, label: str, level: float = 0.95) -> tuple[float, float]:
-        """The confidence interval of a coefficient at `level`. Raises IdentificationError as `sigma` does."""
+        """Return the confidence interval of a coefficient at `level`. Raises IdentificationError as `sigma` does."""
         half = deviations(level) * self.sigma(label)
         return self[label] - half, self[label] + half
 
@@ -86,26 +86,22 @@ class TransferFit:
 
     @property
     def dead_time(self) -> float:
-        """tau [s]."""
+        """Return tau [s]."""
         return self["tau"]
 
     def response(self, omega: ArrayLike) -> Complex:
-        """The fitted T(j omega), without a hold, at `omega` [rad/s], shape (k,)."""
+        """Return the fitted T(j omega), without a hold, at `omega` [rad/s], shape (k,)."""
         return _transfer(self._all(self.values), self.orders, self.power, np.asarray(omega, dtype=float))
 
     @property
     def factors(self) -> tuple[TransferFactor, ...]:
-        """Gain at s = 1 of the highest powers, zeros and poles with their standard deviations (first order)."""
-        found = []
+        """Return the gain of the highest powers, zeros and poles with their standard deviations (first order)."""
+        highest = f"b{self.orders[0]}"
+        found = [TransferFactor("gain", self[highest], self.sigma(highest))]
         for kind, order, letter in (("zero", self.orders[0], "b"), ("pole", self.orders[1], "a")):
             roots = _sorted_roots(self._all(self.values), letter, order)
-            k = 0
-            while k < order:
-                pair = roots[k].imag != 0.0
-                found.append(self._factor(kind, letter, order, k, pair))
-                k += 2 if pair else 1
-        gain = self._spread(lambda x: np.array([self._all(x)[f"b{self.orders[0]}"]]))
-        return (TransferFactor("gain", self[f"b{self.orders[0]}"], float(gain[0])), *found)
+            found.extend(self._factor(kind, letter, order, k) for k in range(order) if roots[k].imag <= 0.0)
+        return tuple(found)
 
     def table(self) -> str:
         """Coefficients and factors with standard deviations, and J, as text."""
@@ -155,19 +151,19 @@ class TransferFit:
             )
         return self.labels.index(label)
 
-    def _spread(self, function: Callable[[Array], Array]) -> Array:
-        slope = _jacobian(function, self.values)
-        return np.asarray(np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slope, self.covariance, slope), 0.0)))
+    def _factor(self, kind: str, letter: str, order: int, k: int) -> TransferFactor:
+        """Return the factor of root `k`, a pair if the root is complex."""
+        pair = _sorted_roots(self._all(self.values), letter, order)[k].imag != 0.0
 
-    def _factor(self, kind: str, letter: str, order: int, k: int, pair: bool) -> TransferFactor:
         def figures(x: Array) -> Array:
             root = _sorted_roots(self._all(x), letter, order)[k]
             size = abs(root)
             return np.array([size, -root.real / size]) if pair else np.array([-root.real])
 
-        value, sigma = figures(self.values), self._spread(figures)
-        more = (float(value[1]), float(sigma[1])) if pair else ()
-        return TransferFactor(kind, float(value[0]), float(sigma[0]), *more)
+        slope = _jacobian(figures, self.values)
+        sigma = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slope, self.covariance, slope), 0.0))
+        both = zip(figures(self.values).tolist(), sigma.tolist(), strict=True)
+        return TransferFactor(kind, *(figure for value_and_sigma in both for figure in value_and_sigma))
 
 
 def fit_transfer(
@@ -263,7 +259,7 @@ class _Points:
         return np.concatenate([factor * decibel, factor * math.sqrt(_DEGREES_IN_DECIBEL) * degrees])
 
     def deviation(self) -> Array:
-        """Standard deviations of `rows`, those of points that are not independent as much larger as they count less."""
+        """Return the standard deviations of `rows`, larger for points that are not independent."""
         shared = np.sqrt(np.maximum(self.spacing, 1.0))
         factor = math.sqrt(20.0 / self.omega.size) * self.weight * self.relative * shared
         decibel = 20.0 / math.log(10.0)
@@ -318,7 +314,7 @@ class _Search:
         return float(level * middle ** (k - self.power - int(label[1:])))
 
     def _start(self) -> Array:
-        """The best of the linear solutions at several dead times."""
+        """Return the best of the linear solutions at several dead times."""
         longest = 2.0 * math.pi / float(self.data.omega[-1])
         delays = [self.fixed["tau"]] if "tau" in self.fixed else np.linspace(0.0, 2.0 * longest, _DELAYS).tolist()
         best, lowest = np.array([self._size(label) for label in self.labels]), math.inf
@@ -331,7 +327,7 @@ class _Search:
         return best
 
     def _linear(self, delay: float) -> Array:
-        """b and a by least squares on B - H A = 0 at one dead time, re-weighted by the last 1 / A."""
+        """Solve B - H A = 0 for b and a by least squares at one dead time, re-weighted by the last 1 / A."""
         s = 1j * self.data.omega
         h = self.data.measured / (self.data.hold * np.exp(-s * delay) * s**self.power)
         names = [label for label in self.labels if label != "tau"]

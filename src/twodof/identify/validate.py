@@ -162,7 +162,7 @@ class Comparison:
         return bool((first > np.maximum(self.whiteness.bound[:_WANDERING_LAGS], _WANDERING)).all())
 
     def to_json(self) -> dict[str, object]:
-        """The figures as plain numbers (no signals)."""
+        """Return the figures as plain numbers (no signals)."""
         return {
             "record": self.record,
             "output": self.output,

@@ -53,7 +53,7 @@ class Autoregression:
         return self.predictors[-1]
 
     def scaled(self, factor: float) -> "Autoregression":
-        """The same colour with `factor` times the standard deviation."""
+        """Return the same colour with `factor` times the standard deviation."""
         return replace(self, deviations=self.deviations * factor)
 
     def whiten(self, rows: Array, pieces: Sequence[slice]) -> Array:
@@ -107,7 +107,7 @@ class Autoregression:
 
 
 def pieces_of(position: Array) -> tuple[slice, ...]:
-    """The stretches of samples at `position` without a gap: an interval of 1.5 times the usual one, or more, is one."""
+    """Return the stretches of samples at `position` without a gap, an interval of 1.5 times the usual one or more."""
     if position.size < 2:
         return (slice(0, position.size),)
     interval = np.diff(position)
@@ -117,7 +117,7 @@ def pieces_of(position: Array) -> tuple[slice, ...]:
 
 
 def autoregression(noise: Array, pieces: Sequence[slice], order: int | None = None, spent: int = 0) -> Autoregression:
-    """The autoregression of `noise` (samples,), by default of the order with the least corrected AIC.
+    """Fit the autoregression of `noise` (samples,), by default of the order with the least corrected AIC.
 
     `spent` is the number of other unknowns that were fitted to the same samples.
     """
@@ -151,7 +151,7 @@ def autoregression(noise: Array, pieces: Sequence[slice], order: int | None = No
 
 
 def from_covariance(covariance: Array) -> Autoregression:
-    """The autoregression with these autocovariances at lags 0, 1, ..., n.
+    """Return the autoregression with these autocovariances at lags 0, 1, ..., n.
 
     Row k of the inverse of the covariance matrix's Cholesky factor holds the best predictor from k earlier samples, the
     earliest first, over the deviation of its error.
@@ -169,7 +169,7 @@ def from_covariance(covariance: Array) -> Autoregression:
 
 
 def _by_levinson(covariance: Array) -> Autoregression:
-    """The same for a process that is all but determined, whose matrix rounding may make indefinite."""
+    """Return it for an almost deterministic process, whose matrix rounding may make indefinite."""
     polynomial, variance = np.ones(1), float(covariance[0])
     predictors, variances = [polynomial], [variance]
     for k in range(1, covariance.size):

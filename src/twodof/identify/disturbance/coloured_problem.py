@@ -68,7 +68,7 @@ def moves(problem: Problem, blocks: Sequence[int]) -> Iterator[tuple[str, int, A
 
 
 def loudness(error: Array, moved: Sequence[tuple[str, int, Array]]) -> Loudness | None:
-    """The most likely loudness of white `error` (samples,) by what has `moved`; None where it may well be even."""
+    """Return the most likely loudness of white `error` (samples,) after what has `moved`; None if it may be even."""
     square = error**2
     power = float(square.mean())
     best, gain = None, _CERTAIN
@@ -172,7 +172,7 @@ class ColouredProblem:
         self._last: tuple[Array, Array, tuple[Autoregression, ...]] | None = None
 
     def minimise(self, x: Array, iterations: int = 100) -> LeastSquaresMinimum:
-        """The most likely x from a first guess, the orders chosen on the way; its residual is `residual(x)`."""
+        """Search the most likely x from a first guess, with the orders chosen on the way."""
         before: list[int | None] = []
         for _ in range(_ROUNDS):
             raw = self.problem.residual(x)
@@ -224,7 +224,7 @@ class ColouredProblem:
         return self.whiten(raw, models) * self._spread(models)
 
     def jacobian(self, x: Array, residual: Array) -> Array:
-        """Derivatives of `residual` by x."""
+        """Return the derivatives of `residual` by x."""
         raw, models = self.at(x)
         return self._projected(self.problem.jacobian(x, raw), raw, models) * self._spread(models)
 
@@ -234,12 +234,12 @@ class ColouredProblem:
         return self._projected(self.problem.central_jacobian(x), raw, models)
 
     def whitened(self, x: Array) -> Array:
-        """The prediction errors at x, over their standard deviations."""
+        """Return the prediction errors at x, over their standard deviations."""
         raw, models = self.at(x)
         return self.whiten(raw, models)
 
     def at(self, x: Array) -> tuple[Array, tuple[Autoregression, ...]]:
-        """The weighted residual at x and its noise models, in the order of `Problem.noises`."""
+        """Return the weighted residual at x and its noise models, in the order of `Problem.noises`."""
         if self._last is None or not np.array_equal(self._last[0], x):
             raw = self.problem.residual(x)
             self._last = (x.copy(), raw, self._models(raw))
@@ -279,7 +279,7 @@ class ColouredProblem:
         return {label: loud for label, loud in found if loud is not None}
 
     def unit(self, noise: int) -> float:
-        """The weight of the rows of a noise, in the output's unit."""
+        """Return the weight of the rows of a noise, in the output's unit."""
         block = self.problem.blocks[self.problem.noises[noise][0]]
         return self.problem.sigma[block.record, block.output]
 

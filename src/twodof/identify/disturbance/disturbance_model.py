@@ -45,7 +45,7 @@ class DisturbanceModel:
     louder: Mapping[str, Loudness] = field(default_factory=dict)
 
     def of(self, output: str, dt: float) -> Autoregression | None:
-        """The noise of `output`, for a flight with samples `dt` [s] apart; None where it is white.
+        """Return the noise of `output` for a flight with samples `dt` [s] apart; None if it is white.
 
         Raises IdentificationError for another sampling time, and where several records each have a noise of their own.
         """
@@ -130,7 +130,7 @@ def answers(applied: Array, residual: Array) -> bool:
 
 
 def inputs_that_answer(problem: Problem, residual: Array) -> tuple[str, ...]:
-    """The structure's inputs that answer the residual of an output in one of the problem's records."""
+    """Return the structure's inputs that answer the residual of an output in one of the problem's records."""
     found = []
     for name in problem.structure.inputs:
         for block in problem.blocks:

@@ -79,7 +79,7 @@ class GustModel:
         self.theta = self._start() if theta is None else theta
 
     def noise(self, theta: Array) -> Autoregression:
-        """The noise as an autoregression of 40 samples, in units of the residual's weight."""
+        """Return the noise as an autoregression of 40 samples, in units of the residual's weight."""
         push, time, white, narrow, frequency, decay = theta
         covariance = math.exp(2.0 * push) * self._pushed(math.exp(time))
         covariance += math.exp(2.0 * narrow) * self._band(2.0 * math.pi * frequency, 1.0 / (1.0 + math.exp(-decay)))
@@ -130,7 +130,7 @@ class GustModel:
         return np.asarray(covariance / covariance[0])
 
     def _start(self) -> Array:
-        """The best of some guesses: the sensor has the residual's roughness, the push all of the rest or a part."""
+        """Return the best of some guesses: the sensor has the residual's roughness, the push the rest or a part."""
         change = np.diff(self._raw)
         frequency = np.fft.rfftfreq(change.size)
         inside = np.flatnonzero((frequency > _BOUNDS[4][0]) & (frequency < _BOUNDS[4][1]))
@@ -215,7 +215,7 @@ def can_be_pushed(problem: Problem, x: Array, sure: bool = False) -> bool:
 
 
 def pushed(problem: Problem, x: Array) -> Pushed:
-    """The most likely unknowns under a gust, from the guess `x`."""
+    """Search the most likely unknowns under a gust, from the guess `x`."""
     thetas: list[Array | None] = [None] * len(problem.blocks)
     stands = False
     for turn in range(_ROUNDS):

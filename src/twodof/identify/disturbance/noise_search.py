@@ -57,7 +57,7 @@ class Disturbed:
 
 
 def check_disturbance(disturbance: Disturbance, banded: bool, noise_given: bool, where: str) -> None:
-    """Raises IdentificationError for an unknown noise model, and for "ar" or "input" with a given band or noise."""
+    """Raise IdentificationError for an unknown noise model, and for "ar" or "input" with a given band or noise."""
     if disturbance not in KINDS:
         raise IdentificationError(f"no disturbance {disturbance!r:.80}", where, f"there are: {', '.join(KINDS)}")
     if disturbance in ("auto", "white"):
@@ -77,7 +77,7 @@ def check_disturbance(disturbance: Disturbance, banded: bool, noise_given: bool,
 
 
 def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturbance, noise_given: bool) -> Disturbed:
-    """The estimate under the noise model asked for, from the output-error `minimum`.
+    """Estimate under the noise model asked for, from the output-error `minimum`.
 
     "auto" stays with white noise where the output error's residual is white, and where a band is fitted or the noise is
     given. Otherwise it takes the autoregression for long records (`LONG`; in open loop twice that). For shorter ones it
@@ -223,7 +223,7 @@ def _change(problem: Problem, white: Disturbed, found: Disturbed) -> float:
 
 
 def _under(problem: Problem, jacobian: Array, found: Disturbed) -> Array:
-    """The variance of output error's estimates under the noise that was `found`, from its sensitivities."""
+    """Return the variance of output error's estimates under the noise that was `found`, from its sensitivities."""
     bread, sigmas = covariance(jacobian), problem.noise()
     variance = np.zeros(bread.shape[0])
     for block, (label, model) in zip(problem.blocks, found.model.noise.items(), strict=True):
@@ -276,7 +276,7 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
 
 
 def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastSquaresMinimum:
-    """The x near the minimum at which no sensitivity goes with the prediction errors; the orders are chosen at it.
+    """Search x near the minimum where no sensitivity correlates with the prediction errors; choose the orders there.
 
     Burg's coefficients are not quite those of the least cost: less so in a short record, and where the noise is louder,
     as they know of no weights. The cost's minimum is then off by what is chance in them. The sensitivities are without
@@ -304,7 +304,7 @@ def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastS
 
 
 def _left(jacobian: Array, error: Array) -> tuple[Array, float]:
-    """The Gauss-Newton step that is left, and how long it is in standard deviations: inf where it is not known."""
+    """Return the remaining Gauss-Newton step, and its length in standard deviations, infinite if it is not known."""
     if not (np.isfinite(jacobian).all() and np.isfinite(error).all()):
         return np.zeros(jacobian.shape[1]), math.inf
     step = np.asarray(np.linalg.lstsq(jacobian, error, rcond=None)[0], dtype=np.float64)
