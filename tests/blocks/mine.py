@@ -1,4 +1,4 @@
-"""A user's block with one method of the test's, and where its mistakes must be said to stand."""
+"""A user's block with one method replaced, and the expected line of a mistake in it."""
 
 import inspect
 from collections.abc import Callable

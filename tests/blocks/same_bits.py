@@ -1,4 +1,4 @@
-"""Whether two values of the language are the same."""
+"""Comparison of two values of the language to the bit."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from twodof.blocks.expressions.numbers import Integer
 
 
 def same_bits(a: Any, b: Any) -> bool:
-    """Whether two numbers (or Vectors) are the same value to the bit; all NaNs are one value, -0.0 differs from 0.0."""
+    """Return True if two numbers (or Vectors) are equal to the bit; all NaNs are equal, -0.0 differs from 0.0."""
     if isinstance(a, tuple):
         return len(a) == len(b) and all(same_bits(x, y) for x, y in zip(a, b, strict=True))
     if isinstance(a, Integer):

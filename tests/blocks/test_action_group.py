@@ -1,4 +1,4 @@
-"""What an action group refuses; what it does is in tests/compile/semantics.py."""
+"""Refusals of action groups; their function is tested in tests/compile/semantics.py."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Buses: what is one, how it connects as one wire, goes through blocks, files and programs, and what is refused."""
+"""Buses: fields, connections as one wire, blocks, files and programs, and refusals."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a state's field": (lambda: expanded([State("s", {"q": 1}, RATES)]), "s: Rates has no field 'q' (there are:"),
     "a parameter's": (lambda: expanded([Param("s", {"p": 1, "count": 0.5}, RATES)]), "s.count"),
     "assigned": (lambda: setattr(RATES, "name", "x"), "bus Rates: 'name' is assigned"),
-    "selected": (lambda: BusSelect(ATTITUDE, ["rates.q"]), "there is no field 'rates.q' (there are: rates.p"),
+    "selected": (lambda: BusSelect(ATTITUDE, ["rates.q"]), "Attitude has no field 'rates.q' (there are: rates.p"),
     "created of a number": (lambda: BusCreate(3), "BusCreate: bus=3 (give Bus("),
 }  # fmt: skip
 

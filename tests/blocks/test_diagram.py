@@ -94,7 +94,7 @@ def test_a_condition_that_is_none_is_refused(options: dict[str, str], what: str)
 
 
 def test_rates_that_multiply_without_end_are_refused() -> None:
-    """Beyond the tick's 2^32 a block runs once; only where no number holds the period any more is the end."""
+    """Accept a period beyond the tick's 2^32 (the block runs once); refuse one beyond 2^256."""
 
     def nested(levels: int) -> Diagram:
         d = Diagram("inner")

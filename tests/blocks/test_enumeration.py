@@ -1,4 +1,4 @@
-"""Enumerations: what they are, what may be connected to what, names in and out, and what is refused."""
+"""Enumerations: members, connections, names in and out, and refusals."""
 
 from __future__ import annotations
 

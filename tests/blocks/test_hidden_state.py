@@ -1,4 +1,4 @@
-"""What a block remembers anywhere but in its states is refused, or at least never differs from target to target."""
+"""Memory of a block outside its states is refused, or gives the same bits on every target."""
 
 import itertools
 import random
@@ -245,7 +245,7 @@ def test_a_value_of_another_block_is_refused() -> None:
 
 
 class Allowed(Block):
-    """What is the block's own for one call only may change as it likes."""
+    """A block that changes values of its own within one call."""
 
     inputs = (Port("u"), Port("a", width=3))
     outputs = (Port("y"), Port("z", width=3))

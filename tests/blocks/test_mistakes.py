@@ -1,4 +1,4 @@
-"""What a user gets wrong in a block's Python is one error: which block and method, which line, what to do."""
+"""A mistake in a block's Python is one error: block and method, line, and remedy."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""State machines as a user writes them: what is wrong is said with the mode, the line and the remedy."""
+"""State machines as a user writes them: an error names the mode, the line and the remedy."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def between(*guards: Guard | bool) -> dict[str, Any]:
 
 
 WRONG: dict[str, tuple[dict[str, Any], str]] = {
-    "no modes": ({"modes": ()}, "there is no mode to start in (write modes = [Mode(...), ...]"),
+    "no modes": ({"modes": ()}, "it has no modes (write modes = [Mode(...), ...]"),
     "modes that are text": ({"modes": "off"}, "modes are 'off' (write a list of Mode(...))"),
     "two modes of one name": ({"modes": (OFF, OFF)}, "two modes are named 'off'"),
     "an inner mode of the same name": ({"modes": (OFF, Mode("on", inner=[OFF]))}, "two modes are named 'off'"),

@@ -101,7 +101,7 @@ def test_what_the_drone_refuses_the_simulator_refuses_with_the_same_words(
 
 
 def test_what_a_log_says_of_its_gains_is_read_back() -> None:
-    """Of a flight, a recording, and a log on board in float32, of which what was set is the shortest decimal."""
+    """Read gains of a flight, of a recording, and of a log on board, whose float32 are the shortest decimals."""
     tuned = STUDENT.tuned()
     assert tuned["POS_KP"] == STUDENT.position
     assert Gains.flown({"parameters": tuned}) == STUDENT

@@ -1,4 +1,4 @@
-"""What each row of the hazard analysis is expected to do, one line a row."""
+"""Expected action of each row of the hazard analysis, one line a row."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ FLAG_KINDS = ("none", "never", "always", "rarely", "missed", "once", "late")
 
 
 def _due(t: Any, onset: Any) -> Any:
-    """Whether the fault is there: `onset` ms after the start, base ticks being ms."""
+    """Return True from `onset` ms after the start on; a base tick is 1 ms."""
     return to_int32(t.tick) >= onset
 
 

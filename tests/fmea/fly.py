@@ -35,7 +35,7 @@ class Flown:
 
     @property
     def breaks(self) -> bool:
-        """Whether the motors were on for longer than AT_A_STOP after a stop was met."""
+        """Return True if the motors were on for longer than AT_A_STOP after a stop was met."""
         return bool(self.seen["on_after"].max() > AT_A_STOP)
 
     def at(self, action: str) -> str:

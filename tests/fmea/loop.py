@@ -51,7 +51,7 @@ FLAGS = ("dist_new", "imu_new", "setpoint_new", "link_new", "step_late", "own_la
 
 
 class Script(Block):
-    """What is asked for: armed at ARM, flown from GO in a mode with constant set-points or a square wave of them."""
+    """Set-points: armed at ARM, flown from GO in a mode with constant set-points or a square wave of them."""
 
     outputs = (
         Port("arm", "bool"),
@@ -96,7 +96,7 @@ class Script(Block):
 
 
 class Witness(Block):
-    """What came of it, since the fault came; times in ms, -1 for never.
+    """Results since the onset of the fault; times in ms, -1 for never.
 
     `level_at` is that of level or a stronger action, and so on; `at_stop` how long motors were on near a stop, within
     .02 rad or 5 mm, `on_after` how long after a stop was first met.

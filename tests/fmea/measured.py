@@ -1,4 +1,4 @@
-"""What the rows measured, as the file measured.csv: `python -m tests.fmea.measured` writes it, then tools/tables.py."""
+"""Measurements of the rows in measured.csv: `python -m tests.fmea.measured` writes it, then tools/tables.py."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def record(one: Flown) -> tuple[str, ...]:
 
 
 def told(expected: Expected) -> str:
-    """What is expected, in words."""
+    """Return the expected action in words."""
     return f"{expected.action} within {expected.within} ms" if expected.action else ""
 
 

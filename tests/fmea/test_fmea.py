@@ -20,7 +20,7 @@ LEAST_FAULTS = 120
 
 
 def judge(flights: Sequence[Flown]) -> list[str]:
-    """What is not as expected: a line each."""
+    """Return a line for each difference from the expected result."""
     wrong = []
     for one in flights:
         expected = EXPECTED[one.row.name]
@@ -34,7 +34,7 @@ def judge(flights: Sequence[Flown]) -> list[str]:
 
 
 def in_time(one: Flown, expected: Expected) -> bool:
-    """Whether the expected action or a stronger one is taken with each seed, in its time."""
+    """Return True if the expected action or a stronger one is taken in time with each seed."""
     if expected.action == "none":
         return not one.seen["strongest"].any() and bool((one.seen["touched_at"] < 0).all())
     at = one.seen[f"{expected.action}_at"]

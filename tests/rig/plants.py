@@ -53,7 +53,7 @@ def settings(values: Mapping[str, object]) -> dict[str, object]:
 def slopes(
     state: NDArray[np.float64], p: Mapping[str, float], thrust: float, moment: float, running: float
 ) -> NDArray[np.float64]:
-    """d/dt of (theta, q, x, v) by Lagrange's equations, solved as a linear system; no friction that sticks."""
+    """Return the time derivative of the state by Lagrange's equations; without sticking friction."""
     theta, q, _, v = state
     m = p["mass_drone"] + p["mass_cart"]
     lever = p["mass_drone"] * p["offset"]

@@ -1,4 +1,4 @@
-"""Sensors: rates, age, quantisation, noise as the logs have it, and none at all where none is wanted."""
+"""Sensors: rates, age, quantisation, and the noise of the logs or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the rig's parameters say without a simulation, against the simulation."""
+"""Steady-state figures from the rig's parameters, against simulation."""
 
 from __future__ import annotations
 

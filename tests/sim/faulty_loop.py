@@ -1,4 +1,4 @@
-"""The closed loop with the failsafe, and faults to put in: a frozen IMU, a silent range, a failing controller, ..."""
+"""Closed loop with the failsafe and injected faults: battery sag, failing controller and others."""
 
 from __future__ import annotations
 

@@ -42,8 +42,7 @@ def pitch_step(loop: ClosedLoop, size: float = STEP) -> Floats:
 
 
 class Expected(NamedTuple):
-    """Rise [s], largest overshoot [-], the time [s] after which theta stays within 5 %, and the margins there must be:
-    gain [dB], phase [deg], crossover [rad/s]."""
+    """Rise [s], overshoot [-] and settling to 5 % [s]; least margins: gain [dB], phase [deg], crossover [rad/s]."""
 
     rise: tuple[float, float]
     overshoot: float
@@ -120,7 +119,7 @@ def loop_gain(diagram: Diagram) -> control.FrequencyResponseData:
 
 
 class Margins(NamedTuple):
-    """What python-control says of a loop: gain margin [-], phase margin [deg], crossover [rad/s], least |1 + L|."""
+    """Margins of a loop by python-control: gain [-], phase [deg], crossover [rad/s], least |1 + L|."""
 
     gain: float
     phase: float
@@ -143,7 +142,7 @@ def test_the_margins_are_those_of_a_sound_design(name: str) -> None:
 
 
 def grows(loop: ClosedLoop) -> bool:
-    """Whether a small oscillation grows: the pitch of the last second against that of the second half second."""
+    """Return True if a small oscillation grows: compare the pitch of the last second with the second half second."""
     theta = pitch_step(loop, np.radians(0.1)) - 1.0
     late, early = (np.abs(theta[part] - theta[part].mean()).max() for part in (slice(-250, None), slice(125, 250)))
     return bool(late > early)

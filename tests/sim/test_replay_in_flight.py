@@ -90,7 +90,7 @@ def flown() -> FlightLog:
 
 @pytest.fixture(scope="module")
 def before(flown: FlightLog) -> Mapping[str, float]:
-    """What its replay differs by."""
+    """Return the NRMS of its replay."""
     return replay(flown).nrms
 
 

@@ -56,9 +56,9 @@ class Difference:
 def difference(before: Diagram, after: Diagram) -> Difference:
     """Compare what `before` and `after` compute in a step. Names of diagrams, texts and layout do not count.
 
-    A sub-diagram is compared part by part, at paths such as "pid.gain". Of a part that came or went its parameters and
-    connections are named too, and nothing that is inside it. One that was renamed is removed and added. Custom blocks
-    are compared by their traced expressions. Raises DiagramError for a connection whose source is not there.
+    A sub-diagram is compared part by part, at paths such as "pid.gain". A part that was added or removed is named
+    with its parameters and connections, without its contents. A renamed part is removed and added. Custom blocks are
+    compared by their traced expressions. Raises DiagramError for a connection whose source is not there.
     """
     old, new = _listing(before), _listing(after)
     moved = old["block"].keys() ^ new["block"].keys()

@@ -27,7 +27,7 @@ MARGIN = 16.0
 
 @dataclass
 class Box:
-    """Something to be placed. `left` and `right` are the heights of its pins below its top, whole numbers.
+    """A box of the layout. `left` and `right` are the heights of its pins below its top, whole numbers.
 
     `side` "in" or "out" marks a terminal; `wish` is where the author put it (x, y), if he did.
     """
@@ -42,7 +42,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Net:
-    """What one output pin drives: (box, its right pin) and the (box, left pin)s."""
+    """A net: the (box, right pin) of its source and the (box, left pin)s that it drives."""
 
     source: tuple[int, int]
     sinks: tuple[tuple[int, int], ...]

@@ -140,7 +140,7 @@ def _overlap(a: _Trunk, b: _Trunk) -> bool:
 
 
 def _must_precede(a: _Trunk, b: _Trunk) -> bool:
-    """Whether a's trunk must be left of b's: else pieces of the two would lie upon each other."""
+    """Return True if a's trunk must be left of b's: otherwise pieces of the two would overlap."""
     if a.net == b.net:
         return any(y in b.left for y in a.right)
     return any(abs(y - z) < 3.0 for y in a.left for z in b.right)

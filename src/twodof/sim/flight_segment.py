@@ -1,4 +1,4 @@
-"""Flown: what a log says about how a flight was flown, on the control grid: modes, set-points, start, trim, bias."""
+"""Segment of a logged flight on the control grid: modes, set-points, start, trim and bias."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab",
 
 @functools.lru_cache(8)
 def _start(gains: Gains, rig: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Parameters and states of a start in hover, of the stock loop: its estimator settles alike, whatever flies."""
+    """Return parameters and states of a start in hover of the stock loop; its estimator settles alike in all loops."""
     stock = ClosedLoop(gains, load_rig(rig))
     started, states = stock.start_values(InitialState(hover=True))
     wanted = {f"rig.{name}": value for name, value in (stock.rig | started).items()}
@@ -134,7 +134,7 @@ class PlayProgram:
 def play_program() -> PlayProgram:
     """Return the rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
 
-    Raises CompileError where there is no compiler for WebAssembly.
+    Raises CompileError without a compiler for WebAssembly.
     """
     emitted = emit_program(closed_loop(failsafe=True), BASE_DT)
     module = compile_module([emitted])

@@ -174,7 +174,7 @@ class LoggedFlight:
         self.logged = {name: channel.value for name, channel in cut.items()}
 
     def _estimates_before(self, log: FlightLog) -> dict[str, NDArray[np.float64]]:
-        """theta, x and v at the steps before the window. A cart in its rings stands still, whatever v is estimated."""
+        """Return theta, x and v at the steps before the window. A cart in its rings stands still: v is then 0."""
         time = float(self.flown.time[0]) + PERIOD * np.arange(-HISTORY, 0)
 
         def at(name: str) -> NDArray[np.float64]:

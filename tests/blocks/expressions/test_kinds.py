@@ -1,4 +1,4 @@
-"""float32, float64 and the integers of 8 and 16 bits: against numpy's own scalars, and what is refused."""
+"""float32, float64 and the integers of 8 and 16 bits: against numpy's scalars, and refusals."""
 
 from typing import Any
 
@@ -56,7 +56,7 @@ class Written(Block):
 
 
 def value(kind: str, inputs: dict[str, tuple[str, Any]], of: Any, precision: str = "float64") -> Any:
-    """What the reference gives for one step."""
+    """Return the output of one step of the reference."""
     d = Diagram("one")
     block = Written(kind, {name: of_kind for name, (of_kind, _) in inputs.items()}, of)
     for name, (of_kind, _) in inputs.items():
@@ -127,7 +127,7 @@ def test_the_smaller_of_two_that_are_stored_is_stored_and_a_mixture_is_an_int32(
 
 
 def test_rounding_to_the_nearest_is_exact() -> None:
-    """The number below one half is not rounded up, nor is a large odd one, as floor(x + 0.5) would."""
+    """Round exactly where floor(x + 0.5) does not: just below one half, and at large odd numbers."""
     odd = 2.0**52 + 1.0
     for x, even, away in ((0.49999999999999994, 0.0, 0.0), (odd, odd, odd), (-2.5, -2.0, -3.0)):
         with numbers.precision("float64"):

@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pytest
 
 from tests.blocks.library.harness import alone, assert_close, noise, run, run_y
 from twodof.blocks.declarations import Param, Port
@@ -12,7 +11,6 @@ from twodof.blocks.expressions.expr import int32, where
 from twodof.blocks.library import function_block
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
-from twodof.errors import DiagramError
 
 ONE = int32(1)
 
@@ -61,15 +59,3 @@ def test_it_travels_as_its_expressions() -> None:
     for name in first:
         assert first[name].tolist() == second[name].tolist()
     assert to_json(again) == text
-
-
-def test_mistakes_in_arguments_are_refused() -> None:
-    for make, message in (
-        (lambda: function_block(lambda *a: a[0]), r"\*a"),
-        (lambda: function_block(lambda a, *, k: k * a), "no default"),
-        (lambda: function_block(lambda a, k=1.0: k * a), "keyword-only"),
-        (lambda: function_block(lambda a: a, inputs=[Port("b")]), "give the function an argument of this name"),
-        (lambda: function_block(lambda a: (a, a, a), outputs=("x", "y")).trace, "3 values"),
-    ):
-        with pytest.raises(DiagramError, match=message):
-            make()

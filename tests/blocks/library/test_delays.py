@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import linalg
 
-from tests.blocks.library.harness import alone, assert_close, few, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, few, noise, run_y
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import (
     Delay,
@@ -21,7 +21,7 @@ from twodof.blocks.library import (
     ZeroOrderHold,
 )
 from twodof.blocks.reference.interpreter import Reference
-from twodof.errors import DiagramError, ParameterError
+from twodof.errors import ParameterError
 
 
 def shifted(u: np.ndarray, samples: int, initial: float) -> np.ndarray:
@@ -152,10 +152,3 @@ def test_a_rate_transition_gives_the_sample_before() -> None:
     rows = Reference(d, 1.0).machine().run(10)
     assert rows["fast"].tolist() == [-1, 0, 0, 2, 2, 4, 4, 6, 6, 8]
     assert rows["slow"].tolist() == [-1, -1, -1, -1, -1, -1, -1, -1, 2, 2]
-
-
-def test_mistakes_in_arguments_are_refused() -> None:
-    for wrong in ({"samples": 0}, {"samples": 5, "bound": 3}, {"samples": 2.0}):
-        with pytest.raises(DiagramError, match="Delay"):
-            Delay(**wrong)
-    assert run(Delay(3, 3), 1)["y"].tolist() == [0.0]

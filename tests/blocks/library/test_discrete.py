@@ -16,7 +16,6 @@ from twodof.blocks.library import (
     MovingAverage,
 )
 from twodof.blocks.reference.interpreter import Reference
-from twodof.errors import DiagramError
 
 DT = 0.02
 INTEGRATORS = {"forward": [0.0, DT], "backward": [DT, 0.0], "trapezoidal": [DT / 2, DT / 2]}
@@ -128,17 +127,3 @@ def test_a_moving_average_is_a_convolution() -> None:
     u = noise(50)
     padded = np.concatenate((np.full(6, 0.5), u))
     assert_close(run_y(MovingAverage(7, initial=0.5), u), np.convolve(padded, np.full(7, 1 / 7), "valid"))
-
-
-def test_mistakes_in_arguments_are_refused() -> None:
-    for make in (
-        lambda: DiscreteIntegrator("tustin"),
-        lambda: DiscreteIntegrator(limits=[1.0, -1.0]),
-        lambda: DiscreteFilter([1.0], [0.0, 1.0]),
-        lambda: DiscreteTransferFunction([1.0, 2.0, 3.0], [1.0, 2.0]),
-        lambda: DiscreteStateSpace([[1.0, 2.0]]),
-        lambda: DiscreteStateSpace([[1.0]], [[1.0]], [[1.0, 2.0]]),
-        lambda: MovingAverage(1),
-    ):
-        with pytest.raises(DiagramError):
-            make()

@@ -24,7 +24,6 @@ from twodof.blocks.library import (
     Timer,
 )
 from twodof.blocks.reference.interpreter import Reference
-from twodof.errors import DiagramError
 
 U = 2.0 * noise(60)
 signals = st.lists(st.floats(-5, 5), min_size=1, max_size=30)
@@ -156,16 +155,3 @@ def test_a_timer_does_not_begin_anew_after_all_its_numbers() -> None:
     machine.set_state("block.x", 2**32 - 2)
     assert machine.run(5, {"u_in": True})["done_out"].tolist() == [True] * 5
     assert machine.state("block.x") == 2**32 - 1
-
-
-def test_mistakes_in_arguments_are_refused() -> None:
-    for make in (
-        lambda: Compare("=<"),
-        lambda: Logic("implies"),
-        lambda: Bitwise("and", "real"),
-        lambda: EdgeDetector("up"),
-        lambda: FlipFlop("both"),
-        lambda: Saturation(kind="bool"),
-    ):
-        with pytest.raises(DiagramError):
-            make()

@@ -1,4 +1,4 @@
-"""What users compute with is what blocks take: numpy's arrays and scalars give what lists and numbers give."""
+"""Blocks and programs take numpy's arrays and scalars like lists and numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from tests.blocks.library.harness import alone
 from tests.blocks.library.samples import LIBRARY, SAMPLES
-from twodof.blocks import Block, Diagram, Param, Port, State, vector
+from twodof.blocks import Block, Diagram, Param, Port, State
 from twodof.blocks.library import (
     Concatenate,
     Constant,
@@ -22,7 +22,6 @@ from twodof.blocks.library import (
     Selector,
     StateSpace,
     Table,
-    function_block,
 )
 from twodof.blocks.reference.interpreter import Reference
 from twodof.blocks.schema.json_form import from_json, to_json
@@ -34,7 +33,7 @@ pytestmark = pytest.mark.slow
 
 
 def ragged(rows: Any) -> bool:
-    """Whether the rows differ in length: numpy has no array of them."""
+    """Return True if the rows differ in length: numpy has no array of them."""
     return len({len(row) if isinstance(row, (list, tuple)) else 0 for row in rows}) > 1
 
 
@@ -118,7 +117,7 @@ def test_a_block_keeps_what_was_given_when_the_array_changes_later() -> None:
 
 
 class Scaled(Block):
-    """A block of a user's own, declared with numpy."""
+    """A user's block, declared with numpy."""
 
     crossing = True
 
@@ -190,45 +189,10 @@ def test_a_rate_and_a_position_are_pairs_of_numbers() -> None:
         d.add("late", Gain(), rate=(4.0, 0))
 
 
-def test_a_function_has_numpy_defaults() -> None:
-    k0, on0, g0 = np.array([2.0, 3.0]), np.bool_(True), np.float32(0.5)
-
-    def scale(u: Any, *, k: Any = k0, on: Any = on0, g: Any = g0) -> Any:
-        return u * k[1] * g
-
-    assert [(p.name, p.kind, p.width, p.value) for p in function_block(scale).params] == [
-        ("k", "real", 2, [2.0, 3.0]),
-        ("on", "bool", None, True),
-        ("g", "real", None, 0.5),
-    ]
-
-
 def test_a_block_made_from_one_of_the_library_travels_as_its_own() -> None:
     d = alone(Doubled(np.float32(3)))
     for made in (d, from_json(to_json(d))):
         assert Reference(made, 0.1).machine().step({"u_in": 1.0})["y_out"] == 6.0
-
-
-class Weighted(Block):
-    """An array of numpy among recorded values."""
-
-    inputs = (Port("u"),)
-    outputs = (Port("y"),)
-    weights = np.array([0.1, 0.7])
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        w = vector(self.weights)
-        return w[0] * u.u + w[1]
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_method_computes_with_an_array_of_numpy_in_both_precisions(precision: str) -> None:
-    d = alone(Weighted())
-    u = np.random.default_rng(5).normal(size=50).astype(precision)
-    real = np.dtype(precision).type
-    expected = (real(0.1) * u + real(0.7)).tolist()
-    for machine in (Reference(d, 0.1, precision).machine(), build(d, 0.1, precision).machine()):
-        assert machine.run(len(u), {"u_in": u})["y_out"].tolist() == expected
 
 
 def test_an_integer_of_numpy_in_a_method_is_refused_with_the_remedy() -> None:

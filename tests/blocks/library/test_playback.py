@@ -1,14 +1,12 @@
 """Tables and look-ups against numpy's."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator, interp1d
 
 from tests.blocks.library.harness import assert_close, few, run, run_y
 from twodof.blocks.library import Lookup, Lookup2D, Playback, Table
-from twodof.errors import DiagramError
 
 DT = 0.01
 
@@ -86,18 +84,3 @@ def test_playback_holds_each_value_and_then_the_last() -> None:
     assert run(block, 12, DT)["y"].tolist() == [1, 1, 1, 1, 1, 2, 2, 3, 3, 3, 3, 3]
     again = Playback([1.0, 2.0, 3.0], 2 * DT, start=3 * DT, repeat=True)
     assert run(again, 12, DT)["y"].tolist() == [1, 1, 1, 1, 1, 2, 2, 3, 3, 1, 1, 2]
-
-
-def test_mistakes_in_arguments_are_refused() -> None:
-    for make in (
-        lambda: Lookup([0.0, 0.0], [1.0, 2.0]),
-        lambda: Lookup([0.0, 1.0], [1.0]),
-        lambda: Lookup([0.0], [1.0]),
-        lambda: Lookup(outside="wrap"),
-        lambda: Lookup2D([0.0, 1.0], [1.0, 0.0]),
-        lambda: Lookup2D([0.0, 1.0], [0.0, 1.0], [[1.0, 2.0], [3.0]]),
-        lambda: Lookup2D([0.0, 1.0, 2.0], [0.0, 1.0], [[1.0, 2.0], [3.0, 4.0]]),
-        lambda: Table([0.0, "a"], [1.0, 2.0]),
-    ):
-        with pytest.raises(DiagramError):
-            make()

@@ -1,4 +1,4 @@
-"""What holds for every block of the library: JSON, both precisions, and that what is compiled gives the same bits."""
+"""Every block of the library: JSON, both precisions, the same bits interpreted and compiled, wrong arguments."""
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ from twodof.blocks.reference.interpreter import Reference, ReferenceMachine
 from twodof.blocks.schema.json_form import from_json, to_json
 from twodof.compile import build
 from twodof.compile.machine import CompiledMachine
+from twodof.errors import DiagramError
 
 pytestmark = pytest.mark.slow
 
@@ -117,3 +118,71 @@ def test_json_keeps_every_block(name: str) -> None:
     inputs = random_inputs(d, 10, 4, False)
     rows = [feed(Reference(x, DT).machine(), inputs, 10) for x in (d, again)]
     assert different(*rows) == []
+
+
+WRONG: list[tuple[type[Block], dict[str, object]]] = [
+    (library.TransferFunction, {"numerator": [1.0, 0.0, 0.0], "denominator": [1.0, 1.0]}),
+    (library.TransferFunction, {"denominator": [0.0, 1.0]}),
+    (library.TransferFunction, {"denominator": [1.0]}),
+    (library.StateSpace, {"A": [[0.0, 1.0]], "B": [[1.0]]}),
+    (library.Integrator, {"limits": [1.0]}),
+    (library.Pid, {"integral": "tustin"}),
+    (library.Pid, {"anti_windup": "clamping"}),
+    (library.Pid, {"reset": "state"}),
+    (library.Delay, {"samples": 0}),
+    (library.Delay, {"samples": 5, "bound": 3}),
+    (library.Delay, {"samples": 2.0}),
+    (library.DiscreteIntegrator, {"limits": [1.0, -1.0]}),
+    (library.DiscreteFilter, {"denominator": [0.0, 1.0]}),
+    (library.DiscreteTransferFunction, {"numerator": [1.0, 2.0, 3.0], "denominator": [1.0, 2.0]}),
+    (library.DiscreteStateSpace, {"A": [[1.0, 2.0]]}),
+    (library.DiscreteStateSpace, {"A": [[1.0]], "B": [[1.0]], "C": [[1.0, 2.0]]}),
+    (library.MovingAverage, {"samples": 1}),
+    (library.Sum, {"signs": "+x"}),
+    (library.Sum, {"signs": ""}),
+    (library.Product, {"operations": "*-"}),
+    (library.MatrixGain, {"K": [[1.0, 2.0], [3.0]]}),
+    (library.MatrixGain, {"K": []}),
+    (library.Sign, {"kind": "uint32"}),
+    (library.Convert, {"target": "float"}),
+    (library.Selector, {"width": 3, "indices": [3]}),
+    (library.Mux, {"inputs": 0}),
+    (library.SumOfElements, {"width": 1}),
+    (library.MatrixMultiply, {"a": [2, 3], "b": [2, 3]}),
+    (library.Transpose, {"shape": [2, 0]}),
+    (library.Norm, {"shape": 3}),
+    (library.Reshape, {"shape": [2, 3], "to": [5]}),
+    (library.Compare, {"operation": "=<"}),
+    (library.Bitwise, {"kind": "real"}),
+    (library.Saturation, {"kind": "bool"}),
+    (library.Lookup, {"breakpoints": [0.0, 0.0], "values": [1.0, 2.0]}),
+    (library.Lookup, {"breakpoints": [0.0, 1.0], "values": [1.0]}),
+    (library.Lookup2D, {"rows": [0.0, 1.0, 2.0], "values": [[1.0, 2.0], [3.0, 4.0]]}),
+    (library.Table, {"times": [0.0, "a"], "values": [1.0, 2.0]}),
+    (library.PrbsSource, {"order": 17}),
+    (library.MultisineSource, {"harmonics": [1, 2], "amplitudes": [1.0], "phases": [0.0]}),
+    (library.Noise, {"width": 5}),
+    (library.Noise, {"seed": -1}),
+]
+
+
+@pytest.mark.parametrize(("cls", "arguments"), WRONG)
+def test_wrong_arguments_are_refused_with_a_remedy(cls: type[Block], arguments: dict[str, object]) -> None:
+    with pytest.raises(DiagramError, match=cls.__name__) as caught:
+        cls(**arguments)
+    assert caught.value.remedy
+
+
+CHOICE_WORDS = [
+    (cls, argument)
+    for cls in LIBRARY.values()
+    for argument, value in getattr(cls(), "config", {}).items()
+    if isinstance(value, str) and value and not argument.endswith("unit") and argument not in ("store", "kind")
+]
+
+
+@pytest.mark.parametrize(("cls", "argument"), CHOICE_WORDS)
+def test_an_unknown_word_is_refused_with_the_choices(cls: type[Block], argument: str) -> None:
+    with pytest.raises(DiagramError, match=cls.__name__) as caught:
+        cls(**{argument: "?"})
+    assert caught.value.remedy

@@ -215,16 +215,6 @@ def test_an_incomplete_diagram_is_refused_with_its_path(make: Callable[[Diagram]
         Reference(d, 1.0)
 
 
-def test_units_are_compared_at_connections() -> None:
-    d = Diagram("units")
-    d.input("angle", unit="rad")
-    speed = Gain()
-    speed.inputs = (Port("u", unit="rad/s"),)
-    d.add("g", speed, u="angle")
-    with pytest.raises(DiagramError, match=r"it takes \[rad/s\] and angle gives \[rad\]"):
-        Reference(d, 1.0)
-
-
 def test_a_bound_that_float32_rounds_is_still_reachable() -> None:
     gain = Gain()
     gain.params = (Param("k", 0.05, low=0.0, high=0.1),)

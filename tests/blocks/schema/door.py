@@ -1,4 +1,4 @@
-"""Loads files in processes of their own with bounded memory and time, and says what became of each.
+"""Load files in processes of their own with bounded memory and time, and report the result of each.
 
 Run as a program with a folder, it prints one line of JSON for each file, in the order of their names. With a file, it
 prints one for each line, which is a diagram's text as a JSON string. All are loaded in one process.
@@ -31,7 +31,7 @@ CPU_SECONDS = 20  # when a process is ended; a load that takes more than SECONDS
 
 
 def judge(files: Mapping[str, bytes], folder: Path) -> dict[str, dict[str, Any]]:
-    """For each of `files`: "error" (its type; "" if the file loaded) and "text", "seconds" of CPU and peak "bytes"."""
+    """Load each file; return "error" (type, "" if it loaded), "text", "seconds" of CPU and peak "bytes" of each."""
     for number, data in enumerate(files.values()):
         (folder / f"{number:05d}").write_bytes(data)
     done = subprocess.run(
@@ -47,7 +47,7 @@ def judge(files: Mapping[str, bytes], folder: Path) -> dict[str, dict[str, Any]]
 
 
 def judge_many(texts: Sequence[str], file: Path, seconds: float) -> list[dict[str, Any]]:
-    """What became of each of `texts`, loaded one after the other in one process; `seconds` for all of them."""
+    """Load `texts` one after the other in one process, within `seconds`; return a row of results for each."""
     file.write_text("".join(json.dumps(text) + "\n" for text in texts))
     done = subprocess.run(
         [sys.executable, "-m", "tests.blocks.schema.door", str(file)],
@@ -86,7 +86,7 @@ def attempt(diagram: Diagram, stage: list[str]) -> None:
 
 
 def _child(file: Path, pipe: int) -> None:
-    """In a process of its own: bounds, then the attempt; what came of it goes into the pipe."""
+    """Set bounds on this process, make the attempt, and write the result into the pipe."""
     size = int(Path("/proc/self/statm").read_text().split()[0]) * os.sysconf("SC_PAGESIZE")
     resource.setrlimit(resource.RLIMIT_AS, (size + MEMORY, size + MEMORY))
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_SECONDS, CPU_SECONDS))

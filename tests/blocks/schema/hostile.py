@@ -59,8 +59,6 @@ def restarting(depth: int, states: int) -> bytes:
 def endless_rate(levels: int, divider: int) -> bytes:
     """A counter that runs at every divider ** levels ticks."""
     data: Form = {"name": "leaf", "parts": [{"name": "n", "block": {"type": "counter", "config": {}}}]}
-    data |= {"inputs": [{"name": "u", "kind": "bool"}], "connections": [["u", "n.u"]]}
-    del data["inputs"], data["connections"]
     for _ in range(levels):
         data = {"name": "level", "parts": [{"name": "inner", "rate": [divider, 0], "diagram": data}]}
     return file(**data)
@@ -137,7 +135,7 @@ def many_variables(count: int) -> bytes:
 
 
 def stores(count: int, width: int) -> bytes:
-    """Writes into a wide array, each of which may copy it."""
+    """Return a block with `count` writes into a wide array; each write may copy it."""
     n = Nodes()
     at = n.add("build", 0, data=(width, 0))
     for k in range(count):
@@ -168,7 +166,7 @@ def many_edges(count: int) -> bytes:
 
 
 def gains(count: int) -> bytes:
-    """So many blocks in a row."""
+    """Return a chain of `count` gains."""
     gain = {"type": "gain", "config": {}}
     return file(
         inputs=[{"name": "u"}],
@@ -468,7 +466,7 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
 
 @cache
 def large(share: int = 1) -> dict[str, bytes]:
-    """What is allowed, and large: it must stay bounded too. With `share` each has that part of its size."""
+    """Return large files that are allowed, and must stay bounded too; each has a `share`-th of its size."""
     return {
         "a chain of 45,000 doublings": doubling(45_000 // share),
         "10,000 gains": gains(10_000 // share),

@@ -41,7 +41,7 @@ def _doubled(count: int) -> list[Any]:
 
 
 def _guards(count: int) -> list[Any]:
-    """Nodes of `count` guards none of which hides another, from the third node on, two for each."""
+    """Return nodes of `count` guards, two nodes each from the third on; no guard hides another."""
     nodes: list[Any] = [["input", [], "u"], ["state", [], "x"]]
     for k in range(count):
         nodes += [["const", [], "real", float(k).hex()], ["lt", [0, 2 + 2 * k]]]
@@ -49,7 +49,7 @@ def _guards(count: int) -> list[Any]:
 
 
 def _many(leaves: int, ways: int, nodes: list[Any], guards: list[int]) -> bytes:
-    """So many modes in one, which has so many transitions to itself, each with one of the guards."""
+    """Return a machine with `leaves` modes inside one, which has `ways` transitions to itself with these guards."""
     inner = [{"name": f"m{k}", "during": {"y": 0}, "entry": {"x": 0}} for k in range(leaves)]
     out = [{"from": "all", "to": f"m{k % leaves}", "when": guards[k % len(guards)]} for k in range(ways)]
     variables = [{"name": name, "initial": 0.0} for name in ("x", "w")]

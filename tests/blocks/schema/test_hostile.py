@@ -33,7 +33,7 @@ def test_a_hostile_file_is_refused_with_a_reason_in_two_seconds_and_a_gigabyte(s
 
 
 def least_seconds(data: bytes, first: float, folder: Path) -> float:
-    """The processor time [s] that judging a file takes, of which it took `first`: the least of six times at most."""
+    """Return the least processor time [s] of judging a file: `first`, or one of five more tries."""
     least = first
     folder.mkdir(exist_ok=True)
     for _ in range(5):

@@ -1,4 +1,4 @@
-"""What the failsafe's blocks are meant to do, written a second time with plain ifs, and the cases to try them in."""
+"""Specification of the failsafe's blocks, written a second time with plain ifs, and the cases to try them in."""
 
 from __future__ import annotations
 

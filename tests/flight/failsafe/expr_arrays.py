@@ -40,12 +40,12 @@ DTYPES = {"int32": np.int32, "bool": np.bool_, "real": np.float64}
 
 
 def tell(what: str) -> None:
-    """A figure that a test found, for who runs it with -s or -rA."""
+    """Print a figure that a test found; pytest shows it with -s or -rA."""
     sys.stdout.write(f"{what}\n")
 
 
 def graph_of(block: Block) -> Graph:
-    """What the block's outputs and discrete states become."""
+    """Return the expressions of the block's outputs and next discrete states."""
     trace = block.trace
     sections = {"output": trace.outputs, "update": trace.update}
     return {f"{section}.{name}": e for section, exprs in sections.items() for name, e in exprs.items()}
@@ -64,9 +64,9 @@ def on_arrays(graph: Graph, columns: Columns) -> dict[str, Array]:
 def mutants_on_arrays(
     graph: Graph, among: Iterable[tuple[str, Graph]], columns: Columns
 ) -> Iterator[tuple[str, dict[str, Array]]]:
-    """What each of these mutants of `graph` is, and what of its expressions is not the graph's own, on `columns`.
+    """Yield each mutant's description and the values of its changed expressions on `columns`.
 
-    Only what depends on its fault is computed.
+    Only nodes that depend on the fault are computed.
     """
     known: dict[int, Any] = {}
     _evaluate(walk(graph.values()), columns, known)
@@ -128,8 +128,8 @@ def flags(*names: str) -> dict[str, Sequence[Any]]:
 def mutants(graph: Graph) -> Iterator[tuple[str, Graph]]:
     """Every graph with one small fault in it, and what the fault is.
 
-    Operations are exchanged for their relatives (< for <=, and for or, + for -, ...), a choice for one of its branches.
-    Each use of a constant or an integer parameter is off by one; each use of a flag is negated, true or false.
+    An operation is exchanged for a relative (< for <=, + for -), a choice for one of its branches. Each use of a
+    constant or an integer parameter is off by one; each use of a flag is negated, true or false.
     """
     items = walk(graph.values())
     place = {id(item): number for number, item in enumerate(items)}
@@ -179,7 +179,7 @@ def _misused(argument: Expr) -> Iterator[tuple[str, Expr]]:
 
 
 def _users(item: Expr, later: Sequence[Expr]) -> list[Expr]:
-    """Those of the nodes `later` that depend on `item`, arguments before their users."""
+    """Return the nodes among `later` that depend on `item`, arguments before their users."""
     depend = {id(item)}
     users = []
     for other in later:

@@ -1,4 +1,4 @@
-"""The whole space of the failsafe's state machine; what it is meant to do, written a second time; its properties."""
+"""State space of the failsafe's state machine, its specification written a second time, and its properties."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def meant_table(level_ticks: int, descent_ticks: int, timers: tuple[int, ...] = 
 
 
 def turning(state: Array) -> Array:
-    """Whether motors may turn in a state."""
+    """Return True where motors may turn in a state."""
     return (state >= FLYING) & (state <= DESCEND)
 
 

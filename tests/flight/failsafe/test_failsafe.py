@@ -56,7 +56,7 @@ def hostile(rng: np.random.Generator, kind: str, sound: float, wild: NDArray[Any
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(precision: str) -> None:
-    """NaN, infinities, any mode, any flag, controllers gone mad, in 64 instances; what holds, holds in every step."""
+    """Feed 64 instances with NaN, infinities, any mode and flag; check every step."""
     rng = np.random.default_rng(1)
     diagram = failsafe()
     sound = {
@@ -111,7 +111,7 @@ def test_whatever_comes_in_the_motors_get_numbers_in_0_to_1_and_only_when_armed(
 
 
 def imu_at_rest(rng: np.random.Generator, n: int) -> dict[str, NDArray[Any]]:
-    """What the IMU gives in n samples at rest and level: all three axes move."""
+    """Return n IMU samples at rest and level: all three axes move."""
     noise = {name: 0.01 * rng.standard_normal(n) for name in ("acc_x", "acc_z", "gyro_y")}
     return noise | {"acc_z": noise["acc_z"] - 9.81}
 
@@ -298,7 +298,7 @@ class AtRest:
 def test_numbers_that_are_none_stop_the_motors_and_when_they_are_numbers_again_it_arms_again(
     wrong: str, position_filter: str, precision: str
 ) -> None:
-    """3 s without numbers in one signal, in flight; what remembers them in estimator and loops begins anew."""
+    """Give 3 s of NaN in one signal in flight; estimator and loops restart afterwards."""
     rig = AtRest(position_filter, precision)
     rig.fly(1.0, False)
     assert rig.fly(0.5, True)["fore"][-100:].min() > 0.2

@@ -1,4 +1,4 @@
-"""The starters' laws: the stock loops to the bit or to a rounding, anti-windup, the notch, the mixer, the LQR's law."""
+"""Laws of the starters: stock loops to the bit, anti-windup, notch, mixer and LQR."""
 
 from __future__ import annotations
 

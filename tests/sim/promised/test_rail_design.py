@@ -18,7 +18,7 @@ FEW = 40
 
 @pytest.mark.long
 def test_gains_that_are_found_meet_what_the_first_ones_miss() -> None:
-    """The promise is made anew, by the gains alone; the loops that are not asked about keep their gains."""
+    """Repeat the promise from the gains alone; loops outside the specification keep their gains."""
     wanted = Specification(loop="velocity", overshoot=0.12, rise_time=0.6)
     before = check_rail(wanted, FAMILY, STUDENT, promised=rail_promise(FAMILY, gains=STUDENT, members=FEW))
     assert not all(row.met for row in before)

@@ -362,7 +362,7 @@ def machine_text(item: Expr) -> str:
 
 
 def limit_of(item: Expr) -> tuple[str, Expr, Expr] | None:
-    """("min" or "max", a, b) if `item` is what minimum(a, b) or maximum(a, b) records."""
+    """Return ("min" or "max", a, b) for the expression recorded by minimum(a, b) or maximum(a, b), else None."""
     if item.op != "where" or item.args[0].op != "lt":
         return None
     low, high = item.args[0].args

@@ -164,7 +164,7 @@ class DotProduct(Block):
 
 @library_block("matrix_multiply")
 class MatrixMultiply(Block):
-    """y = a b; `a` and `b` are the shapes, [rows, columns] of a matrix or [n] of a vector, two of which give a number.
+    """y = a b; `a` and `b` are shapes: [rows, columns] of a matrix, [n] of a vector. Two vectors give a number.
 
     Each element is summed from left to right, from its first product.
     """

@@ -182,7 +182,9 @@ class BusSelect(Block):
             found = [leaf for leaf in made.leaves if leaf.name == field or leaf.name.startswith(f"{field}.")]
             if not found:
                 there = nearest(field, [leaf.name for leaf in made.leaves])
-                raise DiagramError(f"there is no field {field!r:.120}", "BusSelect.fields", f"there are: {there}")
+                raise DiagramError(
+                    f"{made.name} has no field {field!r:.120}", "BusSelect.fields", f"there are: {there}"
+                )
             for leaf in found:
                 name = f"{field.replace('.', '_')}{leaf.name[len(field) :]}"
                 self.outputs = [*self.outputs, replace(leaf, name=name)]

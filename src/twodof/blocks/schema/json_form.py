@@ -77,7 +77,7 @@ def read_diagram(path: str | Path) -> Diagram:
     file = Path(path)
     try:
         if not file.is_file():
-            raise DiagramError("there is no such file", f"{path!s:.200}", "name a diagram's JSON file")
+            raise DiagramError("the file does not exist", f"{path!s:.200}", "name a diagram's JSON file")
         with file.open("rb") as stream:
             data = stream.read(MAX_BYTES + 1)
     except (OSError, ValueError) as error:
@@ -224,10 +224,10 @@ _NO_CHOICE = "?"  # what no argument takes that has choices
 
 @dataclass(frozen=True)
 class BlockShape:
-    """What a block shows outside: its ports and parameters.
+    """Interface of a block: its ports and parameters.
 
-    `structure` is alike for two blocks that differ in nothing but the values of their parameters, so that one program
-    serves both.
+    `structure` is equal for two blocks that differ only in the values of their parameters, so that one program serves
+    both.
     """
 
     inputs: tuple[Port, ...]

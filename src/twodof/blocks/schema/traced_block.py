@@ -238,7 +238,7 @@ def _node_from(row: Any, made: list[Expr], leaves: Mapping[str, Mapping[str, Exp
         case [_] if op in OPERATIONS and op != "from_bits":  # bit patterns of reals are not for diagrams
             found = OPERATIONS[op](*args)
         case _:
-            raise ValueError("the language has no such operation, function or type")
+            raise ValueError("the operation, function or type is unknown")
     return found
 
 

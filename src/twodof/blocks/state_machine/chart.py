@@ -147,7 +147,7 @@ class Chart:
         self.modes = _listed(modes, Mode, "modes", MAX_MODES)
         self.transitions: list[Transition] = _listed(transitions, Transition, "transitions", MAX_TRANSITIONS)
         if not self.modes:
-            raise DiagramError("there is no mode to start in", "", 'write modes = [Mode("..."), ...]; the first starts')
+            raise DiagramError("it has no modes", "", 'write modes = [Mode("..."), ...]; the first starts')
         self.leaves: list[Leaf] = []
         self.by_name: dict[str, Mode] = {}
         self.outers: list[Mode] = []

@@ -204,7 +204,7 @@ def _ways(now: Reaction, leaf: Leaf) -> Values:
 
 
 def _chosen(condition: Any, a: Values, b: Values) -> Values:
-    """Return, name by name, `a` where the condition holds, else `b`; of two equal ones, that one."""
+    """Return for each name `a` where the condition holds, else `b`; no choice is recorded between equal values."""
     found = {}
     for name in b | a:
         one, other = a.get(name, b.get(name)), b.get(name, a.get(name))
