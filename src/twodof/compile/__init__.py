@@ -1,7 +1,7 @@
-"""From a diagram to C99 and to machine code.
+"""Compilation of diagrams to C99 and to machine code.
 
-See docs/explanation/language.md, section 6, and docs/reference/compilation.md. Importing this loads nothing else: a
-program that only needs the cache, as every one that speaks MAVLink does, starts without the compiler.
+See docs/explanation/language.md, section 6, and docs/reference/compilation.md. Importing this package loads nothing
+else, so that programs which only need the cache (those that speak MAVLink) start fast.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""build: from a diagram to something that runs."""
+"""Build of a program from a diagram, for a target by name or with options."""
 
 import warnings
 from collections.abc import Iterable
@@ -31,14 +31,13 @@ def build(
     native_cpu: bool = True,
     target: str | Target = "native",
 ) -> CompiledProgram | Reference:
-    """`diagram` as a program of base tick `dt` [s] that also returns the signals whose paths are in `log`.
+    """Build the program of `diagram` at the base tick `dt` [s], with the signals at the paths `log`.
 
     `target` is "native", "wasm" (the sandbox), "cortex-m7" (on an emulated processor), or a Target with options of its
-    own. For a named one, `compiler` is "cc", "gcc", "clang", "zig" or a path. `optimise` is a compiler option, and
-    `native_cpu` tunes for this processor. With `compiler=None` the first compiler that is there is taken; if none is,
-    "native" gives the reference interpreter (same results, thousands of times slower) with a warning. Raises
-    DiagramError for a faulty diagram, CompileError for a compiler or an engine that is missing or fails, or an unknown
-    target.
+    own. For a target by name, `compiler` is "cc", "gcc", "clang", "zig" or a path, `optimise` a compiler option, and
+    `native_cpu` tunes for this processor. With `compiler=None` the first installed compiler is used. Without any,
+    "native" returns the reference interpreter (same results, thousands of times slower) with a warning. Raises
+    DiagramError for a faulty diagram, CompileError for an unknown target or a missing or failing compiler or engine.
     """
     log = tuple(log)
     source = emit_program(diagram, dt, precision, log, integrator)
@@ -66,7 +65,7 @@ def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: b
             return Wasm(compiler, optimise or "-O3")
         case "cortex-m7":
             return CortexM7(compiler, optimise or OPTIMISE)
-    raise CompileError(f"there is no target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
+    raise CompileError(f"unknown target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
 
 
 def emit_program(
@@ -76,7 +75,7 @@ def emit_program(
     log: Iterable[str] = (),
     integrator: str = "rk4",
 ) -> EmittedProgram:
-    """`diagram` as C source; arguments and errors as `build`'s."""
+    """Emit the C of `diagram`; arguments and errors as those of `build`."""
     with numbers.precision(precision):  # refuses an unknown one
         (emitted,) = emit([lower(diagram, dt, log, integrator)], precision)
     return emitted

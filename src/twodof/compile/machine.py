@@ -1,4 +1,4 @@
-"""CompiledProgram: a compiled diagram. CompiledMachine: one running instance of it, on any target."""
+"""Compiled diagram and its running instances, on any target."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class CompiledProgram:
 class CompiledMachine(Machine):
     """One running instance, in the memory of the C structs.
 
-    `instance` has the structs and the calls on them, as the target made them.
+    `instance` has the target's structs and calls.
     """
 
     def __init__(self, program: CompiledProgram) -> None:
@@ -71,7 +71,7 @@ class CompiledMachine(Machine):
         return int(self._s["tick"][0])
 
     def reset(self) -> None:
-        """To the initial states of the present parameters, tick 0, held outputs 0."""
+        """Return to tick 0: initial states of the present parameters, held outputs 0."""
         self.instance.init()
 
     def _store_parameters(self, values: Mapping[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""What a target is: it makes machine code of emitted C, and gives a program's instances their memory and calls."""
+"""Protocols of a target: machine code from emitted C, and instances with memory and calls."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -73,9 +73,9 @@ def layout_checks(programs: Sequence[EmittedProgram]) -> str:
 class TargetInstance(Protocol):
     """One running program: its structs, and calls that work on them.
 
-    A target whose memory is elsewhere (an emulator) carries the structs there and back in each call. So what a caller
-    writes into the arrays between two calls counts, and after a call they hold its results. A call that goes wrong
-    raises ControllerFault.
+    A target with memory elsewhere (an emulator) carries the structs there and back in each call: a caller may write
+    into the arrays between two calls, and after a call they hold its results. A call that fails raises
+    ControllerFault.
     """
 
     @property
@@ -83,21 +83,21 @@ class TargetInstance(Protocol):
         """The structs "P", "S", "U" and "Y": arrays of one element of `EmittedProgram.dtypes`, always the same."""
 
     def defaults(self) -> None:
-        """Writes the given parameters' defaults into P."""
+        """Write the defaults of the given parameters into P."""
 
     def prepare(self) -> None:
-        """Writes the derived parameters into P."""
+        """Write the derived parameters into P."""
 
     def init(self) -> None:
-        """Writes the initial states into S."""
+        """Write the initial states into S."""
 
     def step(self) -> None:
-        """One tick: reads P and U, moves S, writes Y."""
+        """Run one tick: read P and U, advance S, write Y."""
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:
-        """`steps` ticks on P and S, with the inputs `u` into the outputs `y`, contiguous arrays of their structs.
+        """Run `steps` ticks on P and S, with the inputs `u` into the outputs `y`, contiguous arrays of their structs.
 
-        Each has `steps` elements, or one, which then is read (or written) at each tick. `u` may be `structs["U"]`;
+        Each has `steps` elements, or one that is read (or written) at each tick. `u` may be `structs["U"]`;
         otherwise U and Y stay as they are.
         """
 
@@ -106,7 +106,7 @@ class Backend(Protocol):
     """A compiled program on its target."""
 
     def instance(self) -> TargetInstance:
-        """A fresh instance: its memory is its own, and zero."""
+        """Return a fresh instance with zeroed memory of its own."""
 
 
 class Target(Protocol):
@@ -117,7 +117,7 @@ class Target(Protocol):
         """As in `build(..., target=name)`."""
 
     def compile(self, programs: Sequence[EmittedProgram]) -> Sequence[Backend]:
-        """Compiles `programs`, which stand in one source, and gives their backends.
+        """Compile `programs`, which stand in one source, and return their backends.
 
         Raises CompileError if the tool chain is not there, with the package that gives it, or refuses the source.
         """

@@ -15,7 +15,7 @@ from twodof.blocks.expressions.expr import int32, maximum, to_int32, to_real, wh
 
 
 def past_states(ring: int) -> tuple[State, ...]:
-    """The samples, where the next one goes, and how many there are."""
+    """Return the states of a ring: samples, place of the next sample, and number of samples."""
     return (
         State("past", 0.0, width=ring),
         State("position", 0, kind="int32"),
@@ -24,7 +24,7 @@ def past_states(ring: int) -> tuple[State, ...]:
 
 
 def remember(present: Any, x: Any, ring: int) -> dict[str, Any]:
-    """The states of the next step, with `present` among the samples."""
+    """Return the states of the next step, with `present` among the samples."""
     after = x.position + 1
     return {
         "past": store(x.past, x.position, present),
@@ -34,7 +34,7 @@ def remember(present: Any, x: Any, ring: int) -> dict[str, Any]:
 
 
 def past_input(present: Any, x: Any, fits: Any, ring: int) -> Callable[[Any], Any]:
-    """The input some steps ago (0 to ring - 1), that of step 0 for any time before; NaN unless `fits`."""
+    """Return a function of the input some steps ago: that of step 0 for earlier times, NaN unless `fits`."""
 
     def ago(steps: Any) -> Any:
         back = x.position - steps
@@ -64,19 +64,19 @@ class InputDelay(Block):
         self.states = past_states(ring)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """The delay in whole ticks and the fraction of one that is left."""
+        """Split the delay into whole ticks and the fraction of a tick."""
         # A delay that is a multiple of the tick up to rounding is that multiple.
         steps = p.tau / t.dt
         whole = to_int32(steps + 1e-9)
         return {"whole": whole, "fraction": maximum(steps - to_real(whole), 0.0), "fits": steps <= self.ring - 2.0}
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        """The input of `whole + 1` ticks ago if the delay ends inside the step."""
+        """Return the input of `whole + 1` ticks ago if the delay ends inside the step, else of `whole` ticks ago."""
         ago = past_input(u.u, x, p.fits, self.ring)
         return ago(where(p.fraction > 0.0, p.whole + 1, p.whole))
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, tuple[Any, Any]]:
-        """The younger value arrives after `fraction` of the step."""
+        """Return the younger value, which arrives after `fraction` of the step."""
         return {"y": (p.fraction, past_input(u.u, x, p.fits, self.ring)(p.whole))}
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:

@@ -22,7 +22,7 @@ def sticks(speed: Any, drive: Any, more: Any, less: Any) -> Any:
 
 
 def after_friction(speed: Any, drive: Any, more: Any, less: Any, dt: Any) -> Any:
-    """The speed after a step of `dt` with friction, from `speed`, that after the step without it."""
+    """Return the speed after a step of `dt` with friction, from the `speed` after the step without friction."""
     before = speed - drive * dt
     # A motion that stops after a part of the step goes on the other way, if the drive exceeds the friction there.
     slowed, lifted = speed - more * dt, speed + less * dt
@@ -64,17 +64,17 @@ class PitchPendulum(Block):
         return {"theta": x.theta, "q": x.q}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """All but the dry friction while it moves; nothing while it sticks."""
+        """Return the motion without dry friction; zeros while it sticks."""
         drive, more, less = self._drive(u, x, p)
         return {"theta": x.q, "q": where(sticks(x.q, drive, more, less), 0.0, drive)}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The dry friction's impulse over the step; the angle as if it had acted evenly over it."""
+        """Apply the dry friction's impulse; the angle moves as if it had acted evenly over the step."""
         after = after_friction(x.q, *self._drive(u, x, p), t.dt)
         return {"theta": x.theta - 0.5 * t.dt * (x.q - after), "q": after}
 
     def _drive(self, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
-        """The right-hand side without dry friction, and that friction for q > 0 and for q < 0."""
+        """Return the right-hand side without dry friction, and the friction for q > 0 and for q < 0."""
         spring = p.w_n * p.w_n * sin(x.theta) + p.hardening * (x.theta * x.theta * x.theta)
         drive = p.mu * u.M - 2.0 * p.xi * p.w_n * x.q - spring
         return drive, p.coulomb * (1.0 + p.asymmetry), p.coulomb * (1.0 - p.asymmetry)
@@ -143,12 +143,12 @@ class Rail(Block):
         return {"theta": x.theta, "x": x.x - p.lever * (sin(x.theta) - sin(p.theta_0)), "v": x.v}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """All but the dry friction while it moves; nothing while it sticks."""
+        """Return the motion without dry friction; zeros while it sticks."""
         drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
         return {"theta": u.q, "x": x.v, "v": where(sticks(x.v, drive, p.coulomb, p.coulomb), 0.0, drive)}
 
     def project(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The dry friction's impulse over the step; the position as if it had acted evenly over it."""
+        """Apply the dry friction's impulse; the position moves as if it had acted evenly over the step."""
         drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
         after = after_friction(x.v, drive, p.coulomb, p.coulomb, t.dt)
         return {"x": x.x - 0.5 * t.dt * (x.v - after), "v": after}

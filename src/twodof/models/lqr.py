@@ -27,9 +27,9 @@ class LqrGains:
 def lqr(
     plant: DelayedStateSpace, output: int, largest: tuple[float, ...], largest_integral: float, largest_moment: float
 ) -> LqrGains:
-    """The gains that minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 +
-    (M / largest_moment)^2.
+    """Return the gains of the least sum of squares of state, integral and moment, each over its largest value.
 
+    They minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 + (M / largest_moment)^2.
     `plant` has one input and its states as outputs. It is sampled every 4 ms. Its delayed inputs become states, so that
     the feedback predicts over the delay. See Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 11.4. The
     weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
@@ -60,12 +60,12 @@ def lqr(
 
 
 def attitude_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
-    """Gains on (theta, q) and the integral of theta, for errors of 5 deg, 2 rad/s and .3 rad s at a moment of .1."""
+    """Return gains on theta, q and the integral of theta for 5 deg, 2 rad/s and .3 rad s at a moment of .1."""
     return lqr(plant.state_space(), 0, (radians(5.0), 2.0), 0.3, 0.1)
 
 
 def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
-    """Gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
+    """Return gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
 
     The spring is left out. It makes the integral of q, which is theta, return by itself, so that no constant moment
     holds a rate. No feedback of both would exist then.

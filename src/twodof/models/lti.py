@@ -27,7 +27,7 @@ class SampledStateSpace:
     dt: float
 
     def simulate(self, u: ArrayLike, x0: ArrayLike | None = None, before: float = 0.0) -> Array:
-        """Outputs (k, p) for inputs `u` of shape (k,) or (k, m). At all earlier times the input was `before`.
+        """Return outputs (k, p) for inputs `u` of shape (k,) or (k, m). At all earlier times the input was `before`.
 
         `x0` of shape (n,) is the state at sample 0 (default zero).
         """
@@ -47,10 +47,7 @@ class SampledStateSpace:
         return np.asarray(states @ self.c.T + through @ self.d.T)
 
     def augmented(self) -> tuple[Array, Array, Array, Array]:
-        """The same model as plain (A, B, C, D) with past inputs as states.
-
-        It serves tools that do not support delays.
-        """
+        """Return the model as plain (A, B, C, D) with past inputs as states, for tools without delays."""
         n, m = self.new.shape
         past = self.whole + 1 if self.split else self.whole
         # Columns: the states, then the inputs by age, the present one first.
@@ -95,7 +92,7 @@ class DelayedStateSpace:
 
     @classmethod
     def of(cls, a: ArrayLike, b: ArrayLike, c: ArrayLike, d: ArrayLike, delay: float = 0.0) -> Self:
-        """A state space from anything array-like; a one-dimensional b is a column, c a row."""
+        """Make a state space from anything array-like; a one-dimensional b is a column, c a row."""
         column = np.asarray(b, dtype=float)
         row = np.asarray(c, dtype=float)
         return cls(
@@ -107,18 +104,18 @@ class DelayedStateSpace:
         )
 
     def poles(self) -> Complex:
-        """Eigenvalues of A [rad/s], shape (n,)."""
+        """Return the eigenvalues of A [rad/s], shape (n,)."""
         return np.linalg.eigvals(self.a).astype(np.complex128)
 
     def response(self, omega: ArrayLike) -> Complex:
-        """Frequency response C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
+        """Return C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
         w = np.atleast_1d(np.asarray(omega, dtype=float))
         resolvent = 1j * w[:, None, None] * np.eye(self.a.shape[0]) - self.a
         response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
         return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
 
     def zero_order_hold(self, dt: float) -> SampledStateSpace:
-        """The exact discrete model for an input held over each `dt` [s]; the delay need not be a multiple of it.
+        """Return the exact discrete model for an input held over each `dt` [s], which need not divide the delay.
 
         Where the delay ends inside a step the step is split at that edge (Astrom and Wittenmark, Computer-Controlled
         Systems, section 2.3). Raises ParameterError when dt is not a positive finite time.
@@ -149,7 +146,7 @@ class StepFigures:
 
 
 def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: float = 0.02) -> StepFigures:
-    """Figures of a step response sampled at `t` [s] (0 at the step), from value `start` to `final`.
+    """Return figures of a step response sampled at `t` [s] (0 at the step), from value `start` to `final`.
 
     Rise is from 10 to 90 %, settling is the last time outside +-`band` of the step, both interpolated linearly; NaN
     where the record never gets there. Raises ParameterError when start equals final or shapes differ.
@@ -191,7 +188,7 @@ def _first_crossing(time: Array, z: Array, level: float) -> float:
 
 
 def _held_step(a: Array, b: Array, dt: float) -> tuple[Array, Array]:
-    """exp(A dt) and its integral times B, from one exponential (Van Loan 1978), so that A may be singular."""
+    """Return exp(A dt) and its integral times B, from one exponential (Van Loan 1978), so that A may be singular."""
     from scipy.linalg import expm  # imported late: most commands start without it
 
     n, m = b.shape

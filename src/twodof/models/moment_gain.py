@@ -73,14 +73,14 @@ class PitchRegressors(Block):
 
     @staticmethod
     def _filter(name: str, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
-        """High-, band- and low-pass, s^2, w s and w^2 over E."""
+        """Return high-, band- and low-pass, s^2, w s and w^2 over E."""
         s1, s2 = x[f"{name}_s1"], x[f"{name}_s2"]
         high = (u - (2.0 * 0.7 + p.warped) * s1 - s2) * p.divisor
         band = p.warped * high + s1
         return high, band, p.warped * band + s2
 
     def _moment(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
-        """M behind delay and lag, and the next state of the lag."""
+        """Return M behind delay and lag, and the next state of the lag."""
         ago = past_input(u.M, x, p.fits, self.ring)
         moment = (1.0 - p.fraction) * ago(p.whole) + p.fraction * ago(p.whole + 1)
         step = p.share * (moment - x.rotor)
@@ -94,7 +94,7 @@ class PitchRegressors(Block):
         return found
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """The high-pass of q, and the band- and low-passes beside it."""
+        """Return the high-pass of q, and its band- and low-passes."""
         parts = self._parts(u, x, p)
         (_, moment, _), (high, band, low) = parts["M_second"], parts["q_second"]
         w = p.omega
@@ -115,7 +115,7 @@ class PitchRegressors(Block):
 def moment_gain(
     every: int = 10, memory: float = 0.0, ring: int = 64, guess: tuple[float, float, float] = (300.0, 0.5, 12.0)
 ) -> Diagram:
-    """A diagram from M and q to `mu` and its standard deviation `sigma`, both in rad/s2, to be run where they are.
+    """Make a diagram from M and q to `mu` and its standard deviation `sigma`, both in rad/s2.
 
     Recursive least squares of (mu, a1 = 2 xi w_n, a0 = w_n^2), the latter two as outputs as well. Parameters: `cutoff`
     [Hz] is the middle of the band that is looked at. `tau` [s] is the known delay, and `lag` [s] is the rotors' lag.

@@ -28,7 +28,7 @@ class PitchRate:
             raise ParameterError(f"delay {self.tau} s is negative", "PitchRate.tau")
 
     def state_space(self) -> DelayedStateSpace:
-        """Input M, outputs (theta, q)."""
+        """Return the state space with input M and outputs (theta, q)."""
         return DelayedStateSpace.of(
             [[0.0, 1.0], [-(self.w_n**2), -2.0 * self.xi * self.w_n]],
             [0.0, self.mu],
@@ -59,7 +59,7 @@ class Velocity:
     p_v: float
 
     def state_space(self) -> DelayedStateSpace:
-        """Input theta [rad], outputs (x, v)."""
+        """Return the state space with input theta [rad] and outputs (x, v)."""
         return DelayedStateSpace.of(
             [[0.0, 1.0], [0.0, -self.p_v]], [0.0, -self.k_v], [[1.0, 0.0], [0.0, 1.0]], [[0.0], [0.0]]
         )
@@ -82,7 +82,7 @@ class Longitudinal:
     tau: float = 0.0
 
     def state_space(self) -> DelayedStateSpace:
-        """Input M, outputs (u, q, theta, a_x)."""
+        """Return the state space with input M and outputs (u, q, theta, a_x)."""
         return DelayedStateSpace.of(
             [[self.x_u, self.x_q, -GRAVITY], [self.m_u, self.m_q, 0.0], [0.0, 1.0, 0.0]],
             [self.x_d, self.m_d, 0.0],
@@ -93,7 +93,7 @@ class Longitudinal:
 
 
 def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: float = 0.4) -> float:
-    """Quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s2].
+    """Return the quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s2].
 
     `mu_idle` is that found with the rotors off by a pulse of `moment`, of which only one pair gives thrust: in
     proportion to 1 - a + a moment. `mu_run` is that found around the command `thrust`: to 2 (1 - a + 2 a thrust).

@@ -15,7 +15,7 @@ from twodof.models.zero_order_hold import held, times, total
 
 
 def check_structure(one: object) -> None:
-    """Raises IdentificationError for what is not a Structure."""
+    """Raise IdentificationError unless `one` is a Structure."""
     if not isinstance(one, Structure):
         raise IdentificationError(
             f"a {type(one).__name__} is not a structure",
@@ -95,7 +95,7 @@ class Structure:
         scale: Mapping[str, float] | None = None,
         substeps: int = 1,
     ) -> Self:
-        """The structure that is one block: its inputs, outputs and parameters are the structure's.
+        """Make the structure of one block, with its inputs, outputs and parameters.
 
         By default all parameters are estimated, and those whose names end in "_0" are local. Raises
         IdentificationError for names that are not parameters of the block.
@@ -141,7 +141,7 @@ class Structure:
         }
 
     def with_guess(self, **values: float) -> Self:
-        """The same structure with other first guesses. Raises IdentificationError for an unknown name."""
+        """Return the structure with other first guesses. Raises IdentificationError for an unknown name."""
         diagram = copy(self.diagram)
         diagram.params = dict(self.diagram.params)
         for name, value in values.items():
@@ -186,7 +186,9 @@ def linear_model(
     discrete: bool = False,
     name: str = "linear_model",
 ) -> Structure:
-    """x' = A x + B u, y = C x + D u (`discrete`: x[k+1] = A x[k] + B u[k]) with `inputs` u and `outputs` y.
+    """Make the structure x' = A x + B u, y = C x + D u (`discrete`: x[k+1] = A x[k] + B u[k]).
+
+    `inputs` are u and `outputs` are y.
 
     An element of a matrix is a number, or the name of an unknown, which a leading "-" negates:
     `a=[[0, 1], ["-k", "-d"]]`. One name may stand in several places. `guess` has the first guess of each, `bounds`
@@ -274,7 +276,7 @@ class _LinearModel(Block):
         )
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """The matrices of one tick."""
+        """Compute the matrices of one tick."""
         a, b = _numbers(self.a, p), _numbers(self.b, p)
         n, m = len(a), len(b[0])
         if self.discrete:
@@ -286,7 +288,7 @@ class _LinearModel(Block):
         }
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """C x + D u."""
+        """Return C x + D u."""
         c, d = _numbers(self.c, p), _numbers(self.d, p)
         state, inputs = [x[name] for name in self.names], [u[port.name] for port in self.inputs]
         return {
@@ -295,7 +297,7 @@ class _LinearModel(Block):
         }
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Phi x + Gamma u."""
+        """Return Phi x + Gamma u."""
         return {
             name: total(
                 [
@@ -308,7 +310,7 @@ class _LinearModel(Block):
 
 
 def _numbers(rows: Rows, p: Any) -> list[list[Any]]:
-    """A matrix's elements as numbers and as parameters."""
+    """Return a matrix's elements as numbers and parameters."""
 
     def one(entry: Entry) -> Any:
         if not isinstance(entry, str):
@@ -319,7 +321,7 @@ def _numbers(rows: Rows, p: Any) -> list[list[Any]]:
 
 
 def _rows(matrix: Any, key: str, where: str) -> Rows:
-    """A matrix as rows; one of numpy becomes numbers."""
+    """Return a matrix as rows; an array of numpy becomes numbers."""
     rows = matrix.tolist() if hasattr(matrix, "tolist") else matrix
     if isinstance(rows, str) or not isinstance(rows, Sequence) or not all(isinstance(row, Sequence) for row in rows):
         raise IdentificationError(f"`{key}` is {matrix!r:.40}", where, "give rows of numbers and names")

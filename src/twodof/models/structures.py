@@ -1,5 +1,6 @@
-"""Ready-made model structures: the paper's G_q and G_v, both at once, the free response with dry friction, the course's
-three-state model. Each is a diagram like any that a user builds himself.
+"""Ready-made model structures of pitch, velocity and rail, each a diagram like those of a user.
+
+They are the paper's G_q and G_v, both at once, the free response with dry friction, and the course's three-state model.
 """
 
 import math
@@ -52,7 +53,7 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {
 
 
 def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
-    """G_q, paper equation (5), from M to theta and q with an exact zero-order hold and fractional delay.
+    """Make G_q, paper equation (5), from M to theta and q with an exact zero-order hold and fractional delay.
 
     With `lag` the delay has two parts, a pure `dead_time` and the rotors' first-order `lag`. Their sum is the paper's
     `tau`, which an estimate gives too. `lag` is known to be 12 +- 5 ms (`ROTOR_LAG`), because a short flight hardly
@@ -81,7 +82,7 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
 
 
 def pitch_on_cart(ring: int = 64) -> Structure:
-    """`pitch_rate(lag=True)` and what cart and bearing do to it: from M, theta and the measured q (`gyro`) to q.
+    """Make `pitch_rate(lag=True)` with cart and bearing: from M, theta and the measured q (`gyro`) to q.
 
     The cart's acceleration pushes the pitch (see `CartPush`), rattling within the rings' `play` or free on the rail
     (a large `play`). Hold what the machine's calibration tells of the cart; estimate the bearing's dry friction
@@ -125,7 +126,7 @@ def pitch_on_cart(ring: int = 64) -> Structure:
 
 
 def velocity() -> Structure:
-    """G_v and G_x, paper equation (9), from theta to x and v with an exact zero-order hold.
+    """Make G_v and G_x, paper equation (9), from theta to x and v with an exact zero-order hold.
 
     `theta_trim` is subtracted from theta: the pitch at which the cart would not accelerate (a rail that is not level,
     a biased estimate). Of v alone it cannot be told from `v_bias` unless friction shows: both stay 0 by default.
@@ -134,7 +135,7 @@ def velocity() -> Structure:
 
 
 def rail(thrust: bool = False, ring: int = 64) -> Structure:
-    """G_v without small angles, from the measured q to theta, x and v (see `Rail`): for gyro and raw range.
+    """Make G_v without small angles, from the measured q to theta, x and v (see `Rail`): for gyro and raw range.
 
     `tau` is how old the measured position is when it is stamped, `q_trim` the gyro's bias. With `thrust` the commands
     M and T are inputs too, `rotor_delay` [s] ahead of the thrust they make (see `Lift`): hard manoeuvres lift more.
@@ -158,7 +159,7 @@ def rail(thrust: bool = False, ring: int = 64) -> Structure:
 
 
 def pitch_and_velocity(ring: int = 64) -> Structure:
-    """G_q, G_v and G_x as one plant from M to theta, q, x and v (paper Figure 6 with the attitude loop open)."""
+    """Make G_q, G_v and G_x as one plant from M to theta, q, x and v (paper Figure 6 with the attitude loop open)."""
     return _about_trim(
         "pitch_and_velocity",
         "pitch and velocity from moment, linear",
@@ -170,7 +171,7 @@ def pitch_and_velocity(ring: int = 64) -> Structure:
 
 
 def longitudinal(ring: int = 64) -> Structure:
-    """The course's three-state longitudinal model from M to u, q, theta and a_x (see `plant.Longitudinal`)."""
+    """Make the course's three-state longitudinal model from M to u, q, theta and a_x (see `plant.Longitudinal`)."""
     return _about_trim(
         "longitudinal",
         "three-state longitudinal model",
@@ -181,7 +182,7 @@ def longitudinal(ring: int = 64) -> Structure:
 
 
 def free_response(ring: int = 64, substeps: int = 1) -> Structure:
-    """Pitch with gravity, hardening spring, viscous and dry friction (see `PitchPendulum`), from M to theta and q.
+    """Make pitch with gravity, hardening spring and friction (see `PitchPendulum`), from M to theta and q.
 
     By default everything but the asymmetry of the friction and the delay is estimated.
     """
@@ -207,7 +208,7 @@ def _about_trim(
     sums: Mapping[str, Sequence[str]] = MappingProxyType({}),
     prior: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> Structure:
-    """input - trim -> delay (inside a ZohPlant) -> plant -> + bias -> outputs; all parameters are the diagram's."""
+    """Make the diagram input - trim -> delay -> plant -> + bias -> outputs, with all parameters on the outside."""
     diagram = Diagram(name, text)
     input, unit = plant.inputs[0].name, plant.inputs[0].unit
     diagram.input(input, unit=unit)

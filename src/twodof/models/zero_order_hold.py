@@ -66,16 +66,16 @@ class ZohPlant(Block):
         )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """A (n rows) and B (n), from the parameters."""
+        """Return A (n rows) and B (n), from the parameters."""
         raise AttributeError(f"{type(self).__name__} does not define matrices")
 
     def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """C (one row an output) and D (one number an output): by default each output is the state of its name."""
+        """Return C (a row an output) and D (a number an output): by default each output is the state of its name."""
         rows = [[float(port.name == name) for name, _ in self.plant_states] for port in self.outputs]
         return rows, [0.0] * len(rows)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """Phi(dt), and the input's share before and after the edge at `split` inside the step."""
+        """Compute Phi(dt), and the input's share before and after the edge at `split` inside the step."""
         a, b = self.matrices(p)
         names = [name for name, _ in self.plant_states]
         steps = p[self.plant_delay] / t.dt
@@ -95,7 +95,7 @@ class ZohPlant(Block):
         return result
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """C x + D u, the input as old as the delay says."""
+        """Return C x + D u, with the delayed input."""
         c, d = self.readout(p)
         state = [x[name] for name, _ in self.plant_states]
         through = d
@@ -121,13 +121,13 @@ class ZohPlant(Block):
         return result | remember(u[self.inputs[0].name], x, self.ring)
 
     def _delayed(self, u: Any, x: Any, p: Any) -> tuple[Any, Any]:
-        """The input `whole + 1` and `whole` steps ago; before step 0 that of step 0."""
+        """Return the input `whole + 1` and `whole` steps ago; before step 0 that of step 0."""
         ago = past_input(u[self.inputs[0].name], x, p.fits, self.ring)
         return ago(p.whole + 1), ago(p.whole)
 
 
 def held(a: Matrix, b: Matrix, dt: Any) -> tuple[list[Any], list[Any]]:
-    """exp(A dt) (n rows), and the integral of exp(A s) B (n rows) over s = 0..dt, each row by row in one list.
+    """Return exp(A dt) (n rows), and the integral of exp(A s) B (n rows) over s = 0..dt, each row by row in one list.
 
     By Horner over a piece h of dt, I + A h/1 (I + A h/2 (I + ...)) and h (B + A h/2 (B + A h/3 (...))), then doubled:
     Phi(2 h) = Phi(h) Phi(h), W(2 h) = W(h) + Phi(h) W(h).
@@ -174,14 +174,14 @@ def _is_zero(value: Any) -> bool:
 
 
 def times(a: Any, b: Any) -> Any:
-    """a * b, where a literal 0 or 1 in a model's matrix costs nothing."""
+    """Return a * b; a literal 0 or 1 in a model's matrix costs nothing."""
     if _is_zero(a):
         return 0.0
     return b if isinstance(a, float) and a == 1.0 else a * b
 
 
 def total(terms: Sequence[Any]) -> Any:
-    """The sum, in which a literal 0 costs nothing."""
+    """Return the sum; a literal 0 costs nothing."""
     result: Any = 0.0
     for term in terms:
         if not _is_zero(term):
@@ -201,7 +201,7 @@ class ZohPitchRate(ZohPlant):
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Paper equations (3) to (6)."""
+        """Return the matrices of paper equations (3) to (6)."""
         return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, p.mu)
 
 
@@ -214,7 +214,7 @@ class ZohPushedPitchRate(ZohPlant):
     plant_params = ZohPitchRate.plant_params[:2]
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Paper equations (3) to (6), driven by the push itself."""
+        """Return the matrices of paper equations (3) to (6), driven by the push itself."""
         return ((0.0, 1.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n)), (0.0, 1.0)
 
 
@@ -235,7 +235,7 @@ class ZohPitchRateLag(ZohPlant):
     )
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Paper equations (3) to (6), the moment being that of the rotors."""
+        """Return the matrices of paper equations (3) to (6), with the rotors' moment."""
         return (
             ((0.0, 1.0, 0.0), (-(p.w_n * p.w_n), -2.0 * p.xi * p.w_n, p.mu), (0.0, 0.0, -(1.0 / p.lag))),
             (0.0, 0.0, 1.0 / p.lag),
@@ -265,7 +265,7 @@ class ZohPitchAndVelocity(ZohPlant):
     plant_params = (*ZohPitchRate.plant_params, *ZohVelocity.plant_params)
 
     def matrices(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """Paper equations (3) to (6) and (9)."""
+        """Return the matrices of paper equations (3) to (6) and (9)."""
         return (
             (
                 (0.0, 1.0, 0.0, 0.0),
@@ -296,6 +296,6 @@ class ZohLongitudinal(ZohPlant):
         return ((p.X_u, p.X_q, -GRAVITY), (p.M_u, p.M_q, 0.0), (0.0, 1.0, 0.0)), (p.X_d, p.M_d, 0.0)
 
     def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
-        """The states, and the accelerometer."""
+        """Return the states and the accelerometer."""
         states, _ = super().readout(p)
         return [*states[:3], (p.X_u, p.X_q, 0.0)], (0.0, 0.0, 0.0, p.X_d)

@@ -1,4 +1,4 @@
-"""Images for the Cortex-M7: programs, start-up and server cross-compiled and linked to one ELF file."""
+"""Image for the Cortex-M7: programs, start-up and server, cross-compiled and linked to one ELF file."""
 
 import io
 import re

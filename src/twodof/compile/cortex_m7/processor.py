@@ -1,4 +1,4 @@
-"""Processor: an image that runs on an emulated Cortex-M7 (QEMU, board mps2-an500), called from here."""
+"""Emulated Cortex-M7 (QEMU, board mps2-an500) that runs an image."""
 
 from __future__ import annotations
 
@@ -140,7 +140,7 @@ class Board:
                 return bytes(data), last
 
     def _frames(self, name: str, received: bytearray, data: bytearray, expected: int) -> tuple[int, int] | None:
-        """Move whole frames from `received` to `data`; the content of the last one, once it is there."""
+        """Move whole frames from `received` to `data`. Returns the content of the last frame once it is there."""
         at = 0
         last = None
         while last is None and len(received) >= at + 8:
@@ -235,7 +235,7 @@ class Processor:
             self._board = None
 
     def call(self, program: int, operation: int, p: NDArray[np.void], s: NDArray[np.void]) -> None:
-        """DEFAULTS, PREPARE or INIT of the program with this index on its structs; see `run` for the errors."""
+        """Call DEFAULTS, PREPARE or INIT of the program with this index on its structs; see `run` for the errors."""
         sent = [] if operation == DEFAULTS else [p]
         self._exchange(program, operation, sent, [s if operation == INIT else p])
 
@@ -251,9 +251,8 @@ class Processor:
     ) -> int:
         """Run `steps` steps of the program with this index; `u` and `y` have `steps` rows or one.
 
-        The result is how much of the stack its calls used [bytes], found by painting it, if `watch` asks for it, else
-        0. Raises ControllerFault if the program faults, with the registers; if the emulator ends; if nothing is heard
-        for `SILENCE` seconds.
+        Returns the used stack [bytes], found by painting it, with `watch`, else 0. Raises ControllerFault if the
+        program faults, with the registers; if the emulator ends; and after `SILENCE` seconds without an answer.
         """
         sent, filled = ([p, s, u], [y, s]) if steps else ([p, s], [s])
         depth, _ = self._exchange(program, RUN, sent, filled, steps, len(u) > 1, len(y) > 1, watch)
@@ -264,8 +263,8 @@ class Processor:
     ) -> tuple[NDArray[np.int64], int]:
         """Run `steps` steps. Returns the instructions of each, (steps,), and the stack that they used [bytes].
 
-        Call and return are not counted.
-        It must be a processor that is `counting`. Errors as `run`'s.
+        Call and return are not counted. Raises CompileError for a processor that is not `counting`, and the errors
+        of `run`.
         """
         if not self.counting:
             raise CompileError("this processor's clock does not count instructions", "", "make it with counting=True")
@@ -285,7 +284,7 @@ class Processor:
         y_rows: bool = False,
         watch: bool = False,
     ) -> tuple[int, int]:
-        """One request with `sent` behind it; `filled` from its answer. Depth of the stack, ticks of an empty call."""
+        """Send one request with `sent`, fill `filled` from the answer. Returns stack and ticks of an empty call."""
         name, sizes = self.image.names[program], self.image.sizes[program]
         need = sum(sizes[1:]) + ROWS + 64
         if need > POOL:
@@ -312,5 +311,5 @@ class Processor:
 
 
 def _instructions(ticks: NDArray[Any]) -> NDArray[np.int64]:
-    """Ticks are known to +-1, an instruction is 25.6 of them: the number of instructions is exact."""
+    """Return exact numbers of instructions: ticks are known to +-1, and an instruction takes 25.6 ticks."""
     return np.rint(ticks * (NANOSECONDS_PER_TICK / NANOSECONDS_PER_INSTRUCTION)).astype(np.int64)

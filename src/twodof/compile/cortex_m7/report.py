@@ -210,12 +210,12 @@ FUNCTIONS = ("defaults", "prepare", "init", "step")
 
 @dataclass(frozen=True)
 class CortexM7Report:
-    """A program's bytes, stack and instructions.
+    """Bytes, stack and instructions of a program.
 
-    `code` is what its four functions (defaults, prepare, init, step) need, with all they call. `step` is what the step
-    alone needs, `image` the whole image with start-up and server. `structs` has the bytes of P, S, U and Y. `stack` is
-    the bound of a step by the call graph (None: unknown) and `stack_seen` what steps that were run used, both without
-    interrupts. `instructions` are those of each step that was run, (steps,), call and return left out.
+    `code` counts its four functions (defaults, prepare, init, step) and their callees, `step` the step and its
+    callees, `image` the whole image with start-up and server. `structs` has the bytes of P, S, U and Y. `stack` is
+    the bound of a step by the call graph (None: unknown) and `stack_seen` the stack of the steps that were run, both
+    without interrupts. `instructions` has the count of each of these steps, (steps,), without call and return.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""The Cortex-M7 as a target: Machines whose steps run on an emulated processor."""
+"""Cortex-M7 target: machines whose steps run on an emulated processor."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class CortexM7:
 
 @dataclass(frozen=True, eq=False)
 class CortexM7Backend:
-    """A program in an image: number `index` of those that `processor` can run."""
+    """Program number `index` of the image on `processor`."""
 
     program: EmittedProgram
     processor: Processor
@@ -57,9 +57,9 @@ class CortexM7Backend:
 
 
 class CortexM7Instance:
-    """One running program. Its structs are here and go to the processor and back with each call.
+    """Running program with structs in Python's memory, which travel to the processor and back with each call.
 
-    After a call that raised ControllerFault every further one raises it again; the structs are those before it.
+    After a ControllerFault every further call raises it again, and the structs are as before the faulty call.
     """
 
     def __init__(self, backend: CortexM7Backend) -> None:
@@ -83,7 +83,7 @@ class CortexM7Instance:
         self._call(INIT)
 
     def step(self) -> None:
-        """One tick with U into Y."""
+        """Run one tick with U into Y."""
         self.run(1, self.structs["U"], self.structs["Y"])
 
     def run(self, steps: int, u: NDArray[Any], y: NDArray[Any]) -> None:

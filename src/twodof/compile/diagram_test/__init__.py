@@ -1,6 +1,6 @@
 """Tests of a user's diagram: scenarios, assertions over time, expected tables and coverage of decisions.
 
-The same from a file (`twodof diagram test`) and in Python, for use inside pytest; docs/how-to/test-a-diagram.md.
+They run from a file (`twodof diagram test`) and in Python, inside pytest; see docs/how-to/test-a-diagram.md.
 """
 
 from twodof.compile.diagram_test.assertions import Assertion as Assertion

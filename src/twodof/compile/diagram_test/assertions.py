@@ -71,8 +71,8 @@ def element_of(signals: Mapping[str, NDArray[Any]], text: str, where: str) -> ND
 class Judgement:
     """Result of one assertion; `text` says it in words.
 
-    Of a failed assertion, `tick`, `time` [s] and `value` are those of the first violation, `limit` is the limit that
-    the value passed, and `by` how far (NaN for a NaN). They are None for an assertion that holds.
+    `tick`, `time` [s] and `value` are those of the first violation. The value passed `limit` by `by` (NaN for a NaN).
+    All are None for an assertion that holds.
     """
 
     check: str

@@ -1,7 +1,7 @@
 """Coverage: the sides of a diagram's decisions that its tests took, measured on the reference.
 
-A *condition* is a bool that chooses: the first argument of a `where` (minimum, limit and switch consist of it), or
-an operand of a bool `&` or `|`. It has two sides. `~c` is decided as c is. A condition in several places of a block is
+A *condition* is a bool that chooses, with two sides: the first argument of a `where` (also inside a minimum, limit or
+switch), or an operand of a bool `&` or `|`. `~c` is the same decision as c. A condition in several places of a block is
 one decision. The enable, reset and trigger of a sub-diagram are decisions too; those of a state machine are not.
 """
 

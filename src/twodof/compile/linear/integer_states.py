@@ -28,7 +28,7 @@ Whole_ = tuple[Any, ...]
 
 @dataclass
 class Cycle:
-    """The values through which a node's whole-number states go; `ring` tells which one is a write index."""
+    """Cycle of the values of a node's whole-number states; `ring` names the state that is a write index, or ""."""
 
     names: tuple[str, ...]
     values: list[Whole_]
@@ -36,7 +36,7 @@ class Cycle:
 
 
 class IntegerStates:
-    """The integer and bool states of a program at a point."""
+    """Integer and bool states of a program at a point."""
 
     def __init__(self, program: FlatProgram, point: OperatingPoint, parts: Parts) -> None:
         self.program = program
@@ -46,9 +46,9 @@ class IntegerStates:
         self.shift = 0
 
     def settle(self, step: Callable[[], TangentStep]) -> None:
-        """Run each node's whole-number states, the rest held, until they stay or come round; they are set there.
+        """Run each node's whole-number states, the rest held, until they stay or come round, and set them so.
 
-        Those given with `at` are not moved. Raises DiagramError for one that does neither.
+        States given with `at` are not moved. Raises DiagramError for states that neither stay nor come round.
         """
         for _ in range(MAX_SWEEPS):
             self.cycles = {}
@@ -69,7 +69,7 @@ class IntegerStates:
     def _settle(self, node: Node, names: tuple[str, ...], step: TangentStep) -> None:
         roots = [node.trace.update[name] for name in names]
         states: dict[Key, Value] = dict(step.states)
-        # What these states do not change is computed once.
+        # Values that do not depend on these states are computed once.
         fixed: dict[Any, Value] = {}
         step.evaluate(node, roots, states, memos={node: fixed})
         moving: set[int] = set()
@@ -121,9 +121,9 @@ class IntegerStates:
         return ""
 
     def check_held(self, step: TangentStep) -> dict[str, str]:
-        """Of the whole-number states that `at` holds and that would move: what to know of each.
+        """Return a remark for each whole-number state that `at` holds and that would move.
 
-        Raises DiagramError for the write index of a buffer: if it is held, what is written is never read.
+        Raises DiagramError for the write index of a buffer: with a held index the written samples are never read.
         """
         notes = {}
         for node, name in sorted(self.point.given, key=lambda k: (k[0].path, k[1])):
@@ -158,7 +158,7 @@ class IntegerStates:
         return {(node, cycle.ring) for node, cycle in self.cycles.items() if cycle.ring}
 
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
-        """(length, write index `ahead` periods on) of the ring that a state is; (0, 0) if it is none."""
+        """Return length and write index, `ahead` periods on, of a state that is a ring; (0, 0) for other states."""
         node, name = key
         cycle = self.cycles.get(node)
         width = self.point.width(key)
@@ -191,10 +191,10 @@ class IntegerStates:
         return [f"{path}[k-{age + 1}]{t}" for age in range(length) for t in tail]
 
     def phases(self) -> list[int]:
-        """By how many periods what goes round must be turned, to see that the model stays the same.
+        """Return the shifts, in periods, of the cycles at which the model must be the same.
 
-        A ring's places are alike except for its end: some of them will do. Anything else is turned through all its
-        values. Raises DiagramError where these are too many.
+        A ring's places are alike except for its end, so three are enough. Other cycles are turned through all their
+        values. Raises DiagramError for cycles of more than ALL_PHASES periods.
         """
         found: set[int] = set()
         for node, cycle in self.cycles.items():
@@ -213,7 +213,7 @@ class IntegerStates:
 
     @contextmanager
     def turned(self, shift: int) -> Iterator[None]:
-        """Within the block, everything that goes round is `shift` periods on, with the same samples in its buffers."""
+        """Turn all cycles by `shift` periods within the block, with the same samples in the buffers."""
         before = dict(self.point.states)
         orders = {
             (node, s.name): self.order((node, s.name))
@@ -238,7 +238,7 @@ class IntegerStates:
             self.point.states |= before
 
     def guilty(self) -> str:
-        """Return the states that go round and are not write indices of rings, else all that go round."""
+        """Return the states in cycles that are not write indices of rings, or else all states in cycles."""
         others = [n for n, c in self.cycles.items() if not c.ring] or list(self.cycles)
         return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].names)
 
@@ -257,9 +257,9 @@ Array = NDArray[np.float64]
 
 
 class Coordinates:
-    """The real states that may move, element by element as the program keeps them, then the held signals.
+    """Real states that may move, element by element in the program's order, then the held signals.
 
-    The model has the samples of a ring in another order, the newest first: `order` gives it.
+    The model has the samples of a ring in another order, the newest first; see `order`.
     """
 
     def __init__(self, point: OperatingPoint, whole: IntegerStates, parts: Parts, held: Sequence[FlatSignal]) -> None:
@@ -284,7 +284,7 @@ class Coordinates:
         return places + list(range(len(places), self.size))
 
     def names(self) -> list[str]:
-        """Their names in the model's order."""
+        """Return the names in the model's order."""
         states = [name for key in self.keys for name in self.whole.names(key)]
         return states + [name for s in self.held for name in element_names(f"{s.path} (held)", s)]
 
@@ -294,12 +294,12 @@ class Coordinates:
         return states + [False] * (self.size - len(states))
 
     def values(self) -> Array:
-        """Their values at the point, in the program's order."""
+        """Return the values at the point, in the program's order."""
         states = [float(v) for key in self.keys for v in elements(self.point.states[key])]
         return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
 
     def whole_arrays(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return which coordinates belong to a state with an element in `chosen`, in program order."""
+        """Return a mask of the coordinates of states with an element in `chosen`, in program order."""
         found = np.array(chosen)
         at = 0
         for key in self.keys:
@@ -309,7 +309,7 @@ class Coordinates:
         return found
 
     def put(self, z: Array) -> None:
-        """Set them at the point, from values in the program's order."""
+        """Set the point's states and held signals to values in the program's order."""
         items = [np.float64(v) for v in z]
         for key in self.keys:
             part = [items.pop(0) for _ in range(self.point.width(key))]
@@ -319,7 +319,7 @@ class Coordinates:
             self.point.held[s] = part[0] if s.width is None else Vector(part)
 
     def seeded(self, states: States, held: dict[FlatSignal, Value], unit: Array) -> None:
-        """Give each of them its row of `unit` as slope, in the states and held signals of a step."""
+        """Give each coordinate its row of `unit` as slope, in the states and held signals of a step."""
         rows = iter(unit)
         for key in self.keys:
             states[key] = _seeded(states[key], rows)

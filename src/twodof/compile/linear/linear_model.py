@@ -1,4 +1,4 @@
-"""LinearModel: A, B, C, D with names, at a point of a diagram."""
+"""Linear model of a diagram at a point: A, B, C, D with names."""
 
 import importlib
 from collections.abc import Mapping
@@ -20,9 +20,9 @@ class LinearModel:
 
     Shapes: `a` (n, n), `b` (n, m), `c` (p, n), `d` (p, m). `states`, `inputs` and `outputs` name the rows and columns
     by paths. There `[i]` is an element of an array and `[k-i]` the sample of i steps ago in a delay. `point` has the
-    values of states and inputs at the point, `output_values` those of the outputs. `left_out` says of each state
-    of the diagram that the model does not have why. `remarks` name each input that has no effect on any output at the
-    point, and each output that nothing moves. They also name each whole-number state that moves unless `at` holds it.
+    values of states and inputs at the point, `output_values` those of the outputs. `left_out` has the reason for each
+    state of the diagram that is not in the model. `remarks` name each input without effect on any output at the point,
+    each output that nothing moves, and each whole-number state that moves unless `at` holds it.
     """
 
     a: Array
@@ -76,7 +76,7 @@ class LinearModel:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data: the names, the point, the matrices as lists of rows and the poles as [real, imaginary]."""
+        """Return plain data: names, point, matrices as lists of rows and poles as [real, imaginary]."""
         return {
             "name": self.name,
             "dt": self.dt,
@@ -96,5 +96,5 @@ class LinearModel:
 
 
 def _label(name: str) -> str:
-    """python-control takes dots in a signal's name for those of a system's."""
+    """Return the name without dots, which python-control takes for those of a system's name."""
     return name.replace(".", "_")

@@ -1,7 +1,6 @@
-"""linearize: the exact linear model of a diagram at a point, by differentiating its expression graph.
+"""Exact linear model of a diagram at a point, by differentiation of its expression graph.
 
-docs/how-to/check-a-diagram.md says what is assumed: which model it is, and what happens to delays, rates, counters,
-noise and kinks.
+See docs/how-to/check-a-diagram.md for the assumptions on delays, rates, counters, noise and kinks.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -44,11 +43,12 @@ def linearize(
 ) -> LinearModel:
     """Return the linear model of `diagram`, with the base tick `dt` [s], at a point.
 
-    `at` gives the values of inputs, states, parameters and "tick" (default 0) at the point, by name or path. What
-    is not named has its initial value, its default or 0. With `trim` the states are moved to an equilibrium near it,
-    or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs` are the
-    model's: inputs of the diagram, or signals by path. The default is its real inputs and outputs. A signal that is an
-    input is *cut*: what reads it reads the input instead. What no output depends on is left out.
+    `at` gives the values of inputs, states, parameters and "tick" (default 0) at the point, by name or path. The
+    default is the initial value, the parameter's default or 0. With `trim` the states are moved to an equilibrium near
+    the point, or, with inputs in `free`, these inputs and the states that `at` does not name. `inputs` and `outputs`
+    are those of the model: inputs of the diagram, or signals by path. The default is the diagram's real inputs and
+    outputs. A signal that is an input is *cut*: its readers read the input instead. States without influence on any
+    output are left out.
 
     `time`: "continuous" (dx/dt), "discrete" (x[k+1], the step map) or, for "auto", continuous where all states are.
     A diagram with any discrete state, delay or rate of its own is discrete. Of several rates the model is that over
@@ -82,7 +82,7 @@ def linearize(
 
 
 class _Linearization:
-    """A program at a point, its seeds (states, then inputs) and what is asked of it."""
+    """Program at a point with its seeds (states, then inputs) and the wanted inputs and outputs."""
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class _Linearization:
         return kept, p[:, kept]
 
     def _ordered(self, found: Matrices, ahead: int) -> Matrices:
-        """In the model's order, of states that are `ahead` periods on."""
+        """Return the matrices in the model's order of states, of the next states `ahead` periods on."""
         return found.ordered(self.coordinates.order(ahead), self.coordinates.order())
 
     def model(self, time: str, keep_all: bool) -> LinearModel:
@@ -259,7 +259,7 @@ class _Linearization:
         return [float(m.value) for m in elements(self.slopes.plain_step().made[s])]
 
     def _check_phases(self, found: Matrices) -> None:
-        """DiagramError if the model changes while something goes round (a write index, a counter)."""
+        """Raise DiagramError if the model changes while a write index or a counter goes round."""
         for shift in self.whole.phases():
             with self.whole.turned(shift):
                 other = self._ordered(self.slopes.matrices("next", strict=False), 1)
@@ -271,7 +271,7 @@ class _Linearization:
                 )
 
     def _check_ticks(self, found: Matrices, what: str) -> None:
-        """DiagramError if the model changes with the tick, unless `at` gives the tick."""
+        """Raise DiagramError if the model changes with the tick, unless `at` gives the tick."""
         readers = self.parts.read_tick()
         if not readers or self.point.tick_given:
             return
@@ -326,7 +326,7 @@ def _idle(
 def _needed(
     a: Array, b: Array, c: Array, names: Sequence[str], continuous: bool, left_out: dict[str, str]
 ) -> list[int]:
-    """Return the states to keep: not those that never move, come back at once, or that nothing reads."""
+    """Return the states to keep: without states that never move, come back at once, or are never read."""
     staying = list(range(len(a)))
     while True:
         drop: dict[int, str] = {}

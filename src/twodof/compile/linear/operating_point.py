@@ -1,4 +1,4 @@
-"""Point: the values of a program's parameters, inputs and states at which it is linearized."""
+"""Operating point of a linearization: parameters, inputs, states and tick, and the nodes that take part."""
 
 import math
 from collections import Counter
@@ -57,7 +57,7 @@ class OperatingPoint:
 
     @contextmanager
     def kept(self) -> Iterator[None]:
-        """Within the block the point may move; then its states, held signals and tick are what they were."""
+        """Restore states, held signals and tick of the point after the block."""
         before = dict(self.states), dict(self.held), self.tick
         try:
             yield
@@ -65,7 +65,7 @@ class OperatingPoint:
             self.states, self.held, self.tick = before
 
     def width(self, key: Key) -> int:
-        """How many numbers a state has."""
+        """Return the number of elements of a state."""
         return self._widths[key]
 
     def put(self, states: States) -> None:
@@ -123,7 +123,7 @@ class Parts:
 
     @cached_property
     def period(self) -> int:
-        """Base ticks until all rates are due again. Raises DiagramError where they are too many."""
+        """Base ticks until all rates are due again. Raises DiagramError for more than MAX_PERIOD."""
         ticks = math.lcm(*(rate.divider for rate in self._rates))
         if len(self._rates) > 1 and ticks > MAX_PERIOD:
             (one, a), (two, b), *_ = sorted(self._rates.items(), reverse=True)
@@ -136,7 +136,7 @@ class Parts:
         return ticks
 
     def steps(self, node: Node) -> int:
-        """How often a node runs in a period."""
+        """Return the number of runs of a node in a period."""
         return self.period // math.gcd(self.period, node.rate.divider)
 
     @property

@@ -35,13 +35,13 @@ class Matrices:
     made: Array  # the outputs' values
 
     def ordered(self, rows: Sequence[int], columns: Sequence[int]) -> "Matrices":
-        """With the states in another order, as rows and as the first columns."""
+        """Return the matrices with the states in another order, as rows and as the first columns."""
         n = len(columns)
         to = [*columns, *range(n, self.change.shape[1])]
         return Matrices(self.change[np.ix_(rows, to)], self.output[:, to], self.value[list(rows)], self.made)
 
     def then(self, other: "Matrices") -> "Matrices":
-        """`other` after this, with the same inputs; the outputs are those of the start."""
+        """Return `other` after these, with the same inputs; the outputs are those of the start."""
         n = len(self.change)
         change = other.change[:, :n] @ self.change
         change[:, n:] += other.change[:, n:]
@@ -142,7 +142,7 @@ class Slopes:
     def matrices(self, what: str = "next", strict: bool = True) -> Matrices:
         """Return the slopes of `what` (one of WHAT) and of the outputs by the coordinates.
 
-        With `strict` DiagramError at a kink: where directions of motion do not agree on them.
+        With `strict`, raises DiagramError at a kink: where directions of motion do not agree on the slopes.
         """
         visits = self._visits(what)
         total = visits[0].found
@@ -174,7 +174,7 @@ class Slopes:
         return [t for t in step.tangent.ties if t.where in self._paths]
 
     def _check(self, what: str, visits: Sequence[_Visit], total: Matrices) -> None:
-        """DiagramError if one of the ticks is on a kink; ticks at which everything that matters is the same, once."""
+        """Raise DiagramError if one of the ticks is on a kink; ticks in the same situation are tried once."""
         seen = observed(total.change[:, : self.size], total.output[:, : self.size])
         known: list[tuple[Any, Array]] = []
         with self.point.kept():
@@ -194,9 +194,9 @@ class Slopes:
         self.point.held = {s: plain(v) for s, v in step.made.items() if s.node is not None}
 
     def _situation(self, seen: NDArray[np.bool_]) -> tuple[Any, Array]:
-        """Return what decides the branches of a tick: due rates, whole-number states and real values.
+        """Return the situation that decides the branches of a tick: due rates, whole-number states, real values.
 
-        The place where a ring is written does not. A state without a coordinate in `seen` does not either.
+        Write places of rings and states without a coordinate in `seen` are left out.
         """
         rings = self.coordinates.whole.rings()
         keys = [(n, s.name) for n, s in self._whole if (n, s.name) not in rings]
@@ -272,7 +272,7 @@ class Slopes:
 
 
 def observed(a: Array, c: Array) -> NDArray[np.bool_]:
-    """Return the states that move an output sooner or later."""
+    """Return a mask of the states that move an output sooner or later."""
     seen = (c != 0.0).any(axis=0)
     while True:
         further = seen | ((a != 0.0).T @ seen)
@@ -282,7 +282,7 @@ def observed(a: Array, c: Array) -> NDArray[np.bool_]:
 
 
 def _different(ties: Sequence[Tie]) -> list[Tie]:
-    """One of those that lie so near to one another that a motion across one crosses them all.
+    """Return one tie of each group so near to one another that a motion across one crosses them all.
 
     Each stage of an integration meets the borders of the first, somewhat turned.
     """

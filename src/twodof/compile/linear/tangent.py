@@ -58,9 +58,9 @@ class TangentStep:
         signals: Mapping[FlatSignal, Value] | None = None,
         memos: dict[Node, dict[int, Value]] | None = None,
     ) -> list[Value]:
-        """Expressions of a node at the tick, with some of its states, or what it reads, replaced.
+        """Evaluate expressions of a node at the tick, with some of its states or input signals replaced.
 
-        `memos` keeps what was computed; by default that of the tick itself, or nothing where something is replaced.
+        `memos` keeps computed values: by default the memo of the tick, or none with replaced states.
         """
         x, read = states or {}, self.read if signals is None else signals
 
@@ -124,11 +124,11 @@ class TangentStep:
         return {(n, s.name): self.states[n, s.name] for n in self.integrated_nodes for s in n.continuous}
 
     def following(self) -> States:
-        """All states of the next tick."""
+        """Return all states of the next tick."""
         return self.states | self.updates() | (self.projected(self.integrated()) if self.integrated_nodes else {})
 
     def derivative(self, x: Mapping[Key, Value], signals: Mapping[FlatSignal, Value] | None = None) -> States:
-        """Return the derivatives of the continuous states at `x`; `signals` replaces those that have an edge."""
+        """Return the derivatives of the continuous states at `x`; `signals` replaces signals with an edge."""
         now: dict[FlatSignal, Value] = dict(self.read) | dict(signals or {})
         memos: dict[Node, dict[int, Value]] = {}
         for group in self.program.stage:
@@ -178,7 +178,7 @@ class TangentStep:
         return along(h / 6.0, total)
 
     def projected(self, x: States) -> States:
-        """`x` after the jumps of continuous states."""
+        """Return `x` after the jumps of continuous states."""
         new = dict(x)
         for node in self.integrated_nodes:
             if node.trace.project and self.active(node.guard):

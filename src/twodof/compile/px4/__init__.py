@@ -1,4 +1,7 @@
-"""From a diagram to an external module for PX4, and whether a PX4 fits it. See docs/explanation/targets.md."""
+"""External modules for PX4 from diagrams, and their check against a checkout of PX4.
+
+See docs/explanation/targets.md.
+"""
 
 from twodof.compile.px4.export import Px4Module, export, make_module
 from twodof.compile.px4.tree import CheckoutFinding, CheckoutFindings, check

@@ -161,7 +161,7 @@ class ControllerCode:
 
 
 def controller(diagram: Diagram, names: ModuleNames, log: Sequence[str]) -> ControllerCode:
-    """`diagram` lowered at 250 Hz with the signals at `log`, and emitted in float32.
+    """Lower `diagram` at 250 Hz with the signals at `log`, and emit it in float32.
 
     Raises DiagramError as `lower`, and for arrays that are too large for the stack of PX4's work queue.
     """
@@ -294,7 +294,7 @@ def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str
 
 
 def _copies(pairs: Iterable[tuple[str, str, int | None]], unused: str) -> str:
-    """Lines that copy origins to targets, each of them a scalar or an array of this width."""
+    """Return lines that copy origins to targets: scalars, or arrays of the given width."""
     lines = [
         f"    {to} = {origin};\n" if width is None else f"    memcpy({to}, {origin}, sizeof {to});\n"
         for to, origin, width in pairs
@@ -303,7 +303,7 @@ def _copies(pairs: Iterable[tuple[str, str, int | None]], unused: str) -> str:
 
 
 def _words(members: Sequence[MessageField], flag: str, whole: str, unused: str) -> str:
-    """Lines that take `members` from words of 32 bits or to them: `flag` a bool alone, `whole` all else at once."""
+    """Return lines that copy `members` from or to words of 32 bits: `flag` for a bool, `whole` for other kinds."""
     lines, at = [], 0
     for f in members:
         if f.kind == "bool":

@@ -1,4 +1,4 @@
-"""export: from a diagram to a complete external module for PX4."""
+"""Export of a diagram as a complete external module for PX4."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -102,7 +102,7 @@ def make_module(diagram: Diagram, log: Iterable[str] = (), prefix: str = "") -> 
 
 
 def airframe_id(names: ModuleNames) -> int:
-    """SYS_AUTOSTART of the module's airframe, always the same for one name."""
+    """Return SYS_AUTOSTART of the module's airframe, always the same for one name."""
     return FIRST_ID + crc32(names.module.encode()) % IDS
 
 
@@ -118,7 +118,7 @@ def airframe(names: ModuleNames, role: ModuleRole, text: str) -> str:
 
 
 def board_settings(names: ModuleNames, role: ModuleRole) -> str:
-    """etc/config.txt of a board's SD card, which PX4 runs after the airframe: the rig's settings but the outputs."""
+    """Return etc/config.txt of a board's SD card, which PX4 runs after the airframe: settings without outputs."""
     return fill("config.txt", names, settings=_settings(names, role))
 
 
@@ -139,7 +139,7 @@ def takeover(names: ModuleNames, role: ModuleRole) -> str:
 
 
 def logger_topics(names: ModuleNames, role: ModuleRole) -> str:
-    """etc/logging/logger_topics.txt: name, and the interval in ms (0: every message)."""
+    """Return etc/logging/logger_topics.txt: names, and intervals in ms (0: every message)."""
     slow = {"vehicle_local_position": 20, "vehicle_attitude": 10, "sensor_combined": 0}
     others = {"vehicle_status": 200, "vehicle_land_detected": 200, "failsafe_flags": 200, "battery_status": 500}
     rows = [(names.module, 0)]

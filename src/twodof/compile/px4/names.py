@@ -1,4 +1,4 @@
-"""Names inside PX4: of the module, its topic and class, its parameters and the fields of its message.
+"""Names inside PX4: of the module, topic and class, of parameters and of message fields.
 
 Each rule looks at one name alone as far as it can, so that a new part of a diagram does not rename the others.
 """
@@ -23,7 +23,7 @@ _DIGITS = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
 
 
 def digest(text: str, length: int = 4) -> str:
-    """`length` letters or digits that stand for `text`."""
+    """Return `length` letters or digits as a digest of `text`."""
     number, made = crc32(text.encode()), ""
     for _ in range(length):
         number, digit = divmod(number, 36)
@@ -146,9 +146,9 @@ def field_names(prefix: str, paths: Sequence[str]) -> list[str]:
 
 
 def harmless(text: str, longest: int) -> str:
-    """Return a user's text without characters that mean something in a comment, YAML or a description.
+    """Return a user's text without characters that have a meaning in comments, YAML or descriptions.
 
-    Letters, digits, spaces and a few signs of ASCII stay, each run of others becomes a question mark.
+    Letters, digits, spaces and a few signs of ASCII stay; each run of other characters becomes a question mark.
     """
     plain = re.sub(r"[^A-Za-z0-9 .,:;()\[\]+\-/=<>_^%|~!'*]+", "?", " ".join(text.split()))
     plain = re.sub(r"/(?=[/*])|\*(?=/)", r"\g<0> ", plain)

@@ -1,4 +1,4 @@
-"""The parameters that a module shows to PX4: from a diagram's parameters to rows, and to module.yaml."""
+"""Parameters of a module in PX4: rows from a diagram's parameters, and module.yaml."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -36,9 +36,8 @@ class ExportedParameter:
     """A parameter in PX4.
 
     `kind` is "real", "int32", "uint32" or "bool" as in the diagram; "real" stands for float32 too and "int32" for the
-    integers of 8 and 16 bits. `index` is an element of an array. `low` and `high`
-    are those that the module enforces, in float32 for a real. `fixed`: read when the module starts. The module's own
-    parameters have no `path`.
+    integers of 8 and 16 bits. `index` is an element of an array. The module enforces `low` and `high`, in float32 for
+    a real. `fixed`: read when the module starts. The module's own parameters have no `path`.
     """
 
     name: str
@@ -76,7 +75,7 @@ class ExportedParameter:
 
 @dataclass(frozen=True)
 class KeptParameter:
-    """A parameter that stays at its default, and why."""
+    """Parameter that stays at its default, with the reason."""
 
     path: str
     reason: str
@@ -87,7 +86,7 @@ def exported(
 ) -> tuple[list[ExportedParameter], list[KeptParameter]]:
     """Return the rows of the diagram's parameters, then those of the module itself, and the parameters not shown.
 
-    A parameter that is not tunable is read when the module starts; `diagram_rows` says what stays as it is. `torque`
+    A parameter that is not tunable is read when the module starts; see `diagram_rows` for those not shown. `torque`
     adds the scale of the torque set-point. Raises DiagramError for more than MOST parameters.
     """
     own = [ExportedParameter(f"{names.prefix}_{LIVE}", "bool", 1.0, 0.0, 1.0, "", _LIVE_TEXT)]
@@ -122,7 +121,7 @@ def diagram_rows(
 
 
 def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[KeptParameter]]:
-    """Path and index of the numbers that PX4 can hold, and the parameters that stay at their defaults."""
+    """Return path and index of the numbers that PX4 can hold, and the parameters that stay at their defaults."""
     wanted: list[tuple[str, int | None]] = []
     kept: list[KeptParameter] = []
     for path, parameter in program.parameters.items():
@@ -142,7 +141,7 @@ def _wanted(program: FlatProgram) -> tuple[list[tuple[str, int | None]], list[Ke
 
 
 def float32(value: float) -> float:
-    """`value` rounded to float32."""
+    """Return `value` rounded to float32."""
     with np.errstate(over="ignore"):
         return float(np.float32(value))
 
@@ -215,7 +214,7 @@ def _quoted(text: str, longest: int) -> str:
 
 
 def decimals(default: float) -> int:
-    """Places behind the point that show four significant digits of a default, 3 to 8."""
+    """Return the decimal places that show four significant digits of a default, 3 to 8."""
     return min(max(3 - math.floor(math.log10(abs(default))), 3), 8) if default else 3
 
 

@@ -1,1 +1,1 @@
-"""C compilers, and the cache of what they made."""
+"""C compilers and the cache of their products."""

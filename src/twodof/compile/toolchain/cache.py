@@ -1,4 +1,4 @@
-"""Cache of compiled files, by the digest of everything that decides their bytes, in a folder of this user alone."""
+"""Cache of compiled files by the digest of their sources and options, in a folder of this user alone."""
 
 import hashlib
 import os
@@ -85,7 +85,7 @@ def _own_folder() -> Path | None:
 
 
 def _prune(folder: Path) -> None:
-    """Remove what killed builds left, and the oldest half of a cache that has grown too large."""
+    """Remove folders of killed builds, and the oldest half of a cache that has grown too large."""
     entries: list[tuple[float, int, Path]] = []
     with suppress(OSError):
         for item in folder.iterdir():

@@ -1,4 +1,4 @@
-"""Compilers, and what they make of C: libraries, WebAssembly modules, images."""
+"""C compilers and their cached products: libraries, WebAssembly modules, images."""
 
 import functools
 import hashlib
@@ -127,7 +127,7 @@ def _key(
 def compile_c(
     source: str, target: Path, compiler: Compiler, options: Sequence[str], files: Mapping[str, str] | None = None
 ) -> None:
-    """Write what `compiler` makes of `source` to `target`, whose folder is its working directory; see `compiled`."""
+    """Compile `source` to `target`, whose folder is the working directory; see `compiled`."""
     file = target.with_suffix(".c")
     for path, text in {file: source, **{target.parent / n: t for n, t in (files or {}).items()}}.items():
         path.write_text(text, encoding="utf-8")
@@ -142,7 +142,7 @@ def compile_c(
 
 
 def run_compiler(compiler: Compiler, arguments: Sequence[str], folder: Path) -> subprocess.CompletedProcess[bytes]:
-    """Run `compiler` in `folder`, where its temporary files are too; the result has what it said, but no output.
+    """Run `compiler` in `folder`, where its temporary files are too. Returns its status and standard error.
 
     Raises CompileError if it does not start, or does not end within BUILD_SECONDS: then the processes it has started
     end with it.

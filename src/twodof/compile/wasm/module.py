@@ -1,4 +1,4 @@
-"""A diagram as a WebAssembly module that imports nothing, and what its host must know of it."""
+"""WebAssembly module of a diagram, without imports, and its interface for a host."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class WasmAddresses:
 
     @classmethod
     def of(cls, program: EmittedProgram) -> WasmAddresses:
-        """Between the stack, which ends at STACK, and the constants, which begin at or after `end`."""
+        """Place the structs between the stack, which ends at STACK, and the constants, from `end` on."""
         sizes = dict(zip("PSUY", program.sizes[1:], strict=True))
         rows = max(1, min(ROWS, ROW_BYTES // (sizes["U"] + sizes["Y"])))
         found, at = {}, STACK
@@ -159,9 +159,9 @@ def find_wasm_compiler(name: str | None = None) -> Compiler:
 def compile_module(
     programs: Sequence[EmittedProgram], compiler: str | None = None, optimise: str = "-O3"
 ) -> WasmModule:
-    """`programs`, which stand in one source, as one module; needs no engine.
+    """Compile `programs`, which stand in one source, to one module; needs no engine.
 
-    What cannot be optimised in seconds (`optimisation_cost`) is compiled with -O0, also where `optimise` asks for more.
+    Code that takes too long to optimise (`optimisation_cost`) is compiled with -O0, whatever `optimise` says.
     Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)
@@ -218,7 +218,7 @@ def step_fuel(program: EmittedProgram) -> int:
 
 
 def operations(program: FlatProgram) -> int:
-    """At most this many operations of the language (elements of arrays included) are computed in a step."""
+    """Return a bound of the operations of the language (elements of arrays included) in a step."""
     stages = (4 if program.integrator == "rk4" else 1) * (len(program.edged) + 1)
     continuous = bool(program.integrated)
     total = 0
@@ -237,7 +237,7 @@ def _cost(expressions: Iterable[Expr]) -> int:
 
 
 def _moved(node: Node) -> int:
-    """Values that are held, reset, zeroed or committed: a few operations for each element."""
+    """Return the operations that hold, reset, zero and commit values: a few for each element."""
     block = node.block
     started = len(node.starts) * sum(s.width or 1 for s in block.states)
     declared: list[Port | State | Param] = [*block.states, *block.outputs, *block.inputs, *block.params]
