@@ -25,7 +25,7 @@ from twodof.compile import native as target
 from twodof.compile.builder import emit_program
 from twodof.compile.c import pieces
 from twodof.compile.c.emitter import emit
-from twodof.compile.c.expressions import constant
+from twodof.compile.c.statements import constant
 from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.flight.core import core
@@ -85,7 +85,7 @@ def test_reading_what_was_stored_costs_what_is_written() -> None:
     assert large < 2.2 * small  # twice, and names that are a digit longer
 
 
-@pytest.mark.parametrize("count", [1, 3, 4, 5, 6, 12])
+@pytest.mark.parametrize("count", [4, 5])  # up to MOST_CHOICES, and more
 def test_reading_what_was_stored_gives_the_same_bits(count: int) -> None:
     compiled, judge = build(stores(count), 0.01).machine(), Reference(stores(count), 0.01).machine()
     places = [*range(-3, 24), 2**31 - 1, -(2**31), *range(19)]
@@ -330,11 +330,10 @@ class Named(Block):
 
 
 HOSTILE = [
-    *(("part", name) for name in ("INT32_MAX", "SIZE_MAX", "int", "NULL", "real", "memcpy", "unix", "s", "held")),
     *(("int32", "t"), ("int32", "add"), ("real_to", "int32"), ("td", "sin"), ("td", "inline"), ("INT32", "MIN")),
     *(("prog", name) for name in ("X", "P", "Held", "derivative", "integrate", "along", "step")),
 ]
-"""Names of a part and of its ports that joined, or alone, mean something; "prog" is the diagram's own name."""
+"""Names of a part and of its ports that mean something once joined; "prog" is the diagram's own name."""
 
 
 def test_no_name_can_collide_with_what_c_or_the_file_defines() -> None:

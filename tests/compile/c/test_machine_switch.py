@@ -1,4 +1,4 @@
-"""The C of a state machine: a switch that reads like the drawing, and whose lines are the machine's."""
+"""The C of a state machine: a switch that reads like the drawing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from twodof.blocks.reference import Reference
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.compile import build
 from twodof.compile.builder import emit_program
-from twodof.compile.c_files.c_files import source_map
 
 
 class Door(StateMachine):
@@ -59,17 +58,6 @@ def test_each_mode_is_a_case_and_each_transition_an_if_in_its_order() -> None:
     ]
     assert "} else if (u->push) {" in free
     assert len(re.findall(r"case \d|default", second)) == 3
-
-
-def test_the_lines_of_a_machine_are_its_own() -> None:
-    emitted = emit_program(door(), 0.01, "float64")
-    found = source_map(emitted)
-    ((first, last),) = found.of("door")["step"]
-    lines = [line.text for line in found.lines[first - 1 : last]]
-    assert lines[0].strip() == "/* door: Door */"
-    assert lines[-1] == "    }"
-    owners = {line.block for line in found.lines if line.part == "step" and "s->door_" in line.text}
-    assert owners == {"door"}
 
 
 class FedBack(StateMachine):
@@ -136,7 +124,7 @@ def test_all_clocks_are_0_at_the_start(start: int) -> None:
 
 
 class TakenBack(StateMachine):
-    """What its exit action reads, the transition's takes back: the recorded machine does not need that input."""
+    """A machine whose transition overwrites the result of its exit action, so that the input is not needed."""
 
     inputs = (Port("u"),)
     outputs = (Port("y"),)

@@ -67,7 +67,7 @@ def test_each_line_has_an_owner_and_each_block_that_runs_has_lines(name: str, pr
     check(found, emitted)
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(8))
 def test_random_diagrams_too(seed: int) -> None:
     diagram = Maker(seed).diagram(f"random{seed}")
     found, emitted = mapped(diagram, 0.001)

@@ -84,11 +84,13 @@ def unchanging(
     loop: Expr,
     resolve: Callable[[Expr], Expr] = lambda item: item,
     bodies: Callable[[Expr], Sequence[Expr]] = lambda item: item.bodies,
+    also: Callable[[Expr], bool] = lambda item: False,
 ) -> list[Expr]:
     """Return the arrays, loops and calls in a loop's bodies that are the same at each turn, without those within them.
 
     They are computed once before the loop: in its bodies, chained products of matrices would cost the product of their
-    lengths. `resolve` gives the node that is computed in place of another one, `bodies` those of a loop.
+    lengths. `resolve` gives the node that is computed in place of another one, `bodies` those of a loop. Nodes for
+    which `also` is true count as unchanging.
     """
     found: dict[int, Expr] = {}
     turning = 1 << loop.data[1]
@@ -99,7 +101,7 @@ def unchanging(
         if (id(item), around) in seen:
             continue
         seen.add((id(item), around))
-        if item.op in KEPT and not item.loops & around:
+        if (item.op in KEPT and not item.loops & around) or also(item):
             found[id(item)] = item
             continue
         if item.op in LOOPS:

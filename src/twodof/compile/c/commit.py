@@ -54,50 +54,39 @@ class Commit:
         reads = {
             name: _states(e).union(*(self._named(text) for text in parts[name])) for name, e in self.changed.items()
         }
+        now: list[tuple[str, Text | None, Text]] = []
         later: list[tuple[str, Text | None, Text]] = []
-        wide: list[tuple[str, Text]] = []
-        direct: list[tuple[str, Text | None, Text | None]] = []
+        copied: list[tuple[str, Text]] = []
         for name, e in self.changed.items():
             shared = any(name in read for other, read in reads.items() if other != name)
-            chain = _stores(name, e)
-            if chain:
-                pairs = list(zip(parts[name][::2], parts[name][1::2], strict=True))
-                indices = [renderer.index(i, x, e.width or 1) for (i, _), (x, _) in zip(pairs, chain, strict=True)]
-                if shared or len(chain) > 1:
-                    for index, (_, value) in zip(indices, pairs, strict=True):
-                        later.append(
-                            (name, self._kept(renderer, "index", index, "int32"), self._next(renderer, name, value))
-                        )
+            pairs = self._pairs(renderer, name, parts[name])
+            first = shared or (len(pairs) != 1 and name in reads[name])  # made before any state changes
+            for at, value in pairs:
+                if first:
+                    kept = self._kept(renderer, "index", at, "int32") if at is not None and at.reads else at
+                    later.append((name, kept, self._next(renderer, name, value)))
                 else:
-                    direct.append((name, indices[0], pairs[0][1]))
-            elif e.op == "vector" and len(e.args) <= SMALL_ARRAY:
-                places = [Text(str(k)) for k in range(len(e.args))]
-                if shared or name in reads[name]:
-                    later += [
-                        (name, at, self._next(renderer, name, value))
-                        for at, value in zip(places, parts[name], strict=True)
-                    ]
-                else:
-                    direct += [(name, at, value) for at, value in zip(places, parts[name], strict=True)]
-            elif e.width is not None:
-                if shared or name in reads[name]:
-                    wide.append((name, self._array(renderer, name, e)))
-                else:
-                    direct.append((name, None, None))
-            elif shared:
-                later.append((name, None, self._next(renderer, name, parts[name][0])))
-            else:
-                direct.append((name, None, parts[name][0]))
-        for name, at, new in direct:
-            if new is None:
-                renderer.assign([(self.lvalue(name), self.changed[name])])
-            else:
-                self._put(renderer, name, at, new)
-        for name, at, kept in later:
-            self._put(renderer, name, at, kept)
-        for name, source in wide:
+                    now.append((name, at, value))
+            if not pairs and first:
+                copied.append((name, self._array(renderer, name, e)))
+            elif not pairs:
+                renderer.assign([(self.lvalue(name), e)])
+        for name, at, value in (*now, *later):
+            self._put(renderer, name, at, value)
+        for name, source in copied:
             renderer.copy(self.lvalue(name), source, self.changed[name].width or 1, self.changed[name].kind)
         renderer.owner = outer
+
+    def _pairs(self, renderer: Renderer, name: str, parts: Sequence[Text]) -> list[tuple[Text | None, Text]]:
+        """Return (index, value) of each number to store; a scalar has no index. Return [] to store a whole array."""
+        e = self.changed[name]
+        chain = _stores(name, e)
+        if chain:
+            indices = [renderer.index(i, x, e.width or 1) for i, (x, _) in zip(parts[::2], chain, strict=True)]
+            return list(zip(indices, parts[1::2], strict=True))
+        if e.op == "vector" and len(e.args) <= SMALL_ARRAY:
+            return [(Text(str(k)), value) for k, value in enumerate(parts)]
+        return [(None, parts[0])] if e.width is None else []
 
     def _named(self, text: Text) -> set[str]:
         """Return the names of the block's changing states that a text reads."""

@@ -1,16 +1,13 @@
 """Renderer: expressions as statements of one C function."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-import numpy as np
-
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
-from twodof.blocks.expressions.graph import KEPT, ordered
-from twodof.blocks.expressions.numbers import FLOATS, INTEGERS, Integer, dtype_of
+from twodof.blocks.expressions.graph import ordered, unchanging
+from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.c.branches import Branch, Choice, Step, steps
 from twodof.compile.c.graph import index_range
 from twodof.compile.c.operators import ATOM, C_TYPES, COMPARISONS, LOOSE, OPERATORS, PLAIN, SIGNED, row
@@ -25,6 +22,7 @@ from twodof.compile.c.statements import (
     Names,
     Statement,
     Text,
+    constant,
     name_of,
 )
 from twodof.compile.program.flat_program import FlatSignal, Node
@@ -34,45 +32,7 @@ SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
 
 
-def constant(value: Any, kind: str, precision: str) -> Text:
-    """Return a C literal of the final type; a real number is decimal if that reads back to the same bits."""
-    value = value.value if isinstance(value, Integer) else value
-    if kind == "bool":
-        return Text("true" if value else "false")
-    if kind == "int32":
-        if value == -(2**31):
-            return Text("INT32_MIN")
-        return Text(str(value), ATOM if value >= 0 else SIGNED)
-    if kind == "uint32":
-        return Text(f"{value}u")
-    if kind in INTEGERS:
-        return Text(f"{value}", ATOM if value >= 0 else SIGNED)
-    return _real(value, dtype_of(kind, precision).name)
-
-
-def _real(value: float, precision: str) -> Text:
-    single = precision == "float32"
-    suffix = "f" if single else ""
-    with np.errstate(over="ignore"):
-        rounded: Any = np.float32(value) if single else np.float64(value)
-    if np.isnan(rounded):
-        return Text(f'__builtin_nan{suffix}("")')
-    sign, binding = ("-", SIGNED) if math.copysign(1.0, rounded) < 0 else ("", ATOM)
-    if np.isinf(rounded):
-        return Text(f"{sign}__builtin_inf{suffix}()", binding)
-    size = abs(rounded)
-    decimal = str(size)
-    normal = size == 0 or size >= np.finfo(precision).smallest_normal
-    # A compiler may read a float as a double first.
-    exact = normal and (not single or np.float32(float(decimal)) == size)
-    if exact:
-        return Text(f"{sign}{decimal}{suffix}", binding)
-    digits, _, exponent = float(size).hex().partition("p")
-    mantissa = digits.rstrip("0").rstrip(".") if "." in digits else digits
-    return Text(f"{sign}{mantissa}p{exponent}{suffix}", binding)
-
-
-def _paren(item: Text, loosest: int) -> str:
+def _bracketed(item: Text, loosest: int) -> str:
     return item.text if item.binding <= loosest else f"({item.text})"
 
 
@@ -449,26 +409,11 @@ class Renderer:
         if id(loop) in self.named:
             return []
         if id(loop) not in self._before:
-            self._before[id(loop)] = self._found_before(loop)
+            self._before[id(loop)] = unchanging(
+                loop, self._resolve, self._bodies, lambda item: self._driver(item) is not None
+            )
             self._kept.append(loop)
         return self._before[id(loop)]
-
-    def _found_before(self, loop: Expr) -> list[Expr]:
-        found: dict[int, Expr] = {}
-        stack = [(self._resolve(body), 1 << loop.data[1]) for body in self._bodies(loop)]
-        seen: set[tuple[int, int]] = set()
-        while stack:
-            item, around = stack.pop()
-            if (id(item), around) in seen:
-                continue
-            seen.add((id(item), around))
-            if (item.op in KEPT and not item.loops & around) or self._driver(item) is not None:
-                found[id(item)] = item
-                continue
-            if item.op in LOOPS:
-                stack.extend((self._resolve(body), around | 1 << item.data[1]) for body in self._bodies(item))
-            stack.extend((self._resolve(a), around) for a in item.outside)
-        return list(found.values())[::-1]
 
     def _bodies(self, loop: Expr) -> Sequence[Expr]:
         """Return what a loop must evaluate for the one result that its node stands for."""
@@ -555,7 +500,7 @@ class Renderer:
         operator = OPERATORS[name]
         if operator.helper:
             self._use(operator.helper)
-        operands = [_paren(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
+        operands = [_bracketed(a, loosest) for a, loosest in zip(args, operator.operands, strict=False)]
         return operator.text.format(*operands, f="f" if self.precision == "float32" else ""), operator.binding
 
     def _element(self, item: Expr, name: str, index: Text) -> str:
@@ -586,9 +531,9 @@ class Renderer:
         elif kind == "uint32" and op in ("shl", "shr", "quot", "rem"):
             second = self._resolve(item.args[1])
             if second.op == "const" and op in ("shl", "shr"):
-                return f"{_paren(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {second.data & 31}", LOOSE
+                return f"{_bracketed(args[0], ATOM)} {'<<' if op == 'shl' else '>>'} {second.data & 31}", LOOSE
             if second.op == "const" and second.data:
-                return f"{_paren(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1].text}", LOOSE
+                return f"{_bracketed(args[0], ATOM)} {'/' if op == 'quot' else '%'} {args[1].text}", LOOSE
         return None
 
     def _statement(self, item: Expr, args: Sequence[Text]) -> Text:

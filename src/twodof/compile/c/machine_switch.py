@@ -14,7 +14,7 @@ from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ELAPSED, MODE, OUTER_ELAPSED, Leaf, Route, last, owner_clock
 from twodof.blocks.state_machine.state_machine import LONGEST
 from twodof.compile.c.commit import Commit
-from twodof.compile.c.expressions import Leaves, Renderer, constant
+from twodof.compile.c.expressions import Leaves, Renderer
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import (
     Call,
@@ -24,6 +24,7 @@ from twodof.compile.c.statements import (
     Statement,
     SwitchStatement,
     Text,
+    constant,
     name_of,
 )
 from twodof.compile.program.flat_program import FlatSignal, Node

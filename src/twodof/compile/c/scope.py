@@ -4,10 +4,10 @@ from collections.abc import Callable
 
 from twodof.blocks.declarations import Param, Port, State, column_major
 from twodof.blocks.expressions.expr import Expr
-from twodof.compile.c.expressions import Leaves, Renderer, Used, constant
+from twodof.compile.c.expressions import Leaves, Renderer, Used
 from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.operators import ATOM, C_TYPES
-from twodof.compile.c.statements import Assign, Call, CNames, Copy, LoopStatement, Statement, Text, name_of
+from twodof.compile.c.statements import Assign, Call, CNames, Copy, LoopStatement, Statement, Text, constant, name_of
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 from twodof.compile.program.layout import MemoryLayout
 

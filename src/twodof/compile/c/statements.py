@@ -1,16 +1,20 @@
-"""Statements and identifiers of C functions; a statement knows the names that it reads and its block."""
+"""Literals, identifiers and statements of C. A statement knows the names that it reads and its block."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from twodof.blocks.elementary.functions import ARGUMENTS
+from twodof.blocks.expressions.numbers import INTEGERS, Integer, dtype_of
 from twodof.compile.c.helpers import NAMES as HELPER_NAMES
-from twodof.compile.c.operators import ATOM
+from twodof.compile.c.operators import ATOM, SIGNED
 from twodof.compile.program.flat_program import Node
 
 Names = frozenset[str]
@@ -23,6 +27,44 @@ class Text(NamedTuple):
     text: str
     binding: int = ATOM
     reads: Names = NOTHING
+
+
+def constant(value: Any, kind: str, precision: str) -> Text:
+    """Return a C literal of the final type; a real number is decimal if that reads back to the same bits."""
+    value = value.value if isinstance(value, Integer) else value
+    if kind == "bool":
+        return Text("true" if value else "false")
+    if kind == "int32":
+        if value == -(2**31):
+            return Text("INT32_MIN")
+        return Text(str(value), ATOM if value >= 0 else SIGNED)
+    if kind == "uint32":
+        return Text(f"{value}u")
+    if kind in INTEGERS:
+        return Text(f"{value}", ATOM if value >= 0 else SIGNED)
+    return _real(value, dtype_of(kind, precision).name)
+
+
+def _real(value: float, precision: str) -> Text:
+    single = precision == "float32"
+    suffix = "f" if single else ""
+    with np.errstate(over="ignore"):
+        rounded: Any = np.float32(value) if single else np.float64(value)
+    if np.isnan(rounded):
+        return Text(f'__builtin_nan{suffix}("")')
+    sign, binding = ("-", SIGNED) if math.copysign(1.0, rounded) < 0 else ("", ATOM)
+    if np.isinf(rounded):
+        return Text(f"{sign}__builtin_inf{suffix}()", binding)
+    size = abs(rounded)
+    decimal = str(size)
+    normal = size == 0 or size >= np.finfo(precision).smallest_normal
+    # A compiler may read a float as a double first.
+    exact = normal and (not single or np.float32(float(decimal)) == size)
+    if exact:
+        return Text(f"{sign}{decimal}{suffix}", binding)
+    digits, _, exponent = float(size).hex().partition("p")
+    mantissa = digits.rstrip("0").rstrip(".") if "." in digits else digits
+    return Text(f"{sign}{mantissa}p{exponent}{suffix}", binding)
 
 
 EMPTY = Text("")

@@ -1,4 +1,4 @@
-"""What stands in for a C library, and the check of the structs' layout."""
+"""Memory functions without a C library, and the check of the structs' layout."""
 
 from __future__ import annotations
 
