@@ -18,8 +18,8 @@ from tests.processes import alive
 from twodof.cli.app import run
 from twodof.cli.up import LocalDrone, print_places
 from twodof.errors import Rejected
-from twodof.fleet.children import child_error
 from twodof.fleet.local_fleet import MOST_RESTARTS
+from twodof.fleet.virtual_drone import child_error
 from twodof.gcs.drone import Drone
 from twodof.link.signing import Key, write_key
 

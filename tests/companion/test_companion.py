@@ -2,7 +2,6 @@
 
 import asyncio
 import os
-import random
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.companion.scripted import Listener, Vehicle, until
-from tests.faults.virtual_time import on_virtual_time, run_virtual
+from tests.faults.virtual_time import on_virtual_time
 from tests.link.ends import in_loop
 from tests.patience import PATIENCE_S
 from twodof.companion import links
@@ -80,18 +79,6 @@ async def test_a_vehicle_that_falls_silent_is_told_of() -> None:
         vehicle.silent = False
         await until(lambda: vehicle.asked.get(30) == 10_000.0)  # it may have started anew meanwhile
         await until(lambda: client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE)
-
-
-def test_the_companion_may_be_started_before_the_vehicle_and_again() -> None:
-    async def work() -> None:
-        async with Companion("mem://fcu", CLIENTS), Listener(await open_transport("mem://clients")) as client:
-            await asyncio.sleep(5.0)
-            assert texts(client)[0].startswith("flight controller not reached")
-            async with Vehicle(await open_transport("memin://fcu")):
-                await until(lambda: len(client.heard("ATTITUDE")) > 10)
-
-    for _ in range(2):
-        run_virtual(work())
 
 
 @on_virtual_time
@@ -231,29 +218,6 @@ def _datagrams(there: socket.socket) -> list[bytes]:
             found.append(there.recv(65536))
         except BlockingIOError:
             return found
-
-
-@on_virtual_time
-async def test_rubbish_never_crosses_and_costs_its_sender_only() -> None:
-    chance = random.Random(7)
-    async with (
-        Vehicle(await open_transport("memin://fcu")) as vehicle,
-        Companion("mem://fcu", CLIENTS),
-        Listener(await open_transport("mem://clients"), system=9) as good,
-    ):
-        mad = await open_transport("mem://clients")
-        whole = [encode(message("MANUAL_CONTROL", target=1, x=number), 8, 1, number) for number in range(100)]
-        for raw in whole:
-            broken = bytearray(raw)
-            broken[chance.randrange(10, len(broken))] ^= 1 << chance.randrange(8)
-            for data in (chance.randbytes(chance.randrange(300)), bytes(broken), raw, raw[: chance.randrange(9)]):
-                mad.send(data)
-            good.connection.send(message("MANUAL_CONTROL", target=1, x=1))
-            await asyncio.sleep(0.001)
-        await until(lambda: len(vehicle.heard("MANUAL_CONTROL", system=9)) == 100)
-        assert [one.x for one in vehicle.heard("MANUAL_CONTROL", system=8)] == list(range(100))
-        assert vehicle.connection.framing["rubbish_bytes"] == 0
-        await mad.close()
 
 
 @on_virtual_time

@@ -146,15 +146,6 @@ def test_another_client_is_heard_while_a_long_grant_runs() -> None:
     assert 0 < heard["PARAM_SET"] < MOST_GRANTED
 
 
-def test_time_stands_still_without_grants_and_that_is_told() -> None:
-    async def work(world: World) -> None:
-        await world.server.listen("memin://still")
-        while world.grants.idled < 1:
-            await asyncio.sleep(0.01)
-
-    assert run(work).server.controller.tick == 0
-
-
 def test_a_fault_in_a_service_ends_it_with_the_motors_off() -> None:
     worlds = []
 

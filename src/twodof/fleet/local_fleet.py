@@ -13,8 +13,8 @@ from dataclasses import dataclass, field
 from typing import Any, Self
 
 from twodof.errors import LinkError
-from twodof.fleet.children import child_error, indented_lines, lower_priority
 from twodof.fleet.local_drone import FLIES, ControllerReport, LocalDrone, wait_until_heard
+from twodof.fleet.virtual_drone import child_error, indented_lines, lower_priority
 from twodof.link.signing import Key
 
 MOST_RESTARTS = 3

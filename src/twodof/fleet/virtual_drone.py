@@ -1,5 +1,6 @@
-"""Virtual drones as child processes of a program: `twodof fcu` in lockstep, ended with the `with` block."""
+"""Virtual drones as child processes in lockstep; with which error a child ends, and a lower priority for one."""
 
+import os
 import re
 import selectors
 import subprocess
@@ -7,13 +8,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import IO
 
 from twodof.errors import LinkError
-from twodof.fleet.children import child_error
 
 START_S = 120.0
 """Deadline for all drones to listen [s]; the first time they compile flight code and rig."""
@@ -113,3 +113,52 @@ def _end(processes: Sequence[subprocess.Popen[bytes]], urls: Sequence[str]) -> N
     for process in processes[len(urls) :]:
         if process.stdout is not None:
             process.stdout.close()
+
+
+_WHAT, _WHERE, _REMEDY = "error:", "  where:", "  remedy:"
+
+
+def indented_lines(said: Sequence[str]) -> str:
+    """Return the lines one below the other and indented; "no output" without any."""
+    return "".join(f"\n    {line}" for line in said if line.strip()) or "\n    no output"
+
+
+def child_error(said: Sequence[str], name: str, status: int | None = None) -> LinkError:
+    """Return the error with which the program `name` ended, from its last lines.
+
+    Where it is one of ours (`output.print_error`) it has that one's fact, place and remedy; else it shows all lines.
+    """
+    begins = [number for number, line in enumerate(said) if line.startswith(_WHAT)]
+    if not begins:
+        ended = "it ended" if status is None else f"it ended with status {status}"
+        return LinkError(f"{ended}; its last output:{indented_lines(said)}", name, "mend the fault in this output")
+    last = [line.rstrip() for line in said[begins[-1] :]]
+    what = [last[0].removeprefix(_WHAT).strip()]
+    where = remedy = ""
+    for line in last[1:]:
+        if line.startswith(_WHERE):
+            where = line.removeprefix(_WHERE).strip()
+        elif line.startswith(_REMEDY):
+            remedy = line.removeprefix(_REMEDY).strip()
+        elif line.strip() and not remedy:
+            what.append(line.rstrip())
+    return LinkError("\n".join(what), f"{name}, {where}" if where else name, remedy)
+
+
+_LOWEST = 19
+
+
+def lower_priority(process: int, by: int) -> None:
+    """Let the process, and what it starts, come after the others; what the system does not allow is left.
+
+    By default Linux shares out its processors to sessions first (autogroup), and looks at the niceness of a process
+    only within its own. Such a process therefore has a session of its own.
+    """
+    with suppress(OSError):  # it has ended already
+        niceness = min(_LOWEST, os.getpriority(os.PRIO_PROCESS, process) + by)
+        os.setpriority(os.PRIO_PROCESS, process, niceness)
+    with suppress(OSError):  # no such kernel
+        group = Path(f"/proc/{process}/autogroup")
+        if os.getsid(process) == process:
+            now = int(group.read_text(encoding="ascii").rpartition(" ")[2])
+            group.write_text(str(min(_LOWEST, now + by)), encoding="ascii")

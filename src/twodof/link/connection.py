@@ -107,10 +107,6 @@ class Connection:
                 self._sequences.popitem(last=False)
             self.transport.send(raw, peer)
 
-    def forward(self, frame: Frame, to: Hashable | None = None) -> None:
-        """Send a frame on as it is, its sender's sequence and signature with it."""
-        self.transport.send(frame.raw, to)
-
     async def receive(self, timeout: float) -> Received | None:
         """Return the next known message, None if none comes within `timeout` [s]; with 0 it does not wait.
 
@@ -118,38 +114,14 @@ class Connection:
         """
         end = self._clock_of_loop() + timeout
         while True:
-            found = await self.receive_frame(max(0.0, end - self._clock_of_loop()))
-            if found is None:
-                return None
-            got = decode(found[0])
-            if got is not None:
-                return Received(got, *found)
-            if not self._frames:
-                await asyncio.sleep(0)
-
-    def receive_now(self) -> Received | None:
-        """Return the next message if it is found in bounded time; otherwise `receive` may still find one.
-
-        Raises LinkLost as `receive`.
-        """
-        left = MOST_LOOKED_THROUGH // A_PACKET
-        while left > 0 and (found := self._next_frame()) is not None:
-            got = decode(found[0])
-            if got is not None:
-                return Received(got, *found)
-            left -= 1
-        return None
-
-    async def receive_frame(self, timeout: float) -> tuple[Frame, Hashable] | None:
-        """Return the next frame and its peer, for a router; the dialect may not know its message.
-
-        None if none comes within `timeout` [s]. Raises LinkLost as `receive`.
-        """
-        end = self._clock_of_loop() + timeout
-        while True:
             found = self._next_frame()
             if found is not None:
-                return found
+                got = decode(found[0])
+                if got is not None:
+                    return Received(got, *found)
+                if not self._frames:
+                    await asyncio.sleep(0)
+                continue
             left = end - self._clock_of_loop()
             if left <= 0.0:
                 return None
@@ -163,6 +135,19 @@ class Connection:
             elif begun:
                 for peer in [*self._parsers]:
                     self._take(b"", peer, whole=True)
+
+    def receive_now(self) -> Received | None:
+        """Return the next message if it is found in bounded time; otherwise `receive` may still find one.
+
+        Raises LinkLost as `receive`.
+        """
+        left = MOST_LOOKED_THROUGH // A_PACKET
+        while left > 0 and (found := self._next_frame()) is not None:
+            got = decode(found[0])
+            if got is not None:
+                return Received(got, *found)
+            left -= 1
+        return None
 
     def ping(self, to: Hashable | None = None) -> None:
         """Ask for the other clock by TIMESYNC; the answer shows in `statistics.round_trips` once it was received."""
@@ -240,7 +225,7 @@ class Connection:
             return False
         if frame.known:
             self.transport.confirm(peer)
-        self.statistics.count(frame, self._clock())
+        self.statistics.count(frame)
         return frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer)
 
     def _tell_time(self, peer: Hashable) -> None:

@@ -1,4 +1,4 @@
-"""Statistics of a link: loss per sender, round trip and clock offset, rate per message."""
+"""Statistics of a link: loss per sender, round trip and clock offset."""
 
 from dataclasses import dataclass, field
 
@@ -9,7 +9,6 @@ _RANGE, _HALF = 256, 128
 WINDOW = 64
 MOST_SENDERS = 256
 MOST_ASKED = 16
-RATE_WINDOW_S = 1.0
 
 
 @dataclass(slots=True)
@@ -56,35 +55,6 @@ class SenderCounts:
 
 
 @dataclass(slots=True)
-class MessageRate:
-    """Rate of one message: its total count, and per second over the last whole window."""
-
-    count: int = 0
-    _since: float = 0.0
-    _in_window: int = 0
-    _last: float = 0.0
-
-    def add(self, now: float) -> None:
-        """Count a message at `now` [s]."""
-        self._roll(now)
-        self.count += 1
-        self._in_window += 1
-
-    def per_second(self, now: float) -> float:
-        """Return messages per second over the last whole window before `now` [s]; 0 after a silent window."""
-        self._roll(now)
-        return self._last
-
-    def _roll(self, now: float) -> None:
-        if self.count == 0:
-            self._since = now
-        elapsed = now - self._since
-        if elapsed >= RATE_WINDOW_S:
-            self._last = self._in_window / elapsed if elapsed < 2 * RATE_WINDOW_S else 0.0
-            self._since, self._in_window = now, 0
-
-
-@dataclass(slots=True)
 class RoundTrips:
     """Round trips [s] of TIMESYNC and PING: the last, the least, a mean that forgets, and how often."""
 
@@ -121,7 +91,6 @@ class LinkStatistics:
 
     def __init__(self) -> None:
         self.senders: dict[tuple[int, int], SenderCounts] = {}
-        self.messages: dict[int, MessageRate] = {}
         self.round_trips = RoundTrips()
 
     def __repr__(self) -> str:
@@ -129,18 +98,13 @@ class LinkStatistics:
         trip = f", round trip {1e3 * self.round_trips.last:.3g} ms" if self.round_trips.count else ""
         return f"<{received} frames of {len(self.senders)} senders, {100.0 * self.loss:.2g} % lost{trip}>"
 
-    def count(self, frame: Frame, now: float) -> None:
-        """Count an accepted frame at `now` [s]. Beyond MOST_SENDERS senders only rates are counted."""
+    def count(self, frame: Frame) -> None:
+        """Count an accepted frame, of the first MOST_SENDERS senders."""
         sender = self.senders.get((frame.system, frame.component))
         if sender is None and len(self.senders) < MOST_SENDERS:
             sender = self.senders[frame.system, frame.component] = SenderCounts()
         if sender is not None:
             sender.count(frame.sequence)
-        if frame.known:
-            rate = self.messages.get(frame.message_id)
-            if rate is None:
-                rate = self.messages[frame.message_id] = MessageRate()
-            rate.add(now)
 
     @property
     def loss(self) -> float:

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
 from twodof.errors import RefusalReason
-from twodof.fcu.command.command_lease import MOST_REMARKS
 from twodof.fcu.command.setpoints import (
     CAPACITY,
     FRESH,
@@ -170,11 +169,6 @@ def test_a_stick_forward_lowers_the_nose_and_goes_to_plus_x(mode: int, flown: in
     assert not cockpit.commander.sticks(ME, 0.0, -0.1).accepted
 
 
-def test_the_ends_of_the_sticks_are_those_of_the_page() -> None:
-    """docs/reference/protocol.md, "Modes": 1.75 rad/s, .35 rad, .3 m/s."""
-    assert (RATE_AT_FULL, PITCH_AT_FULL, VELOCITY_AT_FULL) == (1.75, 0.35, 0.3)
-
-
 def test_a_centred_stick_holds_the_position_where_it_was_let_go() -> None:
     cockpit = armed()
     cockpit.commander.set_mode(ME, modes.POSITION)
@@ -236,15 +230,6 @@ def test_sticks_are_no_stream_for_offboard() -> None:
     assert cockpit.commander.set_mode(ME, modes.OFFBOARD).result == MavResult.TEMPORARILY_REJECTED
 
 
-def test_open_loop_messages_keep_to_their_tick() -> None:
-    cockpit = armed()
-    tick = cockpit.tick + 5
-    assert cockpit.commander.open_loop(ME, 0.1, 0.0, True, True, True, tick).accepted
-    assert not cockpit.commander.openloop.openloop
-    assert [cockpit.run().M_open for _ in range(7)] == [0.0] * 5 + [0.1] * 2
-    assert cockpit.commander.openloop == (tick, 0.1, 0.0, True, True, True, 1)
-
-
 def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> None:
     cockpit = armed()
     commander = cockpit.commander
@@ -280,13 +265,6 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
 
 
 # What it says of itself.
-
-
-def test_what_nobody_drains_is_bounded() -> None:
-    cockpit = Cockpit()
-    for _ in range(2 * MOST_REMARKS):
-        cockpit.commander.arming.kill(ME)
-    assert len(cockpit.commander.remarks) == MOST_REMARKS == 64
 
 
 def test_heartbeats_numbers_follow_the_failsafe() -> None:
@@ -351,17 +329,6 @@ def test_arming_and_disarming_are_no_words_of_the_failsafe(state: int) -> None:
     cockpit.commander.arming.disarm(ME)
     cockpit.run(3)
     assert cockpit.commander.remarks == []
-
-
-@pytest.mark.parametrize("state", [LEVEL, BRAKE, DESCEND])
-def test_from_an_action_to_motors_off_nothing_is_over(state: int) -> None:
-    cockpit = offboard()
-    cockpit.failsafe.acts = state
-    cockpit.run(2)
-    cockpit.commander.remarks.clear()
-    cockpit.failsafe.acts, cockpit.failsafe.causes = STOPPED_BY_FAILSAFE, BIT["imu_lost"] | BIT["pitch_stop"]
-    cockpit.run(2)
-    assert cockpit.commander.remarks == [(2, "failsafe: motors off (imu_lost, pitch_stop)")]
 
 
 def test_an_action_brings_no_set_point_of_before_back() -> None:

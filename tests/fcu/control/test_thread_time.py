@@ -1,10 +1,8 @@
-"""The time of a thread, as another sees it: it waits, it runs, or it is kept from the processor."""
+"""The time of a thread, as another sees it: it waits, or it runs."""
 
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -23,12 +21,11 @@ MUCH = bytes(1 << 25)
 
 
 @contextmanager
-def thread(work: Callable[[threading.Event], object], before: Callable[[], object] = bool) -> Iterator[ThreadTime]:
-    """A thread that does `before` once, and `work` until the end of the block."""
+def thread(work: Callable[[threading.Event], object]) -> Iterator[ThreadTime]:
+    """A thread that does `work` until the end of the block."""
     end, made, begun = threading.Event(), list[ThreadTime](), threading.Event()
 
     def run() -> None:
-        before()
         made.append(ThreadTime())
         begun.set()
         while not end.is_set():
@@ -66,32 +63,3 @@ def test_one_that_computes_has_what_it_runs() -> None:
         for _ in patiently():  # until others leave it half of some millisecond
             if seen.own() > 0.5:
                 break
-
-
-def test_one_that_others_keep_from_the_processor_has_next_to_nothing() -> None:
-    place = {min(os.sched_getaffinity(0))}
-    rival = "import os, sys\nos.sched_setaffinity(0, {int(sys.argv[1])})\nprint(flush=True)\nwhile True: pass"
-
-    refused: list[OSError] = []
-
-    def stand_back() -> None:
-        try:
-            os.sched_setaffinity(0, place)
-            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        except OSError as error:
-            refused.append(error)
-
-    with subprocess.Popen([sys.executable, "-c", rival, str(*place)], stdout=subprocess.PIPE) as other:
-        try:
-            assert other.stdout is not None
-            other.stdout.readline()
-            with thread(computes, stand_back) as seen:
-                for _ in patiently():  # until it has come to compute, and its rival runs
-                    # It has a three-hundredth of what its rival has.
-                    if refused or sorted(looks(seen, 50))[25] < 0.1:
-                        break
-                other.kill()
-        finally:
-            other.kill()
-    if refused:
-        pytest.skip(f"no thread may stand back here: {refused[0]}")

@@ -15,7 +15,6 @@ from twodof.fcu.mavlink.log_stream import LogStreamService
 from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog_file import scan_ulog
-from twodof.flightlog.ulog_writer import LETTERS, MESSAGE, NO_MESSAGE
 from twodof.link.mavlink.messages import message
 
 pytestmark = pytest.mark.slow
@@ -83,28 +82,6 @@ def test_the_stream_is_the_file(tmp_path: Path, loss: float) -> None:
         assert head.formats == scan_ulog(whole(got), "all").formats
         assert sum(len(topic.rows) for topic in head.topics) == 0
         assert world.command(STOP) == ACCEPTED
-
-    run_virtual(work())
-    log.close()
-
-
-@pytest.mark.long
-def test_who_lost_a_piece_finds_the_next_message(tmp_path: Path) -> None:
-    world, log = world_of(tmp_path)
-
-    async def work() -> None:
-        world.command(START, 0.0)
-        got = await received(world, log, 300)
-        data, at = whole(got), 0
-        starts = [0, 16]
-        while starts[-1] + MESSAGE.size <= len(data):
-            length, letter = MESSAGE.unpack_from(data, starts[-1])
-            assert letter in LETTERS
-            starts.append(starts[-1] + MESSAGE.size + length)
-        for one in got:
-            inside = [place - at for place in starts if at <= place < at + one.length]
-            assert one.first_message_offset == (inside[0] if inside else NO_MESSAGE)
-            at += one.length
 
     run_virtual(work())
     log.close()

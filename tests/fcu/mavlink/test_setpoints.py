@@ -43,7 +43,12 @@ def float32(value: float) -> float:
         (setpoints.velocity_target(0.2, 0.7, **TARGET), VELOCITY, "ax0", 0.7),
         (setpoints.position_target(-0.1, **TARGET), POSITION, "x0", -0.1),
         (setpoints.position_target(-0.1, 0.7, **TARGET), POSITION, "ax0", 0.7),
-        (setpoints.thrust_target(0.6, **TARGET), ATTITUDE, "thrust", 0.6),
+        (
+            message("SET_ATTITUDE_TARGET", type_mask=0b10000111, q=[1, 0, 0, 0], thrust=0.6, **TARGET),
+            ATTITUDE,
+            "thrust",
+            0.6,
+        ),
         (
             message("TWODOF_OPENLOOP", M=0.1, T=0.5, openloop=1, enableM=1, enableT=1, **TARGET),
             OPEN_LOOP,

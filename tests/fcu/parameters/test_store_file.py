@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tests.patience import PATIENCE_S, patiently
-from twodof.errors import LogError, ParameterError
+from twodof.errors import ParameterError
 from twodof.fcu.parameters import store_file
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.fcu.parameters.store_file import StoredParameters, text_of
@@ -145,24 +145,3 @@ def test_a_disk_that_refuses_is_reported_and_stops_nothing(tmp_path: Path) -> No
     assert store.failure is None
     with ParameterStore(tmp_path / "file" / "p.json") as again:
         assert again["RATE_KP"] == 0.05
-
-
-def test_a_disk_that_is_silent_holds_nobody_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    goes_on = threading.Event()
-
-    def silent(path: Path, mode: str) -> Any:
-        goes_on.wait(PATIENCE_S)
-        raise LogError("was silent", str(path))
-
-    monkeypatch.setattr(store_file, "atomic_write", silent)
-    monkeypatch.setattr(store_file, "QUIET_S", 0.0)
-    store = ParameterStore(tmp_path / "p.json")
-    store.set("RATE_KP", 0.07)
-    with pytest.raises(ParameterError, match="not answered"):
-        store.flush(deadline_s=0.05)
-    store.set("RATE_KP", 0.05)
-    assert store["RATE_KP"] == 0.05
-    goes_on.set()
-    with pytest.raises(ParameterError, match="silent"):
-        store.close()
-    store.close()

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from twodof.errors import LinkError
 from twodof.link.mavlink import modes, setpoints
 from twodof.link.mavlink.framing import Parser, decode, encode
+from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.signals import ATTITUDE, POSITION, RATE, VELOCITY
 
@@ -44,7 +45,9 @@ def test_targets_say_what_they_were_made_of(value: float, thrust: float, forward
     rate = setpoints.read_attitude(sent(setpoints.rate_target(value, thrust)))
     assert rate is not None
     assert rate == SetPoint(RATE, q0=value, thrust=thrust)
-    alone = setpoints.read_attitude(sent(setpoints.thrust_target(thrust)))
+    alone = setpoints.read_attitude(
+        sent(message("SET_ATTITUDE_TARGET", type_mask=0b10000111, q=[1, 0, 0, 0], thrust=thrust))
+    )
     assert alone is not None
     assert alone == SetPoint(None, thrust=thrust)
     for make, loop, name in (

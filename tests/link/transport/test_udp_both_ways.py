@@ -7,50 +7,9 @@ from contextlib import contextmanager
 import pytest
 
 from tests.link.ends import SOON, in_loop
-from twodof.errors import LinkError
 from twodof.link.transport import open_transport, udp
 from twodof.link.transport.base import Packet
 from twodof.link.transport.udp import UdpTransport
-from twodof.link.transport.url import Address, parse
-
-
-@pytest.mark.parametrize(
-    ("url", "address"),
-    [
-        ("udp://127.0.0.1:14540?bind=14580", Address("udp", "127.0.0.1", 14540, 0, "127.0.0.1", 14580)),
-        ("udp://localhost:1?bind=0", Address("udp", "localhost", 1, 0, "127.0.0.1", 0)),
-        ("udp://[::1]:14540?bind=14580", Address("udp", "::1", 14540, 0, "::1", 14580)),
-        ("udpout://10.0.0.2:1?bind=0.0.0.0:14580", Address("udp", "10.0.0.2", 1, 0, "0.0.0.0", 14580)),
-        ("udp://[fe80::2]:1?bind=[::]:2", Address("udp", "fe80::2", 1, 0, "::", 2)),
-        ("udpbcast://192.168.1.255:14550", Address("udpbcast", "192.168.1.255", 14550)),
-        ("udpbcast://10.0.0.255:1?bind=0.0.0.0:2", Address("udpbcast", "10.0.0.255", 1, 0, "0.0.0.0", 2)),
-        ("udpbcast:10.0.0.255:14550", Address("udpbcast", "10.0.0.255", 14550)),
-    ],
-)
-def test_forms(url: str, address: Address) -> None:
-    assert parse(url) == address
-    assert parse(str(address)) == address
-
-
-@pytest.mark.parametrize(
-    ("url", "complaint"),
-    [
-        ("udp://10.0.0.2:14540?bind=14580", r"bind=0\.0\.0\.0:14580"),  # this machine only cannot reach that one
-        ("udp://127.0.0.1:1?bind=x", "bind=PORT"),
-        ("udp://127.0.0.1:1?bind=99999", "out of range"),
-        ("udp://127.0.0.1:1?bind=1&bind=2", "does not take"),
-        ("udp://127.0.0.1:1?bind=", "not a place to listen"),
-        ("udp://127.0.0.1:1?bind=a@b:1", "not a place to listen"),
-        ("udpin://127.0.0.1:1?bind=2", "does not take"),
-        ("tcp://127.0.0.1:1?bind=2", "does not take"),
-        ("udpbcast://:14550", "has no host"),
-        ("udpbcast://10.0.0.255", "has no port"),
-        ("udpbcast://0.0.0.0:1", "not a host to send to"),
-    ],
-)
-def test_the_rest_is_refused_with_a_remedy(url: str, complaint: str) -> None:
-    with pytest.raises(LinkError, match=complaint):
-        parse(url)
 
 
 @contextmanager

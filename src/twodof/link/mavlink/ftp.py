@@ -46,7 +46,6 @@ class FtpError(IntEnum):
     NO_SESSIONS = 5
     END = 6
     UNKNOWN = 7
-    EXISTS = 8
     PROTECTED = 9
     NOT_FOUND = 10
 

@@ -82,16 +82,8 @@ def attitude_target(theta: float, thrust: float, **where: int) -> Any:
 
 def rate_target(q: float, thrust: float, **where: int) -> Any:
     """SET_ATTITUDE_TARGET for a pitch rate [rad/s]."""
-    return _without_attitude(0, thrust=thrust, body_pitch_rate=q, **where)
-
-
-def thrust_target(thrust: float, **where: int) -> Any:
-    """SET_ATTITUDE_TARGET that sets the thrust alone."""
-    return _without_attitude(ALL_RATES, thrust=thrust, **where)
-
-
-def _without_attitude(ignored: int, **fields: Any) -> Any:
-    return message("SET_ATTITUDE_TARGET", type_mask=ignored | NO_ATTITUDE, q=quaternion(0.0), **fields)
+    q0 = quaternion(0.0)
+    return message("SET_ATTITUDE_TARGET", type_mask=NO_ATTITUDE, q=q0, thrust=thrust, body_pitch_rate=q, **where)
 
 
 def position_target(x: float, acceleration: float = NAN, **where: int) -> Any:
