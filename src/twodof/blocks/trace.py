@@ -273,6 +273,17 @@ def by_method(trace: Trace) -> MethodGraphs:
     return {**methods, "edges": dict(trace.edges)}
 
 
+def roots_of(graphs: MethodGraphs) -> list[Expr]:
+    """Return the expressions of all methods."""
+    return [e for exprs in graphs.values() for roots in exprs.values() for e in roots]
+
+
+def computed_graphs(graphs: Mapping[str, tuple[Expr, ...]], u: Any, x: Any, p: Any, t: Any) -> dict[str, Any]:
+    """Evaluate the expressions of one method; return a tuple of values for each name."""
+    values = iter(computed([e for roots in graphs.values() for e in roots], u, x, p, t))
+    return {name: tuple(next(values) for _ in roots) for name, roots in graphs.items()}
+
+
 def computed(roots: Sequence[Expr], u: Any, x: Any, p: Any, t: Any, sight: Sight | None = None) -> list[Any]:
     """Evaluate recorded expressions on the values of a step: the judge of a block's methods, and a TracedBlock's body.
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
-from tests.blocks.library.harness import assert_close, few, noise, run, run_y
+from tests.blocks.library.harness import alone, assert_close, few, noise, run, run_y
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.library import FirstOrder, Integrator, Pid, Step, Sum
 from twodof.blocks.reference.interpreter import Reference
@@ -96,22 +96,14 @@ def test_back_calculation_pulls_the_integral_with_its_time_constant() -> None:
     # With e = 0 and the integral at 3, 2 above the limit, the excess decays by 1 - Kb T a sample.
     Kb = 20.0
     block = Pid(0.0, 1.0, limits=[-1.0, 1.0], anti_windup="back-calculation", Kb=Kb)
-    machine = Reference(_alone(block), DT, log=()).machine()
+    machine = Reference(alone(block), DT).machine()
     machine.set("block.initial_integral", 3.0)
     machine.reset()
     excess = []
     for _ in range(50):
         excess.append(machine.state("block.i") - 1.0)
-        machine.step({"e": 0.0})
+        machine.step({"e_in": 0.0})
     assert_close(excess, 2.0 * (1.0 - Kb * DT) ** np.arange(50))
-
-
-def _alone(block: Pid) -> Diagram:
-    d = Diagram("alone")
-    d.input("e")
-    d.add("block", block, e="e")
-    d.output("M", "block")
-    return d
 
 
 def overshoot(anti_windup: str) -> float:

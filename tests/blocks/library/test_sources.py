@@ -105,15 +105,6 @@ def test_a_prbs_is_what_the_ground_means_by_it(order: int, seed: int, hold: int)
     assert y_of(block, steps).tolist() == definition.at(DT * np.arange(steps)).tolist()
 
 
-@pytest.mark.parametrize("order", [3, 5, 8])
-def test_a_prbs_is_a_maximal_length_sequence(order: int) -> None:
-    length = 2**order - 1
-    y = y_of(PrbsSource(DT, 1.0, order), 2 * length)
-    assert np.array_equal(y[:length], y[length:])
-    circular = np.fft.ifft(np.abs(np.fft.fft(y[:length])) ** 2).real
-    assert_close(circular, [length] + [-1.0] * (length - 1))
-
-
 @pytest.mark.parametrize("order", TAPS)
 def test_the_taps_belong_to_primitive_polynomials(order: int) -> None:
     # A register of n bits runs through all its states if, and only if, the first return to 1 takes 2^n - 1 steps.

@@ -21,7 +21,17 @@ from twodof.blocks.expressions.numbers import UInt32, Vector
 from twodof.blocks.machine import Machine
 from twodof.blocks.namespaces import Clock, Inputs, Namespace, Parameters, States, twin
 from twodof.blocks.reference.hierarchy import Cell, DiagramLevel, Hierarchy, PortOf
-from twodof.blocks.trace import HIDDEN, by_method, by_path, computed, is_users, matrices, mistake, place, with_matrices
+from twodof.blocks.trace import (
+    HIDDEN,
+    by_method,
+    by_path,
+    computed_graphs,
+    is_users,
+    matrices,
+    mistake,
+    place,
+    with_matrices,
+)
 from twodof.errors import DiagramError, shown
 
 _OWN_PRECISION = "write float(...) around numbers of numpy, which have a precision of their own"
@@ -97,14 +107,12 @@ class JudgedMethod:
     def __init__(self, method: BlockMethod) -> None:
         self._method = method
         self._recorded = by_method(method.block.trace)[method.name]
-        self._roots = [root for roots in self._recorded.values() for root in roots]
 
     def __call__(self, *seen: Namespace) -> dict[str, Any]:
         # It sees copies: whatever it does to them, the machine's own values stay.
         given = self._method(*map(twin, seen))
         u, x, p, t = seen if len(seen) == 4 else (None, None, *seen)
-        values = iter(computed(self._roots, u, x, p, t))
-        found = {n: tuple(next(values) for _ in roots) for n, roots in self._recorded.items()}
+        found = computed_graphs(self._recorded, u, x, p, t)
         expected = self._method.given({n: pair if len(pair) == 2 else pair[0] for n, pair in found.items()})
         for name in given | expected:
             one, other = given.get(name), expected.get(name)

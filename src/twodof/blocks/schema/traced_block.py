@@ -21,7 +21,17 @@ from twodof.blocks.expressions.numbers import FLOATS, KINDS, fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MAX_MODES, MAX_TRANSITIONS
-from twodof.blocks.trace import SECTIONS, Trace, computed, leaves_of, matrices
+from twodof.blocks.trace import (
+    SECTIONS,
+    MethodGraphs,
+    Trace,
+    by_method,
+    computed,
+    computed_graphs,
+    leaves_of,
+    matrices,
+    roots_of,
+)
 from twodof.errors import DiagramError, nearest, shown
 
 MAX_LENGTH = 1_000_000
@@ -39,16 +49,14 @@ class TracedBlock(Block):
         self.params = declared["params"]
         self.derived = declared["derived"]
         self.crossing = crossing
-        self.sections: dict[str, dict[str, Expr]] = {s: {} for s in SECTIONS if s != "edges"}
+        self.graphs: MethodGraphs = {method: {} for method in SECTIONS}
         states = matrices(self.states)
         self._matrices = {"prepare": matrices(self.derived), "output": matrices(self.outputs)}
         self._matrices |= dict.fromkeys(("update", "derivative", "project"), states)
-        self.edge_pairs: dict[str, tuple[Expr, Expr]] = {}
 
-    def _section(self, name: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        exprs = self.sections[name]
-        values = zip(exprs, computed(list(exprs.values()), u, x, p, t), strict=True)
-        return {key: shaped(value, self._matrices[name].get(key)) for key, value in values}
+    def _section(self, method: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
+        found = computed_graphs(self.graphs[method], u, x, p, t)
+        return {name: shaped(value, self._matrices[method].get(name)) for name, (value,) in found.items()}
 
     def prepare(self, p: Any, t: Clock) -> Any:
         return self._section("prepare", None, None, p, t)
@@ -57,8 +65,7 @@ class TracedBlock(Block):
         return self._section("output", u, x, p, t)
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        flat = computed([e for pair in self.edge_pairs.values() for e in pair], u, x, p, t)
-        return {name: (flat[2 * i], flat[2 * i + 1]) for i, name in enumerate(self.edge_pairs)}
+        return computed_graphs(self.graphs["edges"], u, x, p, t)
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return self._section("update", u, x, p, t)
@@ -72,22 +79,13 @@ class TracedBlock(Block):
 
 def graph_to_json(trace: Trace) -> dict[str, Any]:
     """Return a trace as a list of nodes [op, arguments, ...], and the node of each name by section."""
-    sections: dict[str, dict[str, Any]] = {
-        "prepare": trace.prepare,
-        "output": trace.outputs,
-        "update": trace.update,
-        "derivative": trace.derivative,
-        "project": trace.project,
-    }
-    roots = [e for exprs in sections.values() for e in exprs.values()]
-    roots += [e for pair in trace.edges.values() for e in pair]
-    rows, number = nodes_to_json(roots)
+    graphs = by_method(trace)
+    rows, number = nodes_to_json(roots_of(graphs))
     form: dict[str, Any] = {"nodes": rows}
-    for name, exprs in sections.items():
-        if exprs:
-            form[name] = {key: number[id(e)] for key, e in exprs.items()}
-    if trace.edges:
-        form["edges"] = {key: [number[id(f)], number[id(a)]] for key, (f, a) in trace.edges.items()}
+    for method, exprs in graphs.items():
+        given = {name: [number[id(e)] for e in roots] for name, roots in exprs.items()}
+        if given:
+            form[method] = given if method == "edges" else {name: row for name, (row,) in given.items()}
     return form
 
 
@@ -126,17 +124,13 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
             raise DiagramError(f"{name!r} is not an object", where, "save the diagram again")
         return found
 
-    def pick(index: Any, name: str) -> Expr:
-        return picked(made, index, name, where)
-
-    for name in block.sections:
-        block.sections[name] = {key: pick(index, f"{name}.{key}") for key, index in section(name).items()}
-    for key, pair in section("edges").items():
-        if not (isinstance(pair, list) and len(pair) == 2):
-            raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
-        block.edge_pairs[key] = (pick(pair[0], f"edges.{key}"), pick(pair[1], f"edges.{key}"))
-    roots = [e for exprs in block.sections.values() for e in exprs.values()]
-    roots += [e for pair in block.edge_pairs.values() for e in pair]
+    for method, exprs in block.graphs.items():
+        for key, given in section(method).items():
+            indices = given if method == "edges" else [given]
+            if method == "edges" and not (isinstance(given, list) and len(given) == 2):
+                raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
+            exprs[key] = tuple(picked(made, index, f"{method}.{key}", where) for index in indices)
+    roots = roots_of(block.graphs)
     with located(where):
         # Before anything is computed, port by port as it will be: what is small in a file can be endless to follow.
         if sum(sizes_of(roots)) > MAX_SIZE:
