@@ -1,1 +1,1 @@
-"""The laboratory in a browser: a web server over drones, logs, identification and diagrams. It translates, no more."""
+"""Laboratory in a browser: a web server over drones, logs, identification and diagrams."""

@@ -112,7 +112,7 @@ class LabRoute(APIRoute):
 
     @property
     def for_watchers(self) -> bool:
-        """Whether clients that only watch may call it."""
+        """True if clients that only watch may call it."""
         marked = any(one.dependency is _watchers_may for one in self.dependencies)
         return marked or (self.methods or set()) <= SAFE
 

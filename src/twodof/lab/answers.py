@@ -29,7 +29,7 @@ from twodof.errors import (
 
 
 def finite(value: Any) -> Any:
-    """The value with null for each NaN and infinity, and with lists for arrays of numpy."""
+    """Return the value with None for each NaN and infinity, and with lists for arrays of numpy."""
     if isinstance(value, float):  # numpy's float64 is one
         return float(value) if isfinite(value) else None
     if isinstance(value, dict):
@@ -44,20 +44,20 @@ def finite(value: Any) -> Any:
 
 
 def dumps(value: Any) -> str:
-    """The text of a value, see `finite`. Raises TypeError for what JSON has no form of."""
+    """Return the JSON text of a value, see `finite`. Raises TypeError for a type without a JSON form."""
     return json.dumps(finite(value), ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
 class FiniteJSON(JSONResponse):
-    """An answer of JSON without NaN."""
+    """Answer in JSON without NaN."""
 
     def render(self, content: Any) -> bytes:
-        """The bytes of the answer."""
+        """Return the bytes of the answer."""
         return dumps(content).encode("utf-8", "replace")
 
 
 class RequestBody(BaseModel):
-    """A request of known fields, nothing of which is read into something else.
+    """Body of a request: known fields only, and no conversion of types.
 
     A pitch of `false` is a mistake and not 0 rad, and so is a gain of `true` or of "1".
     """
@@ -66,7 +66,7 @@ class RequestBody(BaseModel):
 
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
-"""A number: not a truth value, a text, NaN or infinity."""
+"""Finite number; a truth value or a text is refused."""
 
 
 REFUSED, NOT_THERE, MALFORMED, TOO_LATE = 409, 404, 422, 504
@@ -109,7 +109,7 @@ class NotThere(TwodofError):
 
 
 class Refused(HTTPException):
-    """Refusal of a request because of who sends it or how it is sent, with its remedy; the connection is closed."""
+    """Refusal of a request for its sender, origin or size, with its remedy; the connection is closed."""
 
     def __init__(self, status: int, what: str, remedy: str, headers: Mapping[str, str] = MappingProxyType({})) -> None:
         super().__init__(status, what, {"connection": "close", **headers})
@@ -117,7 +117,7 @@ class Refused(HTTPException):
 
 
 class Refusal(BaseModel):
-    """Why a request was refused: what is wrong, where, and what to do about it."""
+    """Reason of a refused request: what is wrong, where, and what to do about it."""
 
     what: str
     where: str = ""
@@ -125,20 +125,20 @@ class Refusal(BaseModel):
 
 
 def status_of(error: TwodofError) -> int:
-    """The HTTP status: 404 not there, 409 refused, 504 too late, 422 for what could never have worked."""
+    """Return the HTTP status: 404 not there, 409 refused, 504 too late, 422 for a request that can never work."""
     if isinstance(error, NotThere):
         return NOT_THERE
     return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), MALFORMED)
 
 
 def answer_of(error: TwodofError) -> Response:
-    """The answer that tells an error."""
+    """Return the answer for an error."""
     said = {"what": error.what, "where": error.where, "remedy": error.remedy}
     return FiniteJSON(said, status_of(error))
 
 
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
-    """What is wrong with a request's data, and where, of the first mistakes that pydantic found."""
+    """Return texts of the first mistakes in a request's data, and their places."""
     rows = errors[:_MOST_MISTAKES]
     where = ", ".join(".".join(str(part)[:80] for part in row["loc"]) for row in rows)
     what = "; ".join(f"{row['msg']}, not {shown(row['input'])}" for row in rows)
@@ -165,7 +165,7 @@ def install(app: FastAPI) -> None:
         if isinstance(error, Refused):
             what, remedy = error.what, error.remedy
         said = {"what": what, "where": request.url.path[:200], "remedy": remedy}
-        # The framework alone answers 400, for a body that it cannot decode; one that it can and that is wrong is 422.
+        # The framework answers 400 for a body that it cannot decode, and 422 for a wrong one.
         status = MALFORMED if error.status_code == 400 else error.status_code
         return FiniteJSON(said, status, headers=dict(error.headers or {}))
 

@@ -1,4 +1,4 @@
-"""Work on diagrams in processes of their own, as plain data: checks, code, margins, modules for PX4, rehearsals."""
+"""Work on diagrams in processes of their own: checks, code, margins, PX4 modules and rehearsals, as plain data."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from twodof.sim.portable_loop import portable_loop
 
 
 def catalogue() -> dict[str, Any]:
-    """The library's blocks, the starter diagrams, and the drone's templates with their ports.
+    """Return the library's blocks, the starter diagrams, and the drone's templates with their ports.
 
     `not_simulated` says why no diagram can be simulated here; "" where it can.
     """
@@ -61,12 +61,12 @@ def _no_compiler() -> str:
 
 
 def canonical(text: str) -> dict[str, Any]:
-    """The diagram as it is kept."""
+    """Return the diagram in the form of its file."""
     return {"text": to_json(from_json(text))}
 
 
 def shapes(blocks: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Of each block its ports and parameters, or why it cannot be made."""
+    """Return each block's ports and parameters, or the error of a wrong block."""
     return [_shape(form) for form in blocks]
 
 
@@ -78,7 +78,7 @@ def _shape(form: dict[str, Any]) -> dict[str, Any]:
 
 
 def check(text: str) -> dict[str, Any]:
-    """All problems of a diagram, what is odd about it, how large it is, and which template it fits or nearly fits."""
+    """Return a diagram's problems, remarks and sizes, and the template that it fits or nearly fits."""
     try:
         diagram = from_json(text)
     except DiagramError as error:
@@ -108,7 +108,7 @@ def _told(error: TwodofError) -> dict[str, Any]:
 
 
 def code(text: str, precision: str) -> dict[str, Any]:
-    """The C of a diagram at 250 Hz, line by line with the block that each belongs to."""
+    """Return the C of a diagram at 250 Hz, line by line with the block of each."""
     emitted = emit_program(from_json(text), PERIOD, precision)
     found = source_map(emitted)
     return {
@@ -119,12 +119,12 @@ def code(text: str, precision: str) -> dict[str, Any]:
 
 
 def template(text: str) -> dict[str, str]:
-    """The template that a diagram fits. Raises DiagramError for one that fits none."""
+    """Return the template that a diagram fits. Raises DiagramError if it fits none."""
     return {"template": check_template(from_json(text)).name}
 
 
 def compiled(text: str, rig: str) -> dict[str, Any]:
-    """The diagram in its closed loop as WebAssembly, to be run where the module does: in the reader's browser."""
+    """Return the diagram in its closed loop as WebAssembly, to be run in the reader's browser."""
     return portable_loop(from_json(text), rig=rig).to_json()
 
 
@@ -133,7 +133,7 @@ _CLOSED = {"attitude_control": ("motors", "rate", "attitude"), "position_control
 
 
 def margins(progress: Progress, text: str, rig: str) -> dict[str, Any]:
-    """The margins of each loop that the diagram closes, as it flies on `rig`, and its Bode plot."""
+    """Return the margins and the Bode plot of each loop that the diagram closes on `rig`."""
     diagram = from_json(text)
     template = check_template(diagram).name
     loops = _CLOSED.get(template, tuple(LOOPS))
@@ -149,7 +149,7 @@ def margins(progress: Progress, text: str, rig: str) -> dict[str, Any]:
 
 
 def px4_module(progress: Progress, text: str) -> dict[str, Any]:
-    """The diagram as a module for PX4: its folder as a zip file in base 64, its parameters, and what it leaves out."""
+    """Return the diagram as a module for PX4: a zip file in base 64, its parameters, and the parts left out."""
     diagram = from_json(text)
     progress(0.1, "writing the module")
     with TemporaryDirectory(prefix="twodof-") as name:
@@ -172,7 +172,7 @@ def px4_module(progress: Progress, text: str) -> dict[str, Any]:
 
 
 def rehearsal(progress: Progress, text: str, before: str | None, origin: str) -> dict[str, Any]:
-    """What flashing the diagram would do: costs, margins, a flight on the virtual rig, what changes."""
+    """Rehearse flashing the diagram: costs, margins, a flight on the virtual rig, and the changes."""
     diagram = from_json(text)
     try:
         flies = None if before is None else from_json(before)

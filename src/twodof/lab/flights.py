@@ -1,4 +1,4 @@
-"""Long work of jobs: flying an experiment, identifying from logs, designing a controller."""
+"""Work of long jobs: flying an experiment, identifying from logs, designing a controller."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ Seconds = Annotated[float, Field(ge=0.0, le=600.0, allow_inf_nan=False)]
 
 
 class AskedExperiment(RequestBody):
-    """The ready-made experiment that is flown; what is given beside its name takes the place of its own.
+    """Ready-made experiment to fly; fields beside its name replace its own.
 
     `excitation` is as the reference describes it, in the unit of the experiment's loop. `thrust` is 0 to 1; times [s].
     """
@@ -59,7 +59,7 @@ class AskedExperiment(RequestBody):
     rest: Seconds | None = None
 
     def experiment(self) -> Experiment:
-        """The experiment itself. Raises ExperimentError for a name or value that cannot be."""
+        """Return the experiment. Raises ExperimentError for an unknown name or a value out of bounds."""
         given = {key: value for key in ("thrust", "hold", "rest") if (value := getattr(self, key)) is not None}
         made = experiment(self.name)
         if self.excitation is not None:
@@ -68,7 +68,7 @@ class AskedExperiment(RequestBody):
 
 
 def offered() -> dict[str, Any]:
-    """What can be asked for: the experiments, the kinds of excitation with their numbers, and what is identified."""
+    """Return the experiments, the kinds of excitation with their fields, and the kinds of identification."""
     return {
         "experiments": [_row(one) for one in EXPERIMENTS.values()],
         "excitations": {
@@ -107,10 +107,10 @@ def fly_experiment(
     seed: int,
     folder: str,
 ) -> dict[str, Any]:
-    """Fly, write the log into `folder`, tell how good the data are. When `stop` is set the drone is disarmed at once.
+    """Fly, write the log into `folder`, and judge the data; setting `stop` disarms the drone at once.
 
-    What was flown until then is kept as well. A virtual drone is put to its start again with its rings as they were,
-    but for one that was stopped: that is for a person to release.
+    The log of a stopped flight is kept. A virtual drone is reset afterwards with its rings as before, unless it was
+    killed: a person must release it.
     """
     doing = "connect"
     stopped: list[Flight] = []
@@ -120,7 +120,7 @@ def fly_experiment(
         doing = text or doing
         progress(share, doing)
         if stop.is_set():
-            raise KeyboardInterrupt  # the way in which a flight is ended by hand: it disarms and keeps what there is
+            raise KeyboardInterrupt  # ends a flight as Ctrl-C does: it disarms and keeps the log
 
     progress(0.0, doing)
     with Drone.connect(url, key=key, drone=system) as drone:
@@ -161,9 +161,9 @@ def plan(
     values: Mapping[str, float],
     rehearse: bool,
 ) -> dict[str, Any]:
-    """What the experiment will tell on the virtual rig that is most like the drone's; the motion it will make.
+    """Predict the accuracy and the motion of the experiment on the virtual rig nearest to the drone's.
 
-    With `rehearse` it is flown there with all its noise and gusts too, and identified: what a real flight may give.
+    With `rehearse` it is also flown there with noise and gusts, and identified.
     """
     name = rig if rig in NAMES else "lab"
     progress(0.05, "flying it without noise")
@@ -196,7 +196,7 @@ def identify(
     window: tuple[float, float] | None,
     disturbance: Any,
 ) -> dict[str, Any]:
-    """The `view` of a log's fit, and the `model` that can be kept."""
+    """Return the `view` of a log's fit, and the `model` to keep."""
     progress(0.05, "reading the log")
     log = named_log(path)
     free = None if impulse is None else named_log(impulse)
@@ -223,7 +223,7 @@ def design(
     method: str,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Design, promise, and write NAME.json into `folder`; `file` is None where the family is not kept stable."""
+    """Design, promise, and write NAME.json into `folder`; `file` is None if the family is not kept stable."""
     if not _NAME.fullmatch(name) or name.endswith(".json"):
         remedy = "take letters, digits, space, . _ + -, at most 60, without .json"
         raise ParameterError(f"{shown(name)} cannot be a diagram's name", "design", remedy)

@@ -19,9 +19,9 @@ from twodof.lab.telemetry_rows import Audience
 
 
 class Lab:
-    """The drones, jobs and clients of one server; for `async with`, which connects and, at the end, leaves them.
+    """Drones, jobs and clients of one server; `async with` connects to the drones and leaves them.
 
-    `stops` end the flights of jobs, by the job's id; `rehearsed` are the diagrams whose flash was rehearsed, by theirs.
+    `stops` end the flights of jobs, `rehearsed` are the diagrams of rehearsals, both by the job's id.
     """
 
     def __init__(self, settings: LabSettings) -> None:
@@ -39,7 +39,7 @@ class Lab:
         self.rehearsed: dict[str, str] = {}
 
     def whole_log(self, name: str) -> Path:
-        """Where a log is that can be read. Raises NotThere, and Rejected while it is being recorded."""
+        """Return the place of a readable log. Raises NotThere, and Rejected while it is being recorded."""
         path = self.logs.place(name).path
         if name in self.drones.recordings:
             raise Rejected("it is being recorded", name[:80], "disarm the drone first")
@@ -57,7 +57,7 @@ class Lab:
 
 
 def current_lab(connection: HTTPConnection) -> Lab:
-    """The laboratory of the server that serves this request."""
+    """Return the laboratory of the server that serves this request."""
     lab = connection.app.state.lab
     assert isinstance(lab, Lab)
     return lab

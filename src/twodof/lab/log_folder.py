@@ -1,4 +1,4 @@
-"""Folder of logs: their names, the notes beside them, the deleted ones, and the summaries that are known."""
+"""Folder of logs: names, notes beside them, deleted logs, and a cache of summaries."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from twodof.flightlog.atomic import atomic_write, make_folder, numbered
 from twodof.lab.answers import NotThere
 
 SUFFIXES = (".mcap", ".mat", ".parquet", ".csv", ".ulg")
-"""Of logs that are read."""
+"""Suffixes of logs."""
 LONGEST = 120
 _NEW = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. +-]*")
 
 
 def is_log(name: str) -> bool:
-    """Whether a file of that name is shown: a suffix of a log, not hidden, of letters that can be printed."""
+    """Return True for the name of a log: printable, not hidden, with a log's suffix."""
     return (
         len(name) <= 2 * LONGEST
         and not name.startswith(".")
@@ -33,7 +33,7 @@ def is_log(name: str) -> bool:
 
 
 def new_name(name: str) -> str:
-    """A name under which a log is taken in. Raises LogError with what is wrong with it."""
+    """Return `name` if a new log may have it. Raises LogError with the mistake."""
     if Path(name).suffix.lower() not in SUFFIXES:
         what = f"no log format has the suffix {Path(name).suffix[:20]!r}"
         raise LogError(what, name[:80], f"use {', '.join(SUFFIXES)}")
@@ -50,13 +50,13 @@ Key = tuple[str, int, int]
 
 
 class SummaryCache:
-    """The last `MOST_SUMMARIES` summaries."""
+    """Cache of the last `MOST_SUMMARIES` summaries."""
 
     def __init__(self) -> None:
         self._kept: OrderedDict[Key, dict[str, Any]] = OrderedDict()
 
     async def get(self, key: Key, make: Callable[[], Awaitable[dict[str, Any]]]) -> dict[str, Any]:
-        """The summary, by `make` where it is not known yet. Raises what that raises."""
+        """Return the summary, made by `make` if it is unknown. Raises the errors of `make`."""
         if key not in self._kept:
             self._kept[key] = await make()
             while len(self._kept) > MOST_SUMMARIES:
@@ -65,20 +65,20 @@ class SummaryCache:
 
 
 KEPT_DAYS = 7
-"""How long a deleted log can be brought back."""
+"""Days in which a deleted log can be restored."""
 _DAY_S = 86_400.0
 _ENTRY = re.compile(r"(\d{1,12})-([0-9a-f]{8})-(.+)")
 NOTES = ".notes.txt"
 
 
 class LogTrash:
-    """The folder ".trash" in that of the logs; an entry is named by the time of its deletion and the log's name."""
+    """Folder ".trash" beside the logs; an entry's name has the time of deletion and the log's name."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self._logs = folder / ".trash", folder
 
     def put(self, path: Path) -> dict[str, Any]:
-        """Move a log here, its notes with it; returns its entry."""
+        """Move a log and its notes here; return its entry."""
         make_folder(self.folder)
         entry = f"{int(time.time())}-{secrets.token_hex(4)}-{path.name}"
         notes = path.with_name(path.name + NOTES)
@@ -88,10 +88,7 @@ class LogTrash:
         return self._row(entry)
 
     def restore(self, entry: str) -> str:
-        """Bring a log back, its notes with it; returns its name, another one where that is taken meanwhile.
-
-        Raises NotThere.
-        """
+        """Restore a log and its notes; return its name, numbered if that is taken. Raises NotThere."""
         match = _ENTRY.fullmatch(entry)
         if match is None or entry not in self._entries():
             raise NotThere("there is no such deleted log", entry[:40], "it may have been removed for good")
@@ -103,7 +100,7 @@ class LogTrash:
         return path.name
 
     def listed(self) -> list[dict[str, Any]]:
-        """Entry, name, and until when it is kept [s, unix], the latest first; what is older is removed for good."""
+        """Remove expired entries; list entry, name and end [s, unix] of the others, the latest first."""
         now = time.time()
         rows = [self._row(entry) for entry in self._entries()]
         for row in rows:
@@ -126,22 +123,22 @@ class LogTrash:
 
 
 MOST = 2000
-"""Logs that are listed, the latest of each folder."""
+"""Most logs listed of each folder, the latest first."""
 _LEFT_S = 3600.0
 MOST_NOTES = 20_000
-"""Letters of a log's notes."""
+"""Most letters of a log's notes."""
 
 
 @dataclass(frozen=True)
 class LogPlace:
-    """Where a log is; `ours` is False in a folder that is only read."""
+    """Place of a log; `ours` is False in a folder that is only read."""
 
     path: Path
     ours: bool
 
 
 class LogShelf:
-    """The logs in the folder "flights" of the user's data, and those in `others`, which are only read.
+    """Logs in the folder "flights" of the user's data, and in `others`, which are only read.
 
     A log is named by its file there; one in the k-th other folder is called "k:NAME".
     """
@@ -152,12 +149,12 @@ class LogShelf:
         self._others = tuple(others)
 
     def listed(self) -> list[dict[str, Any]]:
-        """The logs, the latest first. `folder` is "" for ours, `changed` is in seconds of Unix time."""
+        """List the logs, the latest first; `folder` is "" for the own folder, `changed` in seconds of Unix time."""
         rows = [row for number, folder in enumerate(self._folders()) for row in self._rows(number, folder)]
         return sorted(rows, key=lambda row: -float(row["changed"]))
 
     def place(self, name: str) -> LogPlace:
-        """Where a log is. Raises NotThere for what is not in the list."""
+        """Return the place of a log. Raises NotThere for an unknown name."""
         head, colon, rest = name.partition(":")
         number = int(head) if colon and head.isascii() and head.isdigit() and len(head) <= 4 else 0
         file = rest if number else name
@@ -169,14 +166,14 @@ class LogShelf:
         raise NotThere("there is no such log", name[:80], "choose one of the list")
 
     def ours(self, name: str) -> Path:
-        """Where one is that may be changed. Raises NotThere, Rejected."""
+        """Return the path of a log that may be changed. Raises NotThere, Rejected."""
         place = self.place(name)
         if not place.ours:
             raise Rejected("logs of that folder are only read here", name[:80], "change it there")
         return place.path
 
     def notes(self, name: str) -> str:
-        """What was noted about it."""
+        """Return a log's notes."""
         file = self._notes(self.place(name).path)
         if not file.is_file():
             return ""
@@ -193,13 +190,13 @@ class LogShelf:
             file.unlink(missing_ok=True)
 
     def check_new(self, name: str) -> None:
-        """Whether a log of this name is taken in. Raises LogError, Rejected."""
+        """Check the name of a new log and the number of logs. Raises LogError, Rejected."""
         new_name(name)
         if len(self._rows(0, self.folder)) >= MOST:
             raise Rejected(f"there are {MOST} logs already", "logs", "delete some")
 
     def scratch(self) -> Path:
-        """Where files are while they come in or go out; what a server that was killed has left there goes."""
+        """Return the folder of files in transfer, without the old files of a killed server."""
         folder = self.folder / ".scratch"
         make_folder(folder)
         for path in folder.iterdir():
@@ -208,7 +205,7 @@ class LogShelf:
         return folder
 
     def take_in(self, path: Path, name: str) -> str:
-        """Put a log that was read into its place; returns its name, numbered where that is taken."""
+        """Move an uploaded log to its place; return its name, numbered if that is taken."""
         target = numbered(self.folder / new_name(name))
         try:
             path.rename(target)

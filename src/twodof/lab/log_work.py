@@ -1,4 +1,4 @@
-"""Work on logs in a process of its own, as plain data: summaries, views, comparisons, replays, conversions."""
+"""Work on logs in a process of its own: summaries, views, comparisons, replays and conversions, as plain data."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from twodof.report.step_responses import step_responses
 from twodof.signals import BY_MAT
 
 MOST_BYTES = 96 << 20
-"""Of the files whose logs are kept; in memory a log is 5 to 12 times its file."""
+"""Most bytes of the files whose logs are kept; in memory a log has 5 to 12 times its file."""
 
 _KEPT: OrderedDict[tuple[str, int, int], FlightLog] = OrderedDict()
 
 
 def named_log(path: str) -> FlightLog:
-    """The log in a file. Raises LogError, which names the file alone: in which folder it is, is the server's matter."""
+    """Read the log in a file. Raises LogError with the file's name but not the server's folder."""
     name = Path(path).name
     try:
         return read_log(path)
@@ -38,7 +38,7 @@ def named_log(path: str) -> FlightLog:
 
 
 def kept_log(path: str) -> FlightLog:
-    """The log in a file, read anew where the file has changed. Raises LogError."""
+    """Return the log in a file, read again if the file has changed. Raises LogError."""
     try:
         found = Path(path).stat()
     except OSError as reason:  # deleted since it was asked for
@@ -61,7 +61,7 @@ _MOST_TEXT = 200
 
 
 def summary(path: str) -> dict[str, Any]:
-    """The summary of the log in a file, as plain data; what it does not tell is None. Raises LogError."""
+    """Return the summary of the log in a file, with None for unknown fields. Raises LogError."""
     log = kept_log(path)
     start, end = log.span
     told = log.provenance
@@ -104,7 +104,7 @@ def _likely(log: FlightLog) -> str | None:
 
 
 def _spark(log: FlightLog) -> dict[str, Any] | None:
-    """Lowest and highest value of each of `COLUMNS` parts of the flight; None for a part without a sample."""
+    """Return the lowest and highest value of each of `COLUMNS` parts; None for a part without a sample."""
     known = [name for name in (*_SPARKS, *log) if name in log and len(log[name]) > 1 and log[name].value.ndim == 1]
     if not known:
         return None
@@ -125,14 +125,14 @@ def _spark(log: FlightLog) -> dict[str, Any] | None:
 
 MOST_POINTS = 4000
 MOST_SAID = 2000
-"""Words, and changes of parameters, that are told of one log."""
+"""Most texts, and most changes of parameters, of one log."""
 REPLAY_HZ, MOST_REPLAYED = 50.0, 20_000
 _REPLAYED = ("theta", "x", "M", "T", "theta0", "x0", "theta_true", "x_true")
 _FIRST_CHANNELS = 6
 
 
 def facts(path: str) -> dict[str, Any]:
-    """The summary, the channels (name, unit, samples), and what was set at the start."""
+    """Return the summary, the channels (name, unit, samples), the parameters at the start, texts and changes."""
     log = kept_log(path)
     channels = [{"name": name, "unit": one.unit, "samples": len(one)} for name, one in log.channels.items()]
     parameters = log.provenance.get("parameters")
@@ -147,7 +147,7 @@ def facts(path: str) -> dict[str, Any]:
 
 
 def view(path: str, window: tuple[float, float] | None, topics: list[str], points: int) -> dict[str, Any]:
-    """What a plot shows within `window` [s], each curve thinned to about `points`. Raises LogError."""
+    """Return the curves of a plot within `window` [s], each thinned to about `points`. Raises LogError."""
     log = kept_log(path)
     try:
         found = flight_view(log, topics, window)
@@ -159,7 +159,7 @@ def view(path: str, window: tuple[float, float] | None, topics: list[str], point
 
 
 def steps(path: str) -> dict[str, Any]:
-    """The responses to the steps of set-points, and why there are none where they cannot be told."""
+    """Return the responses to the steps of set-points; `unclear` has the reason if they are unknown."""
     try:
         return {"steps": [step.to_json() for step in step_responses(kept_log(path))], "unclear": ""}
     except LogError as reason:
@@ -167,7 +167,7 @@ def steps(path: str) -> dict[str, Any]:
 
 
 def compare(paths: dict[str, str], align: str, window: tuple[float, float] | None, points: int) -> dict[str, Any]:
-    """Flights over each other, by the names that `paths` gives them: the view, the steps of each, and each one's 0 [s].
+    """Compare flights, named by `paths`: the view, and the steps and the time 0 [s] of each.
 
     Raises LogError as `comparison_view` does.
     """
@@ -180,9 +180,9 @@ def compare(paths: dict[str, str], align: str, window: tuple[float, float] | Non
 
 
 def replay(path: str) -> dict[str, Any]:
-    """Pitch, place, motors, set-points and truth at equal times: `start` and `rate`, each column float32 in base 64.
+    """Sample pitch, place, motors, set-points and truth at equal times, each column float32 in base 64.
 
-    NaN is where nothing is known. The rate is 50 Hz, less for a log longer than 400 s.
+    Unknown values are NaN. The rate is 50 Hz, less for a log longer than 400 s.
     """
     log = kept_log(path)
     start, end = log.span
@@ -245,7 +245,7 @@ def _curve(curve: Curve, points: int) -> dict[str, Any]:
 
 
 def _rows(log: FlightLog, name: str, kinds: tuple[type, ...]) -> list[list[Any]]:
-    """Rows of the provenance that are laid out as ours are; of others' logs what is."""
+    """Return the rows of the provenance that have these kinds of cells."""
     rows = log.provenance.get(name)
     found = []
     for row in rows[:MOST_SAID] if isinstance(rows, list) else ():

@@ -1,4 +1,4 @@
-"""Models that were identified and kept: their folder, and the guard that tries a change of gains on them first."""
+"""Folder of identified models, and the guard that tries a change of gains on a model first."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ MOST = 500
 SUFFIX = ".json"
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
 _CHOICES = ".chosen"
-"""Beside the models, under a name that no model can have."""
+"""File beside the models, under a name that a model cannot have."""
 
 
 class ModelFolder:
-    """The models in `folder`; each is read when it is asked for."""
+    """Models in `folder`; each is read when it is asked for."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def names(self) -> list[str]:
-        """Those that are there."""
+        """Return the names of the models."""
         found = (path.stem for path in self._folder.glob(f"*{SUFFIX}") if _NAME.fullmatch(path.stem))
         return sorted(found)[:MOST]
 
     def read(self, name: str) -> dict[str, Any]:
-        """A model's document. Raises NotThere, ParameterError for a damaged file."""
+        """Read a model's document. Raises NotThere, ParameterError for a damaged file."""
         try:
             found = json.loads(self._content(name))
         except (ValueError, RecursionError) as reason:
@@ -57,15 +57,15 @@ class ModelFolder:
         return found
 
     def family(self, name: str) -> PitchFamily:
-        """The family of a pitch model, for tuning and design. Raises NotThere, ParameterError for another kind."""
+        """Return a pitch model's family, for tuning and design. Raises NotThere, ParameterError for another kind."""
         return PitchFamily.from_identified(self.read(name), f"model {name}")
 
     def digest(self, name: str) -> str:
-        """Of its bytes: another model of the same name is another. Raises NotThere."""
+        """Return the digest of a model's bytes. Raises NotThere."""
         return hashlib.sha256(self._content(name)).hexdigest()
 
     def save(self, name: str, document: Mapping[str, Any], overwrite: bool = False) -> None:
-        """Keep a model. Raises ParameterError for a name that cannot be, Rejected where it is there already."""
+        """Keep a model. Raises ParameterError for a wrong name, Rejected for an existing one."""
         path = self._place(name)
         self._folder.mkdir(parents=True, exist_ok=True)
         if len(self.names()) >= MOST:
@@ -78,14 +78,14 @@ class ModelFolder:
             json.dump(document, file, indent=1, allow_nan=False)
 
     def delete(self, name: str) -> None:
-        """Raises NotThere."""
+        """Delete a model. Raises NotThere."""
         path = self._place(name)
         if not path.is_file():
             raise _missing(name)
         path.unlink()
 
     def row(self, name: str) -> dict[str, Any]:
-        """What a list shows of one: `pitch` where tuning and design can use it, else `why` they cannot."""
+        """Return a model's row of the list: `pitch` is True for tuning and design, else `why` has the reason."""
         told: dict[str, Any] = {"name": name, "kept": self._place(name).stat().st_mtime, "values": [], "pitch": False}
         try:
             document = self.read(name)
@@ -99,7 +99,7 @@ class ModelFolder:
         return told
 
     def chosen(self, drone: int) -> str | None:
-        """The model that guards a drone's tuning; None where none was chosen, or it is gone."""
+        """Return the model that guards a drone's tuning, or None."""
         name = self._choices().get(str(drone))
         return name if isinstance(name, str) and name in self.names() else None
 
@@ -133,12 +133,12 @@ class ModelFolder:
 
 
 def shown_text(value: object) -> str:
-    """A text of a file, short."""
+    """Return a text of a file, at most 80 letters, or ""."""
     return value[:80] if isinstance(value, str) else ""
 
 
 def _values(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Of each unknown that is the machine's: name, value, standard deviation, unit."""
+    """Return name, value, standard deviation and unit of each unknown of the machine."""
     estimates, sums = document.get("estimates"), document.get("sums")
     rows = {**(estimates if isinstance(estimates, dict) else {}), **(sums if isinstance(sums, dict) else {})}
     found = []
@@ -160,10 +160,10 @@ MOST_STEPS = 12
 
 
 def measured_steps(path: str, goal: float) -> dict[str, Any]:
-    """The last steps of the attitude's set-point in a log, each turned, moved and scaled to go from 0 to `goal` [rad].
+    """Return the last steps of the attitude's set-point in a log, each scaled to go from 0 to `goal` [rad].
 
-    `time` [s] is from the step on, up to the next. `unclear` says why there are none in a log that tells no modes, or
-    cannot be read.
+    `time` [s] is from the step on, up to the next. `unclear` has the reason if there are none, as in a log that has no
+    modes or cannot be read.
     """
     try:
         log = kept_log(path)
@@ -200,10 +200,10 @@ def judge(
     family: dict[str, Any],
     goal: float | None,
 ) -> dict[str, Any]:
-    """The law with `changes` on the `family`: its verdict, and with a `goal` [rad] what a page shows of it.
+    """Judge the law with `changes` on the `family`; with a `goal` [rad] add the preview of the page.
 
-    `touches` tells whether they change the law at all; where they do not, and nothing is shown, there is no verdict.
-    `unstable`: a sampled drone, or one that the search found, is unstable.
+    `touches` is True if the changes affect the law; without that and without a goal the verdict is missing. `unstable`
+    is True if a sampled drone, or one that the search found, is unstable.
     """
     before, after = PitchLaw.flown(values, diagram, paths), PitchLaw.flown({**values, **changes}, diagram, paths)
     own = PitchFamily.from_json(family)
@@ -227,13 +227,13 @@ def _verdict(found: Robustness) -> dict[str, Any]:
 
 
 SECONDS = 60.0
-"""What a judgement may take: 1 s of one core as a rule, on a computer that does much else."""
+"""Longest judgement [s]: 1 s of one core as a rule, on a busy computer."""
 
 
 class TuningGuard:
-    """Refuses changes of the law that the chosen model's uncertainty does not keep stable, unless they are confirmed.
+    """Guard that refuses a law which the chosen model's uncertainty does not keep stable, unless it is confirmed.
 
-    The token that confirms is told by a preview only. It is of this law and this model, and of this server's run.
+    Only a preview tells the token that confirms; it is valid for this law, this model and this run of the server.
     """
 
     def __init__(self, models: ModelFolder, bench: Workbench) -> None:
@@ -241,7 +241,7 @@ class TuningGuard:
         self._secret = secrets.token_bytes(32)
 
     async def judge(self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float | None) -> Any:
-        """What `judgement.judge` says of changes by name or path. Raises as it, NotThere, LinkLost, Timeout."""
+        """Judge changes by name or path on a model. Raises as `judge`, NotThere, LinkLost, Timeout."""
         family = self._models.family(model)
         given, active = await self._named(one, changes)
         entries = await one.connection.parameters.entries()
@@ -258,10 +258,7 @@ class TuningGuard:
         )
 
     async def check(self, one: LabDrone, changes: Mapping[str, float], confirm: str) -> None:
-        """Raises Rejected for a change that needs confirming and is not, or by another change's token.
-
-        So does a change of the law that cannot be judged.
-        """
+        """Check a change. Raises Rejected for a missing or wrong token, or if the change cannot be judged."""
         model = self._models.chosen(one.number)
         if model is None:
             return
@@ -283,18 +280,18 @@ class TuningGuard:
             )
 
     async def _named(self, one: LabDrone, changes: Mapping[str, float]) -> tuple[dict[str, float], ActiveController]:
-        """The changes by the names on board, and what flies there."""
+        """Return the changes by the names on board, and the active controller."""
         active = await one.connection.parameters.active()
         names = {path: name for name, path in active.paths.items()}
         on_board = one.drone.parameters.name_on_board
         return _own_names({names.get(name) or on_board(name): value for name, value in changes.items()}), active
 
     def token(self, model: str, told: Mapping[str, Any]) -> str:
-        """What confirms a judged law on this model."""
+        """Return the token that confirms a judged law on this model."""
         said = f"{self._models.digest(model)} {told['digest']}".encode()
         return hmac.new(self._secret, said, hashlib.sha256).hexdigest()[:32]
 
 
 def _own_names(values: Mapping[str, float]) -> dict[str, float]:
-    """By the package's names: each gain of the real drone's list has two, and both change it."""
+    """Return the values by the package's names; a gain of the real drone has two names."""
     return {BY_NAME[name].name if name in BY_NAME else name: value for name, value in values.items()}

@@ -129,7 +129,7 @@ class _Failed(Exception):
 
 
 class _WorkProcess:
-    """One process; `run` gives it work. It is started when it is first needed, and anew after `close`."""
+    """Process for `run`, started with the first work, and again with the next work after `close`."""
 
     def __init__(self, kind: _Kind) -> None:
         self._kind = kind
@@ -250,9 +250,9 @@ class Workbench:
 
 @dataclass
 class Job:
-    """How far a job is: `fraction` 0 to 1, `text` what it does now; at its end its `result`, or its `error`.
+    """Progress of a job: `fraction` 0 to 1, `text`, and at its end its `result` or `error`.
 
-    `bound`: what it does now cannot be ended half way.
+    `bound` is True while the job cannot be ended.
     """
 
     id: str
@@ -266,19 +266,19 @@ class Job:
 
     @property
     def over(self) -> bool:
-        """Whether it has ended, one way or another."""
+        """True after the job's end."""
         return self.state != "running"
 
     def told(self, with_result: bool = True) -> dict[str, Any]:
-        """As clients get it."""
+        """Return the job as clients get it."""
         rows = {key: value for key, value in vars(self).items() if not key.startswith("_")}
         return rows if with_result else {key: value for key, value in rows.items() if key != "result"}
 
 
 class Jobs:
-    """The jobs of one server: `AT_ONCE` run, the others wait for their turn, the last `MOST_KEPT` are remembered.
+    """Jobs of one server: `AT_ONCE` run, the others wait for their turn, the last `MOST_KEPT` are remembered.
 
-    `tell` is told of every change, as the event `job`.
+    `tell` gets the event `job` at every change.
     """
 
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
@@ -290,11 +290,11 @@ class Jobs:
 
     @property
     def all(self) -> list[Job]:
-        """Those that are remembered, the oldest first."""
+        """Remembered jobs, the oldest first."""
         return [*self._jobs.values()]
 
     def __getitem__(self, name: str) -> Job:
-        """A job by its id. Raises NotThere."""
+        """Return a job by its id. Raises NotThere."""
         job = self._jobs.get(name)
         if job is None:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")

@@ -53,7 +53,7 @@ class PageFiles(StaticFiles):
 
 
 def serve_page(app: FastAPI, folder: Path) -> None:
-    """Serve the page in `folder` at every path that is not the API's; it may be built meanwhile.
+    """Serve the page in `folder` at every path that is not the API's; it may be built later.
 
     A path of the API comes here with a method that no route takes: the answer names the methods that it does take.
     """
@@ -128,7 +128,7 @@ BACKLOG = 128
 SEND_BUFFER = 128 * 1024
 """Bytes that the kernel keeps for one client."""
 END_S = 5
-"""What requests have to end when the server is told to [s]."""
+"""Time for requests to end when the server stops [s]."""
 
 
 async def serve(settings: LabSettings, ready: Callable[[int], None]) -> None:
@@ -171,18 +171,18 @@ class _Server(uvicorn.Server):
 
     @contextmanager
     def capture_signals(self) -> Iterator[None]:
-        """No signal is captured."""
+        """Capture no signal."""
         yield
 
 
 def _listening(settings: LabSettings) -> socket.socket:
-    """A socket that listens. Raises LinkError with the remedy where it cannot be had."""
+    """Return a listening socket. Raises LinkError with the remedy."""
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     where = f"http://{settings.host}:{settings.port}"
     made = socket.socket(family, socket.SOCK_STREAM)
     try:
         made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        # What the kernel holds back for a client that is slow is stale: its share is small.
+        # Rows in the kernel's buffer for a slow client are stale: a small buffer is enough.
         made.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
         made.bind((settings.host, settings.port))
         made.listen(BACKLOG)

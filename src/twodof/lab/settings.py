@@ -16,18 +16,17 @@ PAGE = Path(__file__).parent / "page"
 LOOPBACK = "127.0.0.1"
 PORT = 8080
 COMMAND_TOKEN, WATCH_TOKEN = "TWODOF_LAB_COMMAND_TOKEN", "TWODOF_LAB_WATCH_TOKEN"
-"""Variables of the environment with tokens that outlive the server's program; without them they are drawn."""
+"""Variables of the environment with lasting tokens; without them tokens are drawn."""
 
 
 @dataclass(frozen=True)
 class LabSettings:
     """Settings of one server.
 
-    `folder` is the user's data folder. `connect` are the URLs of drones; none: those of this computer, as they come.
-    `key` signs what is sent to them. A client that gives `command_token` may do everything, one with `watch_token`
-    may only look. On the loopback a client without a token may do everything too, unless `token_always`; elsewhere it
-    is refused. Port 0 is a free one. The logs in the folders `logs` are shown too, and only read. Raises LinkError
-    where it would listen to a network without a token.
+    `folder` is the user's data folder. `connect` are the URLs of drones; without URLs, those on this computer. `key`
+    signs messages to them. A client with `command_token` may do everything, one with `watch_token` may only look. On
+    the loopback a client without a token may do everything, unless `token_always`; elsewhere it is refused. Port 0 is
+    a free one. Logs in the folders `logs` are shown and only read. Raises LinkError for a network without a token.
     """
 
     folder: Path
@@ -48,17 +47,17 @@ class LabSettings:
 
     @property
     def needs_token(self) -> bool:
-        """Whether clients without a token are refused: others can reach the server, or it is asked for."""
+        """True if clients without a token are refused."""
         return self.token_always or self.reached
 
     @property
     def reached(self) -> bool:
-        """Whether other computers can reach it."""
+        """True if other computers can reach the server."""
         return not is_loopback(self.host)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this computer reaches a server that listens at `host`."""
+    """Return True if only this computer reaches a server at `host`."""
     if host == "localhost":
         return True
     try:
@@ -71,23 +70,23 @@ _ANYWHERE = ("0.0.0.0", "::")
 
 
 class Tokens(NamedTuple):
-    """What lets a client command, and what lets one watch; "" where there is none."""
+    """Tokens for commanding and for watching; "" for none."""
 
     command: str
     watch: str
 
 
 def drawn_tokens(host: str, command: str = "", watch: str = "", always: bool = False) -> Tokens:
-    """The tokens of a server at `host`: one to watch, and where it is needed, or `always`, one to command.
+    """Return a server's tokens: one to watch, and if needed or `always`, one to command.
 
-    Those that are not given are drawn anew; they are stored nowhere.
+    Tokens that are not given are drawn; they are stored nowhere.
     """
     needed = secrets.token_urlsafe(24) if always or not is_loopback(host) else ""
     return Tokens(command or needed, watch or secrets.token_urlsafe(24))
 
 
 def links(settings: LabSettings, port: int) -> dict[str, str]:
-    """The links of a server that listens at `port`: to command, and to watch only. They hold the tokens."""
+    """Return the links of a server at `port`, to command and to watch; they hold the tokens."""
     host = socket.gethostname() if settings.host in _ANYWHERE else settings.host
     base = f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     command = f"?token={settings.command_token}" if settings.command_token else ""
@@ -95,7 +94,7 @@ def links(settings: LabSettings, port: int) -> dict[str, str]:
 
 
 def who_gets_in(settings: LabSettings) -> str:
-    """What who starts a server is to know of its links, a line; "" where they guard nothing."""
+    """Return a warning about the links for the user who starts a server; "" without tokens."""
     if not settings.needs_token:
         return ""
     over = " It goes over the network as plain text." if settings.reached else ""

@@ -1,4 +1,4 @@
-"""Clients of the web socket: their requests, their outboxes, and the events that all of them hear."""
+"""Clients of the web socket: their requests, subscriptions and events."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from starlette.websockets import WebSocketDisconnect
 from twodof.errors import LogError, TwodofError, listed, nearest
 from twodof.lab.access import Role
 from twodof.lab.answers import RequestBody, dumps
-from twodof.lab.drones.connection import until_one_ends
+from twodof.lab.drones.telemetry_source import until_one_ends
 from twodof.lab.lab import Lab
 from twodof.lab.telemetry_rows import COLUMNS, FeedKey, Outbox, StreamState, header
 
 LONGEST = 8192
-"""Characters of a message of a client."""
+"""Most characters of a client's message."""
 MOST_COLUMNS = 64
 
 
 class MalformedRequest(Exception):
-    """What a client sent is not a message: it is not JSON, too long, or not of a known form."""
+    """Error for a client's message that is not JSON, too long, or of an unknown form."""
 
 
 class Subscribe(RequestBody):
-    """Rows of these columns of a drone, at most `rate` a second; `id` names them in the binary messages."""
+    """Request for rows of a drone's columns, at most `rate` a second; binary messages have the `id`."""
 
     do: Literal["subscribe"]
     id: int = Field(ge=0, lt=2**16)
@@ -36,7 +36,7 @@ class Subscribe(RequestBody):
     rate: float = Field(default=250.0, ge=0.1, le=250.0, allow_inf_nan=False)
 
     def known_columns(self) -> tuple[str, ...]:
-        """The columns. Raises LogError for one that there is not."""
+        """Return the columns. Raises LogError for an unknown one."""
         unknown = [name for name in self.columns if name not in COLUMNS]
         if unknown:
             raise LogError("no such column", listed(unknown, 3), f"there are {nearest(unknown[0], COLUMNS)}")
@@ -44,14 +44,14 @@ class Subscribe(RequestBody):
 
 
 class Unsubscribe(RequestBody):
-    """No more rows of that `id`."""
+    """Request to end the rows of an `id`."""
 
     do: Literal["unsubscribe"]
     id: int = Field(ge=0, lt=2**16)
 
 
 class Here(RequestBody):
-    """The answer to `alive`: its program runs, not only its socket."""
+    """Answer to `alive`, which shows that the page runs."""
 
     do: Literal["here"]
 
@@ -61,7 +61,7 @@ _ADAPTER: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator=
 
 
 def read_request(text: str) -> Asked:
-    """The request of a message. Raises MalformedRequest."""
+    """Return the request of a message. Raises MalformedRequest."""
     if len(text) > LONGEST:
         raise MalformedRequest(f"longer than {LONGEST} characters")
     try:
@@ -80,15 +80,15 @@ MOST_CLIENTS = 100
 MOST_STREAMS = 32
 ALIVE_S = 2.0
 SEND_S = 30.0
-"""A client that takes in nothing for so long [s] is let go; until then it costs its outbox."""
+"""Longest time [s] to send one message; then the client is disconnected."""
 
 
 class MostClients(Exception):
-    """As many clients are connected as the server serves."""
+    """Error for a client beyond the largest number."""
 
 
 class TelemetryClient:
-    """A connected client; for `async with`, which joins the audience and at the end ends its subscriptions."""
+    """Connected client; `async with` joins the audience, and ends the subscriptions afterwards."""
 
     def __init__(self, websocket: WebSocket, role: Role, lab: Lab) -> None:
         self._websocket, self._role, self._lab = websocket, role, lab
@@ -107,9 +107,9 @@ class TelemetryClient:
             self._end(number)
 
     async def serve(self) -> None:
-        """Say how all stands, then serve until it leaves.
+        """Send all states, then serve until the client leaves.
 
-        Raises WebSocketDisconnect, MalformedRequest, and TimeoutError where it takes in nothing.
+        Raises WebSocketDisconnect, MalformedRequest, and TimeoutError for a client that receives nothing.
         """
         self._say({"event": "session", "role": self._role})
         for state in self._lab.drones.states:
@@ -120,9 +120,9 @@ class TelemetryClient:
         await until_one_ends((self._send(), self._receive(), self._beat()))
 
     async def _beat(self) -> None:
-        """Say now and then that the server is there, and count what is not answered.
+        """Send `alive` regularly, and count missing answers.
 
-        A page cannot see a socket's own pings, and a browser answers those for a page that is frozen.
+        A page cannot see a socket's own pings, and a browser answers them for a frozen page.
         """
         while True:
             await asyncio.sleep(ALIVE_S)

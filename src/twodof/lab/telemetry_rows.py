@@ -1,4 +1,4 @@
-"""Rows of telemetry: put together by tick, decimated once for all clients that want the same, packed to be sent."""
+"""Rows of telemetry: joined by tick, decimated once for all clients of the same feed, packed for sending."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ _SENT = frozenset(channel_bits())
 ONBOARD = tuple(column for row in TOPICS for column in row.columns if column.replace(".", "_").upper() in _SENT)
 TRUTH = tuple(column for row in TOPICS if not row.onboard for column in row.columns)
 COLUMNS = (*ONBOARD, *TRUTH)
-"""What may be subscribed to: every column that a drone sends at the full rate, and the truth of a virtual rig."""
+"""Columns for subscriptions: every column that a drone sends at the full rate, and the truth of a virtual rig."""
 PLACES = MappingProxyType({column: place for place, column in enumerate(COLUMNS)})
 _TRUTH_PLACES = np.arange(len(ONBOARD), len(COLUMNS), dtype=np.intp)
 BACK_TICKS = 250
-"""A tick that is so much older than the newest is of a drone that began anew; of less it came too late."""
+"""A tick older by this much shows a restart; a tick that is less old came too late."""
 PATIENCE_TICKS = 12
-"""So long a row waits for what comes in other messages, the truth for instance."""
+"""Ticks for which a row waits for other messages, such as the truth."""
 
 
 class TickRows:
-    """Rows that wait, by tick; `take` gives those that are whole. `late` counts what came after its row was given."""
+    """Rows that wait for all their messages, by tick; `take` returns the whole ones. `late` counts rows too late."""
 
     def __init__(self) -> None:
         self.late = 0
@@ -45,12 +45,12 @@ class TickRows:
         self._newest = [-1, -1]  # tick on board, of the truth
 
     def onboard(self, ticks: NDArray[np.uint32], values: NDArray[np.float32], places: NDArray[np.intp]) -> None:
-        """Rows of a batch, whose columns stand at `places` of COLUMNS."""
+        """Add rows of a batch, whose columns are at `places` of COLUMNS."""
         for tick, row in zip(ticks.tolist(), values, strict=True):
             self._put(tick, places, row, 0)
 
     def truth(self, tick: int, values: tuple[float, float, float, float]) -> None:
-        """The true state of a tick."""
+        """Add the true state of a tick."""
         self._put(tick, _TRUTH_PLACES, np.array(values, dtype=np.float32), 1)
 
     def _put(self, tick: int, places: NDArray[np.intp], values: NDArray[np.float32], source: int) -> None:
@@ -67,7 +67,7 @@ class TickRows:
         row[places] = values
 
     def take(self) -> tuple[NDArray[np.int64], NDArray[np.float32]] | None:
-        """Ticks (n,), rising, and values (n, COLUMNS) of the rows that are whole; None where there are none."""
+        """Return ticks (n,), rising, and values (n, COLUMNS) of the whole rows, or None."""
         newest = max(self._newest)
         heard = [tick for tick in self._newest if tick > max(-1, newest - PATIENCE_TICKS)]
         whole = sorted(tick for tick in self._waiting if tick <= min(heard, default=-1))
@@ -79,13 +79,13 @@ class TickRows:
 
 
 FULL_RATE = round(1.0 / PERIOD)
-"""Rows a second at which nothing is left out."""
+"""Rate [rows/s] at which every row is sent."""
 
 
 class Decimation:
-    """Rows at no more than `rate` a second; a bucket gives two, in the order in which its extremes came.
+    """Decimation to at most `rate` rows a second: two per bucket, in the order of its extremes.
 
-    A column of a bucket in which it has no sample is NaN. A peak of one tick is in the picture at any rate.
+    A column without a sample in a bucket is NaN. A peak of one tick is kept at any rate.
     """
 
     def __init__(self, rate: float) -> None:
@@ -97,9 +97,9 @@ class Decimation:
     def take(
         self, ticks: NDArray[np.int64], values: NDArray[np.float32]
     ) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
-        """Further rows, ticks rising; returns what is whole by now: times (n,) [s] and values (n, columns).
+        """Add rows, ticks rising; return the whole buckets: times (n,) [s] and values (n, columns).
 
-        The times are those of the drone's logs: what is seen in flight is found there at the same second.
+        The times are those of the drone's logs.
         """
         times: NDArray[np.float64] = np.asarray(BOOT + ticks * PERIOD, dtype=np.float64)
         if self.ticks == 1:
@@ -121,7 +121,7 @@ class Decimation:
         return np.array(given_times, dtype=np.float64), rows
 
     def _close(self, given_times: list[float], given: list[NDArray[np.float32]]) -> None:
-        """Put the extremes of the bucket that is whole behind what is given."""
+        """Append the extremes of the whole bucket to the given rows."""
         times, values = np.concatenate(self._times), np.concatenate(self._values)
         self._times, self._values = [], []
         absent = np.isnan(values)
@@ -134,32 +134,32 @@ class Decimation:
 
 
 ROWS = 1
-"""The first byte: rows of a subscription. Others may come, and are to be passed over."""
+"""First byte of rows; clients skip messages with another one."""
 _HEADER = struct.Struct("<BBHIIId")
 
 
 def header(number: int, count: int, dropped: int) -> bytes:
-    """What stands before the rows: kind, 0, subscription, rows, rows dropped so far, 0, the server's unix time [s].
+    """Return the header of rows: kind, 0, subscription, rows, rows dropped so far, 0, unix time [s].
 
-    It has 24 bytes, so that the times behind it are aligned.
+    It has 24 bytes, so that the times after it are aligned.
     """
     return _HEADER.pack(ROWS, 0, number, count, dropped & 0xFFFFFFFF, 0, time.time())
 
 
 def body(times: NDArray[np.float64], values: NDArray[np.float32]) -> bytes:
-    """The drone's times (n,) [s] and the values (n, columns), column by column."""
+    """Return the bytes of the drone's times (n,) [s] and the values (n, columns), column by column."""
     columns = np.ascontiguousarray(values.T, dtype="<f4")
     return np.asarray(times, dtype="<f8").tobytes() + columns.tobytes()
 
 
 MOST_BYTES = 128 * 1024
-"""Of rows that wait for one client: 7 s of 15 columns at the full rate."""
+"""Most bytes waiting for one client: 7 s of 15 columns at the full rate."""
 MOST_EVENTS = 500
 
 
 @dataclass(eq=False)
 class StreamState:
-    """One subscription of one client: its number, and how many rows it lost so far."""
+    """Subscription of one client: its number, and its dropped rows."""
 
     number: int
     dropped: int = 0
@@ -168,7 +168,7 @@ class StreamState:
 
 @dataclass
 class Rows:
-    """Rows of one subscription that wait: `body` as it is sent, `count` of them."""
+    """Waiting rows of one subscription: `body` as it is sent, `count` of them."""
 
     stream: StreamState
     body: bytes
@@ -177,7 +177,7 @@ class Rows:
 
 @dataclass(eq=False)
 class Outbox:
-    """Rows and events that wait for one client, the oldest first. Events that do not fit are counted in `missed`."""
+    """Bounded queue of rows and events for one client, the oldest first; `missed` counts dropped events."""
 
     missed: int = 0
     _rows: deque[Rows] = field(default_factory=deque)
@@ -187,11 +187,11 @@ class Outbox:
 
     @property
     def waiting(self) -> int:
-        """Bytes of rows that wait."""
+        """Bytes of waiting rows."""
         return self._bytes
 
     def put(self, rows: Rows) -> None:
-        """Rows to send; where too much waits the oldest are dropped, whosever they are."""
+        """Add rows; the oldest rows of any subscription are dropped if too much waits."""
         self._rows.append(rows)
         self._bytes += len(rows.body)
         while self._bytes > MOST_BYTES and len(self._rows) > 1:
@@ -201,7 +201,7 @@ class Outbox:
         self._filled.set()
 
     def tell(self, text: str) -> None:
-        """An event to send."""
+        """Add an event; the oldest one is dropped if too many wait."""
         if len(self._events) >= MOST_EVENTS:
             self._events.popleft()
             self.missed += 1
@@ -209,7 +209,7 @@ class Outbox:
         self._filled.set()
 
     async def next(self) -> str | Rows:
-        """What to send next, events first; waits until there is something."""
+        """Wait for the next message, and return events before rows."""
         while True:
             if self._events:
                 return self._events.popleft()
@@ -224,14 +224,14 @@ class Outbox:
 
 
 class FeedKey(NamedTuple):
-    """What is wanted: columns, rows a second."""
+    """Key of a feed: columns, rows a second."""
 
     columns: tuple[str, ...]
     rate: float
 
     @property
     def truth(self) -> bool:
-        """Whether it wants the truth of a virtual rig."""
+        """True for a feed with the truth of a virtual rig."""
         return any(column in TRUTH for column in self.columns)
 
 
@@ -243,36 +243,36 @@ class _Feed:
 
 
 class Feeds:
-    """The feeds of one drone, by what they give."""
+    """Feeds of one drone, by columns and rate."""
 
     def __init__(self) -> None:
         self._feeds: dict[FeedKey, _Feed] = {}
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody wants anything."""
+        """True if there is a feed."""
         return bool(self._feeds)
 
     @property
     def truth_wanted(self) -> bool:
-        """Whether anybody wants the truth."""
+        """True if a feed has the truth."""
         return any(key.truth for key in self._feeds)
 
     def add(self, key: FeedKey, stream: StreamState, outbox: Outbox) -> None:
-        """Give it to one more; the full rate is one, whatever larger number was asked for."""
+        """Add a subscription; a rate above the full rate is the full rate."""
         key = key._replace(rate=min(key.rate, float(FULL_RATE)))
         if key not in self._feeds:
             self._feeds[key] = _Feed(key)
         self._feeds[key].to[stream] = outbox
 
     def remove(self, stream: StreamState) -> None:
-        """Give it to one less."""
+        """Remove a subscription."""
         for key, feed in [*self._feeds.items()]:
             if feed.to.pop(stream, None) is not None and not feed.to:
                 del self._feeds[key]
 
     def give(self, ticks: NDArray[np.int64], values: NDArray[np.float32]) -> None:
-        """Further rows: (n,) and (n, COLUMNS)."""
+        """Send rows to all subscriptions: ticks (n,) and values (n, COLUMNS)."""
         for feed in self._feeds.values():
             times, rows = feed.decimation.take(ticks, values[:, feed.places])
             if len(times):
@@ -282,12 +282,12 @@ class Feeds:
 
 
 MOST_UNANSWERED = 2
-"""A client that leaves more `alive` unanswered stands still: a tab that is frozen, whose browser keeps the socket."""
+"""A client with more unanswered `alive` is frozen, though its browser keeps the socket open."""
 
 
 @dataclass
 class _Listener:
-    """What a client's token lets it do, whether it ever answered, and how often it has not since."""
+    """Role of a client, True if it ever answered, and its missing answers since."""
 
     role: Role
     answers: bool = False
@@ -295,7 +295,7 @@ class _Listener:
 
 
 class Audience:
-    """Every client's outbox, with what its token lets it do and whether it is there."""
+    """Outboxes of all clients, with their roles and their answers to `alive`."""
 
     def __init__(self) -> None:
         self._listeners: dict[Outbox, _Listener] = {}
@@ -305,33 +305,33 @@ class Audience:
 
     @property
     def commanding(self) -> int:
-        """How many clients are connected that may command, without those that stand still.
+        """Number of connected clients that may command, without frozen ones.
 
-        A program that never answers counts for as long as its socket is open: that closes when the program ends.
+        A program that never answers counts while its socket is open, which closes with the program.
         """
         there = (one for one in self._listeners.values() if one.unanswered <= MOST_UNANSWERED)
         return sum(one.role is Role.COMMAND for one in there)
 
     def join(self, outbox: Outbox, role: Role) -> None:
-        """One more."""
+        """Add a client."""
         self._listeners[outbox] = _Listener(role)
 
     def leave(self, outbox: Outbox) -> None:
-        """One less."""
+        """Remove a client."""
         self._listeners.pop(outbox, None)
 
     def asked(self, outbox: Outbox) -> None:
-        """A client is asked whether it is there."""
+        """Count an `alive` as unanswered, for a client that has answered before."""
         listener = self._listeners[outbox]
         listener.unanswered += listener.answers
 
     def answered(self, outbox: Outbox) -> None:
-        """A client has said that it is there."""
+        """Take a client's answer to `alive`."""
         listener = self._listeners[outbox]
         listener.answers, listener.unanswered = True, 0
 
     def tell(self, event: Mapping[str, Any]) -> None:
-        """Tell all an event, see docs/reference."""
+        """Send an event to all clients, see docs/reference."""
         if self._listeners:
             text = dumps(event)
             for outbox in self._listeners:

@@ -1,4 +1,4 @@
-"""What clients are told of how a drone stands, in plain data."""
+"""Report of a drone's state for clients, as plain data."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _HEARD = "heard"
 
 
 def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dict[str, Any]:
-    """The state of drone `number`, which is not heard: as it stood `last`, if it ever was, and `why` it is lost."""
+    """Return the state of a drone that is not heard: its `last` report, if any, and `why` it is lost."""
     return {**_unknown(number), **last, "url": url, "link": _LINK_LOST, "why_lost": why, "ours_leases": False}
 
 
 def report(drone: AsyncDrone) -> dict[str, Any]:
-    """The state of a connected drone.
+    """Return the state of a connected drone.
 
     `time` is the drone's as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
     """
@@ -59,7 +59,7 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
 
 
 def in_words(causes: str) -> str:
-    """Causes of the failsafe as sentences: what the dialect says of each."""
+    """Return causes of the failsafe as the dialect's descriptions."""
     rows = {row.name.removeprefix("TWODOF_CAUSE_").lower(): row for row in _causes()}
     named = [one.strip() for one in causes.split(",") if one.strip()]
     return "; ".join(rows[one].description.rstrip(".") if one in rows else one for one in named)
@@ -74,7 +74,7 @@ def _known(value: float) -> float | None:
 
 
 def _unknown(number: int) -> dict[str, Any]:
-    """Of a drone that was never heard."""
+    """Return the state of a drone that was never heard."""
     return {
         "system": number,
         "name": f"drone {number}",

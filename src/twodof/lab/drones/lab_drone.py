@@ -1,4 +1,4 @@
-"""Drones of the server: each is kept connected, also over its restarts, watched, and commanded for clients."""
+"""Drones of the server: each is kept connected over its restarts, watched, and commanded for clients."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncIterator, Mapping
 from contextlib import ExitStack, asynccontextmanager, suppress
+from pathlib import Path
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, Rejected, Timeout, TwodofError
@@ -14,21 +15,106 @@ from twodof.gcs.clock import DroneRestarted
 from twodof.gcs.drone_state import StatusText
 from twodof.gcs.recording import seconds
 from twodof.lab.answers import NotThere
-from twodof.lab.drones.connection import DroneConnection
-from twodof.lab.drones.drone_report import lost_report
+from twodof.lab.drones.drone_report import lost_report, report
+from twodof.lab.drones.parameter_table import ParameterTable
+from twodof.lab.drones.pilot import FlightRecorder, Pilot
+from twodof.lab.drones.telemetry_source import TelemetrySource, until_one_ends
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience, Feeds
+from twodof.link.mavlink.dialect import RATES
 from twodof.link.transport.url import Port
 
 CONNECT_S = 5.0
 AGAIN_S, AGAIN_MOST_S = 0.3, 2.0
 MOST_TEXTS = 200
+REPORT_S = 0.1
+REPORT_ANYWAY_S = 1.0
+TIME, TIME_HZ = "ATTITUDE", 20.0
+"""Message with the drone's time, and its rate [Hz]."""
+FAST_HZ = 10.0
+"""Messages that come at this rate or faster are stopped: batches have the samples."""
+_PASSES = frozenset({"time"})
+"""Fields that change all the time: without another change a state is sent once a second."""
+
+
+class DroneConnection:
+    """Connection of a lab drone: pilot, parameters, recorder and telemetry while it lasts.
+
+    `asked` is the last set-point of a client, as it was given.
+    """
+
+    def __init__(self, drone: AsyncDrone, lab_drone: LabDrone, folder: Path) -> None:
+        self.drone = drone
+        self.asked: dict[str, Any] | None = None
+        self.pilot = Pilot(drone, lambda: lab_drone.commanding, lab_drone.say)
+        self.parameters = ParameterTable(drone, lab_drone.tell_parameters)
+        self.recorder = FlightRecorder(
+            drone,
+            folder / "flights",
+            self.parameters.active,
+            lab_drone.tell_log,
+            lambda why: lab_drone.say("error", why),
+            lambda: lab_drone.lent,
+        )
+        self._lab_drone = lab_drone
+
+    async def run(self) -> None:
+        """Report, pilot, tune and record until the drone is lost. Raises LinkLost."""
+        await self._ask_for_less()
+        work = [self._report(), self.pilot.watch()]
+        if self.drone.ours:
+            work.append(self.parameters.run())
+            if not self.drone.session.lockstep:
+                work += TelemetrySource(self.drone, self._lab_drone.feeds).work()
+                work.append(self.recorder.run())
+        await until_one_ends(work)
+
+    async def _ask_for_less(self) -> None:
+        """Stop the fast streams but the one with the time: clients' rows come in batches."""
+        if not self.drone.ours or self.drone.session.lockstep:
+            return
+        self.drone.telemetry.stop()
+        with suppress(Rejected, Timeout):  # the streams only cost time
+            for row in RATES:
+                if row.onboard is not None and row.onboard >= FAST_HZ:
+                    await self.drone.stream(row.name, TIME_HZ if row.name == TIME else -1.0)
+            await self.drone.stream("TWODOF_TOF", -1.0)
+
+    def report(self) -> dict[str, Any]:
+        """Return the drone's state for clients."""
+        drone = self.drone
+        if drone.setpoints.current is None:
+            self.asked = None
+        playback = drone.exciter.playback
+        plays = playback is not None and playback.state in ("waiting", "playing")
+        return report(drone) | {
+            "setpoint": self.asked,
+            "excitation": {"start_tick": playback.start_tick, "end_tick": playback.end_tick}
+            if plays and playback is not None
+            else None,
+            "recording": self.recorder.name,
+            "experiment": self._lab_drone.lent,
+        }
+
+    async def _report(self) -> None:
+        """Send the state at each change, and once a second."""
+        told: dict[str, Any] = {}
+        session = self.drone.session
+        due = 0.0
+        while True:
+            session.check(session.now)
+            state = self.report()
+            steady = {key: value for key, value in state.items() if key not in _PASSES}
+            if steady != told or session.now >= due:
+                told, due = steady, session.now + REPORT_ANYWAY_S
+                self._lab_drone.tell_state(state)
+            await asyncio.sleep(REPORT_S)
 
 
 class LabDrone:
-    """The drone at `url`. `number` is its MAVLink system, 0 until it was heard for the first time.
+    """Drone at `url`, kept connected. `number` is its MAVLink system, 0 before the first heartbeat.
 
-    `texts` are the last lines that it said, and that the server said of it, with the time [s] as in its logs.
+    `texts` are the last lines by the drone and about it, with the time [s] as in its logs.
     """
 
     def __init__(self, url: str, settings: LabSettings, audience: Audience) -> None:
@@ -43,32 +129,31 @@ class LabDrone:
 
     @property
     def state(self) -> dict[str, Any]:
-        """How it stands, for clients; see docs/reference/lab-routes.md."""
+        """State for clients; see docs/reference/lab-routes.md."""
         if self._connection is None:
             return lost_report(self.number, self.url, self._why_lost, self._last)
         return self._connection.report()
 
     @property
     def connection(self) -> DroneConnection:
-        """What goes on while it is connected. Raises LinkLost while it is not."""
+        """The present connection. Raises LinkLost without one."""
         if self._connection is None:
             raise LinkLost(self._why_lost, self.url, "see that it runs; the server connects again by itself")
         return self._connection
 
     @property
     def drone(self) -> AsyncDrone:
-        """The connected drone. Raises LinkLost while there is none."""
+        """The connected drone. Raises LinkLost without one."""
         return self.connection.drone
 
     @asynccontextmanager
     async def commanded(self) -> AsyncIterator[AsyncDrone]:
-        """The drone with the lease ours, taken where it is not. Raises Rejected where another keeps it, LinkLost."""
+        """Take the lease, if this server lacks it, and yield the drone. Raises Rejected, LinkLost, Timeout."""
         async with self.connection.pilot.commanded() as drone:
             yield drone
 
     def lend(self) -> ExitStack:
-        """Let a program of ours fly it that records by itself and may begin its time anew, until `close` of what is
-        returned."""
+        """Lend the drone to a job, which records by itself and may restart it, until the returned stack is closed."""
         lent = ExitStack()
         if self._connection is not None:
             lent.enter_context(self._connection.drone.clock.resetting())
@@ -108,49 +193,49 @@ class LabDrone:
         session = drone.session
         self.number = session.system
         session.on(lambda line: self.say(line.severity, line.text), StatusText)
-        # What was subscribed to is gone with what it was: a new session asks for all of it again.
+        # Subscriptions are gone after a restart: a new session asks for all of them again.
         session.on(lambda _: session.end(LinkLost("it has restarted", session.url, "wait a moment")), DroneRestarted)
         self._connection = DroneConnection(drone, self, self._settings.folder)
         await self._connection.run()
 
     @property
     def commanding(self) -> int:
-        """How many clients are connected that may command."""
+        """Number of connected clients that may command."""
         return self._audience.commanding
 
     @property
     def lent(self) -> bool:
-        """Whether a program of ours flies it that records by itself."""
+        """True while a job flies the drone and records by itself."""
         return self._lendings > 0
 
     def tell_state(self, state: Mapping[str, Any]) -> None:
-        """Tell all clients how it stands."""
+        """Send the state to all clients."""
         if self.number:
             self._audience.tell({"event": "drone", "drone": self.number, "state": state})
 
     def say(self, severity: str, text: str) -> None:
-        """Tell all clients a line about it."""
+        """Send a line about the drone to all clients."""
         at = None if self._connection is None else seconds(self._connection.drone.tick)
         line = {"severity": severity, "text": text, "time": at}
         self.texts.append(line)
         self._audience.tell({"event": "text", "drone": self.number, **line})
 
     def tell_parameters(self, names: list[str]) -> None:
-        """Tell all clients which parameters changed, whoever changed them."""
+        """Send the names of changed parameters to all clients."""
         self._audience.tell({"event": "parameters", "drone": self.number, "names": names})
 
     def tell_log(self, name: str) -> None:
-        """Tell all clients of a flight that was recorded."""
+        """Send the name of a recorded flight to all clients."""
         self._audience.tell({"event": "log", "name": name})
 
 
 MOST_DRONES = 8
 CLOSE_S = 8.0
-"""What leaving all drones may take: each is disarmed if it was ours."""
+"""Longest time for leaving all drones; a drone under command is disarmed."""
 
 
 class LabDrones:
-    """The drones at the URLs of the settings; none given: those that run on this computer, as they come."""
+    """Drones at the URLs of the settings; without URLs the drones on this computer."""
 
     def __init__(self, settings: LabSettings, audience: Audience) -> None:
         places = [f"udp://127.0.0.1:{Port.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
@@ -159,7 +244,7 @@ class LabDrones:
         self._tasks: list[asyncio.Task[None]] = []
 
     def __getitem__(self, number: int) -> LabDrone:
-        """The drone of that MAVLink system. Raises NotThere."""
+        """Return the drone of a MAVLink system. Raises NotThere."""
         for one in self._drones:
             if one.number == number:
                 return one
@@ -168,25 +253,25 @@ class LabDrones:
 
     @property
     def all(self) -> list[LabDrone]:
-        """Those that were heard."""
+        """Drones that were heard, by number."""
         return sorted((one for one in self._drones if one.number), key=lambda one: one.number)
 
     @property
     def states(self) -> list[dict[str, Any]]:
-        """How they stand."""
+        """States of the drones that were heard."""
         return [one.state for one in self.all]
 
     @property
     def recordings(self) -> frozenset[str]:
-        """Names of the logs that are being recorded: they cannot be read yet."""
+        """Names of logs in recording, which cannot be read yet."""
         return frozenset(str(state.get("recording") or "") for state in self.states) - {""}
 
     def start(self) -> None:
-        """Begin to connect."""
+        """Start connecting."""
         self._tasks = [asyncio.create_task(one.run()) for one in self._drones]
 
     async def close(self) -> None:
-        """Leave all: those that were ours stand disarmed."""
+        """Leave all drones; a drone under command is disarmed."""
         for task in self._tasks:
             task.cancel()
         if self._tasks:

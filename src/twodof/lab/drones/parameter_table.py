@@ -1,4 +1,4 @@
-"""ParameterTable: all parameters of one drone, kept up by what it tells of changes."""
+"""Table of one drone's parameters, kept up to date by its messages."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from twodof.gcs.parameters import MOST, ParameterDescription, ParameterEntry, en
 
 LOOK_S = 0.1
 SETTLES_S = 1.0
-"""So long no parameter changes before what flies is asked for again."""
+"""Pause after a change before the active controller is read again [s]."""
 HASH = "_HASH_CHECK"
 
 
 class ParameterTable:
-    """`entries` gives all parameters, `active` what flies; `changed` is told the names of those that change."""
+    """Parameters and active controller of one drone; `changed` gets the names of changed parameters."""
 
     def __init__(self, drone: AsyncDrone, changed: Callable[[list[str]], None]) -> None:
         self._drone, self._tell = drone, changed
@@ -32,7 +32,7 @@ class ParameterTable:
         drone.session.on(self._told, "PARAM_VALUE")
 
     async def entries(self) -> list[ParameterEntry]:
-        """All parameters with what the drone says of each. Raises LinkLost, Timeout."""
+        """Return all parameters with the drone's descriptions. Raises LinkLost, Timeout."""
         parameters = self._drone.parameters
         async with self._asking:
             if not self._listed or not self._listed <= parameters.known.keys():
@@ -43,13 +43,13 @@ class ParameterTable:
         return [entry._replace(described=self._described.get(entry.name)) for entry in known]
 
     async def active(self) -> ActiveController:
-        """What flies: as it was read lately, or asked for now. Raises LinkLost, Timeout."""
+        """Return the active controller, read again if it may have changed. Raises LinkLost, Timeout."""
         if self._active is None or self._stale_since is not None:
             await self._read()
         return self._active or ActiveController(known=False)
 
     async def run(self) -> None:
-        """Tell of changes, and know what flies before somebody arms. Raises LinkLost."""
+        """Report changes, and read the active controller while disarmed. Raises LinkLost."""
         session, state = self._drone.session, self._drone.state
         while True:
             session.check(session.now)

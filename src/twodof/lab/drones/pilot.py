@@ -15,21 +15,18 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.recording import Recording, record
 
 LEASE_S = 4.0
-"""A lease of somebody who is gone ends within it."""
+"""Longest wait for the lease of a client that is gone."""
 LOOK_S = 0.25
 LEVEL_S = 3.0
-"""So long after the last client that may command has left, or stands still, it is levelled.
-
-A page that is loaded again takes less.
-"""
+"""Time without a client that may command, after which the drone is levelled; a page loads again in less."""
 LEAVE_S = 10.0
-"""So long after, it is disarmed, and others may command it."""
+"""Time without such a client, after which the drone is disarmed and the lease given up."""
 
 
 class Pilot:
-    """Takes the lease with the first command and keeps it until it is given up, or nobody is there.
+    """Pilot that takes the lease with the first command, and gives it up if no client is left.
 
-    `commanding` says how many clients are there that may command, `say` tells all clients a line about the drone.
+    `commanding` returns the number of clients that may command; `say` sends a line about the drone to all clients.
     """
 
     def __init__(self, drone: AsyncDrone, commanding: Callable[[], int], say: Callable[[str, str], None]) -> None:
@@ -39,7 +36,7 @@ class Pilot:
 
     @asynccontextmanager
     async def commanded(self) -> AsyncIterator[AsyncDrone]:
-        """The drone with the lease ours, taken where it is not. Raises Rejected where another keeps it, LinkLost."""
+        """Take the lease, if this server lacks it, and yield the drone. Raises Rejected, LinkLost, Timeout."""
         drone = self._drone
         self._asked = drone.session.now
         async with self._leasing:
@@ -49,7 +46,7 @@ class Pilot:
         yield drone
 
     async def give_up(self) -> None:
-        """Let others command. Raises Rejected while it is armed and ours, LinkLost, Timeout."""
+        """Give the lease up. Raises Rejected while the drone is armed under it, LinkLost, Timeout."""
         drone = self._drone
         if drone.lease.ours and drone.state.armed:
             raise Rejected("it is armed", f"drone {drone.session.system}", "disarm it first")
@@ -59,7 +56,7 @@ class Pilot:
             drone.commanding = False
 
     async def watch(self) -> None:
-        """Level it, disarm it and let others command where nobody is there who flies it. Raises LinkLost."""
+        """Level the drone, then disarm it and give the lease up, if no client is left. Raises LinkLost."""
         session, levelled = self._drone.session, False
         while True:
             await asyncio.sleep(LOOK_S)
@@ -99,16 +96,15 @@ class Pilot:
 
 RECORDER_LOOK_S = 0.02
 AFTER_S = 1.0
-"""What comes after disarming belongs to the flight [s]: how it comes to rest."""
+"""Time after disarming that belongs to the flight [s]: the drone comes to rest."""
 AGAIN_S = 5.0
 
 
 class FlightRecorder:
-    """Records the flights of `drone` into `folder`.
+    """Recorder of the flights of `drone` into `folder`.
 
-    `flying` tells what flies, at once where it is known. `recorded` is told the name of each file that is whole,
-    `failed` why there is none. While `rests` says so nothing is begun. `name` is that of the file which is written
-    now, "" between flights.
+    `flying` returns the active controller. `recorded` gets the name of each whole file, `failed` the reason of a
+    missing one. No recording starts while `rests` returns True. `name` is the file in writing, "" between flights.
     """
 
     def __init__(
@@ -125,7 +121,7 @@ class FlightRecorder:
         self._recorded, self._failed, self._rests = recorded, failed, rests
 
     async def run(self) -> None:
-        """Record flight after flight until it is cancelled. Raises LinkLost where the drone is lost."""
+        """Record flight after flight until cancelled. Raises LinkLost."""
         session = self._drone.session
         while True:
             await self._until(armed=True)
@@ -147,7 +143,7 @@ class FlightRecorder:
         path = numbered(self._folder / f"{began:%Y-%m-%d-%H-%M-%S}-drone-{system}.mcap")
         told = {"recorded": {"by": "lab", "began": began.isoformat(timespec="milliseconds")}}
         begun: Recording | None = None
-        self.name = path.name  # before the file is there: whoever finds it then knows that it cannot be read yet
+        self.name = path.name  # before the file exists, so that nobody reads a file in writing
         try:
             async with record(self._drone, path, None, told, self._flying, overwrite=False) as recording:
                 begun = recording

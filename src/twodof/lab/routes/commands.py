@@ -25,13 +25,13 @@ router = lab_router("/api", "commands")
 
 
 class AskedMode(RequestBody):
-    """A mode by its name."""
+    """Mode to enter."""
 
     mode: Literal["manual", "rate", "attitude", "position", "hold", "offboard"]
 
 
 class AskedReset(RequestBody):
-    """How a virtual drone begins anew: seed and gain of its noise, place on the rail [m], rings locked or not."""
+    """Start of a virtual drone: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
     seed: int = Field(default=1, ge=0, lt=2**32)
     x: float = Field(default=0.0, ge=-0.5, le=0.5, allow_inf_nan=False)
@@ -40,9 +40,9 @@ class AskedReset(RequestBody):
 
 
 class AskedSetpoint(RequestBody):
-    """What a loop is to follow, in SI units and rad: theta [rad], q [rad/s], M [-1 to 1], v [m/s], x [m].
+    """Set-point of one loop: theta [rad], q [rad/s], M [-1 to 1], v [m/s], x [m].
 
-    `thrust` is 0 to 1, for theta, q and M; without it, it stays. `acceleration` [m/s^2] is fed forward, for v and x.
+    `thrust` is 0 to 1, for theta, q and M; left out, it stays. `acceleration` [m/s^2] is fed forward, for v and x.
     """
 
     loop: Literal["theta", "q", "M", "v", "x"]
@@ -52,7 +52,7 @@ class AskedSetpoint(RequestBody):
 
 
 class AskedExcitation(RequestBody):
-    """An excitation as `excitation` in the reference describes it, the loop it is added to, the thrust meanwhile."""
+    """Excitation as in the reference, the loop that it is added to, and the thrust of its flight."""
 
     excitation: dict[str, Any]
     loop: Literal["theta", "q", "M", "v", "x"] | None = None
@@ -76,9 +76,9 @@ async def disarm(lab: CurrentLab, number: Number) -> dict[str, Any]:
 
 @router.post("/drones/{number}/kill", dependencies=[WATCHERS_MAY])
 async def kill(lab: CurrentLab, number: Number, client: CurrentClient) -> dict[str, Any]:
-    """Motors off, now, whoever commands it; said again until it is seen. It stays so until `release`.
+    """Stop the motors now, under any lease, and repeat the order until that is seen. It holds until `release`.
 
-    Who may only watch may stop it too. Who did is told to all clients, and stands in the flight's log.
+    Clients that only watch may stop it too. All clients are told which one did, and the flight's log has it.
     """
     drone = lab.drones[number].drone
     try:
@@ -98,7 +98,7 @@ async def release(lab: CurrentLab, number: Number) -> dict[str, Any]:
 
 @router.post("/drones/{number}/lease")
 async def take_lease(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Become the one who commands it. 409 where somebody else does and keeps it."""
+    """Take the lease. 409 if another client holds and renews it."""
     async with lab.drones[number].commanded():
         pass
     return lab.drones[number].state
@@ -106,7 +106,7 @@ async def take_lease(lab: CurrentLab, number: Number) -> dict[str, Any]:
 
 @router.delete("/drones/{number}/lease")
 async def give_up_lease(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Let others command it, a script for instance. 409 while it is armed by us."""
+    """Give the lease up, to a script for instance. 409 while the drone is armed under it."""
     await lab.drones[number].connection.pilot.give_up()
     return lab.drones[number].state
 
@@ -121,7 +121,7 @@ async def mode(lab: CurrentLab, number: Number, asked: AskedMode) -> dict[str, A
 
 @router.post("/drones/{number}/reset")
 async def reset(lab: CurrentLab, number: Number, asked: Annotated[AskedReset | None, Body()] = None) -> dict[str, Any]:
-    """Start a virtual drone anew: tick 0, at rest. 409 for a real one, and while it is armed."""
+    """Restart a virtual drone: tick 0, at rest. 409 for a real one, and while it is armed."""
     how = AskedReset() if asked is None else asked
     async with lab.drones[number].commanded() as drone:
         await drone.reset(how.seed, how.x, how.noise, how.rings)
@@ -130,7 +130,7 @@ async def reset(lab: CurrentLab, number: Number, asked: Annotated[AskedReset | N
 
 @router.put("/drones/{number}/setpoint")
 async def setpoint(lab: CurrentLab, number: Number, asked: AskedSetpoint) -> dict[str, Any]:
-    """Follow a set-point, which the server keeps alive until another one takes its place or `hold` ends it."""
+    """Follow a set-point, which the server repeats until another one replaces it or `hold` ends it."""
     async with lab.drones[number].commanded() as drone:
         match asked.loop:
             case "theta":
@@ -149,7 +149,7 @@ async def setpoint(lab: CurrentLab, number: Number, asked: AskedSetpoint) -> dic
 
 @router.delete("/drones/{number}/setpoint")
 async def stop_setpoint(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Send set-points no more: after .5 s the drone levels itself."""
+    """Stop sending set-points: after .5 s the drone levels itself."""
     lab.drones[number].drone.stop_setpoints()
     return lab.drones[number].state
 
@@ -165,15 +165,14 @@ async def excite(lab: CurrentLab, number: Number, asked: AskedExcitation) -> dic
 
 @router.delete("/drones/{number}/excitation")
 async def stop_excitation(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """Stop what plays; the set-point before it is held."""
+    """Stop the excitation; the set-point before it is held."""
     async with lab.drones[number].commanded() as drone:
         await drone.stop_excitation()
     return lab.drones[number].state
 
 
 def excitation_of(given: dict[str, Any]) -> Excitation:
-    """The excitation that JSON describes; a multisine may have its `peak` for amplitudes and phases, which then are
-    Schroeder's. Raises ExperimentError."""
+    """Return the excitation of a JSON form; a multisine with `peak` is Schroeder's. Raises ExperimentError."""
     if len(given) > 64:
         raise ExperimentError(f"has {len(given)} fields", "excitation", "give those of its kind")
     if given.get("kind") == Multisine.kind and "peak" in given:
@@ -197,7 +196,7 @@ _LOOPS = {mode: loop for loop, mode in LOOP_MODES.items()}
 
 
 class AskedPreview(AskedExcitation):
-    """An excitation, and for which drone and from which place on the rail [m] its motion is predicted; 0: for none."""
+    """Excitation, and the drone (0: none) and the place on the rail [m] for which its motion is predicted."""
 
     drone: Annotated[int, Field(ge=0, le=255)] = 0
     x: Annotated[float, Field(ge=-0.4, le=0.4, allow_inf_nan=False)] = 0.0
@@ -206,7 +205,7 @@ class AskedPreview(AskedExcitation):
 
 @excitations_router.get("")
 async def excitations() -> list[dict[str, Any]]:
-    """The ready-made ones, the paper's first: loop, thrust and rings are those of their experiments."""
+    """List the ready-made excitations with loop, thrust and rings of their experiments, the paper's first."""
     return [
         {
             "name": one.name,
@@ -222,11 +221,10 @@ async def excitations() -> list[dict[str, Any]]:
 
 @excitations_router.post("/preview", dependencies=[WATCHERS_MAY])
 async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
-    """The values of an excitation at `points` times over its duration [s], in its unit; nothing is flown.
+    """Return the values of an excitation at `points` times over its duration [s]; nothing is flown.
 
-    `excitation` is its final form. `motion` is what it does to the drone that is asked for, with the drone's gains. The
-    identified model that guards its tuning predicts it, else its virtual rig (`experiment.prediction`). It is null
-    where it cannot be, and `why` says so.
+    `excitation` is its final form. `motion` is the predicted motion of the drone with its gains. The identified model
+    that guards its tuning predicts it, else its virtual rig. Without a prediction it is null, and `why` has the reason.
     """
     played = excitation_of(asked.excitation)
     times = [played.duration * k / (asked.points - 1) for k in range(asked.points)]
@@ -246,7 +244,7 @@ async def preview(lab: CurrentLab, asked: AskedPreview) -> dict[str, Any]:
 async def _motion(
     lab: Lab, asked: AskedPreview, excitation: dict[str, Any], unit: str
 ) -> tuple[dict[str, Any] | None, str]:
-    """The motion as plain data, or None and why there is none."""
+    """Return the motion as plain data, or None and the reason."""
     if asked.drone == 0:
         return None, "no drone is named"
     own = lab.drones[asked.drone]
@@ -266,7 +264,7 @@ async def _motion(
 
 
 async def _gains(drone: AsyncDrone) -> Gains:
-    """Those that the drone flies now, as it told; asked for once, since it tells of each change."""
+    """Return the drone's gains; they are read once, as the drone reports each change."""
     known = drone.parameters.known
     if not set(GAIN_NAMES) <= known.keys():
         known = await drone.parameters.all()

@@ -1,4 +1,4 @@
-"""Identification: experiments, their flights and fits, the models that are kept, and controllers designed for them."""
+"""Routes of identification: experiments, flights, fits, kept models, and controllers designed for them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
 
 class AskedPlan(RequestBody):
-    """An experiment, and the drone that would fly it; `rehearse`: with noise and gusts, and a fit of that."""
+    """Experiment, and the drone that would fly it; `rehearse` adds a flight with noise and gusts, and its fit."""
 
     experiment: AskedExperiment
     drone: DroneNumber | None = None
@@ -37,7 +37,7 @@ class AskedPlan(RequestBody):
 
 
 class AskedFlight(RequestBody):
-    """An experiment, and the drone that flies it; `seed` is that of a virtual rig's noise."""
+    """Experiment, and the drone that flies it; `seed` is that of a virtual rig's noise."""
 
     experiment: AskedExperiment
     drone: DroneNumber
@@ -45,10 +45,10 @@ class AskedFlight(RequestBody):
 
 
 class AskedFit(RequestBody):
-    """The log that is identified from, by its name among the flights.
+    """Log to identify from, by its name among the flights.
 
-    `kind` is what it holds; left out, it is what the log says or looks like. `impulse` is a free response, from which
-    a doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
+    `kind` is the kind of experiment; left out, it comes from the log. `impulse` is a free response, from which a
+    doublet's poles come. `others` are logs of the same kind to validate on. `window` [s] is a stretch of the log.
     """
 
     log: LogName
@@ -62,7 +62,7 @@ class AskedFit(RequestBody):
 
 @router.get("")
 async def choices(lab: CurrentLab) -> dict[str, Any]:
-    """The experiments, the kinds of excitation, the structures, and the logs that can be read, the newest first."""
+    """List the experiments, the kinds of excitation, the structures, and the readable logs, the newest first."""
     written = lab.drones.recordings
     logs = [row["name"] for row in lab.logs.listed() if row["name"] not in written]
     return {**offered(), "structures": [AUTO, *STRUCTURES], "flights": logs}
@@ -70,7 +70,7 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
 
 @router.post("/plan", status_code=202, dependencies=[WATCHERS_MAY])
 async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> dict[str, Any]:
-    """What an experiment will tell, and how far it will move the drone; answers the job. Nothing is flown."""
+    """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
     values = {} if asked.model is None else _values(lab.models.read(asked.model))
     given = (asked.experiment.experiment(), rig, values, asked.rehearse)
@@ -79,10 +79,10 @@ async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> d
 
 @router.post("/fly", status_code=202)
 async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
-    """Fly an experiment, as `twodof fly` does: arm, hold, excite on board, disarm; answers the job.
+    """Start a job that flies an experiment, as `twodof fly` does: arm, hold, excite on board, disarm.
 
-    The server gives its lease up for it, and keeps no recording of its own: the flight's log is the job's. A virtual
-    drone is put to its start first and afterwards, then with its rings as they were. 409 while the drone is armed.
+    The server gives its lease up for it and records nothing itself: the job writes the log. A virtual drone is reset
+    before and after, then with its rings as they were. 409 while the drone is armed.
     """
     one = lab.drones[asked.drone]
     made = asked.experiment.experiment()
@@ -102,7 +102,7 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
 
 @router.post("/fly/{job}/stop")
 async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> dict[str, Any]:
-    """End a flight: it disarms at once, and what was flown is kept."""
+    """End a flight: it disarms at once, and its log is kept."""
     found = lab.jobs[job]
     if (stop := lab.stops.get(job)) is not None:
         stop.set()
@@ -111,7 +111,7 @@ async def stopped(lab: CurrentLab, job: Annotated[str, Path(max_length=40)]) -> 
 
 @router.post("/fit", status_code=202, dependencies=[WATCHERS_MAY])
 async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dict[str, Any]:
-    """Identify from a log, by output error and by hand; answers the job, whose result has `view` and `model`."""
+    """Start a job that identifies from a log by output error and by hand; its result has `view` and `model`."""
     if asked.kind is not None and asked.kind not in KINDS:
         raise ParameterError(f"nothing is identified from {shown(asked.kind)}", "kind", listed(KINDS))
     impulse = None if asked.impulse is None else str(lab.whole_log(asked.impulse))
@@ -121,14 +121,14 @@ async def fitted(lab: CurrentLab, client: CurrentClient, asked: AskedFit) -> dic
 
 
 def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
-    """The drone is ours again, and all are told of the log."""
+    """Take the drone back, and send the log's name to all clients."""
     lent.close()
     if isinstance(job.result, dict):
         one.tell_log(job.result["log"])
 
 
 def _values(document: dict[str, Any]) -> dict[str, float]:
-    """The values of a kept model, by unknown."""
+    """Return the values of a kept model, by unknown."""
     estimates = document.get("estimates")
     rows = estimates if isinstance(estimates, dict) else {}
     fixed = document.get("fixed")
@@ -143,7 +143,7 @@ Name = Annotated[str, Field(min_length=1, max_length=60)]
 
 
 class AskedKeeping(RequestBody):
-    """The job of a fit whose model is kept, and what it is to be called."""
+    """Job of a fit whose model is kept, and the model's name."""
 
     job: Annotated[str, Field(max_length=40)]
     name: Name
@@ -151,7 +151,7 @@ class AskedKeeping(RequestBody):
 
 
 class AskedController(RequestBody):
-    """What is designed: crossover of the rate loop [rad/s], its phase margin [rad], the method; the diagram's name."""
+    """Design: the diagram's name, crossover [rad/s] and phase margin [rad] of the rate loop, method."""
 
     name: Name
     crossover: Annotated[float, Field(ge=1.0, le=120.0, allow_inf_nan=False)] = 20.0
@@ -162,19 +162,19 @@ class AskedController(RequestBody):
 
 @models_router.get("")
 async def models(lab: CurrentLab) -> list[dict[str, Any]]:
-    """The models that are kept; `pitch` tells whether tuning and design can use one, else `why` not."""
+    """List the kept models; `pitch` is True for tuning and design, else `why` has the reason."""
     return [lab.models.row(name) for name in lab.models.names()]
 
 
 @models_router.get("/{name}")
 async def model(lab: CurrentLab, name: ModelName) -> dict[str, Any]:
-    """A model's document, as `twodof identify --out` writes it."""
+    """Return a model's document, as `twodof identify --out` writes it."""
     return lab.models.read(name)
 
 
 @models_router.post("", status_code=201)
 async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
-    """Keep the model that a job of /api/identification/fit has found."""
+    """Keep the model of a job of /api/identification/fit."""
     job = lab.jobs[asked.job]
     document = job.result.get("model") if isinstance(job.result, dict) else None
     if not isinstance(document, dict):
@@ -185,7 +185,7 @@ async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
 
 @models_router.put("/{name}", status_code=201, dependencies=[takes(MAX_BYTES)])
 async def bring(lab: CurrentLab, name: ModelName, document: dict[str, Any]) -> dict[str, Any]:
-    """Keep a model's document from elsewhere: what `twodof identify --out` wrote. 409 where the name is taken."""
+    """Keep a model's document, as `twodof identify --out` writes it. 409 for an existing name."""
     lab.models.save(name, document)
     return lab.models.row(name)
 
@@ -199,9 +199,10 @@ async def delete(lab: CurrentLab, name: ModelName) -> Response:
 
 @models_router.post("/{name}/controller", status_code=202)
 async def controller(lab: CurrentLab, name: ModelName, asked: AskedController) -> dict[str, Any]:
-    """Design a controller for a model, and promise its flight, as `twodof design controller`; answers the job.
+    """Start a job that designs a controller for a model, and promises its flight, as `twodof design controller`.
 
-    Its result has the diagram's `file` among the user's diagrams. What does not keep the family stable is not written.
+    Its result has the diagram's `file` among the user's diagrams. A controller that does not keep the family stable is
+    not written.
     """
     family = lab.models.family(name)
     place = lab.settings.folder / "diagrams"

@@ -1,6 +1,6 @@
-"""Logs: what was flown is listed, shown and replayed, and may be noted about, downloaded, added and deleted.
+"""Routes of logs: listed, shown, compared, replayed, annotated, downloaded, uploaded and deleted.
 
-Logs are read in a process of their own, each question within its time.
+Logs are read in a process of their own, each request within a time limit.
 """
 
 from __future__ import annotations
@@ -39,14 +39,14 @@ _RAW = {"requestBody": {"required": True, "content": {"application/octet-stream"
 
 
 class LogNotes(RequestBody):
-    """What is noted about a log."""
+    """Notes about a log."""
 
     text: str = Field(max_length=MOST_NOTES)
 
 
 @router.get("")
 async def logs(lab: CurrentLab) -> dict[str, Any]:
-    """The logs, the latest first, and those that were deleted and can be brought back for `kept_days`."""
+    """List the logs, the latest first, and the deleted ones, which can be restored for `kept_days`."""
     written = lab.drones.recordings
     rows = [row | {"recording": row["name"] in written} for row in lab.logs.listed()]
     return {"logs": rows, "trash": lab.logs.trash.listed(), "kept_days": KEPT_DAYS}
@@ -61,7 +61,7 @@ async def compare(
     end: Moment = None,
     points: Points = 2000,
 ) -> dict[str, Any]:
-    """Logs over each other, their clocks 0 at the first step of a set-point or at their start, and their steps."""
+    """Compare logs, with time 0 at the first step of a set-point or at the start, and their steps."""
     if len(set(name)) < len(name):
         raise LogError("a log is given twice", ", ".join(one[:40] for one in name), "name each once")
     paths = {one: str(lab.whole_log(one)) for one in name}
@@ -70,10 +70,10 @@ async def compare(
 
 @router.get("/{name}")
 async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """What is known of a log: its summary, channels, parameters, words of the drone, changes of parameters, notes.
+    """Return a log's summary, channels, parameters, texts of the drone, changes of parameters, and notes.
 
-    `unreadable` says why there is nothing but the notes, "" where it can be read. `formats` are those in which it can
-    be had as a file: of a damaged one its own, as it is, and none while it is being recorded.
+    `unreadable` has the reason if there are only the notes, else "". `formats` are the formats for download: only its
+    own for a damaged log, none while it is being recorded.
     """
     place = lab.logs.place(name)
     kept = {"notes": lab.logs.notes(name), "ours": place.ours}
@@ -89,10 +89,9 @@ async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 @router.get("/{name}/summary")
 async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """What the list says of a log, with the lowest and highest values of a small curve.
+    """Return a log's row of the list, with the lowest and highest values of a small curve.
 
-    `unreadable` says why there is nothing of that, "" where it can be read: it is damaged, or being recorded, or it was
-    deleted since the list was made.
+    `unreadable` has the reason if the log cannot be read, else "": it is damaged, being recorded, or deleted.
     """
     try:
         path = lab.whole_log(name)
@@ -112,20 +111,20 @@ async def view(
     points: Points = 2000,
     topic: Annotated[list[str] | None, Query(max_length=20, description="Signals; left out: the usual ones.")] = None,
 ) -> dict[str, Any]:
-    """Curves of a part of a log, thinned to lowest and highest values; modes, acts of the failsafe, excitations."""
+    """Plot a part of a log: curves thinned to lowest and highest values, modes, failsafe, excitations."""
     path = str(lab.whole_log(name))
     return await _work(lab, log_work.view, path, _window(begin, end), topic or [], points)
 
 
 @router.get("/{name}/steps")
 async def steps(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """The steps of set-points with rise, overshoot, settling, peak and largest moment."""
+    """Return the steps of set-points with rise, overshoot, settling, peak and largest moment."""
     return await _work(lab, log_work.steps, str(lab.whole_log(name)))
 
 
 @router.get("/{name}/replay")
 async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """Where the drone was at equal times, for the 3-D view."""
+    """Sample the drone's motion at equal times, for the 3-D view."""
     return await _work(lab, log_work.replay, str(lab.whole_log(name)))
 
 
@@ -133,7 +132,7 @@ async def replay(lab: CurrentLab, name: Name) -> dict[str, Any]:
 async def file(
     lab: CurrentLab, name: Name, form: Annotated[Format | None, Query(description="Left out: as it is.")] = None
 ) -> Response:
-    """The log as a file, in its own format or in another."""
+    """Download the log, in its own format or in another."""
     path = lab.whole_log(name)
     suffix = path.suffix.lower() if form is None else f".{form}"
     if suffix == path.suffix.lower():
@@ -161,13 +160,13 @@ async def note(lab: CurrentLab, name: Name, notes: LogNotes) -> dict[str, str]:
 
 @router.post("/trash/{entry}/restore")
 async def restore(lab: CurrentLab, entry: Annotated[str, Path(max_length=300)]) -> dict[str, str]:
-    """Bring a deleted log back; answers its name."""
+    """Restore a deleted log; return its name."""
     return {"name": lab.logs.trash.restore(entry)}
 
 
 @router.delete("/{name}")
 async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
-    """Delete a log: it is kept for some days more, and `restore` brings it back until then."""
+    """Delete a log; for some days `restore` brings it back."""
     path = lab.logs.ours(name)
     if path.name in lab.drones.recordings:
         raise Rejected("it is being recorded", path.name, "disarm the drone first")
@@ -176,7 +175,7 @@ async def delete(lab: CurrentLab, name: Name) -> dict[str, Any]:
 
 @router.post("/{name}", openapi_extra=_RAW, dependencies=[takes(MOST_UPLOADED)])
 async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any]:
-    """Take a log in: the file's bytes as they are. It is read first; what cannot be read is refused and not kept."""
+    """Upload a log as the file's bytes. It is read first; a file that cannot be read is refused."""
     lab.logs.check_new(name)
     path = lab.logs.scratch() / f"{secrets.token_hex(8)}{FilePath(name).suffix.lower()}"
     try:
@@ -184,7 +183,7 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
         found = await _work(lab, log_summary, str(path), seconds=CONVERT_S)
         return {"name": lab.logs.take_in(path, name), "summary": found}
     except LogError as refusal:
-        # The name that it has meanwhile says nothing to who sent it.
+        # Its name meanwhile says nothing to the client.
         what, where = (text.replace(str(path), name).replace(path.name, name) for text in (refusal.what, refusal.where))
         raise LogError(what, where, refusal.remedy.replace(str(path), name)) from refusal
     finally:
@@ -192,7 +191,7 @@ async def upload(lab: CurrentLab, request: Request, name: Name) -> dict[str, Any
 
 
 async def _receive(request: Request, path: FilePath) -> None:
-    """Write what is sent into a new file. The gate ends what is too long."""
+    """Write the request's body into a new file; the gate bounds its length."""
     try:
         with path.open("xb") as stream:
             async for piece in request.stream():

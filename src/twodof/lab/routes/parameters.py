@@ -1,4 +1,4 @@
-"""Parameters of a drone: listed, changed and undone, kept in files and snapshots, and tried on a model before."""
+"""Routes of parameters: changes and undo, files and snapshots, and previews on a model."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ Confirmed = Annotated[str, Query(max_length=64, description="The token of POST /
 
 @router.get("")
 async def parameters(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
-    """Every parameter: value, default, bounds, unit, text; `tuning` says that to change it needs no lease.
+    """List every parameter: value, default, bounds, unit, text; `tuning` is True if a change needs no lease.
 
-    `same_as` is our name of a number that this is only the real drone's name of, else "".
+    `same_as` is the package's name if this is the real drone's name of the same parameter, else "".
     """
     return [_row(entry) for entry in await lab.drones[number].connection.parameters.entries()]
 
 
 @router.patch("")
 async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Confirmed = "") -> dict[str, Any]:
-    """Change several at once, all or none; answers what each was before and is now.
+    """Change several at once, all or none; return each value before and now.
 
-    422 for a name or value that cannot be, 409 with the drone's reason; then nothing was changed. It is 409 too for
-    gains that the drone's model does not keep stable, until `confirm` has the token of their preview.
+    422 for a wrong name or value, 409 with the drone's reason; then nothing was changed. 409 also for gains that the
+    drone's model does not keep stable, until `confirm` has the token of their preview.
     """
     one = lab.drones[number]
     await lab.guard.check(one, changes, confirm)
@@ -52,10 +52,10 @@ async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Con
 
 @router.post("/undo")
 async def undo(lab: CurrentLab, number: Number, confirm: Confirmed = "") -> dict[str, Any]:
-    """Take back the last change that this server made; answers as that did. The drone's model guards it like a change.
+    """Undo the last change of this server; return each value before and now. The model guards it like a change.
 
-    409 where there is none, and where somebody has changed the same since. 409 also for gains that the model does not
-    keep stable, until `confirm` has the token of their preview.
+    409 if there is none, or if another client has changed the same since. 409 also for gains that the model does not
+    keep stable, until `confirm` has their token.
     """
     one = lab.drones[number]
     parameters = one.connection.drone.parameters
@@ -85,7 +85,7 @@ TEXT = "text/plain; charset=utf-8"
 
 
 class AskedSnapshot(RequestBody):
-    """What a snapshot is to be called."""
+    """Name and note of a new snapshot."""
 
     name: Annotated[str, Field(min_length=1, max_length=60)]
     note: Annotated[str, Field(max_length=200)] = ""
@@ -94,7 +94,7 @@ class AskedSnapshot(RequestBody):
 
 @files_router.get("/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def file(lab: CurrentLab, number: Number) -> Response:
-    """All parameters as a file that QGroundControl loads (Vehicle Configuration, Parameters, Tools)."""
+    """Download all parameters as a file for QGroundControl (Vehicle Configuration, Parameters, Tools)."""
     text = (await _now(lab.drones[number].drone)).text()
     headers = {"content-disposition": f'attachment; filename="drone-{number}.params"'}
     return Response(text, media_type=TEXT, headers=headers)
@@ -102,14 +102,14 @@ async def file(lab: CurrentLab, number: Number) -> Response:
 
 @files_router.post("/file", dependencies=[WATCHERS_MAY, takes(MAX_BYTES)])
 async def compared(lab: CurrentLab, number: Number, request: Request) -> dict[str, Any]:
-    """What a file of QGroundControl, the request's body, would change; nothing is changed yet."""
+    """Compare a file of QGroundControl, the request's body, with the drone; nothing is changed."""
     drone = lab.drones[number].drone
     return await _against(drone, ParameterFile.read(await request.body(), "the file"))
 
 
 @files_router.get("/snapshots")
 async def snapshots(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
-    """The snapshots that are kept, of all drones, the newest first; `kept` is in s of Unix time."""
+    """List the snapshots of all drones, the newest first; `kept` is in s of Unix time."""
     lab.drones[number]
     kept = _kept(lab)
     return sorted(({"name": name, "kept": kept.kept(name)} for name in kept), key=lambda row: -float(row["kept"]))
@@ -117,7 +117,7 @@ async def snapshots(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
 
 @files_router.post("/snapshots", status_code=201)
 async def keep(lab: CurrentLab, number: Number, asked: AskedSnapshot) -> dict[str, Any]:
-    """Keep all parameters of the drone, as they are now, under a name."""
+    """Keep the drone's present parameters as a snapshot."""
     kept = _kept(lab)
     kept.save(asked.name, await _now(lab.drones[number].drone, asked.note), asked.overwrite)
     return {"name": asked.name, "kept": kept.kept(asked.name)}
@@ -125,7 +125,7 @@ async def keep(lab: CurrentLab, number: Number, asked: AskedSnapshot) -> dict[st
 
 @files_router.get("/snapshots/{name}")
 async def snapshot(lab: CurrentLab, number: Number, name: SnapshotName, other: str = "") -> dict[str, Any]:
-    """What a snapshot would change on the drone; with `other` what differs from that snapshot."""
+    """Compare a snapshot with the drone, or with the snapshot `other`."""
     kept = _of(lab, name)
     if other:
         theirs = _of(lab, other[:60]).values
@@ -137,7 +137,7 @@ async def snapshot(lab: CurrentLab, number: Number, name: SnapshotName, other: s
 
 @files_router.get("/snapshots/{name}/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
 async def snapshot_file(lab: CurrentLab, number: Number, name: SnapshotName) -> Response:
-    """A snapshot as a file that QGroundControl loads."""
+    """Download a snapshot as a file for QGroundControl."""
     lab.drones[number]
     headers = {"content-disposition": f'attachment; filename="{name}.params"'}
     return Response(_of(lab, name).text(), media_type=TEXT, headers=headers)
@@ -190,7 +190,7 @@ def _unit(entry: ParameterEntry) -> str:
 
 tuning_router = lab_router("/api/tuning", "tuning")
 READING_S = 30.0
-"""What reading a log may take."""
+"""Longest time for reading a log [s]."""
 ModelName = Annotated[str, Field(min_length=1, max_length=60)]
 
 StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
@@ -198,13 +198,13 @@ USUAL_STEP = math.radians(10.0)
 
 
 class AskedModel(RequestBody):
-    """A model by its name; null for none."""
+    """Name of a model; null for none."""
 
     model: ModelName | None
 
 
 class AskedChanges(RequestBody):
-    """Changed parameters by name, and the step of theta [rad] to be shown. `model` left out: the one that guards."""
+    """Changed parameters by name, and the step of theta [rad] to show; without a `model` the guarding one."""
 
     changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
     goal: StepSize = USUAL_STEP
@@ -213,13 +213,13 @@ class AskedChanges(RequestBody):
 
 @tuning_router.get("/{number}")
 async def guarded(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """The model that guards the drone's gains, null for none, and whose law of the pitch flies ("": the stock one)."""
+    """Return the model that guards the drone's gains, or null, and the pitch controller ("" is the stock one)."""
     return {"model": lab.models.chosen(number), "controller": lab.drones[number].state["controller"]}
 
 
 @tuning_router.put("/{number}/model")
 async def choose(lab: CurrentLab, number: Number, asked: AskedModel) -> dict[str, Any]:
-    """Let a model guard the drone's gains: what its uncertainty does not keep stable then needs confirming."""
+    """Let a model guard the drone's gains: gains that its uncertainty does not keep stable need a token."""
     lab.drones[number]
     lab.models.choose(number, asked.model)
     return await guarded(lab, number)
@@ -227,11 +227,10 @@ async def choose(lab: CurrentLab, number: Number, asked: AskedModel) -> dict[str
 
 @tuning_router.post("/{number}/preview", dependencies=[WATCHERS_MAY])
 async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[str, Any]:
-    """Margins, the band of step responses, figures and the verdict of the law as it would be with `changes`.
+    """Preview the pitch law with `changes`: margins, band of step responses, figures and verdict.
 
-    `touches` tells whether they change the law of the pitch at all, `parameters` what does. `confirm` is the token
-    that a change takes which is not kept stable. `why` says why there is nothing of that, "" where there is: the law
-    that flies may have no linear model.
+    `touches` is True if the changes affect the law, `parameters` are those that do. `confirm` is the token for a change
+    that is not kept stable. `why` has the reason of a missing preview, else "": a law may lack a linear model.
     """
     name = asked.model or lab.models.chosen(number)
     if name is None:
@@ -256,9 +255,9 @@ async def measured(
     log: Annotated[str, Body(min_length=1, max_length=200)],
     goal: Annotated[StepSize, Body()] = USUAL_STEP,
 ) -> dict[str, Any]:
-    """The steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
+    """Return the steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
 
-    `unclear` says why there are none in a log that tells no modes, cannot be read, or was deleted meanwhile.
+    `unclear` has the reason if there are none: the log has no modes, cannot be read, or was deleted.
     """
     lab.drones[number]
     try:

@@ -1,4 +1,4 @@
-"""The session of a client, the drones that were heard, the jobs, the web socket, and plots saved as files."""
+"""Routes of a client's session: drones, jobs, the web socket, and plots saved as files."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ router = lab_router("/api/session", "session")
 
 @router.get("")
 async def session(lab: CurrentLab, client: CurrentClient) -> dict[str, Any]:
-    """Role of this client, version of the server, and the path of the link with which others may only watch.
+    """Return this client's role, the server's version, and the path of the link for watching only.
 
-    `watch_link` is empty for who only watches, and where the server was started without such a link.
+    `watch_link` is empty for a client that only watches, and on a server without such a link.
     """
     token = lab.settings.watch_token if client.role is Role.COMMAND else ""
     return {
@@ -44,19 +44,19 @@ Number = Annotated[int, Path(ge=1, le=255, description="MAVLink system of the dr
 
 @drones_router.get("")
 async def drones(lab: CurrentLab) -> list[dict[str, Any]]:
-    """The drones that were heard, each as the event `drone` of the web socket tells it; angles in rad, times in s."""
+    """List the drones that were heard, as in the event `drone` of the web socket; angles in rad, times in s."""
     return lab.drones.states
 
 
 @drones_router.get("/{number}")
 async def drone(lab: CurrentLab, number: Number) -> dict[str, Any]:
-    """How one drone stands. 404 where none of that number was heard."""
+    """Return the state of one drone. 404 for an unknown number."""
     return lab.drones[number].state
 
 
 @drones_router.get("/{number}/texts")
 async def texts(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
-    """What the drone said in words, the oldest first, the last 200 lines; `time` is the drone's [s]."""
+    """List the last 200 lines of text of a drone, the oldest first; `time` is the drone's [s]."""
     return [*lab.drones[number].texts]
 
 
@@ -66,34 +66,34 @@ JobId = Annotated[str, Path(max_length=40, description="The id that the route to
 
 @jobs_router.get("")
 async def jobs(lab: CurrentLab) -> list[dict[str, Any]]:
-    """The jobs that run and those that ended lately, the oldest first, without their results."""
+    """List running and recently ended jobs, the oldest first, without their results."""
     return [job.told(with_result=False) for job in lab.jobs.all]
 
 
 @jobs_router.get("/{job}")
 async def job(lab: CurrentLab, job: JobId) -> dict[str, Any]:
-    """One job: state, fraction 0 to 1, what it does now, at its end its result or its error."""
+    """Return one job: state, fraction 0 to 1, text, and at its end its result or its error."""
     return lab.jobs[job].told()
 
 
 @jobs_router.delete("/{job}")
 async def cancel(lab: CurrentLab, job: JobId) -> dict[str, Any]:
-    """End a job; its process ends with it. One that is over stays as it is."""
+    """End a job and its process; a job that has ended stays as it is."""
     return (await lab.jobs.cancel(job)).told()
 
 
 export_router = lab_router("/api/export", "export")
 MOST = 64 << 20
-"""Bytes: a quarter of an hour of fifteen columns."""
+"""Largest body [bytes]: a quarter of an hour of fifteen columns."""
 _BINARY = {"requestBody": {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}}
 Columns = Annotated[str, Query(max_length=4096, description="Names of the columns, separated by commas.")]
 
 
 @export_router.post("/mat", openapi_extra=_BINARY, response_class=Response, dependencies=[WATCHERS_MAY, takes(MOST)])
 async def mat(request: Request, columns: Columns) -> Response:
-    """The rows of a plot as a .mat file with the channels of the drone's own logs.
+    """Save the rows of a plot as a .mat file with the channels of the drone's own logs.
 
-    The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 where it is not.
+    The body is float64[n] times [s], then float32[n] of each column, little-endian. 422 for any other body.
     """
     data = await request.body()
     content = await asyncio.to_thread(_mat, data, columns.split(","))
@@ -115,7 +115,7 @@ MALFORMED, TRY_LATER = 1007, 1013
 
 @telemetry_router.websocket("/api/telemetry")
 async def telemetry(websocket: WebSocket, lab: CurrentLab) -> None:
-    """Telemetry and events, see docs/reference/lab-routes.md."""
+    """Serve telemetry and events, see docs/reference/lab-routes.md."""
     role = websocket.state.role
     assert isinstance(role, Role)
     await websocket.accept()
