@@ -113,7 +113,7 @@ def test_missing_logs_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.soak
-def test_it_finds_the_shipped_set_again_and_predicts_what_it_left_out(flight_data: Path) -> None:
+def test_it_finds_the_shipped_set_again(flight_data: Path) -> None:
     found = calibrate(flight_data, leave_one_out=True)
     assert found.converged
     for name in CALIBRATED:

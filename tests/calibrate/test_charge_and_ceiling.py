@@ -41,14 +41,14 @@ def test_gusts_blur_the_charge_as_its_deviation_says(loop: ClosedLoop, steps: Lo
     assert abs(found.charge - 0.5) < 3.0 * found.deviation
 
 
-def test_more_thrust_than_a_full_battery_ends_at_the_bound(loop: ClosedLoop, steps: LoggedFlight) -> None:
+def test_too_much_thrust_ends_at_the_bound(loop: ClosedLoop, steps: LoggedFlight) -> None:
     steps.logged = steps.simulate(loop, RIG | {"pair_thrust": 1.1 * RIG["pair_thrust"]})
     found = estimate_charge(steps, loop, RIG)
     assert found.charge == pytest.approx(1.0, abs=2e-3)
     assert found.at_bound
 
 
-def test_a_battery_that_does_not_sag_has_no_charge_to_estimate(loop: ClosedLoop, steps: LoggedFlight) -> None:
+def test_a_battery_without_sag_has_no_charge(loop: ClosedLoop, steps: LoggedFlight) -> None:
     with pytest.raises(IdentificationError, match="no trace"):
         estimate_charge(steps, loop, RIG | {"voltage_empty": RIG["voltage_full"]})
 

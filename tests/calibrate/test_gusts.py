@@ -42,7 +42,7 @@ def test_the_gusts_that_were_simulated_are_found(loop: ClosedLoop, gust: float, 
     assert np.median([f.time for f in found]) == pytest.approx(time, rel=0.4)
 
 
-def test_the_lab_rig_has_the_gusts_of_the_real_holds(flight_data: Path) -> None:
+def test_the_lab_rig_has_real_gusts(flight_data: Path) -> None:
     """The rig's are among those of the three holds, which differ among themselves by more than one hold scatters."""
     rig = lab().snapshot()
     found = [measure_gusts(flight_data / f"{h.name}.mat", h.stretches, rig, h.free) for h in HOLDS]

@@ -1,4 +1,4 @@
-"""Program: a command of ours that runs as a process, with all that it prints."""
+"""Program: a command of ours that runs as a process, with everything it prints."""
 
 import json
 import os

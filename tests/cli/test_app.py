@@ -1,4 +1,4 @@
-"""The command line as a person or a script meets it: exit statuses, errors, JSON, Ctrl-C, quick start."""
+"""The command line: exit statuses, errors, JSON and Ctrl-C."""
 
 import json
 import re
@@ -34,7 +34,7 @@ def log_file(tmp_path: Path) -> Path:
     return path
 
 
-def test_help_names_every_command_and_imports_none_of_them() -> None:
+def test_help_names_commands_and_imports_none() -> None:
     code = (
         "import sys; sys.argv[1:] = ['--help']\nfrom twodof.cli import main\ntry: main()\nfinally: print(*sys.modules)"
     )
@@ -80,7 +80,7 @@ def test_log_info_lists_channels_and_thrust(log_file: Path, capfd: pytest.Captur
     assert "thrust on: 0.500 to 1.500 s" in capfd.readouterr().out
 
 
-def test_ctrl_c_leaves_no_half_written_file_and_exits_130(tmp_path: Path) -> None:
+def test_ctrl_c_leaves_files_whole_and_exits_130(tmp_path: Path) -> None:
     """A real SIGINT while a file is being written: what stood there before stands there after."""
     target = tmp_path / "report.html"
     target.write_text("before")

@@ -22,7 +22,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_the_rig_is_written_so_that_it_can_be_flown(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_written_rig_can_be_flown(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = folder / "mine.json"
     assert run(["calibrate", "--data", str(folder), "--out", str(out), "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -39,7 +39,7 @@ def test_people_read_unknowns_and_fits(folder: Path, capfd: pytest.CaptureFixtur
     assert out.count("left out") == out.count("ceiling") == len(FLIGHTS)
 
 
-def test_a_search_that_did_not_converge_is_not_fine(
+def test_a_search_without_convergence_fails(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("twodof.cli.log.calibrate_rig", lambda folder, leave, report: made_up(False))
@@ -47,6 +47,6 @@ def test_a_search_that_did_not_converge_is_not_fine(
     assert "NOT converged" in capfd.readouterr().out
 
 
-def test_a_folder_without_the_logs_is_the_callers_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_missing_logs_are_the_callers_mistake(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["calibrate", "--data", str(tmp_path), "--json"]) == 2
     assert json.loads(capfd.readouterr().out)["error"]["kind"] == "LogError"

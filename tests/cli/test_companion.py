@@ -35,7 +35,7 @@ async def flight_controller() -> tuple[Vehicle, str]:
     return Vehicle(transport), f"tcp://127.0.0.1:{transport.port}"
 
 
-def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
+def test_it_routes_and_ends_on_a_signal() -> None:
     async def work() -> None:
         vehicle, url = await flight_controller()
         process = await started("--fcu", url, "--onboard", "tcpin://127.0.0.1:0", "--json")
@@ -65,7 +65,7 @@ def test_it_routes_where_it_says_and_ends_when_it_is_told() -> None:
         pytest.param("import os; print('I fly', flush=True); os._exit(9)", 1, "crashed 1 times", id="crashes"),
     ],
 )
-def test_an_app_runs_with_a_drone_and_its_status_is_told(tmp_path: Path, text: str, status: int, words: str) -> None:
+def test_an_app_runs_and_reports_its_status(tmp_path: Path, text: str, status: int, words: str) -> None:
     file = tmp_path / "app.py"
     file.write_text(f"async def main(drone):\n    {text}\n")
 

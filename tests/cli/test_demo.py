@@ -20,7 +20,7 @@ KEYS = ["w_n", "xi", "mu", "tau", "k_v", "p_v"]
 
 
 def simulated(rigs: Iterable[str], names: list[str], seeds: Iterable[int]) -> Iterator[SeriesFlight]:
-    """What `fly_series` gives, from the simulator."""
+    """Yield the flights of `fly_series` from the simulator."""
     for rig in rigs:
         laboratory = Laboratory(rig)
         for seed in seeds:
@@ -53,14 +53,14 @@ class Collector:
         self.kept.append(text)
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Keep the interface of a file."""
 
     def isatty(self) -> bool:
         return False
 
 
 @pytest.mark.long
-def test_the_table_has_paper_simple_and_greybox_for_the_six_parameters(demo: tuple[dict[str, Any], str]) -> None:
+def test_the_table_compares_the_six_parameters(demo: tuple[dict[str, Any], str]) -> None:
     machines = demo[0]["machines"]
     assert [machine["name"] for machine in machines] == ["virtual rig “paper”", "virtual rig “lab”"]
     for machine in machines:
@@ -71,7 +71,7 @@ def test_the_table_has_paper_simple_and_greybox_for_the_six_parameters(demo: tup
 
 
 @pytest.mark.long
-def test_on_the_paper_rig_the_simple_method_is_as_good_as_the_issue_asks(demo: tuple[dict[str, Any], str]) -> None:
+def test_the_simple_method_is_accurate_enough(demo: tuple[dict[str, Any], str]) -> None:
     """w_n 2 %, xi 15 %, mu 7 %, tau one sample of 4 ms."""
     rows = demo[0]["machines"][0]["parameters"]
     for key, share in (("w_n", 0.02), ("xi", 0.15), ("mu", 0.07)):
@@ -80,7 +80,7 @@ def test_on_the_paper_rig_the_simple_method_is_as_good_as_the_issue_asks(demo: t
 
 
 @pytest.mark.long
-def test_on_the_paper_rig_the_truth_is_within_three_sigma_of_the_grey_box(demo: tuple[dict[str, Any], str]) -> None:
+def test_the_grey_box_holds_the_truth(demo: tuple[dict[str, Any], str]) -> None:
     for key, row in demo[0]["machines"][0]["parameters"].items():
         assert abs(row["greybox"] - row["truth"]) < 3.0 * row["greybox_sigma"], key
 

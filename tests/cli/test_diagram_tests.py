@@ -23,7 +23,7 @@ checks = ["M never above {limit}", "M rises to 0.1 before 0.05"]
 
 @pytest.fixture
 def tests(tmp_path: Path) -> list[str]:
-    """A file whose tests pass, and one of which one assertion does not hold."""
+    """Return a file with tests that pass, and a file with an assertion that does not hold."""
     files = []
     for name, limit in (("fine.toml", "0.2"), ("wrong.toml", "0.1")):
         (tmp_path / name).write_text(TESTS.replace("{limit}", limit), encoding="utf-8")
@@ -95,7 +95,7 @@ def test_a_page_draws_what_a_table_expects(tmp_path: Path, capfd: pytest.Capture
     assert drawn.count("stroke: var(--measured)") == 1
 
 
-def test_coverage_says_what_was_never_taken_and_can_fail(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
+def test_coverage_lists_missing_sides_and_can_fail(tests: list[str], capfd: pytest.CaptureFixture[str]) -> None:
     arguments = ["diagram", "test", "pid-attitude", tests[0], "--target", "reference"]
     assert run([*arguments, "--coverage"]) == 0
     out = capfd.readouterr().out

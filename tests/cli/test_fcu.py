@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.long
-def test_a_signal_in_flight_ends_it_cleanly_with_its_log_whole(tmp_path: Path) -> None:
+def test_a_signal_in_flight_leaves_the_log_whole(tmp_path: Path) -> None:
     """SIGTERM; that Ctrl-C does the same is seen below."""
     drone = None
     try:
@@ -47,7 +47,7 @@ def test_a_signal_in_flight_ends_it_cleanly_with_its_log_whole(tmp_path: Path) -
 
 
 @pytest.mark.long
-def test_in_real_time_with_a_key_only_who_has_it_is_heard(tmp_path: Path) -> None:
+def test_only_clients_with_the_key_are_heard(tmp_path: Path) -> None:
     write_key(tmp_path / "key", Key.fresh())
     write_key(tmp_path / "other", Key.fresh())
     with twodof_fcu("--key", str(tmp_path / "key"), "--state", str(tmp_path / "state"), "--index", "4") as url:
@@ -78,7 +78,7 @@ def test_with_json_one_line_says_where_it_is(capfd: pytest.CaptureFixture[str]) 
     asyncio.run(work())
 
 
-def test_what_cannot_be_is_said_and_nothing_is_started(
+def test_wrong_options_are_refused_before_the_start(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TWODOF_DATA", str(tmp_path))

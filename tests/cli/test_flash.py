@@ -30,7 +30,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TWODOF_DATA", str(tmp_path / "data"))
 
     def none() -> str:
-        raise CompileError("there is no emulator", "qemu-system-arm", "install the package qemu-system-arm")
+        raise CompileError("an emulator is missing", "qemu-system-arm", "install the package qemu-system-arm")
 
     monkeypatch.setattr(processor, "find_emulator", none)
     return tmp_path
@@ -42,9 +42,7 @@ def answer(capfd: pytest.CaptureFixture[str], *arguments: str, status: int = 0) 
 
 
 @pytest.mark.long
-def test_what_was_flashed_flies_when_asked_for_and_not_otherwise(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flashed_controller_flies_on_request_alone(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     first = answer(capfd, "flash", "lqr-attitude", "--to", "sim")
     assert first["template"] == "attitude_control"
     assert first["against"] == "the stock controller (stock-attitude)"
@@ -125,9 +123,7 @@ def test_costs_of_the_processor(monkeypatch: pytest.MonkeyPatch, capfd: pytest.C
 
 
 @pytest.mark.long
-def test_a_module_for_px4_says_what_changes_against_the_one_before(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_px4_module_lists_its_changes(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     out = folder / "module"
     first = answer(capfd, "flash", "pid-attitude", "--to", "px4-dir", "--out", str(out))
     assert first["against"] == "the stock controller (stock-attitude)"
@@ -139,7 +135,7 @@ def test_a_module_for_px4_says_what_changes_against_the_one_before(
 
 
 @pytest.mark.long
-def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unfit_px4_changes_nothing(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     (folder / "px4").mkdir()
     arguments = ["--to", "px4-dir", "--out", str(folder / "module"), "--px4", str(folder / "px4")]
     found = answer(capfd, "flash", "pid-attitude", *arguments, status=1)
@@ -149,9 +145,7 @@ def test_a_px4_that_it_does_not_fit_leaves_everything(folder: Path, capfd: pytes
 
 
 @pytest.mark.long
-def test_a_drone_flies_what_is_flashed_and_keeps_it_over_a_restart(
-    folder: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_drone_keeps_a_flashed_controller_over_restarts(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """A controller is sent to a running drone, flies there, and flies again in a program that is started afterwards."""
     state = folder / "drone"
     with drone_thread(conditions={"rings": True}, state=state) as url:
@@ -209,7 +203,7 @@ def test_what_is_wrong_changes_nothing(folder: Path, capfd: pytest.CaptureFixtur
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["empty-attitude", "stock-attitude"])
-def test_what_check_remarks_on_is_said_before_it_flies(name: str, capfd: pytest.CaptureFixture[str]) -> None:
+def test_remarks_of_check_appear_before_a_flash(name: str, capfd: pytest.CaptureFixture[str]) -> None:
     remarks = answer(capfd, "flash", name, "--to", "sim", "--dry-run")["remarks"]
     found = answer(capfd, "diagram", "check", name)["remarks"]
     assert found

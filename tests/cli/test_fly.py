@@ -16,9 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.long
-def test_what_is_flown_can_be_identified_and_is_what_is_simulated(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flown_experiment_equals_the_simulated_one(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = str(tmp_path / "flight.mat")
     assert run(["fly", "doublet", "--rig", "paper", "--seed", "3", "--out", file, "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -42,7 +40,7 @@ def test_what_cannot_be_flown_is_said(capfd: pytest.CaptureFixture[str]) -> None
 
 @pytest.mark.long
 def test_progress_goes_to_a_terminal_only(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is done and where the drone is, on stderr; a pipe gets none of it, and JSON stays alone on stdout."""
+    """Stage and state of the drone appear on stderr of a terminal; stdout has JSON alone."""
     flown = ["fly", "impulse", "--rig", "paper", "--json"]
     assert run(flown) == 0
     told = capfd.readouterr()

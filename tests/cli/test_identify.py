@@ -73,9 +73,7 @@ def test_values_fix_what_is_not_estimated(pitch_logs: tuple[Path, Path], capfd: 
     assert found["estimates"]["mu"]["value"] == pytest.approx(358.5, rel=0.01)
 
 
-def test_a_flight_is_known_by_the_name_that_it_was_flown_under(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flight_is_known_by_its_experiment(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     flight, log = Laboratory("paper").fly("velocity-doublet", 1), str(tmp_path / "flight.mcap")
     write_log(flight.log, log)
     found = [
@@ -124,7 +122,7 @@ def test_what_cannot_be_identified_is_said(
     assert says in err
 
 
-def test_a_search_that_did_not_converge_is_shown_but_not_called_fine(
+def test_a_search_without_convergence_is_reported(
     pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fit that stops short is one whose iterations ran out; the command must not pass it off as an answer."""
@@ -136,9 +134,7 @@ def test_a_search_that_did_not_converge_is_shown_but_not_called_fine(
     assert "did not converge" in err
 
 
-def test_the_real_drone_by_hand_has_the_poles_that_a_student_reads(
-    flight_data: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_poles_of_the_real_drone_by_hand(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     """The free response's first swings pass zero every 1.04 to 1.17 s; xi by the paper's rule is .18 +- .03."""
     arguments = ["identify", str(flight_data / "doublet-0.03.mat"), "--experiment", "doublet", "--method", "simple"]
     found = answer([*arguments, "--impulse", str(flight_data / "free-response-impulse.mat")], capfd)
@@ -146,9 +142,7 @@ def test_the_real_drone_by_hand_has_the_poles_that_a_student_reads(
     assert found["model"]["xi"] == pytest.approx(0.18, abs=0.03)
 
 
-def test_python_and_the_command_line_find_the_same_from_a_doublet(
-    pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_python_and_the_command_find_the_same(pitch_logs: tuple[Path, Path], capfd: pytest.CaptureFixture[str]) -> None:
     """No number of another drone is held unless one asks for it: w_n and xi are found too, or come from an impulse."""
     found = answer(["identify", str(pitch_logs[1]), "--experiment", "doublet", "--window", "0", "2"], capfd)
     by_script = fit(pitch_rate(lag=True), cut(read_log(pitch_logs[1]), "doublet", (0.0, 2.0)))
@@ -196,9 +190,7 @@ def test_several_flights_are_compared_with_each_other_only(
 
 
 @pytest.mark.long
-def test_the_experiment_is_found_in_a_log_that_does_not_name_it(
-    flight_data: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_experiment_of_an_unnamed_log_is_found(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log = str(flight_data / "doublet-0.03.mat")
     assert run(["identify", log, "--json"]) == 0
     found, said = capfd.readouterr()
@@ -216,9 +208,7 @@ def prbs(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(log)
 
 
-def test_in_closed_loop_what_is_not_asked_for_is_held_where_it_is_known_to_be(
-    prbs: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_in_closed_loop_other_unknowns_are_held(prbs: str, capfd: pytest.CaptureFixture[str]) -> None:
     found = answer(["identify", prbs, "--estimate", "mu", "--estimate", "dead_time"], capfd)
     held = {name: found["fixed"][name] for name in ("w_n", "xi", "lag")}
     assert held == {"w_n": 2.28, "xi": 0.05, "lag": 0.012}
@@ -227,9 +217,7 @@ def test_in_closed_loop_what_is_not_asked_for_is_held_where_it_is_known_to_be(
 
 
 @pytest.mark.long
-def test_in_closed_loop_the_bode_takes_the_set_point(
-    prbs: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_bode_of_closed_loops_uses_set_points(prbs: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / "fit.svg"
     asked = ["identify", prbs, "--window", "19", "21", "--plot", str(picture), "--reference", "theta0"]
     assert run(asked) == 0
@@ -238,7 +226,7 @@ def test_in_closed_loop_the_bode_takes_the_set_point(
 
 
 @pytest.mark.long
-def test_a_real_flight_is_fitted_and_drawn_in_pieces(
+def test_a_real_flight_is_fitted_in_pieces(
     flight_data: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     log, picture = flight_data / "attitude-steps-10deg-student.mat", tmp_path / "fit.png"
@@ -251,9 +239,7 @@ def test_a_real_flight_is_fitted_and_drawn_in_pieces(
     assert all(one["fit_percent"] < 0.0 < 90.0 < one["fit_percent_ahead"] for one in real["identification"])
 
 
-def test_a_real_flight_in_closed_loop_ends_its_search_and_does_not_send_to_a_free_response(
-    flight_data: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_real_closed_loop_flight_converges(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     # Its damping comes out negative, and it swings about poles that the rotors change: those of a free response are
     # others. Exit status 0 says that the search has ended, which it once missed by a hair.
     found = answer(["identify", str(flight_data / "rate-doublets-30dps-student.mat")], capfd)
@@ -261,7 +247,7 @@ def test_a_real_flight_in_closed_loop_ends_its_search_and_does_not_send_to_a_fre
     assert not any("free response" in remark for remark in found["remarks"])
 
 
-def test_a_cart_in_rings_is_not_taken_for_a_free_one(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_flights_of_different_machines_are_refused(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     logs = [str(flight_data / f"{name}.mat") for name in ("rate-doublets-30dps-student", "velocity-doublets-0.25")]
     assert run(["identify", *logs, "--experiment", "attitude"]) == 1
     assert "different machines: 'lab' with its cart in rings and 'lab' with its cart free" in capfd.readouterr().err

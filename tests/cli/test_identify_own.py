@@ -71,7 +71,7 @@ def answer(arguments: list[str], capfd: pytest.CaptureFixture[str]) -> dict[str,
     return found
 
 
-def test_tables_and_structures_of_every_form_give_one_result(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_every_form_of_table_gives_one_result(folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
     found = [
         answer([str(folder / table), "--structure", str(folder / structure), *COLUMNS], capfd)["estimates"]
         for table, structure in (
@@ -142,7 +142,7 @@ def test_the_plot_shows_data_tests_bode_and_ellipse(folder: Path, capfd: pytest.
         (["--structure", "model.py", *COLUMNS, "--reference", "zero", "--plot", "r.svg"], "has no column 'zero'"),
     ],
 )
-def test_what_it_cannot_do_is_said_with_a_remedy(
+def test_wrong_options_are_refused_with_a_remedy(
     folder: Path,
     arguments: list[str],
     reason: str,

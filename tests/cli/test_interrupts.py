@@ -32,7 +32,7 @@ def processes(group: int) -> int:
 
 
 def interrupted(after_s: float, folder: Path, *arguments: str) -> str:
-    """What is wrong with how a command ends that gets Ctrl-C, as a terminal gives it, with its children; "" if nothing.
+    """Send Ctrl-C to a command and its children, and return what is wrong with its end ("" if nothing).
 
     The time is counted from the beginning of its `main`.
     """
@@ -74,7 +74,7 @@ def test_the_demo_ends_in_a_line(tmp_path: Path, after_s: float) -> None:
 
 
 @pytest.mark.soak
-def test_the_demo_and_others_end_in_a_line_at_any_moment(tmp_path: Path) -> None:
+def test_commands_end_in_a_line_at_any_moment(tmp_path: Path) -> None:
     chance = random.Random(9)
     flown = ("fly", "attitude-steps")
     commands = [("demo", "--repetitions", "3"), flown, ("simulate", "attitude-steps"), ("drones",)]
@@ -82,7 +82,7 @@ def test_the_demo_and_others_end_in_a_line_at_any_moment(tmp_path: Path) -> None
     assert [one for one in wrong if one] == []
 
 
-def test_an_interrupt_where_python_can_raise_nothing_comes_again() -> None:
+def test_an_interrupt_in_a_destructor_is_repeated() -> None:
     """In a destructor it was printed, and the command went on."""
     code = """
         import signal, sys, time, types
@@ -107,7 +107,7 @@ def test_an_interrupt_where_python_can_raise_nothing_comes_again() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (INTERRUPTED, "", LINE)
 
 
-def test_one_that_comes_when_all_is_done_changes_nothing() -> None:
+def test_an_interrupt_at_exit_changes_nothing() -> None:
     code = """
         import atexit, signal
         from twodof.cli import main

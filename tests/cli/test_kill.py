@@ -16,9 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.mark.long
-def test_a_drone_that_another_one_flies_is_stopped_with_the_key_alone(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_kill_stops_another_pilots_drone(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "drone.key"
     assert run(["key", str(file), "--json"]) == 0
     made = read_key(file)

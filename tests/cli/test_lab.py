@@ -1,4 +1,4 @@
-"""`twodof lab`, and the page of `twodof up`: they serve, say their links once, keep them to themselves, and end."""
+"""`twodof lab`, and the page of `twodof up`: links, tokens, and the end."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def status(port: int, path: str, token: str = "", host: str = "127.0.0.1", metho
 
 
 @pytest.mark.long
-def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path: Path) -> None:
+def test_links_appear_once_and_tokens_never(tmp_path: Path) -> None:
     with program(
         tmp_path, "lab", "--json", "--host", "0.0.0.0", "--port", "0", "--connect", "udp://127.0.0.1:9"
     ) as lab:
@@ -59,7 +59,7 @@ def test_for_a_network_it_draws_links_says_them_once_and_logs_no_token(tmp_path:
 
 
 @pytest.mark.long
-def test_with_token_nobody_on_this_computer_gets_in_without_the_link(tmp_path: Path) -> None:
+def test_with_token_every_client_needs_the_link(tmp_path: Path) -> None:
     with program(tmp_path, "lab", "--json", "--token", "--port", "0", "--connect", "udp://127.0.0.1:9") as lab:
         told = lab.document()
         assert status(told["port"], "/api/session") == 401
@@ -95,7 +95,7 @@ def test_a_drone_that_it_flies_is_left_disarmed(tmp_path: Path) -> None:
         assert len(read_log(flight)["theta"])
 
 
-def test_a_port_that_somebody_has_is_said_with_the_remedy(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_port_in_use_is_named(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen(1)
@@ -107,7 +107,7 @@ def test_a_port_that_somebody_has_is_said_with_the_remedy(tmp_path: Path, capfd:
 
 
 def opens(url: str, origin: str) -> bool:
-    """Whether a web socket is let in that a page of `origin` asks for."""
+    """Return True if the server accepts a web socket from a page of `origin`."""
     try:
         with connect(url, additional_headers={"Origin": origin}) as websocket:
             return "role" in json.loads(websocket.recv(PATIENCE_S))
@@ -117,7 +117,7 @@ def opens(url: str, origin: str) -> bool:
 
 @pytest.mark.long
 @pytest.mark.waits
-def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_this_computer(tmp_path: Path) -> None:
+def test_up_serves_its_page_to_link_holders_alone(tmp_path: Path) -> None:
     options = ("--page-port", "0", "--rings", "--host", "0.0.0.0")
     with free_numbers(1) as first, program(tmp_path, "up", "--json", "--first", str(first + 1), *options) as up:
         told = up.document()
@@ -158,7 +158,7 @@ def test_up_serves_its_page_to_a_network_for_who_has_a_link_and_its_drones_to_th
         (("--token", "--lockstep"), "there is no page with --no-page"),
     ],
 )
-def test_up_says_at_once_where_its_page_cannot_be(
+def test_up_refuses_wrong_places_of_its_page(
     options: tuple[str, ...], said: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with free_numbers(1) as first:
@@ -168,7 +168,7 @@ def test_up_says_at_once_where_its_page_cannot_be(
 
 @pytest.mark.long
 @pytest.mark.waits
-def test_up_serves_the_page_of_its_drones_and_takes_it_along(tmp_path: Path) -> None:
+def test_up_serves_restarts_and_ends_its_page(tmp_path: Path) -> None:
     with (
         free_numbers(1) as first,
         program(tmp_path, "up", "--json", "--first", str(first + 1), "--page-port", "0", "--rings") as up,

@@ -39,7 +39,7 @@ def test_json_and_picture_of_one_loop(tmp_path: Path, capfd: pytest.CaptureFixtu
 
 
 @pytest.mark.long
-def test_an_unstable_loop_is_named_and_the_status_says_so(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unstable_loop_exits_1(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     model = tmp_path / "model.json"
     model.write_text('{"mu": 900.0}')
     assert run(["diagram", "margins", "--rig", str(model), "--loop", "rate"]) == 1

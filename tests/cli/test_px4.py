@@ -12,7 +12,7 @@ from tests.compile.px4.modules import PITCH_LOG
 from twodof.cli.app import run
 
 
-def test_a_starter_is_exported_and_its_parameters_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_starter_is_exported_with_parameter_names(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["px4", "export", "pid-attitude", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "module twodof_pid_attitude" in printed
@@ -21,7 +21,7 @@ def test_a_starter_is_exported_and_its_parameters_are_named(tmp_path: Path, caps
     assert (tmp_path / "out" / "README.md").is_file()
 
 
-def test_a_file_with_logged_signals_gives_the_golden_tree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_logged_signals_give_the_golden_tree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     diagram = GOLDEN / "pitch" / "diagram.json"
     log = [word for path in PITCH_LOG for word in ("--log", path)]
     assert run(["px4", "export", str(diagram), str(tmp_path / "out"), *log, "--json"]) == 0
@@ -60,9 +60,7 @@ def test_a_folder_with_something_else_is_not_replaced(tmp_path: Path, capsys: py
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]
 
 
-def test_check_tells_what_does_not_fit_by_its_exit_status_too(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_of_an_unfit_tree_exits_1(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     arguments = ["px4", "check", str(tmp_path), str(GOLDEN / "rail")]
     assert run(arguments) == 1
     assert "is not a source tree of PX4" in capsys.readouterr().out

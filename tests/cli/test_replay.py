@@ -12,9 +12,7 @@ from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog
 
 
-def test_the_document_has_the_agreed_form_and_the_law_is_found_again(
-    flight_data: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_the_replay_document_has_its_form(flight_data: Path, capfd: pytest.CaptureFixture[str]) -> None:
     log = str(flight_data / "velocity-doublets-0.25.mat")
     assert run(["replay", log, "--gains", "student", "--precision", "float64", "--json"]) == 0
     found = json.loads(capfd.readouterr().out)
@@ -50,7 +48,7 @@ def test_gains_from_a_file_are_those_that_count(
     assert nrms["M"] <= 3e-7
 
 
-def test_the_gains_of_the_log_are_taken_where_it_says_them(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_gains_named_by_the_log_are_used(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     flight = Laboratory("lab", gains="student").fly("attitude-steps")
     log = str(tmp_path / "student.mcap")
     write_log(flight.log, log)

@@ -1,4 +1,4 @@
-"""What files and the wire say reaches a terminal as text: no escape sequence, no markup, no turned line."""
+"""Texts from files and the wire on a terminal: no escape sequence, no markup, no line reversed."""
 
 import io
 import os
@@ -111,7 +111,7 @@ def test_colour_is_still_ours(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("more", [[], ["--json"]], ids=["people", "json"])
-def test_a_reader_that_leaves_does_not_make_a_failure_of_it(more: list[str], tmp_path: Path) -> None:
+def test_a_closed_pipe_is_not_a_failure(more: list[str], tmp_path: Path) -> None:
     """As `twodof ... | head` does: nobody reads the pipe from the start."""
     ours, theirs = os.pipe()
     os.close(ours)

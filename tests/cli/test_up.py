@@ -43,7 +43,7 @@ def gone(processes: dict[int, str]) -> bool:
 
 
 @pytest.mark.long
-def test_two_drones_answer_where_it_says_what_dies_is_started_again_and_all_ends_at_ctrl_c(
+def test_two_drones_are_kept_running_until_ctrl_c(
     first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     write_key(tmp_path / "key", Key.fresh())
@@ -109,7 +109,7 @@ def test_people_are_told_who_can_connect(lockstep: bool, capfd: pytest.CaptureFi
     assert ("stand still" in out) is lockstep
 
 
-def test_what_a_program_last_said_is_shown_line_by_line() -> None:
+def test_last_output_of_a_program_is_shown() -> None:
     error = child_error(["Traceback", "  where it was", "ValueError: 3"], "companion 1", 1)
     assert error.what.splitlines() == [
         "it ended with status 1; its last output:",
@@ -121,7 +121,7 @@ def test_what_a_program_last_said_is_shown_line_by_line() -> None:
 
 
 @pytest.mark.soak
-def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path) -> None:
+def test_a_program_that_keeps_dying_ends_all(first: int, tmp_path: Path) -> None:
     with up(first, tmp_path) as running:
         running.document()
         children: dict[int, str] = {}
@@ -138,9 +138,7 @@ def test_a_program_that_dies_again_and_again_ends_all(first: int, tmp_path: Path
 
 
 @pytest.mark.long
-def test_a_program_that_cannot_start_is_named_with_what_it_says(
-    first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_program_that_cannot_start_is_named(first: int, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     asked = ["up", "--json", "--first", str(first + 1), "--state", str(tmp_path), "--rig", "no-such-rig.json"]
     assert run(asked) == 2
     said = capfd.readouterr()
@@ -152,9 +150,7 @@ def test_a_program_that_cannot_start_is_named_with_what_it_says(
 
 
 @pytest.mark.parametrize(("by", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -9)])
-def test_ended_before_all_are_up_it_says_so_by_its_status_and_nothing_outlives_it(
-    first: int, tmp_path: Path, by: signal.Signals, status: int
-) -> None:
+def test_an_early_end_leaves_no_process(first: int, tmp_path: Path, by: signal.Signals, status: int) -> None:
     os.mkfifo(tmp_path / "rig")  # which nobody writes: the flight controller waits for it for ever
     with up(first, tmp_path, "--rig", "rig") as running:
         running.wait(lambda: len(running.children()) == 2, "not both were started")
@@ -165,11 +161,9 @@ def test_ended_before_all_are_up_it_says_so_by_its_status_and_nothing_outlives_i
         assert running.out == []
 
 
-def test_a_key_that_cannot_be_read_is_told_before_anything_is_started(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["up", "--key", "no-such-key"]) == 2
-    assert "no-such-key" in capfd.readouterr().err
-
-
-def test_drones_beyond_the_ports_that_clients_know_are_refused(capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["up", "--first", "10", "--drones", "2"]) == 2
-    assert "1 to 10" in capfd.readouterr().err
+@pytest.mark.parametrize(
+    ("options", "said"), [("--key no-such-key", "no-such-key"), ("--first 10 --drones 2", "1 to 10")]
+)
+def test_wrong_options_are_refused_before_the_start(options: str, said: str, capfd: pytest.CaptureFixture[str]) -> None:
+    assert run(["up", *options.split()]) == 2
+    assert said in capfd.readouterr().err

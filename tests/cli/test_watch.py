@@ -54,7 +54,7 @@ def come(lines: list[dict[str, Any]], key: str, value: object) -> dict[str, Any]
 
 
 @pytest.mark.long
-def test_a_flight_is_followed_beside_its_pilot_and_its_end_too() -> None:
+def test_a_flight_is_followed_to_its_end() -> None:
     """In lockstep, so that what is seen is what was granted; then the drone ends, and later the watcher."""
     with ExitStack() as stack:
         there = stack.enter_context(on_board(lockstep=True, conditions={"rings": True}, index=6))
@@ -88,7 +88,7 @@ def test_a_flight_is_followed_beside_its_pilot_and_its_end_too() -> None:
 
 
 @pytest.mark.long
-def test_a_link_that_is_lost_is_said_and_found_again() -> None:
+def test_a_lost_link_is_shown_and_restored() -> None:
     with ExitStack() as first:
         url = first.enter_context(on_board(index=6)).url
         with watching(url) as (process, lines):
@@ -100,7 +100,7 @@ def test_a_link_that_is_lost_is_said_and_found_again() -> None:
             assert process.poll() is None
 
 
-def test_once_says_how_it_stands_and_takes_no_lease(capsys: pytest.CaptureFixture[str]) -> None:
+def test_once_prints_the_state_without_a_lease(capsys: pytest.CaptureFixture[str]) -> None:
     with on_board(lockstep=True, index=6) as there, Drone.connect(there.url) as pilot:
         pilot.run(0.2)
         assert run(["watch", "--once", "--json", there.url]) == 0
@@ -127,7 +127,7 @@ def plain(raw: str) -> str:
 
 
 def read(terminal: int) -> str:
-    """What has come, "" after a moment without."""
+    """Return what the terminal has written, "" after a moment without."""
     try:
         return os.read(terminal, 65536).decode(errors="replace") if select.select([terminal], [], [], 0.05)[0] else ""
     except OSError:  # its other end is closed

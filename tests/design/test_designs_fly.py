@@ -42,7 +42,7 @@ def promised() -> Promise:
 
 
 def flown(thrust: float, noise: float, **tuned: float) -> Flight:
-    """Steps of 10 deg with the placed poles and the schedule, of which parameters may be set."""
+    """Fly steps of 10 deg with the placed poles and the schedule, parameters set by `tuned`."""
     diagrams = [PLACED, scheduled_motor(float(paper()["curve"]))]
     tuning = {f"motor_control.{name}": value for name, value in tuned.items()}
     return Laboratory("paper", noise=noise, controllers=diagrams, tuning=tuning).fly(

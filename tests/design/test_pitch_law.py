@@ -26,13 +26,13 @@ def test_the_stock_law_is_that_of_its_gains() -> None:
     assert law.digest != PitchLaw.flown({**VALUES, "RATE_KP": 0.08}).digest
 
 
-def test_a_gain_that_the_family_does_not_bear_is_told() -> None:
+def test_gains_that_destabilise_the_family_are_reported() -> None:
     law = PitchLaw.flown({**VALUES, "RATE_KP": 0.12, "RATE_KD": 0.003, "ATT_KP": 15.0})
     assert not law.verdict(FAMILY).robust
     assert not law.preview(FAMILY, 0.17).verdict.robust, "page and server see the same"
 
 
-def test_an_own_controller_is_tuned_by_its_own_parameters() -> None:
+def test_a_users_controller_has_its_own_parameters() -> None:
     """The pid-attitude starter with the stock gains is the stock law: both previews show one response."""
     diagram = pid_attitude(DEFAULT)
     names = {f"C_{i}": f"attitude_control.{path}" for i, path in enumerate(diagram.params)}

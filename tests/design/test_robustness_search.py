@@ -1,4 +1,4 @@
-"""What the uncertainty does not keep stable is found, beside a dense search of its region, and is not written."""
+"""Search of the least stable member against a dense search, and controllers that are not robust."""
 
 import json
 import math

@@ -68,7 +68,7 @@ def test_settling_time_is_that_of_one_response() -> None:
     assert one.settling_time <= middle <= one.settling_time + PERIOD
 
 
-def test_gains_that_are_too_loud_are_said_to_be_so() -> None:
+def test_too_large_gains_are_reported() -> None:
     wild = previewed(replace(DEFAULT, rate=(0.12, 0.4, 0.003), attitude=12.0))
     assert not wild.verdict.robust
     assert set(wild.verdict.worst) == set(VALUES)

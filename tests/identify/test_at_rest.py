@@ -23,7 +23,7 @@ def travel(v_0: float) -> Record:
     return Record.from_channels({"q": (t, q), "x": (t[14::14], x[14::14])}, ["q"], ["x"])
 
 
-def test_a_cart_that_starts_stuck_is_identified_without_a_speed() -> None:
+def test_a_stuck_cart_is_identified_without_a_speed() -> None:
     found = fit(rail(), travel(0.0), estimate=UNKNOWNS, values={"coulomb": 0.2})
     assert found.at_rest == ("v_0",)
     assert "v_0" not in found.labels

@@ -11,14 +11,14 @@ from twodof.flightlog.files import read_log
 from twodof.identify.experiments import KINDS, cut, kind_of
 
 
-def test_the_impulse_ends_when_the_drone_has_come_to_rest(flight_data: Path) -> None:
+def test_the_impulse_ends_at_rest(flight_data: Path) -> None:
     """flight-data's table: pulse at 188.456, free until about 197; later somebody touches the drone."""
     record = cut(read_log(flight_data / "free-response-impulse.mat"), KINDS["impulse"])
     assert 188.0 < record.start < 188.456
     assert 197.0 < record.time[-1] < 200.0
 
 
-def test_the_doublet_ends_before_the_stop_and_begins_after_the_rotors_are_up(flight_data: Path) -> None:
+def test_the_doublet_lies_between_start_and_end_stop(flight_data: Path) -> None:
     """flight-data's table: rotors on at 244.67, first edge at 244.808, the stop is hit after 245.8 s."""
     log = read_log(flight_data / "doublet-0.03.mat")
     record = cut(log, KINDS["doublet"])
@@ -28,7 +28,7 @@ def test_the_doublet_ends_before_the_stop_and_begins_after_the_rotors_are_up(fli
     assert np.abs(theta).max() <= 0.84
 
 
-def test_a_log_without_the_excitation_says_what_it_holds(flight_data: Path) -> None:
+def test_a_missing_excitation_is_named(flight_data: Path) -> None:
     log = read_log(flight_data / "doublet-0.03.mat")
     with pytest.raises(LogError, match="open-loop-doublet"):
         cut(log, KINDS["impulse"])

@@ -97,7 +97,7 @@ def test_partial_coherence_is_that_of_the_residuals() -> None:
 
 
 @pytest.mark.long
-def test_error_bars_hold_the_truth_as_often_as_they_say() -> None:
+def test_error_bars_hold_the_truth() -> None:
     share = []
     for seed in range(20):
         record = two_inputs(100 + seed, 4000)
@@ -122,7 +122,7 @@ def closed_loop(seed: int, steps: int = 20000) -> Record:
     return table(u=u, r=r, y=y)
 
 
-def test_the_reference_takes_away_the_bias_of_a_closed_loop() -> None:
+def test_the_reference_removes_closed_loop_bias() -> None:
     record = closed_loop(5)
     biased = frequency_response(record, "u", "y", segment=2.0)
     found = frequency_response(record, "u", "y", segment=2.0, reference="r")
@@ -154,7 +154,7 @@ def test_the_reference_takes_away_the_bias_of_a_closed_loop() -> None:
         ({"segment": 20.0, "given": "b"}, "averages for 2 inputs"),
     ],
 )
-def test_what_it_cannot_do_is_refused_with_a_reason(arguments: dict[str, object], reason: str) -> None:
+def test_wrong_arguments_are_refused_with_a_reason(arguments: dict[str, object], reason: str) -> None:
     source = two_inputs(3, 8000)
     columns = {name: source.inputs[name] for name in ("a", "b")} | {"y": source.outputs["y"].value}
     record = table(**columns, twin=2.0 * columns["a"], still=np.ones(8000))

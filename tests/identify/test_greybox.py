@@ -24,7 +24,7 @@ U = doublet(1500, 0.5, 0.6, 0.03)
 
 
 def lag_structure() -> Structure:
-    """What a user would build: gain and first-order lag, from column u to column y."""
+    """Return a user's structure: gain and first-order lag, from column u to column y."""
     d = Diagram("my_lag")
     d.input("u")
     d.param("K", 1.0, low=0.0)
@@ -34,7 +34,7 @@ def lag_structure() -> Structure:
     return Structure(d, ("K", "T"))
 
 
-def test_a_users_own_diagram_fits_columns_of_a_table() -> None:
+def test_a_users_diagram_fits_columns_of_a_table() -> None:
     rng = np.random.default_rng(0)
     t = 0.01 * np.arange(600)
     u = np.sign(np.sin(1.3 * t))
@@ -49,7 +49,7 @@ def test_a_users_own_diagram_fits_columns_of_a_table() -> None:
     assert found.white
 
 
-def test_several_records_share_what_the_drone_has_and_keep_what_each_had() -> None:
+def test_records_share_parameters_and_keep_initial_states() -> None:
     rng = np.random.default_rng(1)
     records = [
         pitch_record(PAPER_PITCH_RATE, sign * U[:700], 0.06, rng, name=name) for sign, name in ((1, "up"), (-1, "down"))
@@ -185,7 +185,7 @@ def test_gaps_are_for_the_time_domain() -> None:
         fit(pitch_rate(), gappy, band=(0.1, 10.0))
 
 
-def test_single_lost_samples_leave_a_fit_in_the_frequency_domain_as_it_was() -> None:
+def test_lost_samples_hardly_change_a_frequency_domain_fit() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(13))
     t, q = record.output_time("q"), record.outputs["q"].value
     kept = np.ones(t.size, dtype=bool)
@@ -198,7 +198,7 @@ def test_single_lost_samples_leave_a_fit_in_the_frequency_domain_as_it_was() -> 
         assert found.cramer_rao(label) == pytest.approx(whole.cramer_rao(label), rel=0.1)
 
 
-def test_a_slow_output_has_frequencies_of_its_own_clock() -> None:
+def test_a_slow_output_has_its_own_frequencies() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(15))
     t, q = record.output_time("q")[2::5], record.outputs["q"].value[2::5]
     slow = Record.from_channels({"M": (record.time, U), "q": (t, q)}, ["M"], ["q"])
@@ -208,7 +208,7 @@ def test_a_slow_output_has_frequencies_of_its_own_clock() -> None:
         fit(pitch_rate(), slow, band=(30.0, 100.0))
 
 
-def test_an_input_that_was_lost_is_said_and_its_pieces_give_the_truth() -> None:
+def test_pieces_between_lost_inputs_give_the_truth() -> None:
     rng = np.random.default_rng(3)
     truth = PitchRate(w_n=3.4, xi=0.08, mu=300.0, tau=0.02)
     u = 0.05 * np.sign(np.sin(np.cumsum(rng.uniform(0.05, 0.4, 1500))))

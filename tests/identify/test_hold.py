@@ -1,17 +1,15 @@
 """Inputs that move between samples: against exact frequency responses, scipy, and what the samples themselves are."""
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from twodof.blocks import Block, Diagram, Param, Port, State
+from twodof.blocks import Diagram
 from twodof.blocks.library import FirstOrder, Gain, Sum
 from twodof.errors import IdentificationError
-from twodof.identify import Record, fit
+from twodof.identify import Record
 from twodof.identify.record import HOLDS
 from twodof.identify.record_simulator import RecordSimulator, ticks
 from twodof.models import Structure, pitch_rate
@@ -43,7 +41,7 @@ def direct() -> Structure:
 
 
 @pytest.mark.parametrize("hertz", [3.0, 40.0, 100.0])
-def test_a_sine_between_its_samples_meets_the_exact_frequency_response(hertz: float) -> None:
+def test_held_sines_meet_the_exact_response(hertz: float) -> None:
     omega = 2.0 * math.pi * hertz
     model = PitchRate(w_n=25.0, xi=0.7, mu=400.0, tau=0.0).state_space().response(omega)[0, 1, 0]
     u = np.sin(omega * TIME)
@@ -61,7 +59,7 @@ def test_a_sine_between_its_samples_meets_the_exact_frequency_response(hertz: fl
     assert errors["linear"] < errors["zoh"]
 
 
-def test_straight_lines_agree_with_scipy_and_reach_a_direct_output_at_once() -> None:
+def test_linear_holds_agree_with_scipy() -> None:
     u = np.random.default_rng(2).standard_normal(N)  # the roughest there is: a corner at each sample
     found = simulated(direct(), {"gain": 0.5}, u, "linear", "y")
     system = ([[-50.0]], [[50.0]], [[1.0]], [[0.5]])
@@ -73,67 +71,9 @@ def test_straight_lines_agree_with_scipy_and_reach_a_direct_output_at_once() -> 
     assert np.abs(held - expected).max() > 0.05
 
 
-class Duffing(Block):
-    """y'' = g u - k y - d y' - c y^3."""
-
-    inputs = (Port("u"),)
-    outputs = (Port("y"),)
-    params = (Param("g", 300.0), Param("k", 300.0), Param("d", 5.0), Param("c", 100.0))
-    states = (State("y", continuous=True), State("v", continuous=True))
-
-    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return x.y
-
-    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {"y": x.v, "v": p.g * u.u - p.k * x.y - p.d * x.v - p.c * x.y * x.y * x.y}
-
-
-def test_a_nonlinear_system_is_found_from_samples_of_a_multisine() -> None:
-    truth = {"g": 400.0, "k": 400.0, "d": 4.0, "c": 300.0}
-    step, size = 0.02, 600  # six samples a period at the resonance
-    time = step * np.arange(size)
-    hertz = np.arange(1, 60, 2) / (step * size)
-    phase = np.random.default_rng(6).uniform(0.0, 2.0 * np.pi, hertz.size)
-
-    def force(t: float) -> float:
-        return float(0.5 * np.sin(2.0 * np.pi * hertz * t + phase).sum() / 3.0)
-
-    def moved(t: float, s: np.ndarray) -> list[float]:
-        pull = truth["k"] * s[0] + truth["d"] * s[1] + truth["c"] * s[0] ** 3
-        return [s[1], truth["g"] * force(t) - pull]
-
-    found = solve_ivp(moved, (0.0, time[-1]), [0.0, 0.0], "DOP853", time, rtol=1e-8, atol=1e-10)
-    table = {"u": np.array([force(t) for t in time]), "y": found.y[0]}
-    structure = Structure.of_block(Duffing(), substeps=8)
-    left = {}
-    for hold in ("zoh", "band-limited"):
-        estimate = fit(structure, Record.from_columns(time, table, ["u"], ["y"], hold=hold), disturbance="white")
-        left[hold] = estimate.identification[0].rmse / found.y[0].std()
-        if hold == "band-limited":
-            for name, value in truth.items():
-                # What is left are the ends: the multisine has a whole period in the record, which nobody is told.
-                assert estimate[name] == pytest.approx(value, rel=2e-3)
-    assert left["band-limited"] < 1e-3
-    assert left["zoh"] > 0.05
-
-
-@pytest.mark.parametrize("hold", HOLDS)
-@pytest.mark.parametrize("pieces", [4, 7])
-def test_the_first_tick_of_a_step_can_be_the_sample_and_the_moments_stay(hold: str, pieces: int) -> None:
-    # Sines up to .8 of half the sampling rate, which the nodes inside a step resolve to 1e-6.
-    u = sum(np.sin(w * np.arange(300) + w) for w in (0.1, 0.7, 2.5))
-    plain, exact = ticks(u, hold, pieces), ticks(u, hold, pieces, direct=True)
-    inner = slice(50, -50)  # a band-limited record is continued at its ends by a guess
-    assert np.allclose(exact[::pieces][inner], u[inner], atol=1e-3)
-    number = np.arange(pieces) + 0.5
-    for power in range(3):
-        moments = [(x.reshape(-1, pieces) * number**power).sum(axis=1) for x in (plain, exact)]
-        assert np.allclose(*moments, atol=1e-9)
-
-
 @pytest.mark.parametrize("n", [1, 2, 3, 10])
 @pytest.mark.parametrize("hold", HOLDS)
-def test_a_line_and_the_shortest_records_stay_what_they_are(n: int, hold: str) -> None:
+def test_lines_and_shortest_records_stay_the_same(n: int, hold: str) -> None:
     assert np.allclose(ticks(np.full(n, 7.0), hold, 4), 7.0, atol=1e-12)
     if hold != "zoh" and n > 3:
         ramp = ticks(np.arange(float(n)), hold, 4).reshape(n, 4)[:-1]
@@ -143,7 +83,7 @@ def test_a_line_and_the_shortest_records_stay_what_they_are(n: int, hold: str) -
         assert np.allclose(ramp @ middle / 4.0, 1.0 / 12.0, atol=1e-9)
 
 
-def test_an_input_on_another_clock_is_read_between_its_stamps() -> None:
+def test_an_input_on_another_clock_is_interpolated() -> None:
     slow = np.arange(-0.01, 12.0, 0.01)
     channels = {"u": (TIME, TIME), "w": (slow, slow), "y": (TIME, TIME)}
     record = Record.from_channels(channels, ["u", "w"], ["y"], hold={"w": "linear"}, stop=11.9)

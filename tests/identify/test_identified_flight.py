@@ -56,7 +56,7 @@ def test_its_model_is_what_design_reads(doublet: IdentifiedFlight) -> None:
     assert "mu" in family.uncertain
 
 
-def test_data_that_do_not_tell_are_said_to_be_too_few(logs: dict[str, FlightLog]) -> None:
+def test_insufficient_data_are_reported(logs: dict[str, FlightLog]) -> None:
     """A doublet of .6 s hardly shows the poles: alone it is not enough for them, and says so."""
     found = identify_flight(logs["doublet"], structure="pitch-rate")
     judged = sufficiency(found.greybox, ("xi",))
@@ -87,7 +87,7 @@ def test_a_flight_in_closed_loop_holds_the_rig(logs: dict[str, FlightLog]) -> No
     assert not any(one["validation"] for one in found.view()["outputs"])
 
 
-def test_a_long_test_signal_in_open_loop_is_identified_with_what_is_known_of_its_poles() -> None:
+def test_a_long_open_loop_uses_priors_of_poles() -> None:
     signal = Multisine.schroeder(0.05, 2.0, range(2, 13), lead=0.2, repeat=2)
     flown = Laboratory("lab").fly(Experiment("multisine", "open-loop", signal, rings=True, hold=20.0, rest=0.4), 2)
     found = identify_flight(FlightLog(flown.log.channels, {"rig": "lab"})).greybox
@@ -97,7 +97,7 @@ def test_a_long_test_signal_in_open_loop_is_identified_with_what_is_known_of_its
     assert abs(found["tau"] - 0.0212) < 3.3 * found.sigma("tau")
 
 
-def test_a_window_between_two_samples_of_the_range_sensor_has_its_cart_in_rings() -> None:
+def test_a_window_without_range_samples_means_rings() -> None:
     dist = Channel(np.array([0.0, 0.05, 0.1, 0.15]), np.array([0.5, 0.5, 0.9, 0.5]))
     log = FlightLog({"dist": dist}, {"rig": "paper"})
     assert machine_of(log, 0.06, 0.09) == FlownMachine("paper", free=False)

@@ -52,7 +52,7 @@ def test_flying_again_helps_what_is_shared() -> None:
             assert four.sigma[i] > one.sigma[i] / 2.0
 
 
-def test_the_best_doublet_is_a_minimum_within_the_pitch_limit() -> None:
+def test_the_best_doublet_uses_the_pitch_limit() -> None:
     shapes = np.linspace(0.2, 2.0, 19)
     found = best(pitch_rate(), doublets(), shapes.tolist(), 8.0, DT, {"q": 0.06}, PITCH_LIMITS, estimate=CHOSEN)
     costs = [cost for _, _, cost in found.tried]
@@ -86,7 +86,7 @@ def test_the_rail_limits_a_velocity_experiment() -> None:
         best(velocity(), doublets("rad"), [4.0], 6.0, DT, {"v": 0.008}, sticky, estimate=("k_v", "p_v"))
 
 
-def test_what_no_experiment_can_tell_is_refused_before_flying() -> None:
+def test_unidentifiable_plans_are_refused() -> None:
     with pytest.raises(IdentificationError, match="cannot tell apart 'theta_0' and 'M_trim'"):
         predict(pitch_rate(), {"M": U}, DT, {"q": 0.06}, estimate=(*CHOSEN, "theta_0", "M_trim"))
     with pytest.raises(IdentificationError, match=r"noise 0\.06 for 'v'"):
@@ -97,7 +97,7 @@ def test_what_no_experiment_can_tell_is_refused_before_flying() -> None:
         predict(pitch_rate(), {"M": U[:1]}, DT, {"q": 0.06})
 
 
-def test_the_bound_of_a_lag_is_that_of_its_closed_form() -> None:
+def test_the_bound_matches_its_closed_form() -> None:
     # v' = -p v - k u from rest: sensitivities to k and p are v / k and the response of the same lag to -v.
     k, p, sigma = 4.748, 1.168, 0.008
     u = doublet(1000, 0.5, 1.6, 0.26)

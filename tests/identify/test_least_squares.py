@@ -26,7 +26,7 @@ def test_the_curved_valley_is_followed_to_its_end() -> None:
 
 
 @pytest.mark.parametrize("upper", [[0.5, np.inf], [np.inf, 0.2], [0.3, 0.05]])
-def test_bounds_are_kept_and_the_minimum_is_that_of_scipy(upper: list[float]) -> None:
+def test_bounded_minimum_is_that_of_scipy(upper: list[float]) -> None:
     high = np.array(upper)
     start = np.array([-1.2, 0.0])
     found = minimise(rosenbrock, rosenbrock_jacobian, start, -FREE, high, iterations=300)
@@ -39,7 +39,7 @@ def test_bounds_are_kept_and_the_minimum_is_that_of_scipy(upper: list[float]) ->
     assert (found.at_bound == (found.x == high)).all()
 
 
-def test_a_start_from_which_a_bound_cuts_the_step_still_descends() -> None:
+def test_a_step_cut_by_a_bound_still_descends() -> None:
     # The full step crosses the bound of x0 and, cut there, would go uphill: the others must be solved for again.
     rng = np.random.default_rng(0)
     matrix = np.array([[1.0, 0.999], [0.0, 0.02]]) + 0.0 * rng.standard_normal((2, 2))
@@ -54,7 +54,7 @@ def test_a_start_from_which_a_bound_cuts_the_step_still_descends() -> None:
     np.testing.assert_allclose(found.x, theirs.x, atol=1e-6)
 
 
-def test_a_model_that_breaks_down_on_the_way_is_stepped_back_from() -> None:
+def test_the_search_steps_back_from_infinite_models() -> None:
     def residual(x: Array) -> Array:
         with np.errstate(invalid="ignore"):
             return np.array([np.log(x[0]) - 1.0, 0.1 * (x[0] - 3.0)])

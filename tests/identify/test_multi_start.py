@@ -34,7 +34,7 @@ def record(seed: int = 0) -> Record:
 
 
 @pytest.mark.long
-def test_the_best_of_many_minima_is_found_and_the_others_are_told() -> None:
+def test_the_best_of_many_minima_is_found() -> None:
     wave = Structure.of_block(Wave())
     alone = fit(wave, record())
     assert abs(alone["w"] - 20.0) > 5.0  # the lone guess of 3 rad/s ends elsewhere

@@ -97,7 +97,7 @@ def test_unseen_doublets_are_predicted(greybox: Estimate) -> None:
         assert one.inputs["M"].passed
 
 
-def test_grey_box_on_the_velocity_from_gyro_and_range() -> None:
+def test_grey_box_on_velocity_from_gyro_and_range() -> None:
     curve = thrust_curve(TRUE_PITCH["mu[impulse]"], TRUE_PITCH["mu[doublet 1]"])
     records = []
     for seed in (5, 6, 7):

@@ -1,4 +1,4 @@
-"""What is known before a flight: it weighs against the data as its doubt says, and is told beside the estimate."""
+"""Priors: weighed against the data by their standard deviation, and named beside the estimate."""
 
 import json
 import math
@@ -32,7 +32,7 @@ def measured(seed: int, count: int = 100, sigma: float = 0.5) -> Record:
 
 
 @pytest.mark.parametrize("disturbance", ["white", "ar"])
-def test_mean_and_deviation_are_those_of_two_normal_sources(disturbance: str) -> None:
+def test_prior_and_data_combine_as_normal_sources(disturbance: str) -> None:
     record = measured(1)
     plain = fit(constant(), record)
     mean, deviation = 2.8, 0.04
@@ -54,7 +54,7 @@ def test_an_infinite_doubt_is_none() -> None:
     assert found.prior == {}
 
 
-def test_an_estimate_says_what_contradicts_its_prior_and_what_it_only_repeats() -> None:
+def test_remarks_name_contradicted_and_repeated_priors() -> None:
     against = fit(constant(), measured(3, 1000), prior={"c": (2.0, 0.1)})
     assert any("contradict what was known of c, 2 +- 0.1" in remark for remark in against.remarks)
     repeated = fit(constant(), measured(3), prior={"c": (3.0, 0.001)})
@@ -76,7 +76,7 @@ def test_planning_knows_it_too_and_counts_it_once() -> None:
         assert told.sigma[0] == pytest.approx((0.05**-2 + repeats * 100 / 0.5**2) ** -0.5, rel=1e-6)
 
 
-def test_the_lag_that_rotors_are_known_to_have_ends_the_ridge_of_gain_and_lag() -> None:
+def test_the_prior_of_the_lag_narrows_the_gain() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.3, np.random.default_rng(1))
     known = fit(pitch_rate(lag=True), record, disturbance="white")
     alone = fit(pitch_rate(lag=True), record, disturbance="white", prior={"lag": (0.012, math.inf)})

@@ -1,4 +1,4 @@
-"""Criteria of structures of which one is true."""
+"""Ranking of structures: criteria against the book, and the true structure among others."""
 
 import numpy as np
 import pytest
@@ -48,7 +48,7 @@ def test_the_criteria_are_those_of_the_book() -> None:
 
 
 @pytest.mark.parametrize("coloured", [False, True])
-def test_an_unknown_at_its_true_value_is_seldom_worth_estimating(coloured: bool) -> None:
+def test_superfluous_unknowns_gain_little(coloured: bool) -> None:
     """AIC gains 10 from a superfluous unknown once in two thousand, also under coloured noise that was whitened."""
     for seed in range(4):
         data = record(seed, coloured)
@@ -60,7 +60,7 @@ def test_an_unknown_at_its_true_value_is_seldom_worth_estimating(coloured: bool)
         assert by_name["true"].aic - by_name["more"].aic < 10.0
 
 
-def test_select_finds_what_is_there_and_leaves_out_what_is_not() -> None:
+def test_select_finds_the_unknowns_that_matter() -> None:
     rng = np.random.default_rng(3)
     data = pitch_record(MODEL, APPLIED, 0.06, rng, trim=0.004)
     calls: list[tuple[int, int, str]] = []

@@ -34,7 +34,7 @@ def fit_with(free: Record, estimate: tuple[str, ...], **fixed: float) -> float:
 
 
 @pytest.mark.long
-def test_each_part_of_the_friction_pendulum_earns_its_place(free: Record, spring: Estimate) -> None:
+def test_each_part_of_the_pendulum_improves_fit(free: Record, spring: Estimate) -> None:
     # Known of this flight: FIT of q viscous 86, with dry friction 91, with the hardening spring 95 %.
     viscous = fit_with(free, ("w_n", "xi", "mu", "theta_0", "tau"), coulomb=0.0, hardening=0.0)
     dry = fit_with(free, ("w_n", "xi", "mu", "coulomb", "theta_0", "tau"), hardening=0.0)
@@ -65,7 +65,7 @@ def test_gain_with_thrust_is_more_than_twice_that(flight_data: Path, spring: Est
     assert found.identification[0].fit_percent > 85.0
 
 
-def test_a_band_above_the_wake_gives_gain_and_delay_in_closed_loop(flight_data: Path) -> None:
+def test_a_band_gives_gain_and_delay(flight_data: Path) -> None:
     log = read_log(flight_data / "attitude-steps-10deg-default.mat")
     record = Record.from_log(log, ["M"], ["q"], 127.5, 135.8, name="attitude steps")
     found = fit(
@@ -98,7 +98,7 @@ def test_all_flights_agree_on_gain_and_delay(flight_data: Path) -> None:
         assert one.today["mu"] < one.found["mu"] - 4.0 * one.found.sigma("mu")
 
 
-def test_by_hand_the_free_response_gives_the_known_peaks_and_too_much_damping(flight_data: Path) -> None:
+def test_peaks_of_the_free_response_by_hand(flight_data: Path) -> None:
     log = read_log(flight_data / "free-response-impulse.mat")
     read = read_free_response(Record.from_log(log, ["M"], ["q"], 188.0, 200.0, name="free response"))
     np.testing.assert_allclose(read.peak_times[[0, 2, 4, 6]], [188.691, 190.677, 192.843, 195.081], atol=0.025)
@@ -113,7 +113,7 @@ def test_by_hand_the_free_response_gives_the_known_peaks_and_too_much_damping(fl
     assert read.xi == pytest.approx(0.20, abs=0.01)
 
 
-def test_frequency_response_of_the_rate_loop_falls_like_an_integrator(flight_data: Path) -> None:
+def test_frequency_response_falls_like_an_integrator(flight_data: Path) -> None:
     log = read_log(flight_data / "rate-doublets-30dps-student.mat")
     record = Record.from_log(log, ["M"], ["q"], 346.6, 355.6, name="rate doublets")
     found = frequency_response(record, "M", "q", segment=2.0)

@@ -34,7 +34,7 @@ def test_jitter_and_gaps_do_not_move_the_grid() -> None:
     assert (record.inputs["u"] == held).all()
 
 
-def test_a_gap_in_an_input_is_known_and_a_record_is_cut_there() -> None:
+def test_records_are_cut_at_gaps_of_inputs() -> None:
     kept = np.ones(100, dtype=bool)
     kept[30:36] = False  # six samples of u: lost from T[29] to T[36]
     kept[60] = False  # a single one does little harm
@@ -59,7 +59,7 @@ def test_a_gap_in_an_input_is_known_and_a_record_is_cut_there() -> None:
     assert not whole.gaps
 
 
-def test_slower_inputs_are_held_and_smooth_ones_taken_mid_step() -> None:
+def test_slow_inputs_are_held_and_smooth_ones_interpolated() -> None:
     slow = T[::5]
     record = Record.from_channels(
         {"u": (T, T), "slow": (slow, slow), "y": (T, T)}, ["u", "slow"], ["y"], start=0.1, stop=0.3
@@ -76,7 +76,7 @@ def test_outputs_keep_their_own_stamps() -> None:
     assert not record.outputs["y"].on_grid
 
 
-def test_a_part_is_a_window_on_the_same_axis() -> None:
+def test_a_part_keeps_the_time_axis() -> None:
     record = Record.from_columns(T, {"u": T, "y": T}, ["u"], ["y"]).part(0.1, 0.2)
     assert record.start == pytest.approx(0.1)
     assert record.steps == 26
@@ -111,7 +111,7 @@ def test_an_empty_window_says_what_there_is() -> None:
         Record.from_columns(T, {"u": T}, ["u"], [])
 
 
-def test_a_window_before_the_first_sample_of_an_input_is_refused() -> None:
+def test_a_window_before_an_input_is_refused() -> None:
     with pytest.raises(IdentificationError, match="channel 'late': no sample at or before"):
         Record.from_channels({"u": (T, T), "late": (T + 0.1, T), "y": (T, T)}, ["u", "late"], ["y"])
 

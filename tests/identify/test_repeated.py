@@ -34,7 +34,7 @@ def flown(gust: float) -> Repeated:
     return repeat(pitch_rate(), records, estimate=("mu", "tau", "theta_0", "q_0"), values=HELD)
 
 
-def test_with_a_noisy_sensor_only_flights_spread_as_each_claims() -> None:
+def test_sensor_noise_spreads_flights_as_claimed() -> None:
     found = flown(0.0)
     assert found.labels == ("mu", "tau")
     # What all of them suppose does not show in their spread.
@@ -48,7 +48,7 @@ def test_with_a_noisy_sensor_only_flights_spread_as_each_claims() -> None:
 
 
 @pytest.mark.parametrize("gust", [0.002, 0.005])
-def test_where_something_pushes_the_drone_the_spread_is_told_and_each_flight_warns(gust: float) -> None:
+def test_gusts_spread_flights_more_than_claimed(gust: float) -> None:
     found = flown(gust)
     assert found.spread("mu").exceeds(found.claimed("mu"))
     assert any(remark.startswith("mu: the flights spread") for remark in found.remarks)
@@ -75,6 +75,6 @@ def test_a_damping_below_zero_is_said() -> None:
 
 
 @pytest.mark.parametrize("seeds", [[], [1], [1, 1]])
-def test_one_flight_or_the_same_twice_is_no_repetition(seeds: list[int]) -> None:
+def test_repetitions_need_two_different_flights(seeds: list[int]) -> None:
     with pytest.raises(IdentificationError, match="two or more"):
         repeat(pitch_rate(), [doublet(seed, 0.0) for seed in seeds])

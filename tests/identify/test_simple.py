@@ -46,7 +46,7 @@ def test_pitch_figures_come_back_from_noisy_records() -> None:
     assert json.loads(found.to_json())["model"]["tau"] == found.model.tau
 
 
-def test_the_peak_with_unit_gain_is_not_what_the_paper_prints() -> None:
+def test_the_peak_differs_from_the_printed_one() -> None:
     # The exact model's peak is 6.88e-3 rad/s, not 6.68e-3; averaging over five samples rounds the corner by 1.8 %.
     record = pitch_record(PAPER_PITCH_RATE, doublet(750, 0.5, 0.6, 0.03), 0.0, np.random.default_rng(0))
     read = read_doublet(record, 3.437, 0.0836)
@@ -56,7 +56,7 @@ def test_the_peak_with_unit_gain_is_not_what_the_paper_prints() -> None:
     assert read.mu == pytest.approx(358.5, rel=0.002)
 
 
-def test_velocity_bias_of_the_simple_method_is_the_gap_of_table_1() -> None:
+def test_velocity_bias_is_that_of_table_1() -> None:
     # A drone that truly has what "greyest" found gives, read off by hand, what the paper's own method found.
     record = velocity_record(PAPER_VELOCITY_GREYBOX, 0.0, np.random.default_rng(0))
     found = identify_velocity([record]).model
@@ -102,7 +102,7 @@ def test_missing_excitation_and_response_are_refused() -> None:
         identify_velocity([])
 
 
-def test_a_model_that_does_not_reproduce_its_record_comes_with_a_warning(flight_data: Path) -> None:
+def test_a_poor_fit_by_hand_warns(flight_data: Path) -> None:
     """The velocity loop was closed in this flight, so its pitch is not the doublet that the method needs."""
     found = identify_velocity([cut(read_log(flight_data / "velocity-doublets-0.25.mat"), "velocity")])
     assert found.identification[1] < 31.0

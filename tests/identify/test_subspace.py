@@ -37,7 +37,7 @@ def test_without_noise_the_model_is_exact() -> None:
     assert np.allclose(model.simulate(U), outputs(), atol=1e-9)
 
 
-def test_it_starts_a_fit_whose_intervals_hold_the_truth() -> None:
+def test_it_starts_a_fit_with_right_intervals() -> None:
     clean = outputs()
     noise = 0.05 * clean.std(axis=0)
     noisy = record(clean + noise * np.random.default_rng(1).standard_normal(clean.shape))
@@ -57,7 +57,7 @@ def test_it_starts_a_fit_whose_intervals_hold_the_truth() -> None:
         assert compared.rmse == pytest.approx(sigma, rel=0.1)
 
 
-def test_growing_modes_are_turned_into_falling_ones_and_equal_poles_said() -> None:
+def test_growing_modes_become_decaying_ones() -> None:
     u = np.random.default_rng(3).standard_normal(300)
     noise = np.random.default_rng(4).standard_normal((300, 2))
     table = {"u": u, "y": noise[:, 0], "z": np.cumsum(noise[:, 1])}

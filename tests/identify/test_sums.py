@@ -23,7 +23,7 @@ def record() -> Record:
     return Record.from_columns(DT * np.arange(u.size), {"M": u, "q": q + noise}, ["M"], ["q"])
 
 
-def test_a_doublet_tells_the_total_delay_better_than_its_parts(record: Record) -> None:
+def test_total_delay_is_known_better_than_parts(record: Record) -> None:
     found = fit(pitch_rate(lag=True), record)
     assert found.summed == ("tau",)
     assert found["tau"] == found["dead_time"] + found["lag"]
@@ -38,7 +38,7 @@ def test_a_doublet_tells_the_total_delay_better_than_its_parts(record: Record) -
     assert json.loads(found.to_json())["sums"]["tau"]["value"] == found["tau"]
 
 
-def test_a_part_that_is_held_counts_with_its_value(record: Record) -> None:
+def test_a_held_part_counts_with_its_value(record: Record) -> None:
     free = tuple(name for name in TRUTH if name != "lag")
     found = fit(pitch_rate(lag=True), record, estimate=free, values={"lag": 0.012})
     assert found["tau"] == found["dead_time"] + 0.012
@@ -50,7 +50,7 @@ def test_a_part_that_is_held_counts_with_its_value(record: Record) -> None:
         held.sigma("tau")
 
 
-def test_the_total_delay_is_as_sure_where_a_bound_holds_a_part(record: Record) -> None:
+def test_a_bound_leaves_the_total_delay_accurate(record: Record) -> None:
     free = fit(pitch_rate(lag=True), record)
     high = free["lag"] - 0.3 * free.sigma("lag")
     held = fit(pitch_rate(lag=True), record, bounds={"lag": (0.0005, high)}, values={"lag": 0.005})

@@ -79,7 +79,7 @@ def test_intervals_hold_the_truth_of_records() -> None:
     assert np.mean(inside) > 0.86
 
 
-def test_a_held_coefficient_stays_and_the_hold_is_half_a_step_of_delay() -> None:
+def test_a_coefficient_and_the_hold_can_be_fixed() -> None:
     values = 5.0 / (1j * OMEGA + 3.0)
     hold = (1.0 - np.exp(-1j * OMEGA * DT)) / (1j * OMEGA * DT)
     found = fit_transfer(response_of(values * hold), 0, 1, values={"a0": 3.0})

@@ -50,7 +50,7 @@ def test_coloured_residuals_fail_whiteness_but_not_independence() -> None:
     assert np.mean([cross_correlation(e, u).passed for e in coloured]) > 0.85
 
 
-def test_what_is_left_of_the_input_shows_at_its_lag() -> None:
+def test_unexplained_input_shows_at_its_lag() -> None:
     rng = np.random.default_rng(2)
     u = np.sign(rng.standard_normal(2000))
     test = cross_correlation(0.3 * np.roll(u, 4) + rng.standard_normal(2000), u)
@@ -91,7 +91,7 @@ def test_what_cannot_be_judged_is_refused() -> None:
             whiteness(np.arange(300.0), level=level)
 
 
-def test_the_robust_covariance_is_the_double_sum_over_lags_even_across_gaps() -> None:
+def test_robust_covariance_is_the_newey_west_sum() -> None:
     """(J'J)^-1 sum_st J_s' w(s - t) c(s - t) J_t (J'J)^-1 with Bartlett's weights (Newey and West, 1987)."""
     rng = np.random.default_rng(5)
     when = np.delete(np.arange(60), [7, 8, 30])

@@ -59,7 +59,7 @@ of another file could run one of its own.
 
 
 def kept(request: pytest.FixtureRequest, start: Callable[[], AbstractContextManager[Kept]], kind: type[Kept]) -> Kept:
-    """What the asking fixture keeps, started where there is none."""
+    """Return the object kept for the asking fixture; start it if there is none."""
     there = request.config.stash.setdefault(KEPT, {})
     name = request.fixturename
     assert name is not None
@@ -85,7 +85,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.fixture(scope="session")
 def built_page() -> Path:
-    """The folder of the built page, as the server serves it; built anew where web/ has changed."""
+    """Return the folder of the built page, as the server serves it; build it if web/ has changed."""
     with (Path(tempfile.gettempdir()) / "twodof-tests-web-build.lock").open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)  # the tests of several processes come here at once
         done = subprocess.run(
@@ -243,7 +243,7 @@ def picture(page: Page, name: str) -> Path:
 
 
 def looks(page: Page, name: str) -> Iterator[tuple[str, Theme]]:
-    """Each size and theme in turn, the page seen to be no wider than its window; a picture is kept of each.
+    """Yield each size and theme, check that the page fits into its window, and keep a picture.
 
     What loads a page is dear, and a window that is made smaller shows the same as one that was small.
     """
@@ -264,6 +264,6 @@ def readable(page: Page, name: str) -> None:
 
 
 def scrolls_sideways(page: Page) -> bool:
-    """Whether the page is wider than its window."""
+    """Return True if the page is wider than its window."""
     wider: bool = page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
     return wider

@@ -34,7 +34,7 @@ class LabServer:
     process: subprocess.Popen[str]
 
     def call(self, method: str, path: str, body: Any = None) -> Any:
-        """What a call of the API answers: `call("POST", "drones/1/arm")`. Raises HTTPError."""
+        """Return the answer of the API to a call: `call("POST", "drones/1/arm")`. Raises HTTPError."""
         base = self.link.split("?")[0]
         data = None if body is None else json.dumps(body).encode()
         request = urllib.request.Request(f"{base}api/{path}", data, {"Content-Type": "application/json"}, method=method)

@@ -25,7 +25,7 @@ def armed(page: Page) -> None:
 
 
 def press(page: Page, name: str) -> Callable[[], None]:
-    """What presses a button that a disarmed drone would disable."""
+    """Return a function that presses a button which a disarmed drone would disable."""
     return lambda: page.get_by_role("button", name=name, exact=True).click(timeout=PRESSED_MS)
 
 

@@ -1,4 +1,4 @@
-"""What the browser has to fetch: the whole page, and what its first view needs."""
+"""Size of the page: everything together, and the files of its first view."""
 
 import gzip
 import re

@@ -1,4 +1,4 @@
-"""The Diagram page: draw by mouse and by keys, see what is wrong, simulate at once, keep, and flash."""
+"""The Diagram page: drawing by mouse and keys, problems, simulation and files."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def drawn(page: Page) -> Page:
 
 
 def hearing(page: Page) -> Callable[[str], None]:
-    """What waits for words to be said of what is done from now on.
+    """Return a function that waits for words announced from now on.
 
     A screen reader reads one after another what stood there; the next may come before one has looked.
     """
@@ -165,18 +165,14 @@ def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> N
 
 
 @pytest.mark.parametrize("name", ["pid-attitude", "lqr-attitude", "stock-position", "pid-position", "direct-motor"])
-def test_no_block_of_a_starter_stands_over_another_nor_over_a_wire(
-    server: Served, open_page: OpenPage, name: str
-) -> None:
+def test_blocks_of_starters_do_not_overlap(server: Served, open_page: OpenPage, name: str) -> None:
     page = open_page(link(server, f"?starter={name}"))
     expect(page.locator(".svelte-flow__node[data-id^='p:']")).to_have_count(len(starter(name).parts))
     expect(page.locator(".svelte-flow__edge-path").first).to_be_attached()
     assert page.evaluate(COVERED) == []
 
 
-def test_a_block_is_inserted_into_a_wire_wired_by_a_click_with_control_flipped_and_aligned(
-    server: Served, open_page: OpenPage
-) -> None:
+def test_blocks_are_inserted_wired_flipped_and_aligned(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     said = hearing(page)
     search = page.get_by_role("dialog", name="Insert a block").get_by_role("combobox")
@@ -218,9 +214,7 @@ def test_a_block_is_inserted_into_a_wire_wired_by_a_click_with_control_flipped_a
     said("^align: left edges$")
 
 
-def test_an_input_that_is_moved_stays_there_and_a_link_asks_before_it_takes_changes_away(
-    server: Served, open_page: OpenPage
-) -> None:
+def test_moved_inputs_stay_and_links_ask_first(server: Served, open_page: OpenPage) -> None:
     text = to_json(starter("pid-attitude"))
     keep(server, "moved", text)
     page = drawn(open_page(link(server, "/moved")))
@@ -295,7 +289,7 @@ def change_value_and_structure(page: Page, turn: int) -> tuple[float, float]:
     return value, after(lambda: page.get_by_label("derivative", exact=True).select_option(chosen))
 
 
-def test_a_value_is_simulated_at_once_and_a_structure_once_it_is_compiled(server: Served, open_page: OpenPage) -> None:
+def test_a_changed_value_needs_no_compilation(server: Served, open_page: OpenPage) -> None:
     """A value goes into the program that is there: nothing is compiled for it. test_speed.py asks for the time."""
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     compiled: list[str] = []
@@ -305,7 +299,7 @@ def test_a_value_is_simulated_at_once_and_a_structure_once_it_is_compiled(server
     assert len(compiled) == 1, "only for the structure"
 
 
-def test_no_action_on_300_blocks_costs_more_than_touching_each_of_them(server: Served, open_page: OpenPage) -> None:
+def test_actions_on_300_blocks_cost_little(server: Served, open_page: OpenPage) -> None:
     """To select all touches each block once, on this computer as busy as it is: 45 to 75 ms.
 
     Actions cost up to 1.9 times that, a collection of garbage among them. Redoing a paste cost 15 times as much while
@@ -316,7 +310,7 @@ def test_no_action_on_300_blocks_costs_more_than_touching_each_of_them(server: S
 
 
 @pytest.mark.soak
-def test_no_action_on_300_blocks_takes_a_tenth_of_a_second(server: Served, open_page: OpenPage) -> None:
+def test_actions_on_300_blocks_take_milliseconds(server: Served, open_page: OpenPage) -> None:
     """Processor time grows with what else uses the caches: the figure is for a quiet computer."""
     figures = _longest_tasks(server, open_page)
     assert max(figures.values()) < LONGEST_TASK_MS, figures

@@ -1,4 +1,4 @@
-"""Somebody's first hour, without a shell after `twodof up`: fly, tune, identify, draw, flash, and fly that."""
+"""The first hour of a user with the page alone: fly, tune, identify, draw and flash a controller."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def disarm(page: Page) -> None:
 
 
 @pytest.mark.waits
-def test_from_up_to_a_model_and_a_controller_of_ones_own_that_fly(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_first_hour_with_the_page(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     page.context.set_default_timeout(PATIENCE_S * 1000)
 

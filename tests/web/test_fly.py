@@ -1,4 +1,4 @@
-"""The Fly page: a person arms, flies by every means there is, excites, stops and disarms, and sees what happens."""
+"""The Fly page: arming, every kind of set-point, excitations, the stop, and views."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_set_points_by_button_slider_key_and_number(lab_server: LabServer, open_
     assert not lab_server.state["armed"]
 
 
-def test_a_pitch_is_asked_in_degrees_and_flown_in_radians(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_pitch_is_typed_in_degrees(lab_server: LabServer, open_page: OpenPage) -> None:
     lab_server.calm(rings=True)
     page = open_page(lab_server.link)
     expect(page.get_by_text("locked, the cart stands")).to_be_visible()
@@ -70,9 +70,7 @@ def test_a_pitch_is_asked_in_degrees_and_flown_in_radians(lab_server: LabServer,
     reaches(page, "Pitch θ", 0.0, 1.5)
 
 
-def test_the_stop_works_by_button_by_key_over_a_dialog_and_from_every_page(
-    lab_server: LabServer, open_page: OpenPage
-) -> None:
+def test_the_stop_works_from_everywhere(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
     page.get_by_role("button", name="Build one").click()
@@ -138,7 +136,7 @@ def test_an_excitation_is_built_previewed_and_flown(lab_server: LabServer, open_
     reaches(page, "Position x", 0.0, 0.02)
 
 
-def test_who_only_watches_sees_cannot_touch_and_may_stop(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_watcher_may_only_stop(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.watch_link)
     expect(page.get_by_text("Watching only")).to_be_visible()
     expect(page.get_by_role("img", name=re.compile("^The drone on its rail"))).to_be_visible()  # without WebGL
@@ -153,7 +151,7 @@ def test_who_only_watches_sees_cannot_touch_and_may_stop(lab_server: LabServer, 
     expect(page.get_by_label("Log of the drone")).to_contain_text("the emergency stop was pressed by who watches at")
 
 
-def test_the_rig_is_reset_to_where_it_is_asked(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_the_rig_is_reset_to_a_place(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     page.get_by_role("button", name="Reset…").click()
     dialog = page.get_by_role("dialog")
@@ -182,9 +180,7 @@ def test_what_is_seen_is_saved_for_matlab(lab_server: LabServer, open_page: Open
     assert np.abs(log["x_true"].value).max() < 0.01
 
 
-def test_it_fits_both_sizes_and_themes_and_axe_finds_no_serious_fault(
-    lab_server: LabServer, open_page: OpenPage
-) -> None:
+def test_the_page_fits_sizes_and_themes(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, three_d=True)
     expect(page.get_by_role("application", name=re.compile("^The drone on its rail"))).to_be_visible()
     expect(page.get_by_role("button", name="Arm", exact=True)).to_be_enabled()

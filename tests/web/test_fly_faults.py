@@ -1,4 +1,4 @@
-"""What goes wrong while somebody flies: each is said in words where it is seen, and recovers by itself."""
+"""Faults during a flight from the page: each is shown in words and recovers by itself."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
 
 
-def test_the_link_to_the_drone_is_lost_and_comes_back(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_lost_link_to_the_drone_returns(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
     with lab_server.stopped("companion"):
@@ -96,7 +96,7 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
 
 
-def test_a_tab_that_slept_a_minute_says_so_and_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_tab_that_slept_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page("about:blank", own=True)
     page.clock.install()
     page.goto(lab_server.link)
@@ -126,7 +126,7 @@ def frozen(*pages: Page) -> Iterator[None]:
     """No script of these tabs runs, and the browser keeps their sockets open and answers the pings of the server.
 
     The debugger does to a page what a browser does to a tab that it freezes. Chromium's own switch for that
-    (Page.setWebLifecycleState) does nothing where there is no screen.
+    (Page.setWebLifecycleState) does nothing without a screen.
     """
     sessions = [page.context.new_cdp_session(page) for page in pages]
     for chrome in sessions:
@@ -147,7 +147,7 @@ def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
     return float(times[-1] - times[0])
 
 
-def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_frozen_pilot_flies_nothing(lab_server: LabServer, open_page: OpenPage) -> None:
     page, watching = open_page(lab_server.link, own=True), open_page(lab_server.watch_link, own=True)
     flying(page)
     flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)
@@ -165,7 +165,7 @@ def test_who_freezes_while_it_commands_flies_nothing_and_sees_so(lab_server: Lab
 
 
 @pytest.mark.soak
-def test_who_is_frozen_for_a_minute_comes_back_to_a_drone_at_rest(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_long_frozen_pilot_finds_a_resting_drone(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, own=True)
     flying(page)
     recording = lab_server.state["recording"]

@@ -16,7 +16,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 
 
 def test_the_lesson_can_be_followed(lab_server: LabServer, open_page: OpenPage) -> None:
-    """What it clicks is there, what it says comes, and the page shows each of its pictures."""
+    """Each click and text of the lesson exists on the page, and so does each of its pictures."""
     lab_server.warm()
     page = open_page(lab_server.link)
     taken: list[str] = []

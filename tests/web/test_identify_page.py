@@ -91,7 +91,7 @@ def test_a_flight_that_is_stopped_says_so(lab: ServedLab, open_page: OpenPage) -
     expect(page.get_by_text("interrupted").or_(page.get_by_text("stopped before")).first).to_be_visible(timeout=LONG_MS)
 
 
-def test_what_is_refused_is_said_where_it_was_asked(lab: ServedLab, open_page: OpenPage) -> None:
+def test_a_refusal_appears_beside_the_button(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?log=2026-01-01-10-00-00-impulse.mcap"))
     page.get_by_label("It holds").select_option("velocity")
     page.get_by_role("button", name="Identify", exact=True).click()

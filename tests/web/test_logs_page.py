@@ -1,4 +1,4 @@
-"""The Logs page: what was flown is listed, opened, replayed, laid over each other, noted, added, deleted and undone."""
+"""The Logs page: lists, replays, comparisons, notes, uploads and deletions with undo."""
 
 from __future__ import annotations
 
@@ -102,9 +102,7 @@ def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, 
     expect(page.locator("output.time")).to_have_text(f"{log.span[1]:.2f} s")
 
 
-def test_steps_are_those_of_the_library_and_flights_lie_over_each_other(
-    logs_server: Served, flights: Path, open_page: OpenPage
-) -> None:
+def test_compared_steps_are_those_of_the_library(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     for name in (FIRST, SECOND):
         page.get_by_label(f"Compare {name}").check()
@@ -119,7 +117,7 @@ def test_steps_are_those_of_the_library_and_flights_lie_over_each_other(
     expect(page.get_by_text("position x").first).to_be_visible()
 
 
-def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
+def test_a_log_is_added_noted_and_deleted(
     logs_server: Served, flights: Path, open_page: OpenPage, tmp_path: Path
 ) -> None:
     source = flights / "flights" / FIRST
@@ -151,9 +149,7 @@ def test_a_log_is_dropped_noted_downloaded_deleted_and_brought_back(
             break
 
 
-def test_a_log_that_is_sent_says_how_far_it_is_and_is_cancelled(
-    logs_server: Served, flights: Path, open_page: OpenPage
-) -> None:
+def test_an_upload_shows_progress_and_is_cancelled(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     page.route("**/api/logs/cancelled.mcap", lambda route: None)  # on its way for ever
     content = (flights / "flights" / FIRST).read_bytes()
@@ -167,9 +163,7 @@ def test_a_log_that_is_sent_says_how_far_it_is_and_is_cancelled(
     expect(page.get_by_role("button", name="Open a file")).to_be_enabled()
 
 
-def test_what_is_no_log_is_refused_where_it_was_dropped(
-    logs_server: Served, open_page: OpenPage, tmp_path: Path
-) -> None:
+def test_other_files_are_refused_as_logs(logs_server: Served, open_page: OpenPage, tmp_path: Path) -> None:
     page = open_page(link(logs_server), expects=("422",))  # what is sent is refused
     for name, words in (("page.html", "page.html is not a log"), ("noise.ulg", "noise.ulg")):
         (tmp_path / name).write_bytes(b"<script>alert(1)</script>" * 40)
@@ -177,9 +171,7 @@ def test_what_is_no_log_is_refused_where_it_was_dropped(
         expect(page.locator("main").get_by_role("alert")).to_contain_text(words)
 
 
-def test_a_damaged_log_says_why_it_cannot_be_read_and_can_be_deleted(
-    logs_server: Served, flights: Path, open_page: OpenPage
-) -> None:
+def test_a_damaged_log_can_be_deleted(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     damaged = flights / "flights" / "shot.mcap"
     damaged.write_bytes((flights / "flights" / FIRST).read_bytes()[:2000])
     page = open_page(link(logs_server, f"/{damaged.name}"))

@@ -236,7 +236,7 @@ def _flight(seed: int, loop: str) -> dict[str, Any]:
     }
 
 
-def test_the_page_reads_the_step_figures_that_python_reads(tmp_path: Path) -> None:
+def test_step_figures_equal_those_of_python(tmp_path: Path) -> None:
     cases = [_flight(seed, loop) for seed in range(3) for loop in FOLLOWING]
     assert sum(len(one["found"]) for one in cases) > 20  # there is something to compare
     passes("step_watch.test.ts", "VITE_TWODOF_STEPS", cases, 3 * len(cases), tmp_path)

@@ -91,7 +91,7 @@ def test_the_same_seed_flies_the_same_bits_again(link: str, open_page: OpenPage)
     assert abs(flights[0][0]) > 1e-4
 
 
-def test_a_gain_is_set_refused_and_kept_in_the_link(link: str, open_page: OpenPage) -> None:
+def test_a_gain_is_kept_in_the_link(link: str, open_page: OpenPage) -> None:
     page = open_page(link)
     gain = page.get_by_label(re.compile(r"^Attitude Kp \["))
     gain.fill("4")

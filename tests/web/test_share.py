@@ -1,4 +1,4 @@
-"""Who opens the link that *Share* gives sees the same view, and changes nothing."""
+"""The link of *Share* shows the same view and cannot change anything."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.web.lab_server import LabServer
 pytestmark = pytest.mark.slow
 
 
-def test_the_link_for_watching_shows_this_view_and_only_watches(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_the_watch_link_shows_the_same_view(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(f"{lab_server.link}#/tune?drone={lab_server.drone}")
     page.get_by_role("button", name="Share").click()
     dialog = page.get_by_role("dialog", name="Let others watch")

@@ -22,7 +22,7 @@ class QuietHandler(SimpleHTTPRequestHandler):
     """Serves files, and writes no line for each."""
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing."""
+        """Write no line."""
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def files_only(built_page: Path) -> Iterator[str]:
         thread.join()
 
 
-def test_without_a_server_the_frame_says_so_and_fits(files_only: str, open_page: OpenPage) -> None:
+def test_a_missing_server_is_shown(files_only: str, open_page: OpenPage) -> None:
     page = open_page(files_only, expects=NO_SERVER)
     expect(page.get_by_text("No server")).to_be_visible()
     expect(page.get_by_role("button", name="STOP F8")).to_be_visible()
@@ -57,7 +57,7 @@ def test_the_theme_is_chosen_and_kept(files_only: str, open_page: OpenPage) -> N
     assert page.evaluate(background) == light
 
 
-def test_the_first_key_leads_past_the_bar_and_stays_on_the_page(files_only: str, open_page: OpenPage) -> None:
+def test_the_first_key_skips_the_bar(files_only: str, open_page: OpenPage) -> None:
     page = open_page(f"{files_only}#/tune", expects=NO_SERVER)
     page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="Skip to the page")).to_be_focused()

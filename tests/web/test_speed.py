@@ -107,7 +107,7 @@ def waits(page: Page, frames: int) -> dict[str, float]:
 
 
 def processor_time(browser: Browser) -> float:
-    """What all processes of the browser have used of the processor so far [s]: others on the machine do not count."""
+    """Return the processor time of all processes of the browser so far [s]."""
     session = browser.new_browser_cdp_session()
     processes = session.send("SystemInfo.getProcessInfo")["processInfo"]
     session.detach()
@@ -142,7 +142,7 @@ def test_the_first_view_comes_soon(lab_server: LabServer, open_page: OpenPage, b
     assert times[2] < FIRST_VIEW_MS
 
 
-def test_a_change_of_a_diagram_is_simulated_within_a_second(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_changed_diagram_is_simulated_within_a_second(lab_server: LabServer, open_page: OpenPage) -> None:
     page = drawn(open_page(f"{lab_server.link}#/diagram?starter=pid-attitude"))
     took = [change_value_and_structure(page, turn) for turn in range(3)]
     value, structure = (min(one) for one in zip(*took, strict=True))  # of a machine that does nothing else meanwhile

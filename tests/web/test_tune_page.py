@@ -78,7 +78,7 @@ def test_several_are_edited_sent_together_and_taken_back(lab: ServedLab, open_pa
     assert (on_board(lab, "RATE_KP"), on_board(lab, "ATT_KP")) == (0.0854, 11.0)
 
 
-def test_a_value_out_of_bounds_is_refused_where_it_is_typed(lab: ServedLab, open_page: OpenPage) -> None:
+def test_a_value_out_of_bounds_is_refused(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab, "?search=RATE_KP"))
     edit(page, "RATE_KP", "0.07")
     expect(page.get_by_role("button", name="Send 1 change")).to_be_enabled()
@@ -90,7 +90,7 @@ def test_a_value_out_of_bounds_is_refused_where_it_is_typed(lab: ServedLab, open
     assert axe(page) == []
 
 
-def test_a_search_finds_by_help_and_stands_in_the_link(lab: ServedLab, open_page: OpenPage) -> None:
+def test_a_search_is_kept_in_the_link(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab))
     search = page.get_by_role("searchbox")
     search.press_sequentially("rail limit")
@@ -101,7 +101,7 @@ def test_a_search_finds_by_help_and_stands_in_the_link(lab: ServedLab, open_page
     expect(field(page, "SAFE_RAIL_MARG")).to_be_visible()
 
 
-def test_gains_that_the_model_does_not_keep_stable_need_words(lab: ServedLab, open_page: OpenPage) -> None:
+def test_unstable_gains_need_a_confirmation(lab: ServedLab, open_page: OpenPage) -> None:
     page = open_page(link(lab), expects=("409",))
     page.get_by_label("Model", exact=True).select_option("careful")
     expect(page.get_by_role("row", name="attitude")).to_be_visible(timeout=LONG_MS)

@@ -1,4 +1,4 @@
-"""`twodof diagram`: start one, check, test and draw it, see and export the C it becomes, linearize it, say margins."""
+"""`twodof diagram`: start, check, test, draw, compile, export and linearize diagrams."""
 
 import json as json_text
 from collections.abc import Mapping

@@ -21,7 +21,7 @@ from twodof.flightlog.files import check_folder
 
 
 class RunOn(StrEnum):
-    """What runs the tests, as `run_scenarios` names it."""
+    """Target that runs the tests, as `run_scenarios` names it."""
 
     reference = "reference"
     native = "native"

@@ -1,4 +1,4 @@
-"""Problem: the least squares of a fit, with the order of the unknowns in x, residuals, Jacobian, prior and band."""
+"""Problem: the least squares of a fit, with the unknowns in x, residuals, Jacobian, prior and band."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -290,7 +290,7 @@ class Prior:
 
 
 def check_prior(prior: Mapping[str, tuple[float, float]], unknowns: Sequence[str], where: str) -> None:
-    """Check a prior: raise IdentificationError for a name that is no unknown, and for no mean or standard deviation.
+    """Check a prior: raise IdentificationError for an unknown name, and for a missing mean or standard deviation.
 
     A standard deviation may be infinite: then nothing is known.
     """

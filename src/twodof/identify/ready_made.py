@@ -1,4 +1,4 @@
-"""What is fitted to which of the paper's experiments: the structures by name, and what an earlier flight fixes."""
+"""Ready-made fits of the paper's experiments: structures by name, priors, and values held from earlier flights."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -140,7 +140,7 @@ class Sufficiency:
 
 
 def sufficiency(found: Estimate, wanted: Collection[str] = ()) -> Sufficiency:
-    """Judge a fit by the unknowns `wanted`, if it has them; by default by all that are not local to a record."""
+    """Judge a fit by the unknowns `wanted`, if it has them, else by every unknown that is not local to a record."""
     asked = [name for name in (*found.labels, *found.summed) if name in wanted]
     asked = asked or [name for name in found.labels if name not in found.local]
     shares, reasons = {}, []

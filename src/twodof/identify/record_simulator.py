@@ -95,7 +95,7 @@ def _common_fraction(position: Array) -> float:
 
 
 def _on_steps(position: Array) -> Array:
-    """`position`, exactly on a step where it is there but for rounding."""
+    """Round `position` to a step where it is on one except for rounding errors."""
     near = np.round(position)
     return np.where(np.abs(position - near) < _ON, near, position)
 

@@ -84,7 +84,7 @@ class Repeated:
         return tuple(found)
 
     def table(self) -> str:
-        """Return the estimates by flight, mean, spread, and the claim of one flight, as text for a terminal."""
+        """Return the estimates by flight with mean, spread and the claim of one flight, as text for a terminal."""
         first, labels = self.estimates[0], self.labels
         width = max(18, *(len(name) for name in self.names)) + 2
         lines = [f"{first.structure} ({first.domain}), each of {len(self.names)} flights by itself"]

@@ -45,7 +45,7 @@ def true_model() -> Autoregression:
     return Autoregression(tuple(predictors), np.array(deviations))
 
 
-def test_whitening_is_a_square_root_of_the_inverse_covariance() -> None:
+def test_whitening_is_the_root_of_the_inverse_covariance() -> None:
     model, size = true_model(), 60
     np.testing.assert_allclose(model.coefficients, TRUE, rtol=1e-9)
     white = model.whiten(np.eye(size), [slice(0, size)])
@@ -85,7 +85,7 @@ def test_white_noise_has_order_nought() -> None:
     assert np.median(orders) == 0
 
 
-def test_few_samples_or_none_that_move_give_a_model_all_the_same() -> None:
+def test_few_or_constant_samples_still_give_a_model() -> None:
     for noise in (np.zeros(100), np.array([0.1]), np.array([0.1, -0.1, 0.1]), np.ones(50)):
         model = autoregression(noise, [slice(0, noise.size)], spent=5)
         assert np.isfinite(model.whiten(noise, [slice(0, noise.size)])).all()

@@ -49,7 +49,7 @@ def estimated(record: Record, disturbance: str) -> Estimate:
 
 
 @pytest.mark.long
-def test_in_closed_loop_output_error_is_wrong_and_says_so_and_the_noise_model_is_right() -> None:
+def test_in_closed_loop_the_noise_model_is_right() -> None:
     records = [closed_loop(seed) for seed in range(1, 9)]
     white = [estimated(record, "white") for record in records]
     auto = [estimated(record, "auto") for record in records]
@@ -148,7 +148,7 @@ def test_the_pieces_of_a_flight_have_one_noise() -> None:
     assert abs(both["mu"] - one["mu"]) < one.sigma("mu")
 
 
-def test_a_short_closed_loop_on_the_cart_holds_the_truth() -> None:
+def test_intervals_of_a_short_closed_loop_hold() -> None:
     # 1.6 s. Output error, which `auto` took here once, has mu 41 low and holds it in 40 % of such flights.
     laboratory = Laboratory("lab")
     case = cases(laboratory.parameters.snapshot())["attitude-steps"]

@@ -1,4 +1,4 @@
-"""Gusts at the input: a doublet's interval holds the truth, the gust is found, a plan with it comes true."""
+"""Gusts at the input: intervals that hold the truth, the gust itself, and the prediction of a further flight."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def found() -> list[Estimate]:
 
 
 @pytest.mark.long
-def test_the_intervals_hold_the_truth_where_those_of_output_error_do_not(found: list[Estimate]) -> None:
+def test_intervals_under_gusts_hold_the_truth(found: list[Estimate]) -> None:
     z = np.array([(one["mu"] - TRUE_MU) / one.sigma("mu") for one in found])
     # Chi-square of 6: above 22.5 once in a thousand.
     assert float(z @ z) < 22.5
@@ -54,7 +54,7 @@ def test_the_intervals_hold_the_truth_where_those_of_output_error_do_not(found: 
 
 
 @pytest.mark.long
-def test_the_gust_is_found_and_the_vibration_does_not_pass_for_one(found: list[Estimate]) -> None:
+def test_the_gust_is_found_beside_a_vibration(found: list[Estimate]) -> None:
     gusts = [one.disturbance.gusts["q"] for one in found if one.disturbance.kind == "input"]
     assert len(gusts) >= 5  # a whiteness test at 99 % may pass one
     assert {gust.input for gust in gusts} == {"M"}
@@ -78,7 +78,7 @@ def test_what_was_found_is_told(found: list[Estimate]) -> None:
     assert stored["gusts"]["q"]["std"] == one.disturbance.gusts["q"].std  # type: ignore[index]
 
 
-def test_a_plan_with_the_noise_that_was_found_promises_what_came(found: list[Estimate]) -> None:
+def test_prediction_with_the_found_noise_is_right(found: list[Estimate]) -> None:
     one = next(one for one in found if one.disturbance.kind == "input")
     values = {**HELD, **dict(zip(one.labels, one.values, strict=True))}
     plan = predict(STRUCTURE, {"M": U}, DT, one.noise, values=values, estimate=WANTED, disturbance=one.disturbance)
@@ -93,14 +93,14 @@ def test_a_plan_with_the_noise_that_was_found_promises_what_came(found: list[Est
         predict(STRUCTURE, {"M": U}, DT, one.noise, estimate=WANTED, disturbance=several)
 
 
-def test_a_structure_that_is_not_linear_has_no_gust() -> None:
+def test_a_nonlinear_structure_has_no_gust() -> None:
     options = {"estimate": ("mu", "tau", "q_0"), "values": {"w_n": 3.437, "xi": 0.0836, "coulomb": 0.3, "mu": 250.0}}
     with pytest.raises(IdentificationError, match="needs a linear structure"):
         fit(free_response(), flown(1), disturbance="input", **options)  # type: ignore[arg-type]
     assert fit(free_response(), flown(1), **options).disturbance.kind == "white"  # type: ignore[arg-type]
 
 
-def test_a_structure_without_the_lag_is_not_trusted_with_a_gust() -> None:
+def test_a_structure_without_lag_keeps_output_error() -> None:
     # It would take what the lag does behind an edge, where the gust has not pushed yet, for less gain and delay.
     wanted, held = ("mu", "tau", "theta_0", "q_0"), {"w_n": 3.437, "xi": 0.0836}
     auto = fit(pitch_rate(), flown(1), estimate=wanted, values=held)

@@ -54,7 +54,7 @@ def estimated(record: Record) -> Estimate:
 
 
 @pytest.mark.long
-def test_what_a_fit_under_louder_noise_claims_is_what_it_is_worth() -> None:
+def test_intervals_under_louder_noise_hold() -> None:
     found = [estimated(flown(seed)) for seed in range(1, 25)]
     for one in found:
         (loud,) = one.disturbance.louder.values()
@@ -73,7 +73,7 @@ def test_even_noise_is_left_even() -> None:
     assert not any(estimated(flown(seed, times=1.0)).disturbance.louder for seed in range(1, 16))
 
 
-def test_a_sample_does_not_count_in_its_own_weight() -> None:
+def test_a_weight_does_not_depend_on_its_sample() -> None:
     # In closed loop an input answers the noise of the same sample: its weight must not know it.
     def moved(record: Record) -> list[np.ndarray]:
         problem = Problem(pitch_rate(), [record], ("mu", "q_0"), {}, {})

@@ -1,4 +1,4 @@
-"""One rule for what is there already: it is kept unless --force, or overwrite=True in Python, says otherwise."""
+"""Files that commands write: one that is there is kept without --force, and a wrong place is refused first."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize(("command", "name"), COMMANDS)
-def test_a_file_that_is_there_is_kept_unless_it_is_said(
+def test_an_existing_file_is_kept_without_force(
     command: str, name: str, log: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / name
@@ -87,6 +87,43 @@ def test_a_session_that_repeats_has_numbered_recordings(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["session-2.mcap", "session-3.mcap", "session.mcap"]
 
 
-def test_an_export_into_a_folder_with_something_else_is_the_callers_mistake(tmp_path: Path) -> None:
+def test_an_export_into_a_foreign_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("mine")
     assert run(["px4", "export", "stock-attitude", str(tmp_path)]) == 2
+
+
+# Command with its option for a file, the suffix of that file, and the function that does its work and must not begin.
+WORK = (
+    ("calibrate --out", ".mat", "twodof.cli.log.calibrate_rig"),
+    ("demo --out", ".html", "twodof.cli.demo.fly_series"),
+    ("diagram render stock-attitude --out", ".svg", "twodof.cli.diagram.to_svg"),
+    ("diagram code stock-attitude --out", ".mat", "twodof.cli.diagram.emit_program"),
+    ("simulate doublet --out", ".mat", "twodof.cli.simulate.Laboratory"),
+    ("simulate doublet --plot", ".png", "twodof.cli.simulate.Laboratory"),
+    ("fly doublet --rig lab --out", ".mat", "twodof.cli.fly.virtual_drone"),
+    ("fly doublet --rig lab --plot", ".png", "twodof.cli.fly.virtual_drone"),
+)
+
+
+def places(folder: Path, command: str, suffix: str) -> dict[str, Path]:
+    """Return places where no file can be, also for root, by what the error says about them."""
+    (folder / f"is a folder{suffix}").mkdir()
+    (folder / "a file").touch()
+    found = {"is a directory": folder / f"is a folder{suffix}", "folder": folder / "a file" / f"below{suffix}"}
+    wrong = {"suffix '.h5'": folder / "flight.h5"} if command.startswith(("simulate", "fly")) else {}
+    return {**found, "mkdir -p": folder / "nowhere" / f"a{suffix}", **wrong}
+
+
+@pytest.mark.parametrize(("command", "suffix", "work"), WORK)
+def test_a_place_is_checked_before_the_work(
+    command: str,
+    suffix: str,
+    work: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(work, lambda *_, **__: pytest.fail("the work was begun"))
+    for said, place in places(tmp_path, command, suffix).items():
+        assert run([*command.split(), str(place)]) == 2
+        assert said in capsys.readouterr().err
