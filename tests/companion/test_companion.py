@@ -42,10 +42,7 @@ def texts(client: Listener) -> list[str]:
 @on_virtual_time
 async def test_a_line_that_is_cut_is_told_and_opened_again() -> None:
     vehicle = Vehicle(await open_transport("memin://fcu"))
-    async with (
-        Companion("mem://fcu", CLIENTS) as companion,
-        Listener(await open_transport("mem://clients")) as client,
-    ):
+    async with Companion("mem://fcu", CLIENTS) as companion, Listener(await open_transport("mem://clients")) as client:
         await until(lambda: len(client.heard("ATTITUDE")) > 100)
         assert client.heard("HEARTBEAT", component=191)[-1].system_status == ACTIVE
         await vehicle.close()
@@ -121,10 +118,7 @@ async def test_nothing_speaks_for_a_client_that_fell_silent() -> None:
 async def test_a_client_on_udp_that_vanishes_is_forgotten_and_a_default_address_stays() -> None:
     with _port() as (there, default):
         serve = [Serve(f"udp://127.0.0.1:{default}?bind=0", "ground")]
-        async with (
-            Vehicle(await open_transport("memin://fcu")) as vehicle,
-            Companion("mem://fcu", serve) as companion,
-        ):
+        async with Vehicle(await open_transport("memin://fcu")) as vehicle, Companion("mem://fcu", serve) as companion:
             await until(lambda: len(_datagrams(there)) > 0)  # PX4's way: sent to without having spoken
             address = parse(companion.urls[0][0])
             async with Listener(await open_transport(f"udp://127.0.0.1:{address.bind_port}")) as client:
@@ -180,10 +174,7 @@ async def test_with_a_key_what_is_not_signed_freshly_ends_here_and_who_is_behind
     ):
         client = await open_transport("mem://one")
         fresh = encode(beat, 24, 190, 0, theirs.outgoing())
-        for raw in (
-            encode(beat, 25, 190, 0),
-            encode(beat, 25, 190, 0, Signing(Key.fresh(), Stamps(None)).outgoing()),
-        ):
+        for raw in (encode(beat, 25, 190, 0), encode(beat, 25, 190, 0, Signing(Key.fresh(), Stamps(None)).outgoing())):
             client.send(raw)
         client.send(fresh)
         await until(lambda: bool(vehicle.heard("HEARTBEAT", system=24)))

@@ -99,9 +99,7 @@ class Whole:
         self.fcu, self.clients = f"mem://fcu-{number}", f"mem://clients-{number}"
         self.wifi, self.line = wifi or Faults(), line or Faults()
         self.steps: list[Seen] = []
-        self.drone = VirtualDrone(
-            **{"conditions": {"rings": True, "seed": seed}, "signing": signing, **options},
-        )
+        self.drone = VirtualDrone(**{"conditions": {"rings": True, "seed": seed}, "signing": signing, **options})
         self.drone.controller.bus.subscribe(ControlStep, self._seen)
         self.companion = Companion(self.fcu, [Serve(self.clients.replace("mem:", "memin:"))], 1, companion_signing)
         self.faulty: list[FaultyTransport] = []

@@ -28,10 +28,7 @@ SOUND: dict[str, tuple[dict[str, Any], ...]] = {
         {"type_mask": 128 + 7, "thrust": 0.4},
         {"type_mask": 7 + 32, "q": [1.0, 0.0, 0.0, 0.0], "thrust_body": [0.0, 0.0, -0.4]},
     ),
-    "SET_POSITION_TARGET_LOCAL_NED": (
-        {"type_mask": 0, "coordinate_frame": 1},
-        {"type_mask": 7, "coordinate_frame": 8},
-    ),
+    "SET_POSITION_TARGET_LOCAL_NED": ({"type_mask": 0, "coordinate_frame": 1}, {"type_mask": 7, "coordinate_frame": 8}),
     "TWODOF_OPENLOOP": tuple({"M": 0.0, "T": 0.4, "openloop": o, "enableM": 1, "enableT": 1} for o in (0, 1)),
     "TWODOF_EXCITE": tuple({"action": action, "transfer": 7, "loop": 2, "thrust": 0.4} for action in range(3)),
     "PARAM_SET": tuple({"param_id": name, "param_type": 9} for name in ("RATE_KP", "THRUST_BAR", "SAFE_SP_T")),

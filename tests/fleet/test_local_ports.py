@@ -18,10 +18,7 @@ from twodof.link.transport.url import Port
 
 @pytest.mark.parametrize(
     ("kind", "type_", "first"),
-    [
-        ("TCP", socket.SOCK_STREAM, Port.FLIGHT_CONTROLLER),
-        ("UDP", socket.SOCK_DGRAM, Port.COMPANION_ONBOARD),
-    ],
+    [("TCP", socket.SOCK_STREAM, Port.FLIGHT_CONTROLLER), ("UDP", socket.SOCK_DGRAM, Port.COMPANION_ONBOARD)],
 )
 def test_the_process_that_has_a_port_is_named(kind: str, type_: int, first: int) -> None:
     with free_numbers(1) as number:  # a port that nobody takes as soon as we have left it

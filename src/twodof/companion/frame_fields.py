@@ -26,7 +26,7 @@ _COMMAND = struct.Struct("<7fHBB")
 
 
 class FieldOffsets(NamedTuple):
-    """Offsets [byte] of the target and of the time in a payload; -1 where the message has none."""
+    """Offsets [byte] of the target and of the time in a payload; -1 where the message lacks it."""
 
     system: int = -1
     component: int = -1
@@ -77,7 +77,7 @@ def target(frame: Frame) -> tuple[int, int]:
 
 
 def time_us(frame: Frame) -> int:
-    """Return the sender's time in a frame [us], -1 if its message has none."""
+    """Return the sender's time in a frame [us], -1 if its message lacks it."""
     where = places().get(frame.message_id)
     if where is None or where.time < 0:
         return -1

@@ -273,7 +273,7 @@ def _lock(path: Path) -> int:
 
 
 def _read(path: Path) -> int:
-    """Read the highest stamp of a file that no other user can have set back; 0 if there is no file.
+    """Read the highest stamp of a file that other users cannot have set back; 0 if the file is missing.
 
     Files of earlier versions hold a stamp for each stream.
     """

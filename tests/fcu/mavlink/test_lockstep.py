@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from tests.fcu.command.cockpit import ME, OTHER
 from tests.fcu.mavlink.desk import TARGET, Desk
 from twodof.errors import RefusalReason
-from twodof.link.mavlink import setpoints
 from twodof.link.mavlink.messages import message
 
 
@@ -116,15 +115,6 @@ def test_in_real_time_nothing_is_granted() -> None:
     desk.say(grant(10))
     assert desk.controller.granted == 0
     assert "by itself" in desk.told[0]
-
-
-def test_what_came_before_a_grant_acts_at_its_first_tick() -> None:
-    desk = Desk(lockstep=True)
-    desk.arm()
-    desk.say(setpoints.attitude_target(0.0, 0.4, **TARGET))
-    assert desk.commander.set_mode(ME, 6 << 16).accepted
-    desk.say(grant(desk.controller.tick + 3))
-    assert [desk.run().mode for _ in range(3)] == [3, 3, 3]
 
 
 # Resets.

@@ -1,4 +1,4 @@
-"""Command 245: all parameters to their defaults, as QGroundControl asks for it, and an answer that is true."""
+"""Storing: command 245 with an answer that is true, work beside the control loop, trouble of the disk told once."""
 
 from __future__ import annotations
 
@@ -12,9 +12,14 @@ from typing import Any
 
 import pytest
 
-from tests.fcu.mavlink.world import World
+from tests.fcu.mavlink.world import World, step
+from tests.fcu.steps import plain_step
 from tests.patience import PATIENCE_S, patiently
+from twodof.errors import ParameterError
 from twodof.fcu.command.command_lease import rejected
+from twodof.fcu.mavlink.background import BackgroundWorker
+from twodof.fcu.mavlink.command_service import LOOK_TICKS, StorageMonitor
+from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters import parameter_store as store_module
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.mavlink.dialect import MavResult
@@ -154,10 +159,7 @@ def test_not_in_flight_and_not_by_who_may_not_command() -> None:
     world.commander.armed = True
     for action in (LOAD, SAVE, RESET_CONFIG, RESET_ALL):
         assert world.command(STORAGE, action) == MavResult.TEMPORARILY_REJECTED
-    world.commander.armed, world.commander.verdict = (
-        False,
-        rejected("another has the lease"),
-    )
+    world.commander.armed, world.commander.verdict = (False, rejected("another has the lease"))
     assert world.command(STORAGE, RESET_ALL) == MavResult.TEMPORARILY_REJECTED
     assert "another has the lease" in world.texts()
     assert world.store.changed() == {"ATT_KP": 9.0, "THRUST_BAR": 0.5}
@@ -169,3 +171,84 @@ def test_not_in_flight_and_not_by_who_may_not_command() -> None:
 def test_what_there_is_not_is_refused(action: float, answer: int) -> None:
     assert changed().command(STORAGE, action) == answer
     assert changed().command(STORAGE, float("nan")) == MavResult.DENIED
+
+
+ERROR, WARNING = 3, 4
+
+
+def test_a_disk_that_refuses_is_told_once_for_each_trouble(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    remarks: list[tuple[int, str]] = []
+    store = ParameterStore(tmp_path / "file" / "p.json")
+    log = OnboardLogger(tmp_path / "logs", store, lockstep=True)
+    keeping = StorageMonitor(store, log, remarks)
+
+    def seconds(count: int) -> list[tuple[int, str]]:
+        for tick in range(count * LOOK_TICKS):
+            keeping.after(step(tick))
+        said, remarks[:] = remarks[:], []
+        return said
+
+    assert seconds(2) == []
+    store.set("RATE_KP", 0.07)
+    with pytest.raises(ParameterError):
+        store.flush()
+    ((severity, text),) = seconds(3)
+    assert (severity, text.split(":")[0]) == (ERROR, "parameters are not stored")
+    (tmp_path / "logs").rmdir()
+    for tick in range(10):
+        log.step(plain_step(tick, armed=True))
+    log.end()
+    log.dropped = 5
+    said = seconds(3)
+    assert [severity for severity, _ in said] == [ERROR, WARNING]
+    assert said[0][1].startswith("no on-board log: ")
+    assert "5 steps are missing" in said[1][1]
+    # All is well again, and then not: that is news.
+    (tmp_path / "file").unlink()
+    store.flush()
+    assert seconds(1) == []
+    store.close()
+    log.close()
+
+
+def poll_until(background: BackgroundWorker, results: list[object], count: int) -> None:
+    """Polls until `count` results were handed over."""
+    for _ in patiently():
+        background.poll()
+        if len(results) >= count:
+            break
+
+
+def refuse() -> None:
+    raise FileNotFoundError("no such log")
+
+
+def fail() -> None:
+    raise KeyError("a fault of the program")
+
+
+def test_what_the_disk_refuses_is_a_result_and_the_next_work_is_done() -> None:
+    background, results = BackgroundWorker(), list[object]()
+    for work in (refuse, lambda: 1, lambda: 2):
+        assert background.submit(work, results.append)
+    poll_until(background, results, 3)
+    assert isinstance(results[0], FileNotFoundError)
+    assert results[1:] == [1, 2]
+
+
+@pytest.mark.parametrize("inline", [False, True])
+def test_a_fault_of_the_program_is_answered_and_raised_and_the_next_work_is_done(inline: bool) -> None:
+    background, results = BackgroundWorker(inline), list[object]()
+
+    def work() -> None:
+        background.submit(fail, results.append)
+        poll_until(background, results, 2)
+
+    with pytest.raises(KeyError, match="a fault of the program"):
+        work()
+    assert isinstance(results[0], OSError)
+    assert "KeyError" in str(results[0])
+    assert background.submit(lambda: 1, results.append)
+    poll_until(background, results, 2)
+    assert results[1] == 1

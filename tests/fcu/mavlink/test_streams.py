@@ -28,11 +28,7 @@ def names(profile: dict[int, float]) -> dict[str, float]:
     return {dialect.load().mavlink_map[number].msgname: rate for number, rate in profile.items()}
 
 
-@given(
-    interval=st.integers(TICK_NS, 10**12),
-    offset=st.integers(0, 249),
-    tick=st.integers(0, 2**32),
-)
+@given(interval=st.integers(TICK_NS, 10**12), offset=st.integers(0, 249), tick=st.integers(0, 2**32))
 def test_the_next_due_tick_is_the_first_in_which_the_number_of_intervals_has_risen(
     interval: int, offset: int, tick: int
 ) -> None:

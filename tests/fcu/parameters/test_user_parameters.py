@@ -29,9 +29,7 @@ DIAGRAMS = st.sampled_from(["mine", "a", "TH", "thrust_bar", "x_y"])
 
 
 @settings(max_examples=8, deadline=None)
-@given(
-    st.lists(st.tuples(DIAGRAMS, st.lists(NAMES, min_size=1, max_size=6, unique=True)), min_size=3, max_size=3),
-)
+@given(st.lists(st.tuples(DIAGRAMS, st.lists(NAMES, min_size=1, max_size=6, unique=True)), min_size=3, max_size=3))
 def test_names_are_legal_unique_and_those_of_the_first_never_move(wanted: list[tuple[str, list[str]]]) -> None:
     diagrams = [with_names(names, kind, name) for kind, (name, names) in zip(ALL, wanted, strict=True)]
     found = user_parameters(diagrams)

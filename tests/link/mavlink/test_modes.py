@@ -50,10 +50,7 @@ def test_targets_say_what_they_were_made_of(value: float, thrust: float, forward
     )
     assert alone is not None
     assert alone == SetPoint(None, thrust=thrust)
-    for make, loop, name in (
-        (setpoints.position_target, POSITION, "x0"),
-        (setpoints.velocity_target, VELOCITY, "v0"),
-    ):
+    for make, loop, name in ((setpoints.position_target, POSITION, "x0"), (setpoints.velocity_target, VELOCITY, "v0")):
         plain = setpoints.read_position(sent(make(value)))
         assert plain == SetPoint(loop, ax0=0.0, **{name: value})
         assert setpoints.read_position(sent(make(value, forward))) == SetPoint(loop, ax0=forward, **{name: value})

@@ -159,14 +159,6 @@ async def test_nobody_there_ends_at_the_deadline() -> None:
             assert time.monotonic() - start < SOON
 
 
-@in_loop
-async def test_who_comes_late_is_found() -> None:
-    opening = asyncio.create_task(open_transport("mem://late", timeout=SOON))
-    await asyncio.sleep(0.1)
-    async with await open_transport("memin://late"), await opening as here:
-        assert here.peers
-
-
 def test_a_name_that_does_not_resolve(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown(
         *_: object, **__: object

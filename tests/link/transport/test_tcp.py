@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 
 from tests.link.ends import SOON, gather, in_loop
-from twodof.errors import LinkLost
 from twodof.link.transport import base as bounds
 from twodof.link.transport import open_transport, tcp
 from twodof.link.transport.tcp import TcpTransport
@@ -139,26 +138,6 @@ async def test_tcp_clients_are_several_and_one_that_goes_harms_nobody() -> None:
             gone = next(p.peer for p in packets if p and p.data == b"1")
             there.send(b"x", to=gone)  # no error, nothing sent
             assert there.counts.dropped_out == 1
-
-
-@in_loop
-async def test_tcp_clients_are_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tcp, "MOST_CLIENTS", 2)
-    async with await open_transport("tcpin://:0") as there:
-        assert isinstance(there, TcpTransport)
-        url = f"tcp://127.0.0.1:{there.port}"
-        async with (
-            await open_transport(url) as one,
-            await open_transport(url) as two,
-            await open_transport(url) as late,
-        ):
-            with pytest.raises(LinkLost):
-                await late.receive(SOON)
-            for end in (one, two):
-                end.send(b"x")
-                assert await there.receive(SOON) is not None
-            assert len(there.peers) == 2
-            assert there.counts.errors == 1
 
 
 async def _come(there: TcpTransport, count: int, source: str = "127.0.0.1") -> list[socket.socket]:

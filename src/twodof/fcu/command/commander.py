@@ -20,13 +20,7 @@ from twodof.fcu.command.command_lease import (
     rejected,
     unsupported,
 )
-from twodof.fcu.command.excitation_player import (
-    LOOPS,
-    REFUSED,
-    STOPPED,
-    OnboardPlayer,
-    SampledExcitation,
-)
+from twodof.fcu.command.excitation_player import LOOPS, REFUSED, STOPPED, OnboardPlayer, SampledExcitation
 from twodof.fcu.command.setpoints import (
     HORIZON,
     OPENLOOP,

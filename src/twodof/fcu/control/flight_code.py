@@ -227,8 +227,7 @@ class FlightCode:
         if self.sandbox is not None:
             machine = self.machine
             self.sandbox.restart(
-                {path: machine.get(path) for path in machine.parameters} | self._user_values,
-                self._states(),
+                {path: machine.get(path) for path in machine.parameters} | self._user_values, self._states()
             )
 
     def _read_limits(self) -> None:

@@ -130,15 +130,9 @@ _FRAMES = ("pose_covariance", "velocity_covariance", "frame_id", "child_frame_id
 _SERVOS = tuple(f"servo{number}_raw" for number in range(1, 5))
 
 STEP_MESSAGES = (
+    StepMessage("ATTITUDE", ("time_boot_ms", "pitch", "pitchspeed"), lambda s: (boot_ms(s), s.theta, s.q)),
     StepMessage(
-        "ATTITUDE",
-        ("time_boot_ms", "pitch", "pitchspeed"),
-        lambda s: (boot_ms(s), s.theta, s.q),
-    ),
-    StepMessage(
-        "ATTITUDE_QUATERNION",
-        ("time_boot_ms", *_Q, "pitchspeed"),
-        lambda s: (boot_ms(s), *quaternion(s.theta), s.q),
+        "ATTITUDE_QUATERNION", ("time_boot_ms", *_Q, "pitchspeed"), lambda s: (boot_ms(s), *quaternion(s.theta), s.q)
     ),
     StepMessage("LOCAL_POSITION_NED", ("time_boot_ms", "x", "vx"), lambda s: (boot_ms(s), s.x, s.v)),
     StepMessage("ODOMETRY", (*_POSE, *_TWIST, *_FRAMES), _odometry),

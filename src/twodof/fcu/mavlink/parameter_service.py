@@ -61,11 +61,7 @@ class ParameterService(Service):
         self._store = store
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
         self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
-        self._takes = {
-            "PARAM_REQUEST_LIST": self._list,
-            "PARAM_REQUEST_READ": self._read,
-            "PARAM_SET": self._set,
-        }
+        self._takes = {"PARAM_REQUEST_LIST": self._list, "PARAM_REQUEST_READ": self._read, "PARAM_SET": self._set}
         store.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.client.peer, None))
         store.bus.subscribe(ParametersChanged, self._announce)
         store.bus.subscribe(ParametersRelisted, self._relist)

@@ -33,10 +33,7 @@ class ArmingCommands:
     """Hands arming and stopping to the commander, and a restart to `restart` (None: it cannot restart)."""
 
     def __init__(
-        self,
-        commands: CommandService,
-        commander: Commander,
-        restart: Callable[[], None] | None = None,
+        self, commands: CommandService, commander: Commander, restart: Callable[[], None] | None = None
     ) -> None:
         self._commands = commands
         self._commander = commander

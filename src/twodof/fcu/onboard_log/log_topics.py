@@ -216,9 +216,7 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
         },
     ),
     LoggedTopic(
-        "vehicle_torque_setpoint",
-        "moment M as it flies, each step",
-        {**_SAMPLED, "float[3] xyz": _vector("", "M", "")},
+        "vehicle_torque_setpoint", "moment M as it flies, each step", {**_SAMPLED, "float[3] xyz": _vector("", "M", "")}
     ),
     LoggedTopic(
         "vehicle_thrust_setpoint",

@@ -127,9 +127,7 @@ def vehicle_rows(system: int) -> tuple[VehicleParameter, ...]:
     flight = (*PARAMETERS, *(row for row in FLIGHT_PARAMETERS if row not in PARAMETERS))
     rows = (
         VehicleParameter(
-            **vars(row),
-            group="Flight" if row in PARAMETERS else "Failsafe",
-            disarmed=row.path.startswith("failsafe."),
+            **vars(row), group="Flight" if row in PARAMETERS else "Failsafe", disarmed=row.path.startswith("failsafe.")
         )
         for row in flight
     )

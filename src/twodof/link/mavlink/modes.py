@@ -33,14 +33,7 @@ _AUTO_MODE = 4  # MAV_MODE_PROPERTY_AUTO_MODE: it flies by itself
 
 MODES: tuple[FlightMode, ...] = (
     FlightMode(
-        "manual",
-        1,
-        0,
-        0,
-        0,
-        "open loop: sticks or TWODOF_OPENLOOP give moment and thrust",
-        sticks=True,
-        levels=False,
+        "manual", 1, 0, 0, 0, "open loop: sticks or TWODOF_OPENLOOP give moment and thrust", sticks=True, levels=False
     ),
     FlightMode("rate", 5, 0, 0, 0, "sticks give the pitch rate and the thrust (PX4's acro)", sticks=True, levels=False),
     FlightMode("attitude", 7, 0, 0, 0, "sticks give the pitch and the thrust (PX4's stabilised)", sticks=True),
