@@ -12,8 +12,7 @@ from twodof.calibrate import HOLDS, measure_gusts
 from twodof.errors import IdentificationError, LogError
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.rig.parameters import lab
-from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 HOLD = (2.0, 21.5)
 

@@ -26,7 +26,7 @@ from twodof.flightlog.ulog_file import ULogContents, scan_ulog
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab
 from twodof.signals import TICK_US
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import InitialState
 from twodof.sim.virtual_drone import VirtualRig
 
 pytestmark = pytest.mark.slow

@@ -22,8 +22,7 @@ from twodof.rig.rig import BASE_DT
 from twodof.rig.rotors import RING
 from twodof.rig.steady_state import model_parameters
 from twodof.signals import HOVER, PERIOD, Q_AGE
-from twodof.sim.closed_loop import ClosedLoop, closed_loop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ClosedLoop, InitialState, closed_loop
 from twodof.sim.linear import LOOPS, _filter_at_rest, cascade_loop, cascade_margins, publishing_ages
 from twodof.sim.resimulation import identified_rig, load_rig_or_model
 

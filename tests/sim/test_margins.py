@@ -18,8 +18,7 @@ from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.experiment.flight import Laboratory
 from twodof.flight.failsafe.causes_and_actions import BIT
 from twodof.rig.rig import BASE_DT, SAMPLE
-from twodof.sim.closed_loop import closed_loop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import InitialState, closed_loop
 
 TICKS = SAMPLE[0]
 SUMS = {

@@ -29,8 +29,7 @@ from twodof.report.step_responses import FOLLOWING, step_responses
 from twodof.rig.parameters import lab
 from twodof.rig.rig import BASE_DT
 from twodof.signals import ATTITUDE, MODES, PERIOD, POSITION
-from twodof.sim.closed_loop import ARMING, ClosedLoop, closed_loop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState, closed_loop
 from twodof.sim.portable_loop import play_program, portable_loop
 
 VITEST = PROJECT / "web" / "node_modules" / "vitest" / "vitest.mjs"

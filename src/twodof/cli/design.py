@@ -28,9 +28,8 @@ from twodof.flightlog.provenance import read_bytes
 from twodof.report.plots.comparison_view import promise_view
 from twodof.report.plots.flight_view import check_place
 from twodof.sim.promised.rail_design import RailDesign, rail_design
-from twodof.sim.promised.rail_family import RailFamily
 from twodof.sim.promised.rail_promise import MEMBERS as RAIL_MEMBERS
-from twodof.sim.promised.rail_promise import check_rail, rail_promise
+from twodof.sim.promised.rail_promise import RailFamily, check_rail, rail_promise
 
 design = typer.Typer(
     add_completion=False,

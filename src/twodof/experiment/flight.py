@@ -27,8 +27,7 @@ from twodof.flightlog.steps import step_channels
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import load_rig
 from twodof.signals import PERIOD
-from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 
 Signals = Mapping[str, NDArray[Any]]
 """Signals at the control steps of a flight, (steps,) by name; NaN marks a lost sample."""

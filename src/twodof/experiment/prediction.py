@@ -15,8 +15,7 @@ from twodof.experiment.experiments import SETPOINT, UNIT
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import HOVER, MODES, OFF, PERIOD
-from twodof.sim.closed_loop import ARMING, ClosedLoop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState
 from twodof.sim.resimulation import estimates_in, identified_rig, load_rig_or_model
 
 LONGEST_S = 120.0

@@ -31,8 +31,7 @@ from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
 from twodof.rig.parameters import lab
 from twodof.signals import HOVER, PERIOD
-from twodof.sim.closed_loop import ClosedLoop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import ClosedLoop, InitialState
 from twodof.sim.linear import LOOPS, cascade_margins
 
 Array = NDArray[np.float64]

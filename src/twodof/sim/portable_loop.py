@@ -22,8 +22,7 @@ from twodof.parameters import TUNABLES
 from twodof.rig.parameters import NAMES, TABLE, load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import MODES, PERIOD
-from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, closed_loop
-from twodof.sim.initial_state import InitialState
+from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, InitialState, closed_loop
 
 MOST_LOGGED = 600
 """Elements of signals inside the diagram that the module gives out at each tick; the outermost come first."""

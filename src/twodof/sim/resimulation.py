@@ -17,10 +17,9 @@ from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters, moment_gain, rail_force, trim_moment, velocity_gain
 from twodof.signals import GRAVITY, HOVER, PERIOD, Q_AGE
-from twodof.sim.closed_loop import FILTERS, ClosedLoop
+from twodof.sim.closed_loop import FILTERS, ClosedLoop, InitialState
 from twodof.sim.drone_estimator import HISTORY, settled
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
-from twodof.sim.initial_state import InitialState
 
 MODEL = ("w_n", "xi", "mu", "tau", "k_v", "p_v")
 """What of a model is taken over, SI units; `lag` [s] too, the part of tau that is the rotors' lag."""

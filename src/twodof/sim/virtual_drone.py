@@ -27,7 +27,7 @@ from twodof.link.signing import Signing
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.rig import BASE_DT, MEASUREMENTS, SAMPLE, TRUTH, rig
-from twodof.sim.initial_state import SETTLE_STEPS, InitialState, covariances
+from twodof.sim.closed_loop import SETTLE_STEPS, InitialState, covariances
 
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""

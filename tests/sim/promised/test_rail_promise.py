@@ -16,8 +16,7 @@ from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, STUDENT
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.linear import cascade_margins
-from twodof.sim.promised.rail_family import RailFamily
-from twodof.sim.promised.rail_promise import BEFORE, check_rail, fly_lanes, rail_promise
+from twodof.sim.promised.rail_promise import BEFORE, RailFamily, check_rail, fly_lanes, rail_promise
 
 pytestmark = pytest.mark.slow
 

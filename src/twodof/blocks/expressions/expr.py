@@ -6,7 +6,7 @@ an Expr and record; a block's code cannot tell which.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Never
 from weakref import WeakValueDictionary
 
@@ -23,6 +23,7 @@ from twodof.blocks.expressions.numbers import (
     ArrayOperators,
     Int32,
     Integer,
+    Operators,
     UInt32,
     rules,
 )
@@ -41,12 +42,7 @@ LEAVES = ("const", "input", "state", "param", "tick", "dt", "bound")
 _table: WeakValueDictionary[tuple[Any, ...], Expr] = WeakValueDictionary()
 
 
-def _operator(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """Return the methods that record `self op other` and `other op self`."""
-    return lambda self, other: _binary(op, self, other), lambda self, other: _binary(op, other, self)
-
-
-class Expr(Refusals):
+class Expr(Refusals, Operators):
     """A node: `op` on `args`, of type `kind`, an array of `width` elements unless `width` is None.
 
     `data` holds what is not an expression: a constant's value, a leaf's name, a loop's length, a called function.
@@ -135,44 +131,14 @@ class Expr(Refusals):
             return f"{self.op}:{self.data}:{self.kind}{shape}"
         return f"{self.op}({len(self.args)} args):{self.kind}{shape}"
 
-    __add__, __radd__ = _operator("add")
-    __sub__, __rsub__ = _operator("sub")
-    __mul__, __rmul__ = _operator("mul")
-    __truediv__, __rtruediv__ = _operator("div")
-    __floordiv__, __rfloordiv__ = _operator("quot")
-    __mod__, __rmod__ = _operator("rem")
-    __lshift__, __rlshift__ = _operator("shl")
-    __rshift__, __rrshift__ = _operator("shr")
-    __and__, __rand__ = _operator("and")
-    __or__, __ror__ = _operator("or")
-    __xor__, __rxor__ = _operator("xor")
-    __lt__, __gt__ = _operator("lt")
-    __le__, __ge__ = _operator("le")
-    __eq__ = _operator("eq")[0]
-    __ne__ = _operator("ne")[0]
-
-    def __matmul__(self, other: Any) -> Any:
-        return rules.product(self, other)
-
-    def __rmatmul__(self, other: Any) -> Any:
-        return rules.product(other, self)
+    @staticmethod
+    def operation(op: str, *operands: Any) -> Any:
+        return _unary(op, *operands) if len(operands) == 1 else _binary(op, *operands)
 
     def __pow__(self, other: Any) -> Any:
         raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
 
     __rpow__ = __pow__
-
-    def __neg__(self) -> Any:
-        return _unary("neg", self)
-
-    def __pos__(self) -> Any:
-        return self
-
-    def __abs__(self) -> Any:
-        return _unary("abs", self)
-
-    def __invert__(self) -> Any:
-        return _unary("not", self)
 
 
 _REMEDY = {

@@ -104,35 +104,60 @@ class ArrayRules:
 rules = ArrayRules()
 
 
-def _both_ways(compute: Callable[[Any, Any], Any]) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
+COMPUTE: dict[str, Callable[..., Any]] = {
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
+    "div": operator.truediv,
+    "quot": operator.floordiv,
+    "rem": operator.mod,
+    "shl": operator.lshift,
+    "shr": operator.rshift,
+    "and": operator.and_,
+    "or": operator.or_,
+    "xor": operator.xor,
+    "lt": operator.lt,
+    "le": operator.le,
+    "eq": operator.eq,
+    "ne": operator.ne,
+    "neg": operator.neg,
+    "abs": abs,
+    "not": operator.invert,
+}
+"""Python's operator for each operation of one or two operands."""
+
+
+def _both_ways(op: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
     """Return the methods for `self op other` and `other op self`."""
-    return (
-        lambda self, other: rules.spread(compute, self, other),
-        lambda self, other: rules.spread(compute, other, self),
-    )
+    return lambda self, other: self.operation(op, self, other), lambda self, other: self.operation(op, other, self)
 
 
-class ArrayOperators:
-    """The base of the arrays that are not nodes: operators element by element, and `@`."""
+class Operators:
+    """The base of arrays and nodes: each operator calls `operation` with its name in COMPUTE and its operands."""
 
     __slots__ = ()
     __array_ufunc__ = None  # numpy must not make arrays of its own of these
 
-    __add__, __radd__ = _both_ways(operator.add)
-    __sub__, __rsub__ = _both_ways(operator.sub)
-    __mul__, __rmul__ = _both_ways(operator.mul)
-    __truediv__, __rtruediv__ = _both_ways(operator.truediv)
-    __floordiv__, __rfloordiv__ = _both_ways(operator.floordiv)
-    __mod__, __rmod__ = _both_ways(operator.mod)
-    __lshift__, __rlshift__ = _both_ways(operator.lshift)
-    __rshift__, __rrshift__ = _both_ways(operator.rshift)
-    __and__, __rand__ = _both_ways(operator.and_)
-    __or__, __ror__ = _both_ways(operator.or_)
-    __xor__, __rxor__ = _both_ways(operator.xor)
-    __lt__, __gt__ = _both_ways(operator.lt)
-    __le__, __ge__ = _both_ways(operator.le)
-    __eq__ = _both_ways(operator.eq)[0]
-    __ne__ = _both_ways(operator.ne)[0]
+    @staticmethod
+    def operation(op: str, *operands: Any) -> Any:
+        """Return the result of an operation."""
+        raise NotImplementedError
+
+    __add__, __radd__ = _both_ways("add")
+    __sub__, __rsub__ = _both_ways("sub")
+    __mul__, __rmul__ = _both_ways("mul")
+    __truediv__, __rtruediv__ = _both_ways("div")
+    __floordiv__, __rfloordiv__ = _both_ways("quot")
+    __mod__, __rmod__ = _both_ways("rem")
+    __lshift__, __rlshift__ = _both_ways("shl")
+    __rshift__, __rrshift__ = _both_ways("shr")
+    __and__, __rand__ = _both_ways("and")
+    __or__, __ror__ = _both_ways("or")
+    __xor__, __rxor__ = _both_ways("xor")
+    __lt__, __gt__ = _both_ways("lt")
+    __le__, __ge__ = _both_ways("le")
+    __eq__ = _both_ways("eq")[0]
+    __ne__ = _both_ways("ne")[0]
 
     def __matmul__(self, other: Any) -> Any:
         return rules.product(self, other)
@@ -141,16 +166,26 @@ class ArrayOperators:
         return rules.product(other, self)
 
     def __neg__(self) -> Any:
-        return rules.spread(operator.neg, self)
+        return self.operation("neg", self)
 
     def __pos__(self) -> Any:
         return self
 
     def __abs__(self) -> Any:
-        return rules.spread(abs, self)
+        return self.operation("abs", self)
 
     def __invert__(self) -> Any:
-        return rules.spread(operator.invert, self)
+        return self.operation("not", self)
+
+
+class ArrayOperators(Operators):
+    """The base of the arrays that are not nodes: operators element by element."""
+
+    __slots__ = ()
+
+    @staticmethod
+    def operation(op: str, *operands: Any) -> Any:
+        return rules.spread(COMPUTE[op], *operands)
 
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}

@@ -13,8 +13,7 @@ from twodof.design.specification import Requirement, Specification
 from twodof.errors import ParameterError
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.parameters import PARAMETERS
-from twodof.sim.promised.rail_family import RailFamily
-from twodof.sim.promised.rail_promise import MEMBERS, check_rail, rail_promise
+from twodof.sim.promised.rail_promise import MEMBERS, RailFamily, check_rail, rail_promise
 
 Array = NDArray[np.float64]
 

@@ -1,9 +1,10 @@
 """Promise of a step of the velocity or the position, by flights of an identified family on the virtual rig."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,17 +13,132 @@ from twodof.blocks import Diagram
 from twodof.compile.builder import build
 from twodof.compile.instances import Instances
 from twodof.compile.machine import CompiledProgram
+from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import LEVEL, STEPS, Promise, check_numbers
 from twodof.design.specification import Requirement, Specification, requirements
 from twodof.errors import CompileError, ParameterError, shown
 from twodof.flight.gains import DEFAULT, Gains
+from twodof.rig.parameters import load_rig
 from twodof.rig.rig import BASE_DT
 from twodof.signals import HOVER, MODES, PERIOD
 from twodof.sim.closed_loop import ARMING, SETPOINTS, TICKS, closed_loop
 from twodof.sim.linear import cascade_margins
-from twodof.sim.promised.rail_family import RailFamily
+from twodof.sim.resimulation import identified_rig
 
 Array = NDArray[np.float64]
+
+RAIL = ("k_v", "p_v")
+_BOUNDS: Mapping[str, tuple[float, float]] = {"k_v": (0.1, 100.0), "p_v": (0.0, 50.0)}
+_REFUSED = 0.5  # of the draws
+
+
+@dataclass(frozen=True, eq=False)
+class RailFamily:
+    """`pitch`, and the cart v = -k_v / (s + p_v) theta with the `covariance` (2, 2) of (k_v [m/s2], p_v [1/s]).
+
+    What neither tells, such as sensors and battery, is that of the rig `base`. Raises ParameterError for numbers that
+    cannot be.
+    """
+
+    pitch: PitchFamily
+    k_v: float
+    p_v: float
+    covariance: Array = field(default_factory=lambda: np.zeros((2, 2)))
+    base: str = "paper"
+
+    def __post_init__(self) -> None:
+        for name, (low, high) in _BOUNDS.items():
+            if not low <= getattr(self, name) <= high:
+                raise _error("RailFamily", f"{name} = {getattr(self, name)!r}", f"{low:g} to {high:g} is possible")
+        p = np.asarray(self.covariance, dtype=float)
+        if p.shape != (2, 2) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
+            raise _error("RailFamily", f"a covariance of shape {p.shape}", "give finite numbers, symmetric, (2, 2)")
+        if (np.diag(p) < 0.0).any() or float(np.linalg.det(p)) < -1e-12 * float(np.prod(np.diag(p)) + 1e-300):
+            raise _error("RailFamily", "the covariance has a negative direction", "identify again")
+
+    @classmethod
+    def from_identified(cls, pitch: object, rail: object, base: str = "paper", where: str = "model") -> Self:
+        """Of two documents of `twodof identify --out`: the pitch's, and that of a flight that moved the cart.
+
+        Raises ParameterError for others, and where k_v or p_v is missing.
+        """
+        family = PitchFamily.from_identified(pitch, where)
+        try:
+            if not isinstance(rail, Mapping):
+                raise TypeError(shown(rail))
+            rows: Mapping[str, Any] = rail["estimates"]
+            at = [list(rows).index(name) for name in RAIL]
+            sigma = np.array([max(_sigma(rows[n], key) for key in ("sigma", "sigma_robust")) for n in RAIL])
+            correlation = np.array(rail["correlation"], dtype=float)[np.ix_(at, at)]
+            correlation = np.where(np.isfinite(correlation), correlation, np.eye(2))
+            k_v, p_v = (float(rows[name]["value"]) for name in RAIL)
+        except (KeyError, TypeError, ValueError, IndexError) as reason:
+            raise ParameterError(
+                f"it is not a model of the cart ({type(reason).__name__}: {reason!s:.80})",
+                where,
+                "give what `twodof identify LOG --out` wrote of a velocity-doublet",
+            ) from reason
+        return cls(family, k_v, p_v, 0.5 * (correlation + correlation.T) * np.outer(sigma, sigma), base)
+
+    def rigs(self, count: int, seed: int = 1) -> list[dict[str, float]]:
+        """`count` rigs, each a member that was drawn, with the family's gust and noise.
+
+        Raises ParameterError as `PitchFamily.draw`, and for members that no rig is.
+        """
+        drawn, cart = self.pitch.draw(count, seed), self._cart(count, np.random.default_rng(seed + 1))
+        base = dict(load_rig(self.base).snapshot())
+        return [self._rig(drawn.one(k), cart[k], base) for k in range(count)]
+
+    def nominal(self) -> dict[str, float]:
+        """Return the rig with the estimated values."""
+        base = dict(load_rig(self.base).snapshot())
+        return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base)
+
+    def _rig(self, member: Mapping[str, float], cart: Array, base: Mapping[str, float]) -> dict[str, float]:
+        tau = member["dead_time"] + member["lag"]
+        model = {**member, "tau": tau, "k_v": float(cart[0]), "p_v": float(cart[1])}
+        rig = identified_rig(model, base)
+        if self.pitch.gust > 0.0:
+            rig["gust"], rig["gust_time"] = self.pitch.gust * rig["inertia"], self.pitch.gust_time
+        if self.pitch.q_noise > 0.0:
+            rig["gyro_hover"] = self.pitch.q_noise
+        return rig
+
+    def _cart(self, count: int, rng: np.random.Generator) -> Array:
+        """(count, 2), drawn again where it is beyond the bounds."""
+        bounds = np.array([_BOUNDS[name] for name in RAIL])
+        values, vectors = np.linalg.eigh(np.asarray(self.covariance, dtype=float))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        kept, tried = np.zeros((0, 2)), 0
+        while len(kept) < count:
+            rows = np.array([self.k_v, self.p_v]) + rng.standard_normal((2 * count + 16, 2)) @ root.T
+            kept = np.concatenate([kept, rows[((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)]])
+            tried += len(rows)
+            if len(kept) < (1.0 - _REFUSED) * tried:
+                raise _error(
+                    "RailFamily",
+                    "most carts that are drawn cannot be: the data hardly tell k_v and p_v",
+                    "identify again",
+                )
+        return kept[:count]
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data, which `from_json` reads back."""
+        cart = {"k_v": self.k_v, "p_v": self.p_v, "covariance": np.asarray(self.covariance).tolist()}
+        return {"pitch": self.pitch.to_json(), **cart, "base": self.base}
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Any], where: str = "family") -> Self:
+        """Return the family of a `to_json`. Raise an error for anything else."""
+        pitch = PitchFamily.from_json(data["pitch"], where)
+        covariance = np.array(data["covariance"], dtype=float)
+        return cls(pitch, float(data["k_v"]), float(data["p_v"]), covariance, str(data["base"]))
+
+
+def _sigma(row: Mapping[str, Any], name: str) -> float:
+    value = row.get(name)
+    return float(value) if value is not None and math.isfinite(value) else 0.0
+
 
 HOLD = 8.0
 """From the start of the motors to the step [s], as the experiments have it."""
@@ -118,11 +234,11 @@ def rail_promise(
     ParameterError for numbers out of range, and as `RailFamily.rigs` and `fly_lanes`.
     """
     if loop not in LOOPS:
-        raise _error(f"a loop {shown(loop)}", f"give {' or '.join(LOOPS)}")
+        raise _error("rail_promise", f"a loop {shown(loop)}", f"give {' or '.join(LOOPS)}")
     step = STEPS[loop]
     goal, duration = step.goal if goal is None else goal, step.duration if duration is None else duration
     if not 0.01 <= goal <= 1.0:
-        raise _error(f"a step of {goal!r}", "give .01 to 1 m/s or m")
+        raise _error("rail_promise", f"a step of {goal!r}", "give .01 to 1 m/s or m")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     rigs, diagrams = family.rigs(members, seed), tuple(controllers)
     flown = fly_lanes(
@@ -176,5 +292,5 @@ def _lost(flown: Mapping[str, Array], rigs: list[dict[str, float]], follows: str
     return float(np.mean(met | ~(np.abs(end - goal) < 0.5 * goal)))
 
 
-def _error(what: str, remedy: str) -> ParameterError:
-    return ParameterError(what, "rail_promise", remedy)
+def _error(where: str, what: str, remedy: str) -> ParameterError:
+    return ParameterError(what, where, remedy)
