@@ -10,25 +10,25 @@ from tests.patience import PATIENCE_S
 
 
 class SlowDisk:
-    """fsync waits while it stands still; `standing` says that somebody waits."""
+    """Disk whose fsync waits while it stands still; `standing` is set while a thread waits."""
 
     def __init__(self) -> None:
         self.standing, self._going, self._sync = threading.Event(), threading.Event(), os.fsync
         self._going.set()
 
     def sync(self, descriptor: int) -> None:
-        """In place of os.fsync."""
+        """Replace os.fsync."""
         if not self._going.is_set():
             self.standing.set()
             assert self._going.wait(PATIENCE_S)
         self._sync(descriptor)
 
     def stop(self) -> None:
-        """From now on it stands still."""
+        """Let the disk stand still."""
         self._going.clear()
 
     def go(self) -> None:
-        """What waits goes on."""
+        """Let waiting threads go on."""
         self._going.set()
 
 

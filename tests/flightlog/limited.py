@@ -1,4 +1,4 @@
-"""Runs commands in processes of their own that are told what they may use, and says what each of them used.
+"""Runner of commands in processes of their own with limits, which measures what they use.
 
 As a program: reads one JSON list of arguments a line, runs `twodof` with it in a fork, and writes one line of JSON.
 A fork, so that what all of them import is imported once.
@@ -24,7 +24,7 @@ CPU_S = 60
 
 @dataclass(frozen=True)
 class Used:
-    """What a command used: its exit status (negative: a signal), what it said on stderr, CPU time [s], memory [MiB]."""
+    """Result of a command: exit status (negative for a signal), stderr, CPU time [s] and peak memory [MiB]."""
 
     status: int
     said: str
@@ -33,13 +33,13 @@ class Used:
 
 
 class Limited:
-    """The process that forks; `run` one command after the other."""
+    """Process that forks for one command after the other."""
 
     def __init__(self, process: "subprocess.Popen[str]") -> None:
         self._process = process
 
     def run(self, *arguments: str | Path) -> Used:
-        """Runs `twodof` with these arguments."""
+        """Run `twodof` with these arguments."""
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.write(json.dumps([str(one) for one in arguments]) + "\n")
@@ -49,7 +49,7 @@ class Limited:
 
 @contextmanager
 def limited() -> Iterator[Limited]:
-    """A process that runs commands as long as the block lasts."""
+    """Yield a process that runs commands as long as the block lasts."""
     with subprocess.Popen(
         [sys.executable, "-m", "tests.flightlog.limited"],
         stdin=subprocess.PIPE,

@@ -43,7 +43,7 @@ def process() -> Iterator[Limited]:
 
 
 def used(process: Limited, command: str, file: Path, folder: Path) -> str:
-    """What was wrong, "" for nothing."""
+    """Return the description of a failure, "" for none."""
     out = folder / "out"
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()

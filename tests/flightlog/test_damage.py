@@ -118,9 +118,7 @@ def test_every_bit_of_every_byte(whole: bytes, closed: bool) -> None:
     assert not closed or count["not noticed"] == 0
 
 
-def test_what_was_found_is_told_in_the_file_and_by_the_command(
-    whole: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_file_and_command_tell_the_findings(whole: bytes, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The unit of the gyro, and the seed."""
     path, target = tmp_path / "a.mcap", tmp_path / "b.mcap"
     for old, new, says in (
@@ -186,7 +184,7 @@ def test_a_log_without_checksums_says_so(tmp_path: Path) -> None:
     assert found.log.provenance["recovered"]["unverified"] == found.unverified[0]
 
 
-def test_this_finds_what_it_is_for(whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_measure_finds_false_values(whole: bytes, monkeypatch: pytest.MonkeyPatch) -> None:
     """Without checksums of tables and descriptions, as before, false values come through."""
     monkeypatch.setattr("twodof.flightlog.mcap_decoder._unsealed", lambda record, _: (record, True))
     found, _ = silent(cut(whole), ((at, 1) for at in range(8, whole.index(b"d.json"), 3)))

@@ -279,7 +279,7 @@ def test_wide_tables_of_others_are_read(tmp_path: Path) -> None:
 GYRO = Channel([0.0, 0.5], [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "rad/s", ("x", "y", "z"))
 
 
-def test_wide_table_has_a_row_a_stamp_and_a_column_a_signal(tmp_path: Path) -> None:
+def test_wide_table_has_a_row_for_each_stamp(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     write_log(FlightLog({"theta": Channel([0.0, 0.25], [0.1, 0.2], "rad"), "gyr": GYRO}), path, wide=True)
     meta, heading, *rows = path.read_text().splitlines()

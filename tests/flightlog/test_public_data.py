@@ -40,7 +40,7 @@ class _Site(BaseHTTPRequestHandler):
             self.wfile.write(CONTENT if self.path == "/log" else bytes(1 << 20))
 
     def log_message(self, format: str, *values: object) -> None:
-        """Nothing to the console."""
+        """Log nothing."""
 
 
 @pytest.fixture
@@ -78,12 +78,11 @@ def test_the_folder_at_hand_is_found(flight_data: Path, monkeypatch: pytest.Monk
     assert find("doublet-0.03") == find("doublet-0.03.mat") == flight_data / "doublet-0.03.mat"
 
 
-def test_nothing_at_hand_is_nothing_available(nowhere: Path) -> None:
-    assert available() == {}
-
-
 def test_a_download_is_verified_and_kept(nowhere: Path, site: str, monkeypatch: pytest.MonkeyPatch) -> None:
     row = replace(ROW, url=f"{site}/log")
+    assert available() == {}
+    with pytest.raises(LogError, match=r"no such public log .there are: free-response-impulse, doublet"):
+        find("no-such-log")
     monkeypatch.setattr(public_data, "PUBLIC_LOGS", {"made-up": row})
     path = find("made-up", deadline_s=20.0)
     assert path == nowhere / "cache" / "twodof" / "flight-data" / "made-up.mat"
@@ -126,8 +125,3 @@ def test_no_network_says_so_in_one_line(nowhere: Path) -> None:
         download(replace(ROW, url="http://127.0.0.1:9/log"), nowhere / "cache", 20.0)
     assert "\n" not in str(caught.value)
     assert "TWODOF_FLIGHT_DATA" in str(caught.value)
-
-
-def test_unknown_names_are_answered_with_the_known() -> None:
-    with pytest.raises(LogError, match=r"no such public log .there are: free-response-impulse, doublet"):
-        find("no-such-log")

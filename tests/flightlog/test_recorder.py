@@ -58,7 +58,7 @@ def test_every_topic_with_its_unit_and_provenance(tmp_path: Path) -> None:
     assert [channel.topic for channel in summary.channels.values()] == [f"/{r.name.replace('.', '/')}" for r in TOPICS]
 
 
-def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
+def test_misfits_are_refused_and_not_recorded(tmp_path: Path) -> None:
     own = McapStream("/own", "twodof_msgs/msg/Own", "own", "K", ("a", "b"), 2)
     with Recorder(tmp_path / "a.mcap", ["q", "imu.gyro", own]) as recorder:
         wrong: list[tuple[str, Any, Any]] = [
@@ -114,7 +114,7 @@ def test_what_does_not_fit_is_refused_and_not_recorded(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_what_a_slow_disk_cannot_take_is_counted(tmp_path: Path, slow_disk: SlowDisk) -> None:
+def test_samples_dropped_by_a_slow_disk_are_counted(tmp_path: Path, slow_disk: SlowDisk) -> None:
     with Recorder(tmp_path / "a.mcap", ["q", "theta"], flush_s=0.01, capacity_bytes=16 * 100) as recorder:
         slow_disk.stop()
         assert recorder.write("estimate.q", 0, 0.0)
@@ -134,7 +134,7 @@ def test_what_a_slow_disk_cannot_take_is_counted(tmp_path: Path, slow_disk: Slow
     assert log.provenance["dropped"] == recorder.dropped
 
 
-def test_who_may_wait_loses_nothing(tmp_path: Path, slow_disk: SlowDisk) -> None:
+def test_waiting_recorder_loses_nothing(tmp_path: Path, slow_disk: SlowDisk) -> None:
     with Recorder(tmp_path / "a.mcap", ["q"], flush_s=0.01, capacity_bytes=1600, full="wait") as recorder:
         slow_disk.stop()
         threading.Timer(0.2, slow_disk.go).start()
@@ -171,7 +171,7 @@ def test_an_error_in_the_block_leaves_a_complete_file(tmp_path: Path) -> None:
     assert len(read_log(tmp_path / "a.mcap")["q"]) == 1
 
 
-def test_a_quarter_of_a_minute_of_every_topic_costs_little(tmp_path: Path) -> None:
+def test_recording_every_topic_costs_little(tmp_path: Path) -> None:
     """The whole stack may use half of a core; the recorder is given a tenth of that and measured at a fifth of it."""
     rates = {row.name: row.rate_hz or 50.0 for row in TOPICS}
     widths = {row.name: row.width for row in TOPICS}
@@ -218,7 +218,7 @@ def kill(child: subprocess.Popen[str], after_s: float) -> int:
 
 
 def killed_while_recording(folder: Path, rounds: int, seed: int) -> None:
-    """What was acknowledged is there, nothing else is taken for a sample, and the result is a whole file."""
+    """Check that the acknowledged samples are recovered, nothing false, and that the result is a whole file."""
     moments = random.Random(seed)
     for turn in range(rounds):
         path = folder / f"{turn}.mcap"

@@ -243,7 +243,7 @@ def test_killed_while_logging(tmp_path: Path) -> None:
         assert theirs[name][:n].tobytes() == found.log["gyr"].value[:, column].tobytes()
 
 
-def test_what_a_slow_disk_cannot_take_is_logged_as_a_dropout(tmp_path: Path, slow_disk: SlowDisk) -> None:
+def test_dropped_records_are_logged_as_a_dropout(tmp_path: Path, slow_disk: SlowDisk) -> None:
     path = tmp_path / "a.ulg"
     with ULogWriter(path, FORMATS, flush_s=0.01, capacity_bytes=37 * 50) as writer:
         slow_disk.stop()
@@ -260,7 +260,7 @@ def test_what_a_slow_disk_cannot_take_is_logged_as_a_dropout(tmp_path: Path, slo
     assert read_log(path).provenance["dropouts"]["count"] == 1
 
 
-def test_what_ulog_cannot_hold_is_refused(tmp_path: Path) -> None:
+def test_values_that_ulog_cannot_hold_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ulg"
     wrong: list[dict[str, Any]] = [
         {"formats": {"a": "float x;"}},

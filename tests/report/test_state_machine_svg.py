@@ -57,7 +57,7 @@ def test_boxes_stand_apart_or_inside_and_texts_fit(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_each_transition_has_its_ends_its_lane_and_its_words(name: str) -> None:
+def test_each_transition_has_its_own_lane(name: str) -> None:
     machine: StateMachine = MACHINES[name]()
     drawing = draw_machine(machine)
     assert [line.number for line in drawing.lines] == list(range(len(machine.chart.transitions)))
@@ -95,7 +95,7 @@ def test_the_picture_is_xml_and_survives_a_file() -> None:
     assert set(again) == set(words) - {Arrays.__doc__}
 
 
-def test_the_picture_in_the_documentation_is_that_of_the_code_beside_it() -> None:
+def test_picture_in_the_documentation_is_current() -> None:
     docs = Path(__file__).resolve().parents[2] / "docs"
     code = re.search(r"```python\n(.*?)```", (docs / "how-to" / "write-a-state-machine.md").read_text(), re.DOTALL)
     assert code is not None

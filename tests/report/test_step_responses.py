@@ -59,7 +59,7 @@ def test_the_figures_are_those_of_the_textbook() -> None:
         assert one.peak_moment == 0.3
 
 
-def test_a_set_point_whose_loop_was_open_does_not_count() -> None:
+def test_step_of_an_open_loop_does_not_count() -> None:
     log = flight(0.0)
     free = FlightLog({**log.channels, "mode": Channel(log["mode"].time, np.zeros(len(log["mode"])), "")})
     assert step_responses(free) == ()
@@ -82,7 +82,7 @@ def test_the_real_drone_answers_as_published(flight_data: Path) -> None:
     assert all(0.165 <= one.rise_time <= 0.465 and 0.04 <= one.overshoot <= 0.10 for one in student)
 
 
-def test_flights_are_laid_over_each_other_at_their_first_steps() -> None:
+def test_flights_are_aligned_at_their_first_steps() -> None:
     logs = {"mine": flight(10.0), "stock": flight(123.0, size=0.1)}
     view = comparison_view(logs)
     pitch, moment = view.views

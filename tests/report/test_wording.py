@@ -24,7 +24,7 @@ from twodof.report.wording import deviation, plain, power_of_ten, text, with_sig
         (1.0, 0.0, "1.000"),
     ],
 )
-def test_sigma_has_two_digits_and_the_value_ends_where_it_does(value: float, sigma: float, text: str) -> None:
+def test_sigma_has_two_digits(value: float, sigma: float, text: str) -> None:
     assert with_sigma(Uncertain(value, sigma)) == text
 
 
@@ -52,7 +52,7 @@ def test_a_copy_is_the_source(copy: Path) -> None:
     assert copy.read_text(encoding="utf-8") == render(), "run: python -m tools.design_tokens"
 
 
-def test_the_report_has_every_colour_of_the_page_in_both_themes() -> None:
+def test_report_has_every_colour_of_the_page() -> None:
     named = set(re.findall(r"--([\w-]+):[^;]*#", SOURCE.read_text(encoding="utf-8")))
     assert set(design_colours()) == named
     light, dark = style().split("@media", 1)
@@ -61,7 +61,7 @@ def test_the_report_has_every_colour_of_the_page_in_both_themes() -> None:
         assert f"--{name}: {shades.dark};" in dark
 
 
-def test_what_the_style_sheet_and_the_figures_use_is_there() -> None:
+def test_colours_in_use_are_defined() -> None:
     used = set(re.findall(r"var\(--([\w-]+)\)", text("style.css")))
     assert used <= {*design_colours(), "paper"}
     assert on_paper()["paper"] == design_colours()["truth"].light

@@ -27,7 +27,7 @@ def curves(view: FlightView) -> dict[str, Curve]:
     return {curve.channel: curve for one in view.views for curve in one.curves}
 
 
-def test_a_set_point_is_drawn_where_its_loop_is_closed(log: FlightLog) -> None:
+def test_set_point_is_drawn_while_its_loop_is_closed(log: FlightLog) -> None:
     view = flight_view(log)
     assert [band.label for band in view.modes] == ["off", "position", "velocity", "off"]
     position, velocity = view.modes[1:3]
@@ -46,7 +46,7 @@ def test_a_set_point_is_drawn_where_its_loop_is_closed(log: FlightLog) -> None:
     assert [(band.label, band.start > velocity.start) for band in view.excitations] == [("doublet", True)]
 
 
-def test_a_cart_that_stands_still_is_left_out_and_said_to_be() -> None:
+def test_still_cart_is_left_out_with_a_note() -> None:
     view = flight_view(Laboratory("lab").fly("attitude-steps").log)
     assert [one.label.split()[0] for one in view.views] == ["pitch", "pitch", "motors"]
     assert view.notes == ("the cart stands still: position and velocity are left out",)
@@ -63,7 +63,7 @@ def test_topics_and_a_window_are_what_is_drawn(log: FlightLog) -> None:
     assert time[-2] <= 20.0 < time[-1]
 
 
-def test_what_is_not_there_is_refused_with_what_there_is(log: FlightLog) -> None:
+def test_missing_signal_is_refused(log: FlightLog) -> None:
     with pytest.raises(LogError, match="does not have this signal") as refused:
         flight_view(log, ["gyro"])
     assert "gyr, theta" in refused.value.remedy
@@ -82,7 +82,7 @@ def test_a_line_is_interrupted_where_samples_were_lost() -> None:
     assert "which mode flew is not known" in view.notes[0]
 
 
-def test_of_a_long_line_no_sample_that_stands_out_is_missed() -> None:
+def test_decimated_line_keeps_its_extremes() -> None:
     time = np.arange(400_000) * 0.004
     value = np.sin(time / 100.0)
     value[123_456], value[301_000] = 9.0, -7.0
@@ -115,7 +115,7 @@ def test_it_is_drawn_into_each_kind_of_file(log: FlightLog, tmp_path: Path, suff
 
 
 @pytest.mark.long
-def test_the_page_names_quantities_units_and_modes_and_is_inert(log: FlightLog) -> None:
+def test_page_names_quantities_and_is_inert(log: FlightLog) -> None:
     page = to_html(flight_view(log, title="<script>alert(1)</script>"))
     for text in (
         "pitch θ [deg]",
@@ -134,7 +134,7 @@ def test_the_page_names_quantities_units_and_modes_and_is_inert(log: FlightLog) 
     assert to_html(short) == to_html(short)
 
 
-def test_a_place_that_cannot_be_is_refused_before_anything_is_drawn(log: FlightLog, tmp_path: Path) -> None:
+def test_impossible_place_is_refused_before_drawing(log: FlightLog, tmp_path: Path) -> None:
     view = flight_view(log)
     for path, what in ((tmp_path / "a.txt", "no picture has"), (tmp_path / "no" / "a.png", "not there")):
         with pytest.raises(LogError, match=what):
