@@ -132,6 +132,12 @@ def test_updates_read_the_old_states() -> None:
     assert not differential.differences(cases, expected, programs, differential.KINDS["gcc-O0"].target)
 
 
+def test_equal_diagrams_give_equal_c() -> None:
+    """The order of objects in memory must not matter: a cache of compiled programs has the text as its key."""
+    made = [library_cases(["delays"], 1, True)[0].diagram for _ in range(8)]
+    assert len({emit_program(d, 0.01).source for d in made}) == 1
+
+
 def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pieces, "LONGEST", 12)
     monkeypatch.setattr(pieces, "PIECE", 4)

@@ -23,15 +23,16 @@ DEEPEST = 24  # branches within one another
 MOST_ROUNDS = 4  # attempts at moving shared nodes before two branches on one condition
 MOST_ALIKE = 32  # choices that are tried for sharing one branch
 WALKED = 20  # nodes visited for each node of the graph, in the search for choices that share a branch
+TRUE, FALSE = (node("const", "bool", (), value) for value in (True, False))
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A choice that `where`, `and` or `or` makes by `condition`; a side is a node, or True or False."""
+    """A choice that `where`, `and` or `or` makes by `condition`."""
 
     condition: Expr
-    then: Expr | bool
-    otherwise: Expr | bool
+    then: Expr
+    otherwise: Expr
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +59,7 @@ def decision(item: Expr, args: Sequence[Expr]) -> Choice | None:
         return Choice(*args)
     if item.op in ("and", "or") and item.kind == "bool":
         first, second = args
-        return Choice(first, second, False) if item.op == "and" else Choice(first, True, second)
+        return Choice(first, second, FALSE) if item.op == "and" else Choice(first, TRUE, second)
     return None
 
 
@@ -215,7 +216,7 @@ class _Plan:
         if id(found.condition) not in self.hand:
             yield found.condition, own
         for side, holds in ((found.then, True), (found.otherwise, False)):
-            if isinstance(side, Expr) and id(side) in self.rank:
+            if id(side) in self.rank:
                 yield side, self._inside(own, found.condition, holds)
 
     def _may_open(self, condition: Expr, own: _Place | None) -> bool:
@@ -279,9 +280,7 @@ class _Plan:
         own = self.place[id(item)]
         if not self._may_open(found.condition, own):
             return None
-        places = [
-            self.place[id(s)] for s in (found.then, found.otherwise) if isinstance(s, Expr) and id(s) in self.rank
-        ]
+        places = [self.place[id(s)] for s in (found.then, found.otherwise) if id(s) in self.rank]
         inside = [self._inside(own, found.condition, holds) for holds in (True, False)]
         return found.condition if any(p in inside for p in places) else None
 

@@ -116,11 +116,8 @@ class Renderer:
         self._before: dict[int, list[Expr]] = {}  # of each loop: nodes that it does not change
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
 
-    def know(self, item: Expr, text: Text) -> None:
-        """Take a node's value as at hand."""
-        self._name(item, text)
-
-    def _name(self, item: Expr, text: Text) -> Text:
+    def know(self, item: Expr, text: Text) -> Text:
+        """Take a text as a node's value from here on, and return it."""
         self._undo.append((id(item), self.named.get(id(item))))
         self.named[id(item)] = text
         if item.loops:
@@ -262,7 +259,7 @@ class Renderer:
             return self._signal(item, driver, batch.texts[id(driver)])
         args = [batch.texts[id(a)] for a in self._args(item)][: len(item.outside)]
         if item.op in ("vector", "build", "store", "fold"):
-            return self._name(item, self._statement(item, args))
+            return self.know(item, self._statement(item, args))
         made = self._expression(item, args)
         trivial = item.op in LEAVES or (item.op == "select" and "(" not in made.text) or self._counts(item)
         shared = batch.uses[id(item)] > 1 or id(item) in batch.before
@@ -274,7 +271,7 @@ class Renderer:
         """Keep a number in a variable."""
         name = self._hints.pop(id(item), "") or self._numbered()
         self.declare(name, item.kind, value, fixed=True)
-        return self._name(item, Text(name, ATOM, frozenset((name,))))
+        return self.know(item, Text(name, ATOM, frozenset((name,))))
 
     def _numbered(self) -> str:
         owner = self.owner.path if self.owner is not None else self.leaves.stem
@@ -299,8 +296,8 @@ class Renderer:
                 self._own_variable(name, item, root, text)
             found = Text(name, ATOM, frozenset((name,)))
         if root.op not in LEAVES and root.width is None:
-            self._name(root, found)
-        return self._name(item, found)
+            self.know(root, found)
+        return self.know(item, found)
 
     def _own_variable(self, name: str, item: Expr, root: Expr, text: Text) -> None:
         """Declare a signal's variable; an array that does not change is pointed to."""
@@ -318,7 +315,7 @@ class Renderer:
         decided = list(zip(branch.chosen, branch.choices, strict=True))
         for choice in branch.choices:
             for side in (choice.then, choice.otherwise):
-                if isinstance(side, Expr) and side.op == "const" and id(side) not in batch.texts:
+                if side.op == "const" and id(side) not in batch.texts:
                     batch.texts[id(side)] = constant(side.data, side.kind, self.precision)
         outer = self.owner
         self.owner = self.leaves.owner(branch.chosen[0]) or outer
@@ -336,7 +333,7 @@ class Renderer:
                 first = True
         for (item, d), name, known in zip(decided, names, given, strict=True):
             if not known:
-                value = Text("") if first is None else self._side_value(batch, d.then if first else d.otherwise)
+                value = EMPTY if first is None else batch.texts[id(d.then if first else d.otherwise)]
                 self.declare(name, item.kind, value)
         sides: list[list[Statement]] = [[], []]
         if first is not True:
@@ -350,7 +347,7 @@ class Renderer:
         self.out.append(IfStatement(text, *sides, owner=self.owner, reads=test.reads))
         self.owner = outer
         for (item, _), name in zip(decided, names, strict=True):
-            batch.texts[id(item)] = self._name(item, Text(name, ATOM, frozenset((name_of(name),))))
+            batch.texts[id(item)] = self.know(item, Text(name, ATOM, frozenset((name_of(name),))))
 
     def _variable_name(self, item: Expr, choice: Choice) -> str:
         """Return the name of a variable to which a branch gives a node's value."""
@@ -364,21 +361,16 @@ class Renderer:
                 self._hints[id(side)] = name
         return self.names.new(item.data.path)
 
-    def _side_value(self, batch: Batch, side: Expr | bool) -> Text:
-        if isinstance(side, bool):
-            return Text("true" if side else "false")
-        return batch.texts[id(side)]
-
-    def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr | bool]]) -> list[Statement]:
+    def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr]]) -> list[Statement]:
         """Return one side of a branch, which gives each variable its value."""
         chosen = {id(item) for step in found if isinstance(step, Branch) for item in step.chosen}
         for name, side in rows:
-            if isinstance(side, Expr) and id(side) in chosen and batch.uses[id(side)] == 1:
+            if id(side) in chosen and batch.uses[id(side)] == 1:
                 batch.given[id(side)] = name
         with self.within() as body:
             self._steps(batch, found)
             for name, side in rows:
-                value = self._side_value(batch, side)
+                value = batch.texts[id(side)]
                 if value.text != name:
                     self.put(name, value)
         return body
@@ -607,7 +599,7 @@ class Renderer:
                 for j, new in zip(needed, nexts, strict=True):
                     self.put(names[j], Text(new, ATOM, frozenset((new,))))
         for j, value in values.items():  # the loop's other results
-            self._name(self._keep("fold", bodies[j].kind, item.args, (length, depth, j)), value)
+            self.know(self._keep("fold", bodies[j].kind, item.args, (length, depth, j)), value)
         return values[which]
 
     def _carried(self, bodies: Sequence[Expr], depth: int, wanted: set[int]) -> list[int]:
@@ -663,5 +655,5 @@ class Renderer:
         self._undo = outer
 
 
-def _loaded(side: Expr | bool) -> bool:
-    return isinstance(side, Expr) and side.op in ("input", "state", "param")
+def _loaded(side: Expr) -> bool:
+    return side.op in ("input", "state", "param")

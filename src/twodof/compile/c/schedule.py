@@ -31,7 +31,7 @@ class Schedule:
     """
 
     def __init__(self, program: FlatProgram, layout: MemoryLayout) -> None:
-        self.live = {s for g in program.tick for a in g.actions for s in a.signals}
+        self.live = dict.fromkeys(s for g in program.tick for a in g.actions for s in a.signals)
         self.machines: set[Node] = set()
         self.groups: list[list[Segment]] = []
         self._at: dict[FlatSignal | Start, int] = {}  # the first segment in which a signal may be read

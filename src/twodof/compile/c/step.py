@@ -37,7 +37,7 @@ class StepEmitter:
         self._variables: dict[FlatSignal, str] = {}  # that are declared before the statements that compute them
         self._pending = set(self.schedule.live)
         self._shown: dict[Expr, Expr] = {}
-        for s in self._pending:
+        for s in self.schedule.live:
             if s.width is None and s not in self.layout.stored and s.node not in self.schedule.machines:
                 self._shown.setdefault(self.graph.output(s), leaf(s))
         self._due: dict[Rate, str] = {}
