@@ -1,8 +1,8 @@
 """MAVLink 2 signing: keys in files, time stamps that are never used twice, and the check of a frame's signature.
 
-pymavlink signs what leaves. It does not check what arrives, because it stores the time stamp of a frame before it has
-checked the signature: one forged frame with a stamp of the year 2100 shuts the true sender out (tried with pymavlink
-2.4.50). The check here looks at the signature first. Its other rules are those of
+pymavlink signs what leaves, and does not check what arrives. Its own check stores the time stamp of a frame before it
+has checked the signature. One forged frame with a stamp of the year 2100 then shuts the true sender out (tried with
+pymavlink 2.4.50). The check here looks at the signature first. Its other rules are those of
 https://mavlink.io/en/guide/message_signing.html:
 
 - a signature is the first 6 bytes of SHA-256 over the key and the frame up to the signature;

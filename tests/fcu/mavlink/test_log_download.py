@@ -3,13 +3,13 @@
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Callable, Coroutine
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import run_virtual
+from tests.faults.virtual_time import on_virtual_time
 from tests.fcu.mavlink.world import CLIENT, World
 from tests.fcu.steps import plain_step
 from tests.patience import patiently
@@ -79,98 +79,79 @@ async def download(world: World, entry: Any, loss: float = 0.0, peer: str = "cli
     return b"".join(parts[at] for at in sorted(parts))[: entry.size]
 
 
-def run(work: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    run_virtual(work())
-
-
 @pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_every_byte_comes_whatever_gets_lost(tmp_path: Path, loss: float) -> None:
+@on_virtual_time
+async def test_every_byte_comes_whatever_gets_lost(tmp_path: Path, loss: float) -> None:
     log = written(tmp_path, (40, 120))
     world = world_of(log)
-
-    async def work() -> None:
-        entries = await listed(world)
-        assert [(one.id, one.num_logs, one.last_log_num) for one in entries] == [(0, 2, 1), (1, 2, 1)]
-        assert all(one.time_utc > 1_500_000_000 for one in entries)
-        for entry, stored in zip(entries, log.logs(), strict=True):
-            assert await download(world, entry, loss) == stored.path.read_bytes()
-
-    run(work)
+    entries = await listed(world)
+    assert [(one.id, one.num_logs, one.last_log_num) for one in entries] == [(0, 2, 1), (1, 2, 1)]
+    assert all(one.time_utc > 1_500_000_000 for one in entries)
+    for entry, stored in zip(entries, log.logs(), strict=True):
+        assert await download(world, entry, loss) == stored.path.read_bytes()
     log.close()
 
 
-def test_who_asks_for_everything_is_told_where_it_ends(tmp_path: Path) -> None:
+@on_virtual_time
+async def test_who_asks_for_everything_is_told_where_it_ends(tmp_path: Path) -> None:
     log = written(tmp_path, (40,))
     world = world_of(log)
-
-    async def work() -> None:
-        (entry,) = await listed(world)
-        for first in (0, entry.size - 10, entry.size, entry.size + 1):
-            world.say(message("LOG_REQUEST_DATA", id=0, ofs=first, count=0xFFFFFFFF, **US))
-            await settled(world, lambda: False)
-            parts = world.taken("LOG_DATA")
-            assert [part.ofs for part in parts] == [*range(first, first + PART * len(parts), PART)]
-            assert sum(part.count for part in parts) == max(entry.size - first, 0)
-            assert parts[-1].count < PART
-            assert all(part.count == PART for part in parts[:-1])
-
-    run(work)
-    log.close()
-
-
-def test_clients_do_not_disturb_each_other(tmp_path: Path) -> None:
-    log = written(tmp_path)
-    world = world_of(log)
-
-    async def work() -> None:
-        ours, theirs = await listed(world), await listed(world, "other")
-        world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=0xFFFFFFFF, **US), "third")
-        found = await asyncio.gather(download(world, ours[1]), download(world, theirs[1], peer="other"))
-        whole = log.logs()[1].path.read_bytes()
-        assert [*found] == [whole, whole]
-
-    run(work)
-    log.close()
-
-
-def test_numbers_stay_while_logs_come_and_go(tmp_path: Path) -> None:
-    log = written(tmp_path)
-    world = world_of(log)
-
-    async def work() -> None:
-        entries = await listed(world)
-        second = log.logs()[1].path.read_bytes()
-        log.logs()[0].path.unlink()
-        assert await download(world, entries[1]) == second
-        world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=90, **US))
+    (entry,) = await listed(world)
+    for first in (0, entry.size - 10, entry.size, entry.size + 1):
+        world.say(message("LOG_REQUEST_DATA", id=0, ofs=first, count=0xFFFFFFFF, **US))
         await settled(world, lambda: False)
-        assert world.taken("LOG_DATA") == []
-        assert "cannot be read" in world.texts()
-
-    run(work)
+        parts = world.taken("LOG_DATA")
+        assert [part.ofs for part in parts] == [*range(first, first + PART * len(parts), PART)]
+        assert sum(part.count for part in parts) == max(entry.size - first, 0)
+        assert parts[-1].count < PART
+        assert all(part.count == PART for part in parts[:-1])
     log.close()
 
 
-def test_end_ends_and_nothing_is_nothing(tmp_path: Path) -> None:
+@on_virtual_time
+async def test_clients_do_not_disturb_each_other(tmp_path: Path) -> None:
+    log = written(tmp_path)
+    world = world_of(log)
+    ours, theirs = await listed(world), await listed(world, "other")
+    world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=0xFFFFFFFF, **US), "third")
+    found = await asyncio.gather(download(world, ours[1]), download(world, theirs[1], peer="other"))
+    whole = log.logs()[1].path.read_bytes()
+    assert [*found] == [whole, whole]
+    log.close()
+
+
+@on_virtual_time
+async def test_numbers_stay_while_logs_come_and_go(tmp_path: Path) -> None:
+    log = written(tmp_path)
+    world = world_of(log)
+    entries = await listed(world)
+    second = log.logs()[1].path.read_bytes()
+    log.logs()[0].path.unlink()
+    assert await download(world, entries[1]) == second
+    world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=90, **US))
+    await settled(world, lambda: False)
+    assert world.taken("LOG_DATA") == []
+    assert "cannot be read" in world.texts()
+    log.close()
+
+
+@on_virtual_time
+async def test_end_ends_and_nothing_is_nothing(tmp_path: Path) -> None:
     log = written(tmp_path, ())
     world = world_of(log)
-
-    async def work() -> None:
-        (none,) = await listed(world)
-        assert (none.num_logs, none.size) == (0, 0)
-        world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=90, **US))
-        assert "no log 0" in world.texts()
-        for tick in range(900):
-            log.step(plain_step(tick, armed=True))
-        log.end()
-        await listed(world)
-        world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=0xFFFFFFFF, **US))
-        world.say(message("LOG_REQUEST_END", **US))
-        sent = len(world.taken("LOG_DATA"))
-        await settled(world, lambda: False)
-        assert len(world.taken("LOG_DATA")) == 0 < sent
-
-    run(work)
+    (none,) = await listed(world)
+    assert (none.num_logs, none.size) == (0, 0)
+    world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=90, **US))
+    assert "no log 0" in world.texts()
+    for tick in range(900):
+        log.step(plain_step(tick, armed=True))
+    log.end()
+    await listed(world)
+    world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=0xFFFFFFFF, **US))
+    world.say(message("LOG_REQUEST_END", **US))
+    sent = len(world.taken("LOG_DATA"))
+    await settled(world, lambda: False)
+    assert len(world.taken("LOG_DATA")) == 0 < sent
     log.close()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.faults.virtual_time import run_virtual
+from tests.faults.virtual_time import on_virtual_time
 from tests.fcu.mavlink.test_log_download import US, settled
 from tests.fcu.mavlink.world import World
 from tests.fcu.steps import plain_step
@@ -66,92 +66,79 @@ def whole(got: list[Any]) -> bytes:
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])
-def test_the_stream_is_the_file(tmp_path: Path, loss: float) -> None:
+@on_virtual_time
+async def test_the_stream_is_the_file(tmp_path: Path, loss: float) -> None:
     world, log = world_of(tmp_path)
-
-    async def work() -> None:
-        assert world.command(START, 0.0) == ACCEPTED
-        got = await received(world, log, 400, loss)
-        (stored,) = log.logs()
-        assert whole(got) == stored.path.read_bytes()
-        assert [one.sequence for one in got] == [*range(len(got))]
-        # What describes the log must arrive, records need not.
-        described = [one.get_type() == ACKED for one in got]
-        assert described == sorted(described, reverse=True)
-        head = scan_ulog(whole(got[: sum(described)]), "head")
-        assert head.formats == scan_ulog(whole(got), "all").formats
-        assert sum(len(topic.rows) for topic in head.topics) == 0
-        assert world.command(STOP) == ACCEPTED
-
-    run_virtual(work())
+    assert world.command(START, 0.0) == ACCEPTED
+    got = await received(world, log, 400, loss)
+    (stored,) = log.logs()
+    assert whole(got) == stored.path.read_bytes()
+    assert [one.sequence for one in got] == [*range(len(got))]
+    # What describes the log must arrive, records need not.
+    described = [one.get_type() == ACKED for one in got]
+    assert described == sorted(described, reverse=True)
+    head = scan_ulog(whole(got[: sum(described)]), "head")
+    assert head.formats == scan_ulog(whole(got), "all").formats
+    assert sum(len(topic.rows) for topic in head.topics) == 0
+    assert world.command(STOP) == ACCEPTED
     log.close()
 
 
-def test_a_client_that_does_not_answer_is_given_up(tmp_path: Path) -> None:
+@on_virtual_time
+async def test_a_client_that_does_not_answer_is_given_up(tmp_path: Path) -> None:
     world, log = world_of(tmp_path)
-
-    async def work() -> None:
-        world.command(START, 0.0)
-        for tick in range(10):
-            log.step(plain_step(tick))
-        log.flush()
-        await settled(
-            world,
-            lambda: (
-                "not streamed any more" in "".join(one.text for one, _ in world.sent if one.get_type() == "STATUSTEXT")
-            ),
-        )
-        sent = world.taken(ACKED)
-        assert {one.sequence for one in sent} == {0}
-        assert len(sent) == 51  # once, and again 50 times
-        assert "no LOGGING_ACK" in world.texts()
-        assert world.command(START, 0.0) == ACCEPTED
-
-    run_virtual(work())
+    world.command(START, 0.0)
+    for tick in range(10):
+        log.step(plain_step(tick))
+    log.flush()
+    await settled(
+        world,
+        lambda: "not streamed any more" in "".join(one.text for one, _ in world.sent if one.get_type() == "STATUSTEXT"),
+    )
+    sent = world.taken(ACKED)
+    assert {one.sequence for one in sent} == {0}
+    assert len(sent) == 51  # once, and again 50 times
+    assert "no LOGGING_ACK" in world.texts()
+    assert world.command(START, 0.0) == ACCEPTED
     log.close()
 
 
-def test_a_stream_to_a_client_that_is_gone_ends(tmp_path: Path) -> None:
+@on_virtual_time
+async def test_a_stream_to_a_client_that_is_gone_ends(tmp_path: Path) -> None:
     world, log = world_of(tmp_path)
 
     def texts() -> str:
         return "".join(one.text for one, _ in world.sent if one.get_type() == "STATUSTEXT")
 
-    async def work() -> None:
-        assert world.command(START, 0.0) == ACCEPTED
-        await received(world, log, 100)  # all that is to be answered was
-        for _ in range(3):  # a heartbeat each 4 s keeps it, whatever others say
-            await asyncio.sleep(4.0)
-            world.say(message("HEARTBEAT", type=6, autopilot=8))
-        assert world.command(START, 0.0, source=(245, 190)) == TEMPORARILY_REJECTED, "it is streamed still"
-        begin = asyncio.get_running_loop().time()
-        while "is silent" not in texts():
-            await asyncio.sleep(0.1)
-            world.say(message("HEARTBEAT", type=6, autopilot=8), source=(245, 190))
-        assert asyncio.get_running_loop().time() - begin == pytest.approx(5.0, abs=0.2)
-        assert world.command(START, 0.0, source=(245, 190)) == ACCEPTED
-
-    run_virtual(work())
+    assert world.command(START, 0.0) == ACCEPTED
+    await received(world, log, 100)  # all that is to be answered was
+    for _ in range(3):  # a heartbeat each 4 s keeps it, whatever others say
+        await asyncio.sleep(4.0)
+        world.say(message("HEARTBEAT", type=6, autopilot=8))
+    assert world.command(START, 0.0, source=(245, 190)) == TEMPORARILY_REJECTED, "it is streamed still"
+    begin = asyncio.get_running_loop().time()
+    while "is silent" not in texts():
+        await asyncio.sleep(0.1)
+        world.say(message("HEARTBEAT", type=6, autopilot=8), source=(245, 190))
+    assert asyncio.get_running_loop().time() - begin == pytest.approx(5.0, abs=0.2)
+    assert world.command(START, 0.0, source=(245, 190)) == ACCEPTED
     log.close()
 
 
-def test_it_begins_with_a_new_log_and_serves_one_client(tmp_path: Path) -> None:
+@on_virtual_time
+async def test_it_begins_with_a_new_log_and_serves_one_client(tmp_path: Path) -> None:
     world, log = world_of(tmp_path)
-
-    async def work() -> None:
-        for tick in range(100):
-            log.step(plain_step(tick, armed=True))
-        log.flush()
-        assert world.command(START, 3.0) == DENIED
-        assert world.command(START, 0.0) == ACCEPTED
-        assert world.command(START, 0.0, peer="other", source=(7, 1)) == TEMPORARILY_REJECTED
-        assert world.command(STOP, peer="other", source=(7, 1)) == ACCEPTED  # it has none to stop
-        for tick in range(100, 150):
-            log.step(plain_step(tick, armed=True))
-        got = await received(world, log, 0)
-        first, second = log.logs()
-        assert whole(got) == second.path.read_bytes()
-        assert first.size > 0
-
-    run_virtual(work())
+    for tick in range(100):
+        log.step(plain_step(tick, armed=True))
+    log.flush()
+    assert world.command(START, 3.0) == DENIED
+    assert world.command(START, 0.0) == ACCEPTED
+    assert world.command(START, 0.0, peer="other", source=(7, 1)) == TEMPORARILY_REJECTED
+    assert world.command(STOP, peer="other", source=(7, 1)) == ACCEPTED  # it has none to stop
+    for tick in range(100, 150):
+        log.step(plain_step(tick, armed=True))
+    got = await received(world, log, 0)
+    first, second = log.logs()
+    assert whole(got) == second.path.read_bytes()
+    assert first.size > 0
     log.close()

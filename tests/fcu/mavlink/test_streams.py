@@ -21,7 +21,6 @@ HELLO = message("HEARTBEAT", type=6, autopilot=8)
 # A message of twodof's own: its sender knows them.
 OURS = message("TWODOF_LEASE", target_system=9)
 ATTITUDE, HIGHRES_IMU, DISTANCE_SENSOR, TOF, TRUTH, SAFETY = 30, 105, 132, 54204, 54205, 54210
-ON_BOARD_NEWS = {54200, 54204, 54206, 54209, 54210}
 
 
 def names(profile: dict[int, float]) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """UDP: a socket with one address, a listening socket with the peers that were heard, or both.
 
-A socket that is bound to a port of its own sends to its address, and also to each peer that writes to that port, as
-PX4's links do. It broadcasts only while no peer is heard.
+A socket that is bound to a port of its own sends to its address. It also sends to each peer that writes to that port,
+as the links of PX4 do. It broadcasts only while no peer is heard.
 """
 
 import asyncio
