@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from tests.blocks.samples import Counter, Gain, chain
+from tests.blocks.samples import Counter, Gain
 from twodof.blocks import Block, Diagram, Port
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.program.lower import lower
@@ -110,10 +110,3 @@ def test_rates_that_multiply_without_end_are_refused() -> None:
         with pytest.raises(DiagramError, match="is impossible") as caught:
             check(nested(40), 0.01)
         assert caught.value.where.startswith("part.part.part")
-
-
-def test_a_list_of_parts_in_a_message_stays_short() -> None:
-    d = chain(*(Gain() for _ in range(500)))
-    with pytest.raises(DiagramError, match=r"and \d+ more") as caught:
-        d.connect("nowhere", "nobody.u")
-    assert len(str(caught.value)) < 300

@@ -10,7 +10,7 @@ import pytest
 
 from tests.blocks.library.harness import alone
 from tests.blocks.mine import WellMeant, line_of, mine
-from twodof.blocks import fold, minimum
+from twodof.blocks import fold, matrix, minimum
 from twodof.blocks.block import Block
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Diagram
@@ -59,6 +59,7 @@ RECORDED: dict[str, tuple[Written, str]] = {
     "an element assigned": (lambda self, u, x, p, t: u.a.__setitem__(0, 1.0), r"assigned.*store\(a, i, value\)"),
     "an element deleted": (lambda self, u, x, p, t: u.a.__delitem__(0), "deleted.*fixed length"),
     "an index of text": (lambda self, u, x, p, t: u.a["x"], "indexed with str"),
+    "a matrix": (lambda self, u, x, p, t: np.linalg.norm(matrix([[u.u, 1.0]])), r"np\.linalg\.norm.*@ for products"),
     "a bare body of fold": (lambda self, u, x, p, t: fold(3, [0.0], lambda i, s: s)[0], "iterated over"),
     "nothing returned": (forgetful, "output returns nothing.*return"),
     "text": (lambda self, u, x, p, t: "u.u", "str is not a number"),
@@ -150,20 +151,6 @@ def test_what_edges_returns_is_checked(case: str) -> None:
     written, words = EDGES[case]
     for text in refused(mine("edges", written)()):
         assert_told(text, "part.block, ", "edges", line_of(written), words)
-
-
-MATRICES: dict[str, tuple[Written, str]] = {
-    "np.linalg.norm": (lambda self, u, x, p, t: np.linalg.norm(u.M), r"np\.linalg\.norm.*norm.*@ for products"),
-    "an element assigned": (lambda self, u, x, p, t: u.M.__setitem__((0, 0), 1.0), r"store\(a, i, value\).*matrix"),
-}
-
-
-@pytest.mark.parametrize("case", MATRICES)
-def test_a_mistake_with_a_matrix_is_told_as_with_a_number(case: str) -> None:
-    written, words = MATRICES[case]
-    with pytest.raises(DiagramError) as caught:
-        _ = mine("output", written, inputs=(Port("M", shape=(2, 2)),))().trace
-    assert_told(str(caught.value), "", "output", line_of(written), words)
 
 
 def unready(self: Any, u: Any, x: Any, p: Any, t: Any) -> Any:

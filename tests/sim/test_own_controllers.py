@@ -159,18 +159,6 @@ def test_the_flight_becomes_unstable_where_the_margins_say(loops: dict[str, Clos
         assert grows(rings(loop, "paper", arm=rig["arm"] * (1.0 + share * (found.gain - 1.0)))) is expected, share
 
 
-def test_in_hover_they_move_the_motors_no_more_than_the_stock_loops(loops: dict[str, ClosedLoop]) -> None:
-    spread = {}
-    for name in ("stock-attitude", "lqr-attitude", "notch-attitude"):
-        rings(loops[name], "lab", noise=1.0, seed=3)
-        out = flown(loops[name], 3000)
-        spread[name] = float(np.std(out["M"][500:])), float(np.std(out["true_theta"][500:]))
-    for name in ("lqr-attitude", "notch-attitude"):
-        # Seen .90 and .92 times in M, 1.7 and 1.5 times in theta: slower loops move the motors less and hold less.
-        assert spread[name][0] < spread["stock-attitude"][0]
-        assert spread[name][1] < 2.0 * spread["stock-attitude"][1]
-
-
 def test_parameters_of_a_users_diagram_are_tuned_by_path_in_flight(loops: dict[str, ClosedLoop]) -> None:
     loop = rings(loops["lqr-attitude"], "paper")
     listed = loop.controller_parameters()

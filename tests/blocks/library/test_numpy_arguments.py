@@ -207,39 +207,6 @@ def test_an_integer_of_numpy_in_a_method_is_refused_with_the_remedy() -> None:
         Reference(alone(Shifted()), 0.1)
 
 
-def turned(of: Callable[[Any], Any]) -> Diagram:
-    """A diagram whose matrices are declared with what `of` makes of lists."""
-
-    class Turned(Block):
-        inputs = (Port("u", shape=of([2, 2])),)
-        outputs = (Port("y", shape=of([2, 2])),)
-        params = (Param("k", of([[0, 1], [2, 3]]), shape=of([2, 2]), low=0.0),)
-        states = (State("x", of([[1.0, 0.5], [0.0, 1.0]]), shape=of([2, 2])),)
-
-        def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return p.k @ u.u + x.x
-
-        def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-            return u.u
-
-    d = Diagram("d")
-    d.input("u", shape=of([2, 2]))
-    d.add("turned", Turned(), u="u")
-    d.output("y", "turned")
-    return d
-
-
-@pytest.mark.parametrize("make", [Reference, build])
-def test_a_matrix_of_numpy_is_its_rows(make: Any) -> None:
-    assert to_json(turned(views)) == to_json(turned(arrays)) == to_json(turned(list))
-    machine = make(turned(views), 0.1).machine()
-    k, x, u = (np.random.default_rng(seed).normal(size=(2, 2)) ** 2 for seed in (1, 2, 3))
-    machine.set("turned.k", k.T.copy().T)
-    machine.set_state("turned.x", views(x.tolist()))
-    expected = k[:, :1] * u[:1] + k[:, 1:] * u[1:] + x
-    assert machine.step({"u": np.asfortranarray(u)})["y"] == expected.tolist()
-
-
 def test_lists_within_lists_without_end_are_refused() -> None:
     endless: list[Any] = [1.0]
     endless.append(endless)

@@ -31,7 +31,9 @@ from tests.flight.failsafe.machine_space import (
 )
 from tests.flight.failsafe.unrolled import unrolled
 from twodof.blocks import Block
+from twodof.flight.declarations import tunable
 from twodof.flight.failsafe.causes_and_actions import BIT, CAUSES, LEVEL, NONE, OFF, RequestedActions, named_causes
+from twodof.flight.failsafe.diagram import TIMERS
 from twodof.flight.failsafe.flags import OffDelay, WatchdogTimer
 from twodof.flight.failsafe.state_machine import BRAKE, DESCEND, FLYING, MAY_TURN, REFUSED, FailsafeStateMachine
 from twodof.flight.failsafe.state_machine import LEVEL as LEVELLING
@@ -150,6 +152,30 @@ def test_no_mutant_of_the_machine_survives_but_those_explained() -> None:
     assert sorted(survivors) == sorted(EQUIVALENT)
     assert by_properties > 200
     assert broken == set(PROPERTIES)
+
+
+def explore_timer(block: Block, inputs: str, limit: int) -> dict[str, NDArray[Any]]:
+    """The compiled step of a timer from every count it can have, with its flag false and true."""
+    (state,) = block.states
+    columns = combinations(**{inputs: (False, True), state.name: tuple(range(limit + 1))})
+    columns[state.name] = columns[state.name].astype(np.int32)
+    return columns | run(unrolled(block), columns)
+
+
+@pytest.mark.parametrize("name", TIMERS)
+def test_a_timeout_expires_after_its_ticks_and_never_else(name: str) -> None:
+    block = WatchdogTimer(tunable(f"failsafe.{name}.timeout"))
+    limit = round(block.params[0].value / 0.004)
+    table = explore_timer(block, "alive", limit)
+    alive, count = table["alive"], table["count"]
+    np.testing.assert_array_equal(table["update.count"], np.where(alive, 0, np.minimum(count + 1, limit)))
+    np.testing.assert_array_equal(table["output.expired"], ~alive & (count + 1 >= limit))
+
+
+def test_a_linger_lasts_its_ticks_and_not_longer() -> None:
+    table = explore_timer(OffDelay(), "flag", 125)
+    np.testing.assert_array_equal(table["update.left"], np.where(table["flag"], 125, np.maximum(table["left"] - 1, 0)))
+    np.testing.assert_array_equal(table["output.lasting"], table["flag"] | (table["left"] > 0))
 
 
 def meant_timeout(alive: bool, count: int, limit: int) -> tuple[bool, int]:

@@ -8,7 +8,6 @@ import pytest
 from tests.cli.test_interrupts import interrupted
 from twodof.cli.app import run
 from twodof.experiment.flight import Laboratory
-from twodof.flight.gains import load_gains
 from twodof.flightlog.files import write_log
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX
 
@@ -73,30 +72,12 @@ def test_a_specification_that_is_missed_is_status_1(tmp_path: Path, capfd: pytes
 
 
 @pytest.mark.long
-def test_gains_are_searched_and_written_as_gains_are_read(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    spec, out = tmp_path / "spec.toml", tmp_path / "gains.json"
-    spec.write_text("[rail]\novershoot = 0.16\nrail_use = 0.4\n")
-    command = ["design", "rail", *models(tmp_path, 0.01), "--members", "40", "--spec", str(spec), "--json"]
-    assert run([*command, "--gains", "student", "--out", str(out)]) == 0
-    said = json.loads(capfd.readouterr().out)
-    assert said["written"] == {"gains": str(out)}
-    assert load_gains(out).to_json() == said["gains"]
-    assert run([*command, "--gains", str(out)]) == 0
-    assert json.loads(capfd.readouterr().out)["promise"] == said["promise"]
-
-
-@pytest.mark.long
 def test_the_search_ends_at_once_and_leaves_nothing(tmp_path: Path) -> None:
     spec, folder = tmp_path / "spec.toml", tmp_path / "run"
     spec.write_text("[rail]\nvelocity_bandwidth = 6.0\novershoot = 0.01\n")
     folder.mkdir()
     command = ["design", "rail", *models(tmp_path, 0.01), "--spec", str(spec), "--out", "gains.json"]
     assert interrupted(3.0, folder, *command, "--promise", "promise.json", "--plot", "promise.png") == ""
-
-
-def test_refuses_to_search_for_nothing(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    assert run(["design", "rail", *models(tmp_path, 0.01), "--out", str(tmp_path / "gains.json")]) == 2
-    assert "give --spec" in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -113,9 +94,3 @@ def test_refuses_to_search_for_nothing(tmp_path: Path, capfd: pytest.CaptureFixt
 def test_refuses_bad_options(changed: list[str], tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert run(["design", "rail", *models(tmp_path, 0.01), *changed]) == 2
     assert "remedy" in capfd.readouterr().err
-
-
-def test_refuses_a_model_of_something_else(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    pitch, _ = models(tmp_path, 0.01)
-    assert run(["design", "rail", pitch, pitch]) == 2
-    assert "model of the cart" in capfd.readouterr().err
