@@ -1,4 +1,4 @@
-"""What a planned flight is expected to tell, beside what the same flight told."""
+"""Expected accuracy of a planned flight, beside the accuracy of the same flight."""
 
 import json
 from dataclasses import replace
@@ -106,7 +106,7 @@ def test_an_excitation_that_meets_a_stop_is_refused(still: Laboratory) -> None:
 
 
 def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
-    """Planned without a flight; a flight knows besides how its own controller answered the gusts: within a third."""
+    """Within a third: a flight also shows how its controller answered the gusts."""
     for name in ("attitude-steps", "attitude-prbs"):
         rows = {row["name"]: row for row in expected_accuracy(name, Laboratory("lab", noise=0.0)).to_json()["unknowns"]}
         assert [one for one, row in rows.items() if row["wanted"]] == ["mu", "tau"]

@@ -174,7 +174,7 @@ def test_what_a_flight_is_judged_by_is_the_same(flown: Both) -> None:
 
 
 def by_truth(log: FlightLog, plan: Script, rings: bool) -> dict[str, str]:
-    """What is seen of pitch and place, from the true channels."""
+    """Return the words for pitch and place, from the true channels."""
     theta, x = (np.abs(log[f"{name}_true"].value[plan.begin : plan.end]).max() for name in ("theta", "x"))
     seen = {"pitch free": f"{np.degrees(theta):.1f} deg, true"}
     return seen if rings else seen | {"rail free": f"{x:.3f} m, true"}

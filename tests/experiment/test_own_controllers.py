@@ -1,4 +1,4 @@
-"""Experiments with a user's controllers: good data, or data that say what went wrong; never a crash."""
+"""Experiments with a user's controllers: good data, or data with the fault; never a crash."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is predicted of an excitation is what the flight then does, and what cannot be flown is said before."""
+"""Predicted motion of an excitation beside the flight's, and refusals of excitations that cannot be flown."""
 
 from math import radians
 

@@ -29,7 +29,7 @@ ONE_INPUT_S = 10
 
 
 def is_guided() -> bool:
-    """Whether atheris is here: it has wheels for Linux on x86-64 and Python 3.11 to 3.13."""
+    """Return True if atheris is installed: it has wheels for Linux on x86-64 and Python 3.11 to 3.13."""
     return importlib.util.find_spec("atheris") is not None
 
 

@@ -1,4 +1,4 @@
-"""What is fuzzed: inputs to begin with, and what one input must not do."""
+"""Fuzzing target: its first inputs, and the attempt with one input."""
 
 import tempfile
 from collections.abc import Callable

@@ -14,7 +14,7 @@ PACKET = 12
 
 @cache
 def server() -> Server:
-    """One for all inputs, each of which begins without sessions."""
+    """Server for all inputs, without sessions at the start of each."""
     return Server(Path(tempfile.mkdtemp(prefix="twodof-fuzz-")))
 
 

@@ -211,7 +211,7 @@ async def test_the_bounds_themselves_are_flown(peer: Peer, drone: AsyncDrone) ->
 @pytest.mark.parametrize("lockstep", [False, True])
 @flight(lambda lockstep: Peer(lockstep=lockstep))
 async def test_a_drone_that_restarts_is_a_lost_link(peer: Peer, drone: AsyncDrone, lockstep: bool) -> None:
-    """In the waiting call and in later ones; a few late stamps are no restart."""
+    """In the waiting call and in later ones; a few late stamps are ignored."""
     await drone.run(2.0)
     await drone.arm()
     for _ in range(3):

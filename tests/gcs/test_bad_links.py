@@ -1,4 +1,4 @@
-"""AsyncDrone over a link that loses, delays, reorders and repeats, on virtual time: all is done, once, and in time."""
+"""AsyncDrone over a link that loses, delays, reorders and repeats frames, on virtual time."""
 
 from pathlib import Path
 

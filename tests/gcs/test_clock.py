@@ -1,4 +1,4 @@
-"""The drone's time: where its numbers on the wire begin anew, and that this is not a restart."""
+"""Clock of a drone: wrapping numbers, restarts, pauses of this program, and time that stands still."""
 
 import asyncio
 from typing import Any
@@ -31,7 +31,7 @@ class OldPeer(Peer):
 
 @pytest.mark.parametrize("limit", [STAMPS, TICKS])
 def test_a_drone_that_runs_for_weeks_is_flown_on(limit: int) -> None:
-    """Milliseconds begin anew after 49 days, ticks after 198: time goes on, nothing is taken for a restart."""
+    """Milliseconds wrap after 49 days and ticks after 198, without a sign of a restart."""
 
     async def work() -> None:
         peer = OldPeer()

@@ -1,4 +1,4 @@
-"""Drone, the synchronous face, with a virtual drone over TCP: verbs, recordings, and every way to end a script."""
+"""Synchronous Drone with a virtual drone over TCP: verbs, recordings, and every end of a script."""
 
 import errno
 import os
@@ -353,7 +353,6 @@ def test_a_script_that_ends_without_leaving_disarms(how: str) -> None:
 
 
 def test_a_reset_in_a_recording_loses_nothing_of_what_came_before(there: OnBoard, tmp_path: Path) -> None:
-    """The drone's time begins again, that of the recording does not: each row has a stamp of its own."""
     with Drone.connect(there.url) as drone:
         drone.run(0.1)
         with drone.record(tmp_path / "twice.mcap") as recording:

@@ -25,7 +25,7 @@ from twodof.link.mavlink.messages import channel_mask
 
 
 def ended(runner: LoopThread, work: Callable[[], Coroutine[Any, Any, Any]]) -> Any:
-    """What `work` returns in the runner, or SystemExit, in a thread that is given up if it hangs."""
+    """Return the result of `work` in the runner, or SystemExit, in a thread that is given up if it hangs."""
     found: list[Any] = []
 
     def do() -> None:
@@ -64,7 +64,6 @@ def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported()
 
 
 def test_a_condition_that_ends_the_program_does() -> None:
-    """What is waited for in the script's own thread may end it."""
     runner = LoopThread("test")
 
     async def work() -> None:
@@ -78,32 +77,15 @@ def test_a_condition_that_ends_the_program_does() -> None:
         runner.close()
 
 
+@pytest.mark.parametrize("when", ["before it is handed over", "after", "meanwhile"])
 @pytest.mark.parametrize("finish", [True, False])
-def test_what_is_to_finish_is_finished_though_ctrl_c_comes(finish: bool) -> None:
-    """Leaving is: an impatient second Ctrl-C must not keep the drone armed."""
+def test_ctrl_c_cancels_work_unless_it_must_finish(when: str, finish: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaving must finish: a second Ctrl-C must not keep the drone armed."""
     runner, done = LoopThread("test"), []
 
     async def work() -> None:
-        os.kill(os.getpid(), signal.SIGINT)
-        await asyncio.sleep(ends_s(finish))
-        done.append(True)
-
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            runner.run(work(), finish=finish)
-        assert done == [True] * finish
-    finally:
-        runner.close()
-
-
-@pytest.mark.parametrize("handed_over", [True, False])
-@pytest.mark.parametrize("finish", [True, False])
-def test_and_when_it_comes_while_the_work_is_handed_over(
-    handed_over: bool, finish: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runner, done = LoopThread("test"), []
-
-    async def work() -> None:
+        if when == "meanwhile":
+            os.kill(os.getpid(), signal.SIGINT)
         await asyncio.sleep(ends_s(finish))
         done.append(True)
 
@@ -111,11 +93,12 @@ def test_and_when_it_comes_while_the_work_is_handed_over(
 
     def interrupted(*what: Any) -> None:
         monkeypatch.undo()
-        if handed_over:
+        if when == "after":
             hand_over(*what)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner._loop, "call_soon_threadsafe", interrupted)
+    if when != "meanwhile":
+        monkeypatch.setattr(runner._loop, "call_soon_threadsafe", interrupted)
     try:
         what = work()
         with pytest.raises(KeyboardInterrupt):
@@ -241,7 +224,6 @@ class Slow(Peer):
 
 
 def test_deadlines_do_not_add_up() -> None:
-    """What a verb asks first, and what it does then, are in one deadline."""
 
     async def work() -> None:
         async with Slow() as peer:

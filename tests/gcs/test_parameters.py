@@ -197,8 +197,6 @@ def test_watchers_see_a_flashed_controllers_parameters_which_restarts_keep(tmp_p
 
 @flight()
 async def test_the_reason_of_a_refusal_is_a_warning(peer: Peer, drone: AsyncDrone) -> None:
-    """Information about another client's change may come late, between the reason and the refusal."""
-
     def refusing(_: int, sent: Any) -> list[Any]:
         if sent.get_type() != "PARAM_VALUE":
             return [sent]

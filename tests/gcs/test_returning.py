@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 
 
 async def killed(drone: AsyncDrone) -> None:
-    """What kill -9 does: nothing more is sent, nothing is said."""
+    """End a client as kill -9 does, without a message."""
     drone.lease.stop()
     drone.setpoints.stop()
     await drone.session.close()
@@ -43,7 +43,7 @@ def test_a_script_that_was_killed_and_starts_again_waits_for_its_own_lease(armed
 
 
 class Standing(Peer):
-    """Its time stands still; the lease of its dead pilot counts down in whole seconds, and goes to who asks then."""
+    """Drone in lockstep, whose lease of a dead pilot counts down in whole seconds."""
 
     def __init__(self) -> None:
         super().__init__(lockstep=True)
@@ -52,7 +52,7 @@ class Standing(Peer):
 
     @property
     def left_ms(self) -> int:
-        """What it tells."""
+        """Announced time to the lease's end."""
         return max(0, min(2500, 3000 - 1000 * int(asyncio.get_running_loop().time() - self.died)))
 
     def _twodof_lease(self, got: Any, frame: Any) -> None:

@@ -80,8 +80,6 @@ class Late(Peer):
 
 
 def test_the_last_rows_are_waited_for() -> None:
-    """What waits on board when a subscription ends comes before the answer, over a bad link seconds later."""
-
     async def work() -> None:
         async with Late() as peer, await AsyncDrone.connect(peer.url) as drone:
             async with drone.batch(["estimate.q"]) as rows:

@@ -1,8 +1,7 @@
 """A virtual drone in a thread of its own, for the synchronous face; what it did on board, step by step."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,13 +37,16 @@ class OnBoard:
 
 
 @contextmanager
-def on_board(listen: str = "tcpin://127.0.0.1:0", state: Path | None = None, **options: Any) -> Iterator[OnBoard]:
-    """A virtual drone that listens while the block runs."""
+def on_board(
+    listen: str = "tcpin://127.0.0.1:0", spoil: Callable[[VirtualDrone], None] = lambda drone: None, **options: Any
+) -> Iterator[OnBoard]:
+    """A virtual drone that listens while the block runs; `spoil` is called with it before."""
     runner = LoopThread("virtual drone")
     try:
 
         async def start() -> OnBoard:
-            drone = VirtualDrone(state=state, **options) if state is not None else VirtualDrone(**options)
+            drone = VirtualDrone(**options)
+            spoil(drone)
             await drone.__aenter__()
             listening = await drone.listen(listen)
             return OnBoard(drone, listening.replace("in://", "://"))

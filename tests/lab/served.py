@@ -1,4 +1,4 @@
-"""A server of the lab on a free port, in a thread of its own, with clients for it: HTTP, and web sockets."""
+"""Server of the lab on a free port, in a thread of its own, with clients of its API and its web socket."""
 
 from __future__ import annotations
 
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from tests.patience import PATIENCE_S
+from tests.patience import PATIENCE_S, patiently
 from twodof.errors import LogError
+from twodof.fleet.virtual_drone import virtual_drone
 from twodof.flightlog.recovery import recover
 from twodof.gcs.loop_thread import LoopThread
 from twodof.lab.server import serve
@@ -43,7 +44,7 @@ class Answer(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """Rows as they came: subscription, rows dropped so far, the server's time [s], times (n,) [s], columns (k, n)."""
+    """Rows of a binary message: times (n,) [s], columns (k, n), and the header's fields."""
 
     id: int
     dropped: int
@@ -71,7 +72,7 @@ class Served:
 
     @property
     def host(self) -> str:
-        """What `Host` says of it."""
+        """Value of `Host` for it."""
         return f"127.0.0.1:{self.port}"
 
     def ask(
@@ -179,7 +180,7 @@ def served(folder: Path, *urls: str, token: str = "", **settings: Any) -> Iterat
 
 
 def holds_samples(recording: Path) -> bool:
-    """Whether a sample of the pitch is on the disk already of what is being recorded."""
+    """Return True if a sample of the pitch is on the disk, in a recording that goes on."""
     try:
         return len(recover(recording).log["theta"]) > 0
     except LogError:
@@ -191,3 +192,43 @@ def wait_for_drone(server: Served, number: int = 1) -> dict[str, Any]:
     with server.socket() as client:
         state: dict[str, Any] = client.event("drone", drone=number, link="heard")["state"]
         return state
+
+
+@dataclass
+class ServedLab(Served):
+    """Server of one drone on a virtual rig whose time the clients grant."""
+
+    drone: int = 1
+
+    def call(self, method: str, path: str, body: Any = None) -> tuple[int, Any]:
+        """Return status and JSON of an answer; bytes are sent and returned as they are."""
+        answer = self.ask(method, f"/api/{path}", body)
+        try:
+            return answer.status, answer.json
+        except ValueError:
+            return answer.status, answer.content
+
+    def done(self, started: tuple[int, Any]) -> Any:
+        """Return the result of a started job, once it is done."""
+        job = self.ended(started)
+        assert job["state"] == "done", job["error"]
+        return job["result"]
+
+    def ended(self, started: tuple[int, Any]) -> Any:
+        """Return a started job, once it has ended."""
+        status, job = started
+        assert status == 202, job
+        for _ in patiently():
+            job = self.call("GET", f"jobs/{job['id']}")[1]
+            if job["state"] != "running":
+                return job
+        raise AssertionError(job)
+
+
+@contextmanager
+def served_lab(folder: Path, rig: str = "paper", watch_token: str = "") -> Iterator[ServedLab]:
+    """Serve a drone on `rig` while the block runs."""
+    with virtual_drone(rig) as url, served(folder, url, watch_token=watch_token) as server:
+        lab = ServedLab(server.port, folder)
+        assert any(lab.call("GET", "drones")[1] for _ in patiently()), "the drone is not heard"
+        yield lab

@@ -1,7 +1,4 @@
-"""The API as its own description says it can be asked: whatever comes, the server does not break.
-
-A drone on a virtual rig is there, so that a route gets as far as it can.
-"""
+"""Requests drawn from the API's own description, right and wrong ones, to a server with a virtual drone."""
 
 from __future__ import annotations
 
@@ -41,7 +38,7 @@ def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
 
 @pytest.fixture(scope="module")
 def schema(server: Served) -> Any:
-    """What the server says of itself."""
+    """Description of the API by the server."""
     return schemathesis.openapi.from_url(f"http://{server.host}/api/openapi.json")
 
 
@@ -52,7 +49,7 @@ def modes(schema: Any, method: str, path: str) -> list[Any]:
 
 
 def ask(operation: Any, mode: Any, examples: int) -> None:
-    """Send `examples` requests of one kind to one route; none is to be answered by a fault of the server's."""
+    """Send `examples` requests of one kind to one route; none may end in an error of the server."""
 
     told = operation.definition.raw["responses"]
 

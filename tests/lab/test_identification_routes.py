@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.lab.served_lab import ServedLab, served_lab
+from tests.lab.served import ServedLab, served_lab
 from tests.patience import patiently
 from twodof.flight.starters import load_diagram
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.lab.served_lab import ServedLab, served_lab
+from tests.lab.served import ServedLab, served_lab
 from tests.patience import PATIENCE_S
 from tests.web.conftest import OpenPage, axe, picture, readable
 from twodof.experiment.flight import Laboratory

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Locator, Page, expect
 
-from tests.lab.served_lab import ServedLab, served_lab
+from tests.lab.served import ServedLab, served_lab
 from tests.lab.test_tuning_routes import MODEL
 from tests.patience import PATIENCE_S
 from tests.web.conftest import OpenPage, axe, picture, readable

@@ -1,4 +1,4 @@
-"""A drone as the page has it: its rows to the bit, commanded, watched while another flies, recorded, let down."""
+"""Drone of the page: rows to the bit, commands, a script beside it, recordings, and leaving."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def flying(folder: Path, **options: Any) -> Iterator[tuple[Served, OnBoard]]:
 
 @pytest.fixture(scope="module")
 def drone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, OnBoard]]:
-    """One for all that leave it as it was: disarmed, with its parameters, without a lease."""
+    """Drone for the tests that leave it disarmed, with its parameters, without a lease."""
     with flying(tmp_path_factory.mktemp("lab")) as found:
         yield found
 

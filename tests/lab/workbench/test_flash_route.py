@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from tests.lab.served_lab import ServedLab, served_lab
+from tests.lab.served import ServedLab, served_lab
 from tests.patience import patiently
 from tests.processes import child, stopped
 from twodof.blocks.schema.json_form import to_json
@@ -27,11 +27,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ServedLab]:
 
 
 def over(lab: ServedLab, job: dict[str, Any], state: str) -> dict[str, Any]:
-    """The job at its end, which is to be so."""
-    for _ in patiently():
-        told: dict[str, Any] = lab.call("GET", f"jobs/{job['id']}")[1]
-        if told["state"] != "running":
-            break
+    """Return the job at its end, in this state."""
+    told: dict[str, Any] = lab.ended((202, job))
     assert told["state"] == state, told
     return told
 

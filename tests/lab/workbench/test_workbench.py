@@ -16,6 +16,7 @@ from tests.patience import PATIENCE_S, patiently
 from twodof.blocks import Diagram
 from twodof.blocks.library import Gain, UnitDelay
 from twodof.blocks.schema.json_form import to_json
+from twodof.compile.toolchain import compilers
 from twodof.errors import DiagramError, Rejected, Timeout
 from twodof.flight.starters import starter
 from twodof.lab import diagram_work
@@ -115,3 +116,10 @@ def test_a_diagram_that_fits_no_template_is_not_compiled() -> None:
     assert diagram_work.check(to_json(d))["fine"]
     with pytest.raises(DiagramError, match="no template"):
         diagram_work.compiled(to_json(d), "lab")
+
+
+def test_the_catalogue_says_what_to_run_where_nothing_can_be_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compilers, "find_zig", lambda: None)
+    monkeypatch.setenv("PATH", "")
+    said = diagram_work.catalogue()["not_simulated"]
+    assert said.startswith("there is no compiler for WebAssembly: run `make sandbox`")
