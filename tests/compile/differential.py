@@ -96,7 +96,7 @@ def cost(diagram: Diagram, ticks: float = 1.0) -> float:
 
 @dataclass
 class Judgement:
-    """What the reference says of a case: its signals, and its states after some numbers of steps."""
+    """Reference's result for a case: signals, and states after some numbers of steps."""
 
     signals: Columns
     states: dict[int, States]

@@ -97,7 +97,7 @@ class Rotate(Block):
 
 
 class Positive(Block):
-    """Whether the input is above 0."""
+    """Comparison of the input with 0."""
 
     inputs = (Port("u"),)
     outputs = (Port("y", "bool"),)

@@ -173,7 +173,7 @@ class Body:
             self.let(name, self.operation(kind), kind)
 
     def others(self, kind: str) -> Sequence[str]:
-        """What may become a float or an integer of 32 bits, besides the floats of these if `kind` is one."""
+        """Return the kinds that convert to `kind`, a float or an integer of 32 bits."""
         more = (*STORED, *(f for f in FLOATS if f != kind and kind in FLOATS)) if self.kinds is MIXED else ()
         return ("int32", "uint32", "bool", *more)
 
@@ -201,7 +201,7 @@ class Body:
 
     @contextmanager
     def loop(self, counter: str) -> Iterator[None]:
-        """What is at hand in a loop, and not behind it."""
+        """Add the counter to the pool within the block."""
         pool, self.pool = self.pool, self.pool.copy()
         self.pool.add(counter, "int32")
         self.pool.add(f"to_real({counter})", "real")

@@ -42,7 +42,7 @@ class MachineTable:
 
 
 def random_table(r: random.Random) -> MachineTable:
-    """Some modes on two levels, all of which something leads to."""
+    """Make a table of modes on two levels, each reached by a transition."""
     table = MachineTable()
     for k in range(r.randint(1, 4)):
         inner = [f"m{k}{i}" for i in range(r.choice((0, 0, 1, 2, 3)))]
@@ -147,7 +147,7 @@ def _traced(term: Term, u: Any, x: Any, t: Any) -> Any:
 
 
 def told_by_the_table(table: MachineTable, rows: Sequence[Row], taken: set[int] | None = None) -> Iterator[Row]:
-    """What the machine's outputs are, tick by tick; the numbers of the transitions that were taken go into `taken`."""
+    """Yield the machine's outputs tick by tick, and add the numbers of taken transitions to `taken`."""
     leaf, values, since, last = "", {}, {}, {}
 
     def evaluate(term: Term, row: Row, owner: str) -> Any:

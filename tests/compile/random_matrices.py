@@ -33,7 +33,7 @@ class RandomMatrices(Block):
         self.seed, self.operations = seed, operations
 
     def pool(self, u: Any, x: Any, p: Any, seed: int) -> dict[tuple[int, ...], list[Any]]:
-        """What is at hand after some random operations, by shape."""
+        """Return the values after some random operations, by shape."""
         r = random.Random(seed)
         found: dict[tuple[int, ...], list[Any]] = {
             SQUARE: [u.m, x.a, p.g],

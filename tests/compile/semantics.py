@@ -239,7 +239,7 @@ def scaled(name: str, factor: float) -> Diagram:
 
 
 def acting(case: Diagram, parts: dict[str, float], turns: Sequence[str], given: list[dict[str, Any]]) -> Told:
-    """What an action group gives whose parts act in these `turns`, "" being nobody's; they start afresh."""
+    """Return the case and rows of an action group whose parts act in these `turns` ("": none) and restart."""
     count = dict.fromkeys(parts, 10.0)
     now: Row = {"y": 0.0, "count": -1.0, "pair": [0.0, 0.0]}
     expected, before = [], next(iter(parts))

@@ -128,7 +128,7 @@ def test_branches_change_no_bit(kind: str, first: int, count: int, precision: st
 
 
 class Chain(Block):
-    """Many choices on one condition, each of which needs the one before and something that all read."""
+    """Chain of choices on one condition, with a value that all choices read."""
 
     inputs = tuple(Port(name, kind) for name, kind in INPUTS)
     outputs = (Port("y"),)

@@ -1,4 +1,4 @@
-"""What the comparison of targets must find: faults put into the emitter, the compiler's flags and the processor."""
+"""Faults in the emitter, in the compiler's flags and in the processor, found by the comparison of targets."""
 
 from __future__ import annotations
 
@@ -34,16 +34,10 @@ from twodof.compile.native import Native
 from twodof.compile.target import EmittedProgram, Target
 from twodof.compile.wasm.target import Wasm
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 
 GCC = Native("gcc", "-O1", cpu=False)
 ON_M7 = CortexM7("gcc")
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is compiled here is used once: it stays out of the user's cache."""
-    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
 def pairs() -> Case:
@@ -76,7 +70,7 @@ def judged() -> tuple[list[Case], list[Judgement]]:
 
 @pytest.fixture(scope="module")
 def sound(judged: tuple[list[Case], list[Judgement]]) -> Callable[[Target], bool]:
-    """Whether a target runs them as the reference, asked of each once."""
+    """Cached test of a target against the reference."""
     cases, expected = judged
     return cache(lambda target: not differences(cases, expected, emitted(cases, "float64", "rk4"), target))
 
@@ -224,7 +218,7 @@ FLUSH = {
 def test_subnormals_rounded_to_zero_are_caught(
     where: str, decaying: tuple[list[Case], list[Judgement], list[EmittedProgram]]
 ) -> None:
-    """What a library built with -ffast-math does to its process, and a start-up that sets FPSCR.FZ to a controller."""
+    """A library built with -ffast-math flushes subnormals in its process, FPSCR.FZ at start-up in a controller."""
     target, change = FLUSH[where]
     needs(target)
     cases, expected, programs = decaying

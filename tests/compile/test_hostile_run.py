@@ -1,4 +1,4 @@
-"""What the loader lets in compiles, and runs in the sandbox within its fuel, with the bits of the reference."""
+"""Files that the loader accepts compile, and run in the sandbox within their fuel with the reference's bits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import itertools
 import random
 import resource
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -24,15 +23,9 @@ from twodof.compile.program.lower import lower
 from twodof.compile.wasm.target import Wasm
 from twodof.errors import DiagramError
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 
 BASES = [to_json(Maker(seed).diagram("r")) for seed in (3, 11, 23, 42)]
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is compiled here is used once: it stays out of the user's cache."""
-    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
 def survivors(files: int, seed: int) -> Iterator[Diagram]:

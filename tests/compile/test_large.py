@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 
 
 def chain(blocks: int) -> Diagram:
-    """`blocks` blocks of several types, each of which drives the next, with feedback through delays."""
+    """Make a chain of `blocks` blocks of several types, with feedback through delays."""
     d = Diagram("chain")
     d.input("r")
     last, older = "r", "r"

@@ -1,4 +1,4 @@
-"""What is read under a condition only is computed only then, and nothing else changes."""
+"""Signals read under a condition only are computed only then, with the same bits."""
 
 import random
 from typing import Any
@@ -102,7 +102,7 @@ class Counter(Block):
 
 
 def _add_slow(d: Diagram, name: str, u: str, rng: random.Random) -> None:
-    """A dear block at a slow rate, of which a choice of that rate reads something, and perhaps one of the base rate."""
+    """Add an expensive block at a slow rate, read by a choice of that rate and perhaps by one of the base rate."""
     if "slow_mode" not in d.parts:
         d.add("slow_mode", Held("int32"), rate=(3, 1), u="mode")
         d.add("slow_on", Held("bool"), rate=(3, 1), u="on")

@@ -11,7 +11,6 @@ import itertools
 import random
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import pytest
 
@@ -42,7 +41,7 @@ from twodof.compile.program.lower import lower
 from twodof.flight.core import core
 from twodof.sim.closed_loop import closed_loop
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("own_cache")]
 
 ROOMS = {
     "loops": ("continuous", "delays"),
@@ -53,7 +52,7 @@ ROOMS = {
 
 
 def flight_core(steps: int) -> list[Case]:
-    """What flies, fed with any input it may get."""
+    """Make the flight core with hostile inputs."""
     d = core()
     return [Case(d, [], strange_inputs(d, steps, 1), {})]
 
@@ -172,12 +171,6 @@ def compare(cases: list[Case], precision: str, integrator: str, kinds: Sequence[
     assert not found, "\n".join(found)
     for name in absent:
         need(*KINDS[name].needs)
-
-
-@pytest.fixture(autouse=True)
-def own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is compiled here is used once: it stays out of the user's cache."""
-    monkeypatch.setenv("TWODOF_CACHE", str(tmp_path / "cache"))
 
 
 @pytest.mark.long

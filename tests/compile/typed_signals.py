@@ -150,7 +150,7 @@ class Turned(Block):
 
 
 def _inner() -> Diagram:
-    """A sub-diagram into which a bus goes as one wire, and out of which one comes."""
+    """Make a sub-diagram with a bus as an input and as an output."""
     d = Diagram("inner")
     d.input("s", STATE)
     d.input("gain")

@@ -1,4 +1,4 @@
-"""What has no linear model, which point or part is to blame, and what is left out of one."""
+"""Diagrams and points without a linear model, the named cause, and states left out of a model."""
 
 from __future__ import annotations
 

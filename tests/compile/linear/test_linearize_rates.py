@@ -98,7 +98,7 @@ def first_tick(d: Diagram, period: int) -> int:
 
 
 def smooth_diagram(seed: int) -> Diagram:
-    """Nonlinear parts at rates 1, 2 and 4, in sub-diagrams of which some are enabled and some reset."""
+    """Make nonlinear parts at rates 1, 2 and 4, in sub-diagrams that are plain, enabled or reset."""
     r = random.Random(seed)
     d = Diagram(f"smooth{seed}")
     sources = [d.input("u"), d.input("w")]

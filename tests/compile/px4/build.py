@@ -213,7 +213,7 @@ class Bench:
 
 @dataclass
 class Events:
-    """What a bench's run printed: (topic or word, rest)."""
+    """Lines of a bench's run: (topic or word, rest)."""
 
     rows: list[tuple[str, str]]
     dtypes: dict[str, np.dtype[Any]]
@@ -228,19 +228,19 @@ class Events:
         return [rest.split()[0] for what, rest in self.rows if what == "lost"]
 
     def read(self) -> list[tuple[str, float]]:
-        """What the ground read."""
+        """Return the parameters that the ground read."""
         return [(rest.split()[0], float(rest.split()[1])) for what, rest in self.rows if what == "read"]
 
     def told(self) -> list[str]:
-        """What the pilot was told."""
+        """Return the critical messages to the pilot."""
         return [text.removeprefix("critical ") for text in self.said() if text.startswith("critical ")]
 
     def said(self) -> list[str]:
-        """What the module printed."""
+        """Return the module's printed lines."""
         return [rest for what, rest in self.rows if what == "said"]
 
     def returned(self) -> list[int]:
-        """What its commands returned."""
+        """Return the results of its commands."""
         return [int(rest) for what, rest in self.rows if what == "returned"]
 
     def withdrawn(self) -> dict[str, int]:

@@ -25,7 +25,7 @@ BOARD = ["-Os", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=har
 
 
 def compile_for_the_board(diagram: Diagram, folder: Path) -> str:
-    """What the linker would find wanting, after a build without a warning."""
+    """Return the undefined symbols after a build without a warning."""
     made, path = controller_files(diagram, [], folder)
     frame = f"-Wframe-larger-than={made.stack}"
     flags = [*C_FLAGS, *PX4_FLAGS.split(), *BOARD, *EXACT, frame, f"-I{folder}"]

@@ -1,4 +1,4 @@
-"""What PX4 does around a work item that flies: others publish, someone stops it, the gyro falls silent."""
+"""Work item in flight while other modules publish, a command stops it, or the gyro falls silent."""
 
 from __future__ import annotations
 

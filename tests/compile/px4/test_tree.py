@@ -26,7 +26,7 @@ def on_disk(folder: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_golden_files(name: str) -> None:
-    """After a wanted change: `python -m tests.compile.px4.golden` writes them anew."""
+    """`python -m tests.compile.px4.golden` writes new golden files after a wanted change."""
     made = dict(MODULES[name]().files)
     kept = on_disk(GOLDEN / name)
     assert sorted(made) == sorted(kept)

@@ -1,4 +1,4 @@
-"""What a module computes under wasmtime is, to the bit, what native code computes."""
+"""WebAssembly under wasmtime gives the bits of native code, in steps and runs of any length."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a module cannot do: reach out, run for ever, take more memory, or go on after a fault."""
+"""Limits of a module: no imports, bounded time and memory, no calls after a fault."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_fuel_can_be_given() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("optimise", ["-O0", pytest.param("-O3", marks=pytest.mark.soak)])
 def test_the_fuel_of_a_step_is_a_bound_with_a_wide_margin(optimise: str) -> None:
-    """What is counted in the graphs bounds what the compiler makes of them, even if it does not optimise."""
+    """The fuel, counted in the graphs, bounds the compiler's instructions even without optimisation."""
     worst = 0.0
     diagrams = [*(room(name) for name in ROOMS), examples.loop(), examples.edge(), examples.delay(1000)]
     programs = emit([lower(d, 0.004) for d in diagrams])

@@ -2,7 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -78,21 +78,19 @@ def run_scenarios(
     precision: str = "float64",
     target: str = "native",
     integrator: str = "rk4",
-    log: Iterable[str] = (),
 ) -> list[ScenarioResult]:
     """Run each scenario from the initial state at the base tick `dt` [s], and judge it.
 
-    `target` is "reference", or one of `build`: "native", "wasm", "cortex-m7"; all give the same bits. `log` are paths
-    of further signals that the results keep. Raises DiagramError for a scenario that does not fit the diagram,
-    ParameterError for a parameter, and the errors of `build`.
+    `target` is "reference", or one of `build`: "native", "wasm", "cortex-m7"; all give the same bits. Raises
+    DiagramError for a scenario that does not fit the diagram, ParameterError for a parameter, errors of `build`.
     """
     plans = [plan(diagram, scenario, dt) for scenario in scenarios]
-    wanted = frozenset(log).union(*(p.paths for p in plans))
-    paths = sorted(path for path in wanted if not diagram.gives(path))
-    if target == REFERENCE:
-        reference = Reference(diagram, dt, precision, paths, integrator)
-        return [_judged(p, run_plan(p, reference.machine()), dt) for p in plans]
-    program = build(diagram, dt, precision, paths, integrator, target=target)
+    paths = sorted(frozenset[str]().union(*(p.paths for p in plans)))
+    program = (
+        Reference(diagram, dt, precision, paths, integrator)
+        if target == REFERENCE
+        else build(diagram, dt, precision, paths, integrator, target=target)
+    )
     return [_judged(p, run_plan(p, program.machine()), dt) for p in plans]
 
 
