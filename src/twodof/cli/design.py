@@ -108,11 +108,7 @@ def controller(
         raise typer.BadParameter("--spec optimises the gains of the cascade: leave --method out")
     if anti_windup is not AntiWindup.none and method is not Method.cascade:
         raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
-    for path in (out, promise_file):
-        if path is not None:
-            check_free(path, force)
-    if plot is not None:
-        check_place(plot, force)
+    _check_places(out, promise_file, plot, force)
     family = read_family(model).disturbed(gust, gust_time, q_noise)
     asked = None if spec is None else read_specification(spec)
     with progress() as report:
@@ -130,27 +126,18 @@ def controller(
             anti_windup.value,
         )
     sure, found = made.robustness, made.promise
+    written: dict[str, str] = {}
     if sure.robust:
         save_diagram(made.diagram, out, overwrite=force)
-        if promise_file is not None:
-            _write(promise_file, found.to_json())
-        if plot is not None:
-            write_view(promise_view(found), plot, force)
+        written = {"diagram": str(out), **_keep(found, promise_file, plot, force)}
     if json:
-        written = {"diagram": out, "promise": promise_file, "plot": plot}
-        print_json(
-            {
-                **made.to_json(),
-                "written": {name: str(p) for name, p in written.items() if p is not None and sure.robust},
-            }
-        )
+        print_json({**made.to_json(), "written": written})
     else:
         if made.cascade is not None:
             _say_cascade(made.cascade)
         _say(sure, made.saturation, found, made.requirements)
-        for path in (out, promise_file, plot):
-            if path is not None and sure.robust:
-                say_line(f"written: {path}")
+        for name in written.values():
+            say_line(f"written: {name}")
     if not sure.robust:
         say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
     elif not made.ready:
@@ -218,6 +205,24 @@ def _parsed(text: bytes, where: str) -> Any:
         raise ParameterError(
             f"it is not JSON: {reason!s:.80}", where, "give what `twodof identify --json` printed"
         ) from reason
+
+
+def _check_places(out: Path | None, promise: Path | None, plot: Path | None, force: bool) -> None:
+    """Raise LogError for a place that cannot be written; to be called before the design."""
+    for path in (out, promise):
+        if path is not None:
+            check_free(path, force)
+    if plot is not None:
+        check_place(plot, force)
+
+
+def _keep(made: Promise, promise: Path | None, plot: Path | None, force: bool) -> dict[str, str]:
+    """Write and draw a promise as the options ask; return what was written."""
+    if promise is not None:
+        _write(promise, made.to_json())
+    if plot is not None:
+        write_view(promise_view(made), plot, force)
+    return {name: str(path) for name, path in (("promise", promise), ("plot", plot)) if path is not None}
 
 
 def _write(path: Path, document: Any) -> None:
@@ -299,11 +304,7 @@ def rail(
     """
     if out is not None and (spec is None or controller):
         raise typer.BadParameter("--out searches gains of the stock loops for --spec: give --spec, and no --controller")
-    for path in (out, promise_file):
-        if path is not None:
-            check_free(path, force)
-    if plot is not None:
-        check_place(plot, force)
+    _check_places(out, promise_file, plot, force)
     family = RailFamily.from_identified(_document(pitch), _document(cart), rig)
     diagrams, flown = [load_diagram(one) for one in controller or []], load_gains(gains)
     asked = None if spec is None else read_specification(spec, "rail")
@@ -334,12 +335,7 @@ def rail(
         if out is not None:
             _write(out, flown.to_json())
             written["gains"] = str(out)
-        if promise_file is not None:
-            _write(promise_file, made.to_json())
-            written["promise"] = str(promise_file)
-        if plot is not None:
-            write_view(promise_view(made), plot, force)
-            written["plot"] = str(plot)
+        written |= _keep(made, promise_file, plot, force)
     if json:
         print_json(
             {

@@ -8,6 +8,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
+from twodof.cli.connection import KeyOfDrone, SystemOfDrone, UrlOfDrone
 from twodof.cli.output import Force, Json, print_json, table_console
 from twodof.errors import ParameterError, shown
 from twodof.flightlog.atomic import atomic_write
@@ -27,9 +28,9 @@ def parameters(
             help="Which to show, or to set: a name, or a path such as attitude_control.k_q.",
         ),
     ] = None,
-    url: Annotated[str, typer.Option(help="Where the drone is, as `twodof up` or `twodof drones` says.")] = DEFAULT_URL,
-    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
-    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
+    url: UrlOfDrone = DEFAULT_URL,
+    drone: SystemOfDrone = None,
+    key: KeyOfDrone = None,
     changed: Annotated[
         bool, typer.Option("--changed", help="Of all, show those that are not at their defaults.")
     ] = False,

@@ -127,31 +127,28 @@ class IdentifiedFlight:
         for one in (*fitted, *checked):
             curves = {"measured": one.measured, "greybox": one.simulated, "residual": one.residual}
             if one in fitted and self.simple is not None and one.output == self.simple.output:
-                _, _, offset, simulated = self._simulated()
+                _, _, offset, simulated = self._simulated(self.simple)
                 curves["simple"] = simulated + offset
             ahead = one.ahead if self.greybox.disturbance.answering else None
             figures = {"fit_percent": one.fit_percent, "fit_percent_ahead": ahead, "rmse": one.rmse}
             figures |= {"validation": one in checked, "wanders": one.wanders}
             rows.append(_output(one.output, one.record, figures, one.time - one.time[0], curves))
         if self.simple is not None and all(one.output != self.simple.output for one in fitted):
-            time, measured, offset, simulated = self._simulated()
+            time, measured, offset, simulated = self._simulated(self.simple)
             curves = {"measured": measured + offset, "simple": simulated + offset, "residual": measured - simulated}
             figures = {"fit_percent": self.simple.identification[1], "fit_percent_ahead": None}
             figures |= {"rmse": rmse(measured, simulated), "validation": False, "wanders": False}
             rows.append(_output(self.simple.output, self.record.name, figures, time - self.record.start, curves))
         return rows
 
-    def _simulated(self) -> tuple[Array, Array, float, Array]:
+    def _simulated(self, simple: SimplePitch | SimpleVelocity) -> tuple[Array, Array, float, Array]:
         """Return times, the measured output less its rest, that rest, and the simple model's output."""
-        if isinstance(self.simple, SimplePitch):
-            time, value, _ = self.record.signals("M", "q")
-            measured, simulated = simple_pitch.simulated_pair(self.simple.model, self.record)
-        elif isinstance(self.simple, SimpleVelocity):
-            time, value, _ = self.record.signals("theta0", "v")
-            measured, simulated = simple_velocity.simulated_pair(self.simple.model, self.record)
+        if isinstance(simple, SimplePitch):
+            measured, simulated = simple_pitch.simulated_pair(simple.model, self.record)
         else:
-            raise IdentificationError("nothing was read by hand", self.record.name)
-        return time, measured, float(value[0] - measured[0]), simulated
+            measured, simulated = simple_velocity.simulated_pair(simple.model, self.record)
+        rest = float(self.record.outputs[simple.output].value[0] - measured[0])
+        return self.record.output_time(simple.output), measured, rest, simulated
 
 
 def identify_flight(
