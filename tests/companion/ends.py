@@ -1,6 +1,5 @@
 """Both ends of a router without sockets: frames made by name, transports that keep what they were given."""
 
-import random
 from collections.abc import Hashable
 from typing import Any, cast
 
@@ -8,35 +7,11 @@ from twodof.companion.client import CompanionClient, profile
 from twodof.companion.router import Router
 from twodof.companion.streams import whole
 from twodof.companion.uplink_queue import UplinkQueue
-from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Frame, Parser, decode, encode
 from twodof.link.mavlink.messages import message
 from twodof.link.transport.base import Transport
 
 SYSTEM = 1
-
-
-RANGES = {
-    **{f"uint{bits}_t": (0, 2**bits - 1) for bits in (8, 16, 32, 64)},
-    **{f"int{bits}_t": (-(2 ** (bits - 1)), 2 ** (bits - 1) - 1) for bits in (8, 16, 32, 64)},
-}
-
-
-def drawn(name: str, chance: random.Random) -> Any:
-    """A message with random numbers in it, zeros often, so that its end is cut off at random."""
-    kind = dialect.classes()[name]
-    counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    fields: dict[str, Any] = {}
-    for field, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
-        if type_name == "char":
-            continue
-        bounds = RANGES.get(type_name)
-        values = [
-            0 if chance.random() < 0.3 else chance.randint(*bounds) if bounds else float(chance.randint(-100, 100))
-            for _ in range(counts[field] or 1)
-        ]
-        fields[field] = values if counts[field] else values[0]
-    return message(name, **fields)
 
 
 class Sink:

@@ -13,21 +13,12 @@ from twodof.link.transport.base import Transport
 PERIOD_S = 0.004
 
 
-class Vehicle:
-    """Streams ATTITUDE at 250 Hz and a heartbeat at 1 Hz over `transport`, acknowledges commands, keeps what it hears.
+class End:
+    """One end of a link, which keeps what it hears."""
 
-    `silent` lets it fall silent and deaf; in `lockstep` it only answers. `steps` periods pass at once:
-    where a test lets minutes pass, 125 cost it less.
-    """
-
-    def __init__(self, transport: Transport, lockstep: bool = False) -> None:
-        self.connection = Connection(transport, 1, 1)
-        self.lockstep = lockstep
-        self.silent = False
-        self.steps = 1
+    def __init__(self, transport: Transport, system: int, component: int) -> None:
+        self.connection = Connection(transport, system, component)
         self.received: list[Received] = []
-        self.asked: dict[int, float] = {}
-        self.tick = 0
         self._task = asyncio.get_running_loop().create_task(self._run())
 
     async def __aenter__(self) -> Self:
@@ -41,6 +32,25 @@ class Vehicle:
         self._task.cancel()
         await asyncio.gather(self._task, return_exceptions=True)
         await self.connection.close()
+
+    async def _run(self) -> None:
+        raise NotImplementedError
+
+
+class Vehicle(End):
+    """Streams ATTITUDE at 250 Hz and a heartbeat at 1 Hz over `transport`, acknowledges commands, keeps what it hears.
+
+    `silent` lets it fall silent and deaf; in `lockstep` it only answers. `steps` periods pass at once:
+    where a test lets minutes pass, 125 cost it less.
+    """
+
+    def __init__(self, transport: Transport, lockstep: bool = False) -> None:
+        super().__init__(transport, 1, 1)
+        self.lockstep = lockstep
+        self.silent = False
+        self.steps = 1
+        self.asked: dict[int, float] = {}
+        self.tick = 0
 
     def heard(self, name: str, system: int | None = None) -> list[Any]:
         """The messages of a name that came, from a system if given."""
@@ -90,26 +100,12 @@ async def until(true: Callable[[], bool], seconds: float = PATIENCE_S) -> None:
             await asyncio.sleep(0.002)
 
 
-class Listener:
+class Listener(End):
     """A client that keeps what it hears, and speaks once a second unless told to be silent."""
 
     def __init__(self, transport: Transport, system: int = 250, component: int = 190, beats: bool = True) -> None:
-        self.connection = Connection(transport, system, component)
-        self.received: list[Received] = []
+        super().__init__(transport, system, component)
         self.beats = beats
-        self._task = asyncio.get_running_loop().create_task(self._run())
-
-    async def __aenter__(self) -> Self:
-        return self
-
-    async def __aexit__(self, *_: object) -> None:
-        await self.close()
-
-    async def close(self) -> None:
-        """End, and the link with it."""
-        self._task.cancel()
-        await asyncio.gather(self._task, return_exceptions=True)
-        await self.connection.close()
 
     def heard(self, name: str, component: int | None = None) -> list[Any]:
         """The messages of a name that came, from a component if given."""

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.companion.ends import drawn, frame
+from tests.companion.ends import frame
+from tests.link.mavlink.test_framing import random_message
 from twodof.companion import frame_fields
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, decode, encode
@@ -19,7 +20,7 @@ from twodof.link.signing import Key, Signing, Stamps
 def test_target_and_time_are_those_of_the_decoded_message(name: str) -> None:
     chance = random.Random(name)
     for _ in range(20):
-        sent = drawn(name, chance)
+        sent = random_message(name, chance, zeros=0.3)
         (made,) = Parser().feed(encode(sent, 7, 9, 3))
         got = decode(made)
         system = getattr(got, "target_system", getattr(got, "target", 0))

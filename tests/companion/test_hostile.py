@@ -4,7 +4,8 @@ import random
 
 import pytest
 
-from tests.companion.ends import SYSTEM, Ends, drawn
+from tests.companion.ends import SYSTEM, Ends
+from tests.link.mavlink.test_framing import random_message
 from twodof.companion.client import MOST_IDENTITIES, MOST_WISHES
 from twodof.companion.component import CompanionComponent, ComputerStatus
 from twodof.companion.router import MOST_BEHIND, Router
@@ -17,7 +18,7 @@ from twodof.link.signing import Key, Signing, Stamps
 def hostile(chance: random.Random) -> Frame:
     """A sound frame with anything in it, often a command about streams or to the companion."""
     name = chance.choice(["COMMAND_LONG", "COMMAND_INT", "REQUEST_DATA_STREAM", *dialect.classes()])
-    sent = drawn(name, chance)
+    sent = random_message(name, chance, zeros=0.3)
     if chance.random() < 0.7 and hasattr(sent, "target_system"):
         sent.target_system, sent.target_component = chance.choice([0, 1, 1, 7]), chance.choice([0, 1, 191, 190])
     if name.startswith("COMMAND_") and name != "COMMAND_ACK":

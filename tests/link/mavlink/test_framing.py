@@ -23,12 +23,14 @@ NAMES = list(dialect.classes())
 RANGES = {"int8_t": 8, "int16_t": 16, "int32_t": 32, "int64_t": 64}
 
 
-def random_message(name: str, chance: random.Random) -> Any:
-    """A message with every field drawn from its type's whole range."""
+def random_message(name: str, chance: random.Random, zeros: float = 0.0) -> Any:
+    """A message with every field drawn from its type's whole range, some of them `zeros`, so that ends are cut off."""
     kind = dialect.classes()[name]
     lengths = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
 
     def draw(type_name: str) -> Any:
+        if zeros and chance.random() < zeros:
+            return 0
         if type_name in ("float", "double"):
             # Numbers that a float32 holds, so that they come back equal.
             return struct.unpack("<f", struct.pack("<f", chance.uniform(-1e6, 1e6)))[0]
