@@ -97,17 +97,6 @@ def test_extreme_words_give_finite_normals(precision: str) -> None:
 
 
 @both
-def test_uniform_distribution(precision: str) -> None:
-    u = draw(noise.uniform4, precision).astype(np.float64).ravel()
-    assert abs(u.mean() - 0.5) <= SIGMAS * np.sqrt(1 / 12 / len(u))
-    assert abs(u.var() - 1 / 12) <= SIGMAS * np.sqrt(1 / 180 / len(u))
-    assert stats.kstest(u, "uniform").pvalue >= P_VALUE
-    # Neighbours in time fill the unit square evenly.
-    counts = np.histogram2d(u[:-1:2], u[1::2], bins=64, range=[[0, 1], [0, 1]])[0]
-    assert P_VALUE <= stats.chisquare(counts.ravel()).pvalue <= 1 - P_VALUE
-
-
-@both
 def test_normal_distribution(precision: str) -> None:
     z = draw(noise.normal4, precision, seed=12345, stream=7).astype(np.float64).ravel()
     n = len(z)
@@ -134,40 +123,3 @@ def test_the_four_normals_of_a_tick_are_independent() -> None:
         inside = np.floor((turn + np.pi) / (np.pi / 4)) == eighth
         square = (z[0] ** 2 + z[1] ** 2)[inside]
         assert abs(square.mean() - 2) <= SIGMAS * 2 / np.sqrt(len(square))
-
-
-@both
-def test_noise_is_white(precision: str) -> None:
-    z = draw(noise.normal, precision, seed=4)[0].astype(np.float64)
-    spectrum = np.abs(np.fft.rfft(z, 2 * N)) ** 2
-    correlation = np.fft.irfft(spectrum)[1:201] / N
-    assert np.all(np.abs(correlation) <= SIGMAS / np.sqrt(N))
-    # Ljung and Box's statistic over 200 lags.
-    q = N * (N + 2) * np.sum(correlation**2 / (N - np.arange(1, 201)))
-    assert P_VALUE <= stats.chi2.sf(q, 200) <= 1 - P_VALUE
-
-
-@pytest.mark.long
-def test_streams_and_seeds_are_independent() -> None:
-    n = 1 << 16
-    rows = [draw(noise.normal, seed=seed, stream=stream, n=n)[0] for seed in (0, 1, 2**31) for stream in range(8)]
-    correlation = np.corrcoef(rows)[np.triu_indices(len(rows), 1)]
-    assert np.abs(correlation).max() <= (SIGMAS + 1) / np.sqrt(n)
-    q = n * np.sum(correlation**2)
-    assert P_VALUE <= stats.chi2.sf(q, len(correlation)) <= 1 - P_VALUE
-    # Neither is one stream another one delayed.
-    for lag in range(-5, 6):
-        delayed = draw(noise.normal, stream=3, first=100 + lag, n=n)[0]
-        assert abs(np.corrcoef(draw(noise.normal, stream=4, first=100, n=n)[0], delayed)[0, 1]) <= SIGMAS / np.sqrt(n)
-
-
-def test_every_input_bit_moves_half_of_the_output() -> None:
-    rng = np.random.default_rng(8)
-    inputs = {k: rng.integers(0, 2**32, 4000, dtype=np.uint64).astype(np.uint32) for k in ("seed", "stream", "tick")}
-    roots = list(noise.words(*(leaf("input", k, "uint32") for k in inputs)))
-    before = np.array(evaluate(roots, inputs, "float64"))
-    for name, values in inputs.items():
-        for bit in range(32):
-            after = np.array(evaluate(roots, {**inputs, name: values ^ np.uint32(1 << bit)}, "float64"))
-            flipped = np.unpackbits((before ^ after).view(np.uint8)).mean()
-            assert abs(flipped - 0.5) <= SIGMAS * 0.5 / np.sqrt(before.size * 32)

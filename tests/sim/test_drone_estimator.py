@@ -123,21 +123,3 @@ def test_it_starts_settled(program: CompiledProgram, bias: float, speed: float) 
     ):
         assert found == pytest.approx(error, abs=most * abs(error) + 1e-9)
         assert np.mean(found[last]) == pytest.approx(error, abs=lasting * abs(error) + 1e-9)
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_the_reference_and_the_compiled_filter_give_the_same_bits(precision: str) -> None:
-    steps = 200
-    rng = np.random.default_rng(3)
-    sensors = {
-        "acc_x": rng.standard_normal(steps),
-        "acc_z": -GRAVITY + rng.standard_normal(steps),
-        "gyro_y": rng.standard_normal(steps),
-        "dist": RAIL_CENTRE + 0.1 * rng.standard_normal(steps),
-        "dist_new": ranges(steps),
-    }
-    first = Reference(drone_estimator(), PERIOD, precision).machine().run(steps, sensors)
-    second = build(drone_estimator(), PERIOD, precision).machine().run(steps, sensors)
-    for name in ("theta", "q", "x", "v", "x_published", "v_published"):
-        assert np.any(first[name])
-        assert np.asarray(first[name], np.float64).tobytes() == np.asarray(second[name], np.float64).tobytes()
