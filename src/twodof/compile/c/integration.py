@@ -17,6 +17,7 @@ from twodof.compile.program.flat_program import FlatSignal, Guard, Node
 from twodof.compile.program.layout import Member, Struct
 
 ONE_SIXTH = 1 / 6
+ROLE = "integration"
 LONGEST_INLINE = 300  # statements of a derivative that may appear four times in the machine code
 HELD = frozenset(("held",))
 MOVING = frozenset(("p", "held", "x", "to", "from", "slope"))
@@ -193,83 +194,75 @@ class IntegrationEmitter:
 
     def integrate(self) -> list[Function]:
         """Return the functions that move the continuous states by a step h."""
-        p, members, real = self.prefix, self.layout.x.members, self.scope.constant
-        made = []
-        role = "integration"
-        if self.program.integrator == "rk4":
-            along = [_member("to->{m} = from->{m} + h * slope->{m};", m, role) for m in members]
-            arguments: tuple[str, ...] = (
-                f"{p}_X *restrict to",
-                f"const {p}_X *restrict from",
-                "real h",
-                f"const {p}_X *restrict slope",
-            )
-            head = f"{self._qualifier} void"
-            made.append(Function(head, f"{p}_along", arguments, along, "along", "to = from + h * slope"))
+        p = self.prefix
         arguments = (f"const {p}_P *restrict p", f"const {p}_Held *restrict held", f"{p}_X *restrict x", "real h")
-        body: list[Statement] = []
+        head = f"{self._qualifier} void"
         if self.program.integrator == "euler":
-            body += [
-                Call(line, role=role, reads=MOVING) for line in (f"{p}_X k1;", f"{p}_derivative(p, held, x, &k1);")
-            ]
-            body += [_member("x->{m} = x->{m} + h * k1.{m};", m, role) for m in members]
-        else:
-            body += [Call(f"{p}_X {name};", role=role) for name in ("k1", "k2", "k3", "k4", "at")]
-            body.append(Call(f"const real half = h * {real(0.5, 'real')};", role=role))
-            body.append(Call(f"const real sixth = h * {real(ONE_SIXTH, 'real')};", role=role))
-            # The sum of the scalars' slopes is gathered in k1: k2 and k3 need no registers until the end.
-            gathered = [m for m in members if m.width is None]
-            two = real(2.0, "real")
-            for k, before, step in ((1, 0, ""), (2, 1, "half"), (3, 2, "half"), (4, 3, "h")):
-                if before:
-                    body.append(Call(f"{p}_along(&at, x, {step}, &k{before});", role=role))
-                if before > 1:
-                    line = f"k1.{{m}} = k1.{{m}} + {two} * k{before}.{{m}};"
-                    body += [_member(line, m, role) for m in gathered]
-                body.append(
-                    Call(f"{p}_derivative(p, held, {'&at' if before else 'x'}, &k{k});", role=role, reads=MOVING)
-                )
-            body += [_member("x->{m} = x->{m} + sixth * (k1.{m} + k4.{m});", m, role) for m in gathered]
-            weighted = f"x->{{m}} = x->{{m}} + sixth * (((k1.{{m}} + {two} * k2.{{m}}) + {two} * k3.{{m}}) + k4.{{m}});"
-            body += [_member(weighted, m, role) for m in members if m.width is not None]
-        remark = f"Runge and Kutta's method of order 4 over h; {len(members)} continuous states."
-        made.append(
-            Function(
-                f"{self._qualifier} void",
-                f"{p}_integrate",
-                arguments,
-                body,
-                "integrate",
-                remark if self.program.integrator == "rk4" else "",
-            )
-        )
-        return made
+            return [Function(head, f"{p}_integrate", arguments, self._euler(), "integrate")]
+        remark = f"Runge and Kutta's method of order 4 over h; {len(self.layout.x.members)} continuous states."
+        return [self._along(head), Function(head, f"{p}_integrate", arguments, self._rk4(), "integrate", remark)]
+
+    def _each(self, line: str) -> list[Statement]:
+        """Return a statement on each continuous state `{m}`."""
+        return [_member(line, m) for m in self.layout.x.members]
+
+    def _derive(self, x: str, slope: str) -> Statement:
+        return Call(f"{self.prefix}_derivative(p, held, {x}, &{slope});", role=ROLE, reads=MOVING)
+
+    def _euler(self) -> list[Statement]:
+        declared = Call(f"{self.prefix}_X k1;", role=ROLE)
+        return [declared, self._derive("x", "k1"), *self._each("x->{m} = x->{m} + h * k1.{m};")]
+
+    def _along(self, head: str) -> Function:
+        p = self.prefix
+        arguments = (f"{p}_X *restrict to", f"const {p}_X *restrict from", "real h", f"const {p}_X *restrict slope")
+        body = self._each("to->{m} = from->{m} + h * slope->{m};")
+        return Function(head, f"{p}_along", arguments, body, "along", "to = from + h * slope")
+
+    def _rk4(self) -> list[Statement]:
+        p, constant = self.prefix, self.scope.constant
+        numbers = [m for m in self.layout.x.members if m.width is None]
+        arrays = [m for m in self.layout.x.members if m.width is not None]
+        two = constant(2.0, "real")
+        lines = [f"{p}_X {name};" for name in ("k1", "k2", "k3", "k4", "at")]
+        lines += [f"const real half = h * {constant(0.5, 'real')};"]
+        lines += [f"const real sixth = h * {constant(ONE_SIXTH, 'real')};"]
+        body: list[Statement] = [Call(line, role=ROLE) for line in lines]
+        body.append(self._derive("x", "k1"))
+        for k, step in ((2, "half"), (3, "half"), (4, "h")):
+            body.append(Call(f"{p}_along(&at, x, {step}, &k{k - 1});", role=ROLE))
+            if k > 2:  # the sum of the numbers' slopes is gathered in k1: k2 and k3 need no registers until the end
+                body += [_member(f"k1.{{m}} = k1.{{m}} + {two} * k{k - 1}.{{m}};", m) for m in numbers]
+            body.append(self._derive("&at", f"k{k}"))
+        body += [_member("x->{m} = x->{m} + sixth * (k1.{m} + k4.{m});", m) for m in numbers]
+        weighted = f"x->{{m}} = x->{{m}} + sixth * (((k1.{{m}} + {two} * k2.{{m}}) + {two} * k3.{{m}}) + k4.{{m}});"
+        return [*body, *(_member(weighted, m) for m in arrays)]
 
     def within_step(self, step: StepEmitter) -> None:
         """Add the statements of the step function that integrate the states into the local x, and project them."""
-        renderer, p, role = step.renderer, self.prefix, "integration"
+        renderer, p = step.renderer, self.prefix
         roots = list(self.values)
         projected = [s for n in self.program.integrated for s in _read(n)]
         texts = renderer.texts([*roots, *(leaf(s) for s in projected)])
         out = renderer.out
         names = renderer.names
         x, held = names.new("x"), names.new("held")
-        out.append(Call(f"{p}_Held {held};", role=role))
+        out.append(Call(f"{p}_Held {held};", role=ROLE))
         if not self.held.members:
-            out.append(Call(f"{held}.none = 0;", role=role))
+            out.append(Call(f"{held}.none = 0;", role=ROLE))
         for (item, member), text in zip(self.values.items(), texts, strict=False):
             if not (item.op == "input" and item.data in step.fractions):
                 owner = self.graph.owner(item) if item.op not in LEAVES else None
-                out.append(Assign(f"{held}.{member.name}", text.text, owner=owner, role=role, reads=text.reads))
+                out.append(Assign(f"{held}.{member.name}", text.text, owner=owner, role=ROLE, reads=text.reads))
         for guard, member in self.active.items():
             test = all_of(step.tests(guard))
-            out.append(Assign(f"{held}.{member.name}", test.text, role=role, reads=test.reads))
-        out.append(Assign(x, "s->x", f"{p}_X", role=role, reads=frozenset(("s",))))
+            out.append(Assign(f"{held}.{member.name}", test.text, role=ROLE, reads=test.reads))
+        out.append(Assign(x, "s->x", f"{p}_X", role=ROLE, reads=frozenset(("s",))))
         dt = self.scope.constant(self.program.dt, "real")
         if step.fractions:
             self._parts(step, x, held, dt)
         else:
-            out.append(Call(f"{p}_integrate(p, &{held}, &{x}, {dt});", role=role, reads=frozenset(("p", x))))
+            out.append(Call(f"{p}_integrate(p, &{held}, &{x}, {dt});", role=ROLE, reads=frozenset(("p", x))))
         for node in self.program.integrated:
             if node.trace.project:
                 with renderer.within() as body:
@@ -282,12 +275,12 @@ class IntegrationEmitter:
 
     def _parts(self, step: StepEmitter, x: str, held: str, dt: str) -> None:
         """Add the integration from edge to edge of a step."""
-        renderer, role = step.renderer, "integration"
+        renderer = step.renderer
         start, end = renderer.names.new("from"), renderer.names.new("to")
         one, zero = self.scope.constant(1.0, "real"), self.scope.constant(0.0, "real")
-        renderer.out.append(Call(f"real {start} = {zero};", role=role))
-        renderer.out.append(Call(f"real {end};", role=role))
-        body: list[Statement] = [Call(f"{end} = {one};", role=role)]
+        renderer.out.append(Call(f"real {start} = {zero};", role=ROLE))
+        renderer.out.append(Call(f"real {end};", role=ROLE))
+        body: list[Statement] = [Call(f"{end} = {one};", role=ROLE)]
         for s, (fraction, after) in step.fractions.items():
             text = step.signal(s)
             changed = f"{text} != {after}"
@@ -296,17 +289,17 @@ class IntegrationEmitter:
                 changed = f"!{s.kind}_equal({text}, {after})"
             reads = frozenset((fraction, after, name_of(text)))
             test = f"{changed} && {fraction} > {start} && {fraction} < {end}"
-            body.append(IfStatement(test, [Call(f"{end} = {fraction};", role=role)], role=role, reads=reads))
+            body.append(IfStatement(test, [Call(f"{end} = {fraction};", role=ROLE)], role=ROLE, reads=reads))
         for s, (fraction, after) in step.fractions.items():
             member = self.values.get(leaf(s))
             if member is not None:
                 text = step.signal(s)
                 reads = frozenset((fraction, after, name_of(text)))
                 chosen = f"{start} >= {fraction} ? {after} : {text}"
-                body.append(Call(f"{held}.{member.name} = {chosen};", role=role, reads=reads))
+                body.append(Call(f"{held}.{member.name} = {chosen};", role=ROLE, reads=reads))
         move = f"{self.prefix}_integrate(p, &{held}, &{x}, ({end} - {start}) * {dt});"
-        body += [Call(move, role=role, reads=frozenset(("p", x))), Call(f"{start} = {end};", role=role)]
-        renderer.out.append(LoopStatement("do", body, f"while ({start} < {one});", role=role))
+        body += [Call(move, role=ROLE, reads=frozenset(("p", x))), Call(f"{start} = {end};", role=ROLE)]
+        renderer.out.append(LoopStatement("do", body, f"while ({start} < {one});", role=ROLE))
 
     def _project(self, step: StepEmitter, node: Node, x: str) -> None:
         def state(owner: Node, name: str) -> str:
@@ -355,9 +348,9 @@ def _read(node: Node) -> list[FlatSignal]:
     return [node.drivers[name] for name in sorted(names)]
 
 
-def _member(line: str, m: Member, role: str) -> Statement:
+def _member(line: str, m: Member) -> Statement:
     """Return a statement on a member, in a loop if it is an array."""
     if m.width is None:
-        return Call(line.format(m=m.name), role=role, reads=MOVING)
+        return Call(line.format(m=m.name), role=ROLE, reads=MOVING)
     head = f"for (int32_t i = 0; i < {m.width}; i++)"
-    return LoopStatement(head, [Call(line.format(m=f"{m.name}[i]"), role=role, reads=MOVING)], role=role)
+    return LoopStatement(head, [Call(line.format(m=f"{m.name}[i]"), role=ROLE, reads=MOVING)], role=ROLE)
