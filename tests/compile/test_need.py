@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.compile.differential import Case, emitted, same
+from tests.compile.differential import Case, differences, emitted, reference_run
 from twodof.blocks import Block, Diagram, Param, Port, State, atan, cos, where
 from twodof.blocks.library import Trigonometry, ZeroOrderHold
-from twodof.blocks.reference.interpreter import Reference
-from twodof.compile import CompiledProgram
 from twodof.compile.c.emitter import emit
 from twodof.compile.native import Native
 from twodof.compile.program.lower import lower
@@ -186,12 +184,5 @@ def rows(seed: int) -> list[dict[str, Any]]:
 def test_what_is_left_out_changes_no_bit(first: int, count: int) -> None:
     precision = ("float64", "float32")[first // 50 % 2]
     cases = [Case(random_selection(seed), [], rows(seed), {}) for seed in range(first, first + count)]
-    programs = emitted(cases, precision, "rk4")  # all in one file: a compiler takes long to start
-    backends = Native(None, "-O1").compile(programs)
-    for case, program, backend in zip(cases, programs, backends, strict=True):
-        ours = CompiledProgram(program, backend).machine()
-        judge = Reference(case.diagram, DT, precision).machine()
-        for k, row in enumerate(case.rows):
-            wanted, found = judge.step(row), ours.step(row)
-            for name, value in wanted.items():
-                assert same(np.atleast_1d(value), np.atleast_1d(found[name])).all(), (case.diagram.name, k, name)
+    expected = [reference_run(case, precision, "rk4") for case in cases]
+    assert not differences(cases, expected, emitted(cases, precision, "rk4"), Native(None, "-O1"))

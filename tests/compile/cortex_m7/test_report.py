@@ -134,13 +134,6 @@ def test_the_flight_core_stays_within_its_bound(compiler: str, precision: str) -
     assert json.loads(json.dumps(report.to_json()))["stack_bytes_bound"] == report.stack
 
 
-def test_inputs_and_parameters_decide_what_is_measured() -> None:
-    program = build(examples.switched(), 0.01, target="cortex-m7")
-    assert isinstance(program, CompiledProgram)
-    off, on = (measure(program, 10, {"on": on, "u": 1.0}).instructions for on in (False, True))
-    assert off.max() < on.min()
-
-
 def test_only_a_program_for_this_target_can_be_measured() -> None:
     program = build(examples.loop(), 0.01)
     assert isinstance(program, CompiledProgram)

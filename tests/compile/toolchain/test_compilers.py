@@ -219,3 +219,23 @@ def test_without_a_home_a_folder_that_others_can_write_is_not_trusted(
     with pytest.warns(RuntimeWarning, match="others may write into this cache"):
         assert target.load(SOURCE.replace("42", "44"), compilers.find_compiler(), "-O0") is not None
     assert sorted(own.iterdir()) == before
+
+
+def test_a_process_that_flushes_subnormals_is_refused() -> None:
+    code = (
+        "import ctypes, sys\n"
+        "from twodof.compile.native import load\n"
+        "from twodof.compile.toolchain.compilers import find_compiler\n"
+        "from twodof.errors import CompileError\n"
+        "flush = load('#include <xmmintrin.h>\\nvoid flush(void) { _mm_setcsr(_mm_getcsr() | 0x8040); }',\n"
+        "                    find_compiler())\n"
+        "flush.flush()\n"
+        "try:\n"
+        f"    load({SOURCE!r}, find_compiler())\n"
+        "except CompileError as error:\n"
+        "    print(error.what)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    if "xmmintrin.h" in done.stderr:
+        pytest.skip("not an x86 processor")
+    assert "subnormal" in done.stdout, done.stderr
