@@ -7,7 +7,7 @@ words. The types of these three show editors and type checkers the synchronous s
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Coroutine, Iterable, Iterator, Mapping, MutableMapping
+from collections.abc import Callable, Coroutine, Iterable, Iterator, MutableMapping
 from contextlib import AbstractAsyncContextManager, AbstractContextManager, contextmanager, suppress
 from functools import wraps
 from pathlib import Path
@@ -20,7 +20,7 @@ from twodof.gcs.discovery import FoundDrone, discover
 from twodof.gcs.drone_view import DroneView
 from twodof.gcs.files import AsyncFiles, AsyncLogs
 from twodof.gcs.loop_thread import LoopThread
-from twodof.gcs.parameters import TIMEOUT_S, AsyncParameters, ParameterDescription, ParameterEntry
+from twodof.gcs.parameters import AsyncParameters
 from twodof.gcs.telemetry import (
     QUEUE,
     AsyncSignal,
@@ -115,17 +115,20 @@ class DroneLogs(SyncFace):
     list = waits(AsyncLogs.list)
 
 
-class DroneParameters(MutableMapping[str, float]):
+class DroneParameters(SyncFace, MutableMapping[str, float]):
     """The drone's parameters as a mapping, by its own names or the package's; each access asks the drone.
 
     Parameters of a user's controller that flies are also found by their paths: `["attitude_control.k_q"]`.
     """
 
-    def __init__(self, there: AsyncParameters, runner: LoopThread) -> None:
-        self._there, self._runner = there, runner
+    there: AsyncParameters
+    all = waits(AsyncParameters.all)
+    change = waits(AsyncParameters.update)
+    describe = waits(AsyncParameters.describe)
+    undo = waits(AsyncParameters.undo)
 
     def __repr__(self) -> str:
-        return f"<parameters of drone {self._there.system}: [name] asks for one, all() for all>"
+        return f"<parameters of drone {self.there.system}: [name] asks for one, all() for all>"
 
     def __contains__(self, name: object) -> bool:
         """Return whether the drone has a parameter. Raises LinkLost, Timeout."""
@@ -140,11 +143,11 @@ class DroneParameters(MutableMapping[str, float]):
 
     def __getitem__(self, name: str) -> float:
         """Read a value. Raises ParameterError if the drone lacks the parameter, LinkLost, Timeout."""
-        return self._runner.run(self._there.read(name))
+        return self._runner.run(self.there.read(name))
 
     def __setitem__(self, name: str, value: float) -> None:
         """Set a value. Raises ParameterError, Rejected, LinkLost, Timeout; then nothing was changed."""
-        self._runner.run(self._there.set(name, value))
+        self.change({name: value})
 
     def __delitem__(self, name: str) -> None:
         raise TypeError("a drone's parameter cannot be removed")
@@ -155,60 +158,48 @@ class DroneParameters(MutableMapping[str, float]):
     def __len__(self) -> int:
         return len(self.all())
 
-    def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
-        """Return every parameter with its type and, if known, its row of bounds, unit and text."""
-        return self._runner.run(self._there.all(timeout))
-
-    def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
-        """Return bounds, unit, text and path of each as the drone describes them. Raises as `all`, and Rejected."""
-        return self._runner.run(self._there.describe(timeout))
-
-    def change(self, changes: Mapping[str, float], timeout: float = TIMEOUT_S) -> None:
-        """Set several, all or none. Raises ParameterError, Rejected, LinkLost, Timeout."""
-        self._runner.run(self._there.update(changes, timeout))
-
     def update(self, changes: Any = (), /, **more: float) -> None:
         """Set several as `change`, with the arguments of dict.update."""
         self.change({**dict(changes), **more})
 
-    def undo(self, timeout: float = TIMEOUT_S) -> None:
-        """Undo the last change. Raises Rejected, LinkLost, Timeout."""
-        self._runner.run(self._there.undo(timeout))
 
-
-class DroneSignal:
+class DroneSignal(SyncFace):
     """One signal of the drone: latest value, next samples, callbacks."""
 
-    def __init__(self, there: AsyncSignal, runner: LoopThread) -> None:
-        self._there, self._runner = there, runner
-        self.name = there.name
-        self.unit = there.row.unit
+    there: AsyncSignal
+    next = waits(AsyncSignal.next)
 
     def __repr__(self) -> str:
-        return repr(self._there)
+        return repr(self.there)
+
+    @property
+    def name(self) -> str:
+        """Name in `signals.TOPICS`."""
+        return self.there.name
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value."""
+        return self.there.row.unit
 
     @property
     def latest(self) -> TelemetrySample | None:
         """The latest sample, None if none has come."""
-        return self._there.latest
+        return self.there.latest
 
     @property
     def value(self) -> Value:
         """The latest value; waits for the first one. Raises LinkLost if no newer one will come, Timeout."""
-        return self._there.value if self._there.latest is not None else self._runner.run(self._there.next()).value
-
-    def next(self, timeout: float = 2.0) -> TelemetrySample:
-        """Wait for the next sample. Raises LinkLost, Timeout."""
-        return self._runner.run(self._there.next(timeout))
+        return self.there.value if self.latest is not None else self.next().value
 
     def on(self, callback: Callback) -> Callable[[], None]:
         """Call `callback` with each sample, in the drone's thread, so quickly; return a function that ends that."""
-        return self._there.on(callback)
+        return self.there.on(callback)
 
     @contextmanager
     def samples(self, timeout: float = 2.0, size: int = QUEUE) -> Iterator[Iterator[TelemetrySample]]:
         """Iterate over samples from now on; Timeout after `timeout` [s] without one. At most `size` wait."""
-        manager = self._there.stream(size, timeout)
+        manager = self.there.stream(size, timeout)
         stream = self._runner.call(manager.__enter__)
         try:
             yield self._each(stream)

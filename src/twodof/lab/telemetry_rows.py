@@ -36,10 +36,9 @@ PATIENCE_TICKS = 12
 
 
 class TickRows:
-    """Rows that wait for all their messages, by tick; `take` returns the whole ones. `late` counts rows too late."""
+    """Rows that wait for all their messages, by tick; `take` returns the whole ones."""
 
     def __init__(self) -> None:
-        self.late = 0
         self._waiting: dict[int, NDArray[np.float32]] = {}
         self._given = -1
         self._newest = [-1, -1]  # tick on board, of the truth
@@ -56,8 +55,7 @@ class TickRows:
     def _put(self, tick: int, places: NDArray[np.intp], values: NDArray[np.float32], source: int) -> None:
         if tick <= self._given:
             if tick > self._given - BACK_TICKS:
-                self.late += source == 0
-                return
+                return  # too late
             self._waiting.clear()
             self._given, self._newest = tick - 1, [-1, -1]
         self._newest[source] = max(self._newest[source], tick)
@@ -177,9 +175,8 @@ class Rows:
 
 @dataclass(eq=False)
 class Outbox:
-    """Bounded queue of rows and events for one client, the oldest first; `missed` counts dropped events."""
+    """Bounded queue of rows and events for one client; the oldest ones are dropped."""
 
-    missed: int = 0
     _rows: deque[Rows] = field(default_factory=deque)
     _bytes: int = 0
     _events: deque[str] = field(default_factory=deque)
@@ -204,7 +201,6 @@ class Outbox:
         """Add an event; the oldest one is dropped if too many wait."""
         if len(self._events) >= MOST_EVENTS:
             self._events.popleft()
-            self.missed += 1
         self._events.append(text)
         self._filled.set()
 
