@@ -213,7 +213,7 @@ def test_fast_math_is_refused(tmp_path: Path) -> None:
     assert "fast-math" in done.stderr
 
 
-def test_the_c_is_the_kind_a_person_writes() -> None:
+def test_the_c_is_readable() -> None:
     source = emit_program(examples.loop(), 0.01, log=("pendulum.q",)).source
     code = re.sub(r"/\*.*?\*/", "", source, flags=re.DOTALL)
     assert not re.search(r"\b(malloc|calloc|free|goto|fmin|fmax|sin|cos|pow|sqrt)\s*\(", code)
@@ -298,7 +298,7 @@ int main(void)
 """
 
 
-def test_the_tables_lead_a_c_program_to_parameters_and_signals(tmp_path: Path) -> None:
+def test_tables_lead_to_parameters_and_signals(tmp_path: Path) -> None:
     (tmp_path / "main.c").write_text(emit_program(examples.loop(), 0.01).source + MAIN, encoding="utf-8")
     found = compilers.find_compiler()
     command = [*found.command, "-std=c99", *found.flags, "-o", str(tmp_path / "main"), str(tmp_path / "main.c")]
@@ -342,7 +342,7 @@ HOSTILE = [
 """Names of a part and of its ports that mean something once joined; "prog" is the diagram's own name."""
 
 
-def test_no_name_can_collide_with_what_c_or_the_file_defines() -> None:
+def test_joined_names_do_not_collide() -> None:
     cases = []
     for number, (part, port) in enumerate(HOSTILE):
         d = Diagram(f"prog{number}")

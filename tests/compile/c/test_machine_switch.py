@@ -40,7 +40,7 @@ def door() -> Diagram:
     return d
 
 
-def test_each_mode_is_a_case_and_each_transition_an_if_in_its_order() -> None:
+def test_modes_are_cases_and_transitions_ifs() -> None:
     source = emit_program(door(), 0.01, "float64").source
     step = source[source.index("void house_advance") :]
     first, second = step.split("switch (s->door_mode) {")[1:]
@@ -73,7 +73,7 @@ class FedBack(StateMachine):
     transitions = (Transition("low", "high", lambda u: u.go), Transition("high", "low", lambda u: ~u.go))
 
 
-def test_a_mode_that_comes_back_as_an_input_is_no_loop() -> None:
+def test_feedback_of_the_mode_is_allowed() -> None:
     d = Diagram("round")
     d.input("go", "bool")
     d.add("machine", FedBack(), go="go", u="more")
@@ -134,7 +134,7 @@ class TakenBack(StateMachine):
 
 
 @pytest.mark.parametrize("others", [True, False])
-def test_an_input_that_only_a_dead_action_reads_may_come_later_or_never(others: bool) -> None:
+def test_inputs_of_overwritten_actions_are_not_needed(others: bool) -> None:
     d = Diagram("late")
     d.input("u")
     d.add("machine", TakenBack())

@@ -89,7 +89,7 @@ def firmware(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CFiles, CF
 
 
 def judged() -> list[list[float]]:
-    """What MAIN prints, by the reference."""
+    """Return the numbers that MAIN prints, by the reference."""
     loop = Reference(examples.loop(), 0.01, "float64").machine()
     slow = Reference(examples.loop(), 0.02, "float32").machine()
     loop.set("k", 1.5)
@@ -164,7 +164,7 @@ def test_the_header_says_units_bounds_defaults_and_the_order_of_a_matrix() -> No
 
 
 def test_nothing_visible_is_without_the_prefix(firmware: tuple[Path, CFiles, CFiles]) -> None:
-    """Two programs in one firmware do not clash: neither functions nor types, macros or tables."""
+    """The functions, types, macros and tables of two programs in one firmware do not clash."""
     for made in firmware[1:]:
         code = re.sub(r"/\*.*?\*/", "", made.header, flags=re.DOTALL)
         names = re.findall(r"^(?:#define |\} ?|void |extern const \w+ )(\w+)", code, flags=re.MULTILINE)

@@ -87,14 +87,14 @@ def test_every_problem_is_named_with_its_whole_path() -> None:
     assert all(p.remedy for p in found.problems)
 
 
-def test_the_first_problem_is_the_one_that_compiling_stops_at() -> None:
+def test_lowering_stops_at_the_first_problem() -> None:
     with pytest.raises(DiagramError) as raised:
         lower(faulty(), DT)
     assert str(raised.value) == str(check(faulty(), DT).problems[0])
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_what_compiles_has_no_problems_and_a_cut_wire_is_one(seed: int) -> None:
+def test_only_a_cut_wire_is_a_problem(seed: int) -> None:
     d = Maker(seed).diagram("random")
     assert check(d, DT).fine
     fed = list(d.connections)
@@ -135,7 +135,7 @@ def test_sizes_and_feed_through_of_a_small_diagram() -> None:
     assert ("alone", "nothing reads its outputs: it is left out") in said
 
 
-def test_what_the_language_adds_for_conditions_is_not_counted_as_blocks() -> None:
+def test_added_nodes_do_not_count_as_blocks() -> None:
     part = Diagram("part")
     part.add("sum", lib.Constant(1.0))
     part.output("y", "sum")

@@ -38,13 +38,13 @@ def kept(d: Diagram, **options: Any) -> set[str]:
     return {s.path for s in MemoryLayout(lower(d, DT, **options)).stored}
 
 
-def test_what_somebody_reads_outside_is_kept() -> None:
+def test_signals_read_outside_are_kept() -> None:
     assert kept(chain()) == {"inner.second.y"}
     assert kept(chain(), log=["inner.first.y"]) == {"inner.first.y", "inner.second.y"}
     assert kept(chain(initial={"y": 2.0})) == {"inner.second.y"}
 
 
-def test_what_another_rate_or_a_condition_reads_is_kept() -> None:
+def test_signals_read_at_another_rate_are_kept() -> None:
     d = Diagram("d")
     d.input("u")
     d.add("slow", ZeroOrderHold(), rate=(3, 1), u="u")
@@ -91,7 +91,7 @@ def layered(seed: int) -> Diagram:
 @pytest.mark.parametrize(
     ("kind", "count"), [("gcc-O0", 4), *(pytest.param(kind, 60, marks=pytest.mark.soak) for kind in KINDS)]
 )
-def test_what_passes_changes_no_bit(kind: str, count: int) -> None:
+def test_passing_signals_change_no_bit(kind: str, count: int) -> None:
     need(*KINDS[kind].needs)
     rng = random.Random(count)
     rows = [{"u": rng.gauss(0.0, 1.0), "on": rng.random() < 0.6} for _ in range(30)]

@@ -157,14 +157,14 @@ def test_an_output_that_leads_back_to_itself_is_refused() -> None:
         lower(d, 0.01)
 
 
-def test_feedback_through_one_port_of_a_block_is_no_loop() -> None:
+def test_feedback_through_another_port_is_no_loop() -> None:
     """Feed-through is a matter of ports: the pendulum's angle does not depend on its moment in the same tick."""
     flat = lower(examples.loop(), 0.01)
     order = [s.path for g in flat.tick for a in g.actions for s in a.signals]
     assert order.index("pendulum.theta") < order.index("held.y") < order.index("error.y") < order.index("sum.y")
 
 
-def test_what_nobody_needs_is_not_computed() -> None:
+def test_unneeded_signals_are_not_computed() -> None:
     d = Diagram("idle")
     d.input("u")
     d.add("unused", Gain(), u="u")
@@ -174,7 +174,7 @@ def test_what_nobody_needs_is_not_computed() -> None:
     assert [s.path for g in flat.tick for a in g.actions for s in a.signals] == ["used.y"]
 
 
-def test_thousands_of_blocks_in_a_row_do_not_exhaust_the_stack() -> None:
+def test_thousands_of_blocks_can_stand_in_a_row() -> None:
     d = Diagram("deep")
     d.input("u")
     last = "u"

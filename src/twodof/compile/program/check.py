@@ -18,7 +18,7 @@ MAX_PROBLEMS = 1000
 
 
 @dataclass(frozen=True)
-class Remark:
+class DiagramRemark:
     """Remark on a diagram that compiles but is probably not meant so: text, path and remedy."""
 
     what: str
@@ -52,7 +52,7 @@ class Findings:
     """
 
     problems: tuple[DiagramError, ...]
-    remarks: tuple[Remark, ...] = ()
+    remarks: tuple[DiagramRemark, ...] = ()
     sizes: DiagramSizes | None = None
     feedthrough: dict[str, tuple[str, ...]] | None = None
     port_feedthrough: dict[str, tuple[str, ...]] | None = None
@@ -155,50 +155,50 @@ def _sizes(flat: FlatDiagram, program: FlatProgram) -> DiagramSizes:
 
 def _remarks(
     diagram: Diagram, flat: FlatDiagram, program: FlatProgram, read: set[FlatSignal], left_out: tuple[str, ...]
-) -> Iterator[Remark]:
+) -> Iterator[DiagramRemark]:
     for name, signal in flat.root.root_inputs.items():
         if signal not in read:
-            yield Remark("nothing reads this input", name, "connect it, or leave it if a template asks for it")
+            yield DiagramRemark("nothing reads this input", name, "connect it, or leave it if a template asks for it")
     for path in left_out:
-        yield Remark("nothing reads its outputs: it is left out", path, "connect it, log it, or remove it")
+        yield DiagramRemark("nothing reads its outputs: it is left out", path, "connect it, log it, or remove it")
     for node in flat.nodes:
         idle = node.outputs and not any(s in read for s in node.outputs.values())
         if idle and node.path not in left_out:
-            yield Remark(
+            yield DiagramRemark(
                 "its states are computed, and nothing reads its outputs", node.path, "connect it, or remove it"
             )
     used = {p.path for n in flat.nodes for p in n.parameters.values()}
     for parameter in flat.parameters.values():
         if parameter.path not in used:
-            yield Remark("no block uses this parameter", parameter.path, "bind a parameter of a part to it")
+            yield DiagramRemark("no block uses this parameter", parameter.path, "bind a parameter of a part to it")
             continue
         yield from _at_bound(parameter.path, parameter.declared)
     yield from _not_finite(diagram, program)
 
 
-def _at_bound(path: str, declared: Param) -> Iterator[Remark]:
+def _at_bound(path: str, declared: Param) -> Iterator[DiagramRemark]:
     """Yield remarks on a default that is a bound: no room on one side. 0 is left out: it switches things off."""
     if declared.kind == "bool" or declared.low == declared.high or not declared.tunable:
         return
     for bound, word in ((declared.low, "lower"), (declared.high, "upper")):
         if np.isfinite(bound) and bound != 0 and np.any(np.asarray(declared.value) == bound):
-            yield Remark(f"its default {bound:g} is its {word} bound", path, "check the bound")
+            yield DiagramRemark(f"its default {bound:g} is its {word} bound", path, "check the bound")
 
 
-def _not_finite(diagram: Diagram, program: FlatProgram) -> Iterator[Remark]:
+def _not_finite(diagram: Diagram, program: FlatProgram) -> Iterator[DiagramRemark]:
     """Yield remarks on derived parameters that the defaults make infinite or NaN, else on such signals at inputs 0."""
     found = False
     for (node, name), value in parameter_values(program, {}).items():
         if name not in node.parameters and not _finite(value):
             found = True
             where = f"{node.path}.{name}"
-            yield Remark("the default parameters make it infinite or NaN", where, "change the defaults")
+            yield DiagramRemark("the default parameters make it infinite or NaN", where, "change the defaults")
     if found:
         return
     paths = [s.path for n in program.nodes for s in n.outputs.values() if s.kind in FLOATS]
     for path, value in Reference(diagram, program.dt, log=paths).machine().step().items():
         if path in paths and not np.all(np.isfinite(value)):
-            yield Remark(
+            yield DiagramRemark(
                 "with all inputs 0 it is infinite or NaN at the first step", path, "guard the division with where"
             )
 
