@@ -13,12 +13,12 @@ from tests.fleet.drone_numbers import free_numbers
 from twodof.cli.app import run
 from twodof.errors import LinkError
 from twodof.fleet.local_drone import port_owner, with_port_owner
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 
 
 @pytest.mark.parametrize(
     ("kind", "type_", "first"),
-    [("TCP", socket.SOCK_STREAM, Port.FLIGHT_CONTROLLER), ("UDP", socket.SOCK_DGRAM, Port.COMPANION_ONBOARD)],
+    [("TCP", socket.SOCK_STREAM, Ports.FLIGHT_CONTROLLER), ("UDP", socket.SOCK_DGRAM, Ports.COMPANION_ONBOARD)],
 )
 def test_the_process_that_has_a_port_is_named(kind: str, type_: int, first: int) -> None:
     with free_numbers(1) as number:  # a port that nobody takes as soon as we have left it
@@ -45,12 +45,12 @@ def test_descriptors_that_are_closed_meanwhile_hide_nobody() -> None:
 
 def test_a_port_that_is_taken_is_told_with_who_has_it(capfd: pytest.CaptureFixture[str]) -> None:
     with free_numbers(1) as number, closing(socket.socket(type=socket.SOCK_DGRAM)) as ours:
-        ours.bind(("127.0.0.1", Port.COMPANION_ONBOARD + number))
+        ours.bind(("127.0.0.1", Ports.COMPANION_ONBOARD + number))
         assert run(["companion", "--index", str(number)]) == 2
         assert f"remedy: end process {os.getpid()} (" in capfd.readouterr().err
         assert run(["up", "--first", str(number + 1)]) == 2
         said = capfd.readouterr().err
-        assert f"UDP port {Port.COMPANION_ONBOARD + number}, where the companion of drone {number + 1} listens" in said
+        assert f"UDP port {Ports.COMPANION_ONBOARD + number}, where the companion of drone {number + 1} listens" in said
         assert f"process {os.getpid()} (" in said
 
 

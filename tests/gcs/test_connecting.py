@@ -22,7 +22,7 @@ from twodof.link.connection import Connection
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps, write_key
 from twodof.link.transport import open_transport
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 from twodof.sim.virtual_drone import VirtualDrone
 
 
@@ -168,10 +168,10 @@ def test_a_clients_id_is_its_own_until_it_ends(monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_taken_port_is_named_if_no_drone_answers() -> None:
     with free_numbers(1) as number, socket.socket(type=socket.SOCK_DGRAM) as other:
-        port = Port.ONBOARD + number
+        port = Ports.ONBOARD + number
         other.bind(("127.0.0.1", port))
         with pytest.raises(LinkLost, match="in use") as caught:
             asyncio.run(AsyncDrone.connect(f"udpin://127.0.0.1:{port}", timeout=0.3))
     assert str(port) in caught.value.where
-    assert str(Port.COMPANION_ONBOARD + number) in caught.value.what
+    assert str(Ports.COMPANION_ONBOARD + number) in caught.value.what
     assert "end who has it" in caught.value.remedy

@@ -17,7 +17,7 @@ from twodof.errors import Rejected
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.loop_thread import LoopThread
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 
 pytestmark = pytest.mark.slow
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 @contextmanager
 def directly(index: int) -> Iterator[None]:
     """A drone that sends to the onboard port, and listens as PX4 does."""
-    place = f"udp://127.0.0.1:{Port.ONBOARD + index}?bind=127.0.0.1:{Port.COMPANION_ONBOARD + index}"
+    place = f"udp://127.0.0.1:{Ports.ONBOARD + index}?bind=127.0.0.1:{Ports.COMPANION_ONBOARD + index}"
     with on_board(place, conditions={"rings": True}):
         yield
 
@@ -52,7 +52,7 @@ def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
     served: Callable[[int], AbstractContextManager[None]],
 ) -> None:
     with free_numbers(1) as index, served(index):
-        url = f"udpin://127.0.0.1:{Port.ONBOARD + index}"
+        url = f"udpin://127.0.0.1:{Ports.ONBOARD + index}"
         with Drone.connect(url, take_lease=False) as tuner:
             with Drone.connect(url) as commander:
                 commander.arm()
@@ -75,7 +75,7 @@ def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
 
 def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -> None:
     with free_numbers(1) as index, directly(index):
-        url = f"udpin://127.0.0.1:{Port.ONBOARD + index}"
+        url = f"udpin://127.0.0.1:{Ports.ONBOARD + index}"
         with Drone.connect(url):
             done = CliRunner().invoke(app, ["parameters", "RATE_KP=0.06", "--url", url])
             assert done.exit_code == 0

@@ -17,7 +17,7 @@ from twodof.companion.links import Serve, px4_links
 from twodof.fleet.local_drone import MOST_DRONES
 from twodof.link.mavlink.dialect import COMPANION
 from twodof.link.signing import Signing, Stamps, read_key
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 
 companion = typer.Typer(add_completion=False, rich_markup_mode=None)
 # Where the app comes to: this machine only, at a port that is free.
@@ -52,7 +52,7 @@ def route(
     fcu: Annotated[
         str | None,
         typer.Option(
-            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{Port.FLIGHT_CONTROLLER} + index."
+            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index."
         ),
     ] = None,
     index: Index = 0,
@@ -91,7 +91,7 @@ def route(
     ]
     serve = tuple(chosen) or px4_links(index, open_)
     options = _Options(
-        fcu or f"tcp://127.0.0.1:{Port.FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json
+        fcu or f"tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER + index}", serve, index + 1, key, line_rate, json
     )
     context.obj = options
     if context.invoked_subcommand is None:

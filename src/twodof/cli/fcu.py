@@ -14,7 +14,7 @@ from twodof.fleet.local_drone import controller_in_words
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
 from twodof.link.signing import Signing, Stamps, read_key
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 from twodof.sim.virtual_drone import VirtualDrone
 
 
@@ -23,7 +23,7 @@ def fcu(
         list[str] | None,
         typer.Option(
             metavar="URL",
-            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{Port.FLIGHT_CONTROLLER} + index. "
+            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index. "
             "Port 0: one that is free.",
         ),
     ] = None,
@@ -82,7 +82,7 @@ def fcu(
         rate=rate,
         fresh=fresh,
     )
-    urls = listen or [f"tcpin://127.0.0.1:{Port.FLIGHT_CONTROLLER + index}"]
+    urls = listen or [f"tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER + index}"]
     asyncio.run(run_until_signal(serve(drone, urls, json)))
 
 

@@ -17,7 +17,7 @@ from twodof.link.transport import open_transport
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
-from twodof.link.transport.url import Port, parse
+from twodof.link.transport.url import Ports, parse
 
 OPEN_S = 2.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
@@ -50,9 +50,9 @@ def px4_links(index: int = 0, open_to_all: bool = False) -> tuple[Serve, ...]:
     """
     host = "0.0.0.0" if open_to_all else "127.0.0.1"
     return (
-        Serve(f"udp://127.0.0.1:{Port.ONBOARD + index}?bind={host}:{Port.COMPANION_ONBOARD + index}", "onboard"),
-        Serve(f"udp://127.0.0.1:{Port.GROUND_STATION}?bind={host}:{Port.COMPANION_GROUND + index}", "ground"),
-        Serve(f"tcpin://{host}:{Port.COMPANION_TCP + index}", "onboard"),
+        Serve(f"udp://127.0.0.1:{Ports.ONBOARD + index}?bind={host}:{Ports.COMPANION_ONBOARD + index}", "onboard"),
+        Serve(f"udp://127.0.0.1:{Ports.GROUND_STATION}?bind={host}:{Ports.COMPANION_GROUND + index}", "ground"),
+        Serve(f"tcpin://{host}:{Ports.COMPANION_TCP + index}", "onboard"),
     )
 
 

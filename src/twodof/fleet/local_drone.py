@@ -17,18 +17,18 @@ from twodof.link.mavlink.dialect import AUTOPILOT, message_id
 from twodof.link.mavlink.messages import message
 from twodof.link.signing import Key, Signing, Stamps
 from twodof.link.transport import open_transport
-from twodof.link.transport.url import Port, parse
+from twodof.link.transport.url import Ports, parse
 
-MOST_DRONES = Port.GROUND_STATION - Port.ONBOARD
+MOST_DRONES = Ports.GROUND_STATION - Ports.ONBOARD
 """Largest number of drones: the onboard port of the next one would be QGroundControl's."""
 
 _LOOPBACK = "127.0.0.1"
 # Ports that the programs of drone 0 listen on (docs/reference/protocol.md).
 _LISTENED = (
-    ("TCP", Port.FLIGHT_CONTROLLER, "the flight controller"),
-    ("TCP", Port.COMPANION_TCP, "the companion"),
-    ("UDP", Port.COMPANION_ONBOARD, "the companion"),
-    ("UDP", Port.COMPANION_GROUND, "the companion, for ground stations"),
+    ("TCP", Ports.FLIGHT_CONTROLLER, "the flight controller"),
+    ("TCP", Ports.COMPANION_TCP, "the companion"),
+    ("UDP", Ports.COMPANION_ONBOARD, "the companion"),
+    ("UDP", Ports.COMPANION_GROUND, "the companion, for ground stations"),
 )
 _PROC = Path("/proc")
 _TABLES = MappingProxyType({"TCP": ("tcp", "tcp6"), "UDP": ("udp", "udp6")})
@@ -204,12 +204,12 @@ class LocalDrone:
     @property
     def fcu(self) -> str:
         """URL of the flight controller."""
-        return f"tcp://127.0.0.1:{Port.FLIGHT_CONTROLLER + self.index}"
+        return f"tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER + self.index}"
 
     @property
     def companion(self) -> str:
         """URL of the companion's TCP port."""
-        return f"tcp://127.0.0.1:{Port.COMPANION_TCP + self.index}"
+        return f"tcp://127.0.0.1:{Ports.COMPANION_TCP + self.index}"
 
     def described(self, lockstep: bool) -> dict[str, Any]:
         """Return where each kind of client connects, as plain data."""
@@ -222,10 +222,10 @@ class LocalDrone:
             "fcu": self.fcu,
             "companion": self.companion,
             # In lockstep one client grants the time: it connects straight to the flight controller.
-            "drone": self.fcu if lockstep else f"udp://127.0.0.1:{Port.COMPANION_ONBOARD + self.index}",
-            "mavsdk": f"udpin://127.0.0.1:{Port.ONBOARD + self.index}",
-            "mavproxy": f"tcp:127.0.0.1:{Port.COMPANION_TCP + self.index}",
-            "qgroundcontrol": f"udp://127.0.0.1:{Port.GROUND_STATION}",
+            "drone": self.fcu if lockstep else f"udp://127.0.0.1:{Ports.COMPANION_ONBOARD + self.index}",
+            "mavsdk": f"udpin://127.0.0.1:{Ports.ONBOARD + self.index}",
+            "mavproxy": f"tcp:127.0.0.1:{Ports.COMPANION_TCP + self.index}",
+            "qgroundcontrol": f"udp://127.0.0.1:{Ports.GROUND_STATION}",
         }
 
 

@@ -46,10 +46,10 @@ from twodof.link.mavlink.messages import channel_mask, message
 from twodof.link.mavlink.setpoints import SetPoint
 from twodof.link.signing import Key, read_key
 from twodof.link.transport.base import Transport
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 from twodof.signals import TICK_S
 
-DEFAULT_URL = f"udpin://127.0.0.1:{Port.ONBOARD}"
+DEFAULT_URL = f"udpin://127.0.0.1:{Ports.ONBOARD}"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 HOVER = "THRUST_BAR"

@@ -17,13 +17,13 @@ from twodof.link.mavlink.messages import message
 from twodof.link.mavlink.modes import mode_name
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Transport
-from twodof.link.transport.url import Port, parse
+from twodof.link.transport.url import Ports, parse
 
 LISTENED = (
-    ("udp", Port.COMPANION_ONBOARD),
-    ("udp", Port.COMPANION_GROUND),
-    ("tcp", Port.COMPANION_TCP),
-    ("tcp", Port.FLIGHT_CONTROLLER),
+    ("udp", Ports.COMPANION_ONBOARD),
+    ("udp", Ports.COMPANION_GROUND),
+    ("tcp", Ports.COMPANION_TCP),
+    ("tcp", Ports.FLIGHT_CONTROLLER),
 )
 """Where PX4, the companion and the flight controller listen, + i for drone i."""
 DRONES = 8
@@ -52,11 +52,11 @@ LOOPBACK = "127.0.0.1"
 
 def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
     """Return the URLs for `discover`: ports of this machine to which drones send, then ports of `hosts`."""
-    places = [f"udpin://127.0.0.1:{Port.ONBOARD + i}" for i in range(drones)]
+    places = [f"udpin://127.0.0.1:{Ports.ONBOARD + i}" for i in range(drones)]
     for host in hosts:
         for i in range(drones):
             places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
-    return [*places, f"udpin://127.0.0.1:{Port.GROUND_STATION}"]
+    return [*places, f"udpin://127.0.0.1:{Ports.GROUND_STATION}"]
 
 
 async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | None]:
@@ -70,10 +70,10 @@ async def open_link(url: str, timeout: float) -> tuple[Transport, LinkError | No
     except LinkError as error:
         address, cause = parse(url), error.__cause__
         taken = isinstance(cause, OSError) and cause.errno == errno.EADDRINUSE
-        index = address.port - Port.ONBOARD
-        if not taken or address.kind != "udpin" or not 0 <= index < Port.GROUND_STATION - Port.ONBOARD:
+        index = address.port - Ports.ONBOARD
+        if not taken or address.kind != "udpin" or not 0 <= index < Ports.GROUND_STATION - Ports.ONBOARD:
             raise
-        return await open_transport(f"udp://{LOOPBACK}:{Port.COMPANION_ONBOARD + index}", timeout), error
+        return await open_transport(f"udp://{LOOPBACK}:{Ports.COMPANION_ONBOARD + index}", timeout), error
 
 
 async def discover(

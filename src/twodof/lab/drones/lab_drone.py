@@ -22,7 +22,7 @@ from twodof.lab.drones.telemetry_source import TelemetrySource, until_one_ends
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience, Feeds
 from twodof.link.mavlink.dialect import RATES
-from twodof.link.transport.url import Port
+from twodof.link.transport.url import Ports
 
 CONNECT_S = 5.0
 AGAIN_S, AGAIN_MOST_S = 0.3, 2.0
@@ -238,7 +238,7 @@ class LabDrones:
     """Drones at the URLs of the settings; without URLs the drones on this computer."""
 
     def __init__(self, settings: LabSettings, audience: Audience) -> None:
-        places = [f"udp://127.0.0.1:{Port.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
+        places = [f"udp://127.0.0.1:{Ports.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
         self._always = bool(settings.connect)
         self._drones = [LabDrone(url, settings, audience) for url in settings.connect or places]
         self._tasks: list[asyncio.Task[None]] = []

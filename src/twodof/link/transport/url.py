@@ -9,8 +9,8 @@ from urllib.parse import SplitResult, parse_qsl, urlsplit
 from twodof.errors import LinkError, shown
 
 
-class Port(IntEnum):
-    """Port of drone 0, as PX4 in simulation has it; drone i has the i-th after it, except at GROUND_STATION.
+class Ports(IntEnum):
+    """Ports of drone 0, as PX4 in simulation has them; drone i has the i-th after each, except at GROUND_STATION.
 
     The UDP ports are those of PX4 v1.16 (ROMFS/px4fmu_common/init.d-posix/px4-rc.mavlink). Ground programs look for a
     simulated drone at TCP 5760, the port of ArduPilot. The flight controller's port is our own.
@@ -88,7 +88,7 @@ def parse(url: str) -> Address:
     if not isinstance(url, str) or len(url) > LONGEST_URL or not url.isprintable():
         raise LinkError(f"{shown(url)} is not a URL", "", f"use {FORMS}")
     if bare := _BARE.fullmatch(url):
-        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (Port.COMPANION_ONBOARD, Port.COMPANION_TCP))
+        udp, tcp = (url if bare[2] else f"{url}:{port}" for port in (Ports.COMPANION_ONBOARD, Ports.COMPANION_TCP))
         raise LinkError("has no kind of link before its host", url, f"did you mean udp://{udp}, or tcp://{tcp}?")
     short = _SHORT.fullmatch(url)
     if short:
@@ -120,7 +120,7 @@ def parse(url: str) -> Address:
     if kind == "udpbcast" and not host:
         raise LinkError("has no host", url, "write udpbcast://255.255.255.255:14550, or a network's own such address")
     if port is None or (port == 0 and not kind.endswith("in")):
-        usual = {"udp": Port.COMPANION_ONBOARD, "tcp": Port.COMPANION_TCP}.get(kind, Port.GROUND_STATION)
+        usual = {"udp": Ports.COMPANION_ONBOARD, "tcp": Ports.COMPANION_TCP}.get(kind, Ports.GROUND_STATION)
         raise LinkError("has no port", url, f"write {kind}://{host or LOOPBACK}:{usual}")
     if kind in ("udp", "udpbcast", "tcp") and host in ANY:
         what = f"{host} is not a host to send to"
