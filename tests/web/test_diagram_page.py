@@ -22,7 +22,6 @@ from twodof.flight.starters import starter
 pytestmark = pytest.mark.slow
 
 FLOWN = re.compile(r"lown in \d+ ms")
-LONGEST_TASK_MS = 100.0
 COVERED = """() => {
   const all = [...document.querySelectorAll(".svelte-flow__node")];
   const nodes = all.map((n) => [n.dataset.id, n.getBoundingClientRect()]);
@@ -307,13 +306,6 @@ def test_actions_on_300_blocks_cost_little(server: Served, open_page: OpenPage) 
     """
     figures = _longest_tasks(server, open_page)
     assert max(figures.values()) < 5.0 * figures["all"], figures
-
-
-@pytest.mark.soak
-def test_actions_on_300_blocks_take_milliseconds(server: Served, open_page: OpenPage) -> None:
-    """Processor time grows with what else uses the caches: the figure is for a quiet computer."""
-    figures = _longest_tasks(server, open_page)
-    assert max(figures.values()) < LONGEST_TASK_MS, figures
 
 
 def _longest_tasks(server: Served, open_page: OpenPage) -> dict[str, float]:
