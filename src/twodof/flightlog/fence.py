@@ -10,6 +10,8 @@ answer holds at most `ANSWER` and `ANSWER_PER_BYTE` of samples and `MOST_TEXT` o
 """
 
 import atexit
+import fcntl
+import gc
 import importlib
 import json
 import math
@@ -44,6 +46,7 @@ ANSWER_PER_BYTE = 5
 MOST_ANSWER = 1 << 30
 MOST_TEXT = 8 << 20
 _ANSWER_TIME_S = 5.0
+_PIPE_BYTES = 1 << 20
 _KINDS = ("<f8", "<u8", "|u1")
 _REMEDY = "this is not a flight log, or it is damaged: export or record it again"
 
@@ -129,6 +132,8 @@ class Fence:
             self._warm = _WarmProcess()
         control = self._warm.control
         ours, theirs = os.pipe()
+        with suppress(AttributeError, OSError):  # of Linux; an answer comes in fewer parts
+            fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
         try:
             try:
                 socket.send_fds(control, [json.dumps(request).encode() + b"\n"], [file, theirs])
@@ -175,6 +180,7 @@ def serve(descriptor: int) -> None:
         request = json.loads(message)
         importlib.import_module(request["needs"])
         reader = getattr(importlib.import_module(request["module"]), request["name"])
+        gc.freeze()  # a collection in the child would copy every page of what is imported here
         child = os.fork()
         if not child:
             try:

@@ -1,6 +1,7 @@
 """Flight logs: channels with their own time stamps, units and gaps, and the provenance of the whole."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -122,6 +123,12 @@ class Channel:
             return np.where(at - self.time[low] <= self.time[high] - at, low, high) if n > 1 else low
         raise LogError(f"no pairing called {how!r}", self.name, "use 'hold', 'next', 'nearest' or 'linear'")
 
+    def renamed(self, name: str) -> "Channel":
+        """Return the same samples under another name."""
+        made = copy(self)  # its arrays are read-only, and checked
+        object.__setattr__(made, "name", name)
+        return made
+
     def slice(self, t0: float, t1: float) -> "Channel":
         """Return the samples with t0 <= time <= t1 [s]."""
         a, b = np.searchsorted(self.time, [t0, t1], side="left")
@@ -144,8 +151,7 @@ class FlightLog:
         if not self.channels:
             raise LogError("a log needs at least one channel")
         named = {
-            name: channel if channel.name == name else replace(channel, name=name)
-            for name, channel in self.channels.items()
+            name: channel if channel.name == name else channel.renamed(name) for name, channel in self.channels.items()
         }
         if len(named) > MAX_CHANNELS:
             raise LogError(f"{len(named)} channels", self.source, f"at most {MAX_CHANNELS} are accepted")

@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc  # pyarrow would import it at the first cast: here once, not in each child of the fence
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
@@ -103,7 +104,8 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
     heading = data[at:end].decode("utf-8-sig", "replace").strip()
     names = [cell.strip().strip('"') for cell in heading.split(",")]
     _check_names(names, where)
-    texts = {"channel": pa.string(), "field": pa.string()} if _is_long(names) else {}
+    # As dictionaries: a name that is repeated is there once.
+    texts = dict.fromkeys(COLUMNS[:2], pa.dictionary(pa.int32(), pa.string())) if _is_long(names) else {}
     try:
         table = pa_csv.read_csv(
             BytesIO(data),
@@ -353,7 +355,7 @@ def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> N
     if cells.null_count and not nulls:
         raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "fill or remove the rows")
     try:
-        return np.asarray(cells.cast(pa.float64()).to_numpy(), dtype=np.float64)
+        return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)
     except (pa.ArrowException, TypeError) as reason:
         raise LogError(f"column {column!r} is not of numbers: {_first_line(reason)}", where) from reason
 
