@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { isThisComputerOnly, viewersLink } from "../src/api/lab_session";
+import { isThisComputerOnly, viewersLink } from "../src/api/client";
 
 describe("the viewer's link", () => {
   it("shows the same view, with the viewer's token and no other", () => {

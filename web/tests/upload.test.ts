@@ -1,5 +1,5 @@
 import { afterEach, beforeEach, describe, expect, it, vi } from "vitest";
-import { upload } from "../src/api/upload";
+import { upload } from "../src/api/client";
 
 /** What a browser does of an XMLHttpRequest, at the test's word. */
 class Asked {

@@ -66,13 +66,13 @@ export async function request(
 }
 
 /** What the server says in a refusal. */
-export function refusal(status: number, answer: unknown): ApiError {
+function refusal(status: number, answer: unknown): ApiError {
   const said = answer as { what?: string; where?: string; remedy?: string };
   return new ApiError(status, said.what ?? `the server refuses (${status})`, said.where, said.remedy);
 }
 
 /** That it was not reached at all. */
-export function unreached(path: string): ApiError {
+function unreached(path: string): ApiError {
   return new ApiError(0, "no connection to the server", path, "see that `twodof up` runs");
 }
 
@@ -90,4 +90,44 @@ export async function get<T>(path: string): Promise<T> {
 export async function send<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
   const response = await request(method, path, body);
   return (response.status === 204 ? undefined : await response.json()) as T;
+}
+
+/**
+ * Send `content` and return the JSON of the answer. Calls `sent` with the share that was sent, 0 to 1, which fetch does
+ * not report. Has no time limit. Raises ApiError, or the reason of `end`.
+ */
+export function upload(path: string, content: Blob, sent: (share: number) => void, end: AbortSignal): Promise<unknown> {
+  return new Promise((done, failed) => {
+    end.throwIfAborted();
+    const asked = new XMLHttpRequest();
+    asked.open("POST", apiUrl(path));
+    if (token()) asked.setRequestHeader("Authorization", `Bearer ${token()}`);
+    asked.responseType = "json";
+    asked.upload.onprogress = (event) => sent(event.total > 0 ? event.loaded / event.total : 1);
+    asked.onload = () =>
+      asked.status < 300 ? done(asked.response as unknown) : failed(refusal(asked.status, asked.response ?? {}));
+    asked.onerror = () => failed(unreached(path));
+    asked.onabort = () => failed(end.reason as Error);
+    end.addEventListener("abort", () => asked.abort(), { once: true });
+    asked.send(content);
+  });
+}
+
+/** Who this client is to the server, and the path with which others may only watch ("" where there is none). */
+export interface LabSession {
+  role: "command" | "watch";
+  version: string;
+  watch_link: string;
+}
+
+export const labSession = () => get<LabSession>("session");
+
+/** The link that shows this view to somebody who may only watch. */
+export function viewersLink(watchLink: string, here: URL): string {
+  return new URL(watchLink, here).href + here.hash;
+}
+
+/** Whether a link leads to the very computer on which it is opened. */
+export function isThisComputerOnly(link: URL): boolean {
+  return /^(localhost|127(\.\d+){3}|\[::1\])$/.test(link.hostname);
 }

@@ -105,7 +105,6 @@ export interface OutputCurves {
   /** In closed loop: how well model and noise foretell the next sample. The model alone does not know the gusts. */
   fit_percent_ahead: number | null;
   rmse: number;
-  wanders: boolean;
   time: number[];
   measured: (number | null)[];
   residual: (number | null)[];

@@ -1,7 +1,6 @@
 // The logs of the server: the list, what each holds, views of it, and what is done with it.
 
-import { get, request, send } from "./client";
-import { upload } from "./upload";
+import { get, request, send, upload } from "./client";
 
 /** A row of the list. */
 export interface LogRow {

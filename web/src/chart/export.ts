@@ -1,6 +1,7 @@
+import { messageOf } from "../api/client";
 import type { History } from "./history";
 import { DASHES, type Channel, type Kind, type Series } from "./kinds";
-import { colour } from "./draw/palette";
+import { colour } from "./draw/canvas";
 
 /** One name that CSV readers keep as it is. */
 function quoted(text: string): string {
@@ -57,7 +58,7 @@ export interface Pictured {
 }
 
 /** Plots under each other with their titles and legends. */
-export async function plotsPng(plots: readonly Pictured[]): Promise<Blob> {
+async function plotsPng(plots: readonly Pictured[]): Promise<Blob> {
   const ratio = devicePixelRatio;
   const row = 24 * ratio;
   const gap = 14 * ratio;
@@ -112,6 +113,16 @@ export async function plotsPng(plots: readonly Pictured[]): Promise<Blob> {
   const blob = await new Promise<Blob | null>((done) => sheet.toBlob(done, "image/png"));
   if (blob === null) throw new Error("this browser cannot write the picture: make the window smaller, or export CSV");
   return blob;
+}
+
+/** Save plots as `file`.png. Returns "" or why it failed. */
+export async function savePng(file: string, plots: readonly Pictured[]): Promise<string> {
+  try {
+    download(`${file}.png`, await plotsPng(plots));
+    return "";
+  } catch (failure) {
+    return messageOf(failure);
+  }
 }
 
 /** Hands a file to the user. */

@@ -27,8 +27,7 @@ export interface Series {
   dash?: readonly number[];
 }
 
-/** Degrees in a radian: the `factor` of angles. */
-export const DEGREES = 180 / Math.PI;
+export { DEGREES } from "../design/units";
 
 /** What tells set-points from responses where colours do not. */
 export const DASHES: Partial<Record<Kind, readonly number[]>> = { "set-point": [6, 4], truth: [2, 3] };

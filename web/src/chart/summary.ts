@@ -1,9 +1,7 @@
 import type { History } from "./history";
 import type { Channel } from "./kinds";
 import { figure, quantity } from "./numbers";
-import { StripPainter } from "./draw/strip_painter";
-
-const painter = new StripPainter();
+import { channelExtent } from "./draw/painter";
 
 /** The value of a channel at a time, in the unit of the screen; NaN where there is none. */
 export function valueAt(history: History, channel: Channel, time: number): number {
@@ -21,7 +19,7 @@ export function spoken(history: History, channels: readonly Channel[], time: num
 export function summary(history: History, channels: readonly Channel[], low: number, high: number): string {
   if (!history.length) return "No data yet.";
   const parts = channels.map((one) => {
-    const [least, greatest] = painter.extent(history, [one], low, high);
+    const [least, greatest] = channelExtent(history, [one], low, high);
     if (!Number.isFinite(least)) return `${one.label}: nothing.`;
     const last = valueAt(history, one, Math.min(high, history.newest));
     return `${one.label}: from ${figure(least)} to ${figure(greatest)}, at the end ${quantity(last, one.unit)}.`;

@@ -7,7 +7,8 @@ export interface ScreenUnit {
   decimals: number;
 }
 
-const DEGREES = 180 / Math.PI;
+/** Degrees per radian. */
+export const DEGREES = 180 / Math.PI;
 const SHOWN: Record<string, ScreenUnit> = {
   rad: { name: "deg", factor: DEGREES, decimals: 2 },
   "rad/s": { name: "deg/s", factor: DEGREES, decimals: 1 },
@@ -33,6 +34,11 @@ export function screenUnit(unit: string): ScreenUnit {
 /** A unit as it is written: `s^2/rad` and `rad/s2` with a small 2. */
 export function raised(unit: string): string {
   return unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
+}
+
+/** Convert a factor to decibels; null stays null. */
+export function decibels(factor: number | null): number | null {
+  return factor === null ? null : 20 * Math.log10(factor);
 }
 
 const MINUS = "\u2212";

@@ -1,7 +1,6 @@
 import { route } from "../app/route.svelte";
 import { linkTo } from "../app/read_route";
-import { ApiError } from "../api/client";
-import { labSession } from "../api/lab_session";
+import { ApiError, labSession } from "../api/client";
 import { listDrones, listTexts, type DroneState, type DroneText } from "../api/drones";
 import { telemetry, type LabEvent, type Telemetry } from "../api/telemetry";
 import { ClockWatch, type ClockEvent } from "./clock_watch";

@@ -35,8 +35,6 @@ export interface ProgramTable {
   /** Base tick [s]. */
   dt: number;
   precision: "float64" | "float32";
-  pages: number;
-  fuel: number;
   functions: Record<"defaults" | "prepare" | "init" | "step" | "run" | "tick", string>;
   structs: Record<"P" | "S" | "U" | "Y", Place>;
   rows: { count: number; U: RowPlace; Y: RowPlace };

@@ -1,7 +1,7 @@
 import { describe, expect, it } from "vitest";
 import { loopOnSheet, placeOfFinding, seenFrom } from "../../src/pages/diagram/model/blame";
 import { diagramAt, diagramFrom, type Diagram } from "../../src/pages/diagram/model/diagram";
-import { wiresAt } from "../../src/pages/diagram/model/ends";
+import { wiresAt } from "../../src/pages/diagram/model/wiring";
 import { grouped } from "../../src/pages/diagram/model/grouping";
 import { readJson, type Json } from "../../src/pages/diagram/model/json_text";
 import { instead, searched } from "../../src/pages/diagram/model/search";

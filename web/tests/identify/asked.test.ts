@@ -68,7 +68,6 @@ describe("curves", () => {
     fit_percent: 98,
     fit_percent_ahead: null,
     rmse: 0.01,
-    wanders: false,
     time: [0, 0.004],
     measured: [0, null],
     residual: [0.1, -0.1],

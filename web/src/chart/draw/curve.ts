@@ -1,7 +1,7 @@
 import type uPlot from "uplot";
 import { DASHES, type Series } from "../kinds";
 import { samplePath } from "./painter";
-import { colour } from "./palette";
+import { colour } from "./canvas";
 
 /** Curve of a static plot. */
 export class Curve {

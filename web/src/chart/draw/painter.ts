@@ -1,8 +1,11 @@
 import type uPlot from "uplot";
+import type { History } from "../history";
+import { DASHES, type Channel } from "../kinds";
+import { colour } from "./canvas";
 import type { Extent, Pyramid } from "./pyramid";
 
 /** What of a column's samples is drawn: for each pixel column the rows that fall on it. */
-export interface Columns {
+interface Columns {
   count: number;
   /** Canvas x of pixel column k. */
   place: Float64Array;
@@ -13,12 +16,12 @@ export interface Columns {
 /** Room for the widest plot: 4 k at two device pixels a pixel, and one. */
 const WIDEST = 8193;
 
-export function room(): Columns {
+function room(): Columns {
   return { count: 0, place: new Float64Array(WIDEST), edge: new Float64Array(WIDEST) };
 }
 
 /** Find the rows of each pixel column. Columns stand on multiples of their width, so a moving curve does not flicker. */
-export function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns): void {
+function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns): void {
   const { left, width } = u.bbox;
   const { min = 0, max = 1 } = u.scales["x"] ?? {};
   const count = Math.min(WIDEST - 1, Math.max(1, Math.round(width / devicePixelRatio)) + 1);
@@ -35,7 +38,7 @@ export function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns)
 const extent: Extent = { low: 0, high: 0 };
 
 /** The path of a column through `columns`: from least to greatest of each pixel column, with holes where NaN is. */
-export function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => number): Path2D {
+function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => number): Path2D {
   const path = new Path2D();
   let drawing = false;
   let before = NaN;
@@ -82,4 +85,101 @@ export function samplePath(
     drawing = true;
   }
   return path;
+}
+
+/** More samples than this on a pixel, and each pixel shows their least and greatest instead. */
+const CROWDED = 2;
+
+/** Draws the channels of a history into uPlot's axes. */
+export class StripPainter {
+  private readonly columns: Columns = room();
+
+  paint(u: uPlot, history: History, channels: readonly Channel[]): void {
+    const { bbox, ctx } = u;
+    const { min = 0, max = 1 } = u.scales["y"] ?? {};
+    const { min: x0 = 0, max: x1 = 1 } = u.scales["x"] ?? {};
+    const perX = bbox.width / (x1! - x0!);
+    columnsOf(u, (x) => history.rowAt(x), this.columns);
+    const from = Math.max(history.first, history.rowAt(x0!) - 1);
+    const to = Math.min(history.last, history.rowAt(x1!) + 1);
+    const crowded = to - from > CROWDED * this.columns.count;
+    for (const channel of channels) {
+      const column = history.column(channel.column);
+      if (column === undefined) continue;
+      const perY = (-bbox.height / (max! - min!)) * (channel.factor ?? 1);
+      const zero = bbox.top + (bbox.height * max!) / (max! - min!);
+      ctx.strokeStyle = colour(channel.colour ?? channel.kind);
+      ctx.lineWidth = devicePixelRatio * (channel.kind === "measured" ? 1 : 1.5);
+      ctx.setLineDash((DASHES[channel.kind] ?? []).map((one) => one * devicePixelRatio));
+      ctx.stroke(
+        crowded
+          ? bucketPath(this.columns, column, (value) => zero + perY * value)
+          : samplePath(
+              from,
+              to,
+              (row) => bbox.left + (history.time(row) - x0!) * perX,
+              (row) => zero + perY * column.at(row),
+            ),
+      );
+    }
+    ctx.setLineDash([]);
+  }
+}
+
+/** Return the least and greatest value of channels from `low` to `high`, in units of the screen; NaN without values. */
+export function channelExtent(
+  history: History,
+  channels: readonly Channel[],
+  low: number,
+  high: number,
+): [number, number] {
+  const from = history.rowAt(low);
+  const to = Math.min(history.last, history.rowAt(high) + 1);
+  let least = NaN;
+  let greatest = NaN;
+  for (const { column, factor = 1 } of channels) {
+    history.column(column)?.extent(from, to, extent);
+    if (extent.low !== extent.low || history.column(column) === undefined) continue;
+    const [one, two] = factor < 0 ? [extent.high, extent.low] : [extent.low, extent.high];
+    if (!(least <= one * factor)) least = one * factor;
+    if (!(greatest >= two * factor)) greatest = two * factor;
+  }
+  return [least, greatest];
+}
+
+/** Thin vertical lines where something happened. */
+export function paintMarks(u: uPlot, marks: readonly number[]): void {
+  const { ctx, bbox } = u;
+  ctx.strokeStyle = colour("soft");
+  ctx.globalAlpha = 0.6;
+  ctx.lineWidth = devicePixelRatio;
+  ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
+  ctx.beginPath();
+  for (const mark of marks) {
+    const x = Math.round(u.valToPos(mark, "x", true)) + 0.5;
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+  }
+  ctx.stroke();
+  ctx.setLineDash([]);
+  ctx.globalAlpha = 1;
+}
+
+/** Vertical lines for cursors, with the letters A and B. */
+export function paintPins(u: uPlot, pins: readonly number[]): void {
+  const { ctx, bbox } = u;
+  const ratio = devicePixelRatio;
+  ctx.strokeStyle = ctx.fillStyle = colour("accent");
+  ctx.lineWidth = ratio;
+  ctx.font = `600 ${11 * ratio}px system-ui, sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "top";
+  pins.forEach((pin, k) => {
+    const x = Math.round(u.valToPos(pin, "x", true)) + 0.5;
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.fillText("AB"[k] ?? "", x + 4 * ratio, bbox.top + 3 * ratio);
+  });
 }

@@ -1,8 +1,7 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
-import { askFrame, forgetFrame } from "./frames";
+import { askFrame, colour, forgetFrame, onTheme } from "./canvas";
 import { tick } from "../numbers";
-import { colour, onTheme } from "./palette";
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "Liberation Sans", sans-serif';
 /** Charts under each other have their time axes under each other. */

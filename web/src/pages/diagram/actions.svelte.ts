@@ -6,7 +6,7 @@ import { partSize } from "./canvas/symbol";
 import { editor, EMPTY, inputId, outputId, partId, wireId } from "./editor.svelte";
 import { ALIGNMENTS, aligned, leastFor, type Alignment } from "./model/align";
 import { copyText, paste } from "./model/clipboard";
-import { findPart, type Part, type Point } from "./model/diagram";
+import { findPart, sourceOf, type Part, type Point } from "./model/diagram";
 import {
   addInput,
   addOutput,
@@ -24,11 +24,10 @@ import {
   removeOutput,
   removeParts,
 } from "./model/edits";
-import { wiresAt } from "./model/ends";
 import { grouped } from "./model/grouping";
 import { real } from "./model/json_text";
 import { tops } from "./model/shapes";
-import { joined } from "./model/wiring";
+import { joined, wiresAt } from "./model/wiring";
 import type { Loose } from "./insert.svelte";
 import { scopes } from "./simulate/scopes.svelte";
 
@@ -142,13 +141,11 @@ class Acts {
     const [id = ""] = editor.selected;
     const name = id.slice(2);
     if (id === "") return editor.say("select a block or a wire to show");
-    const outputs = editor.here.outputs.find(([one]) => one === name)?.[1];
-    const wired = editor.here.connections.find(([, to]) => to === name)?.[0];
-    const source = id.startsWith("w:") ? (wired ?? outputs) : id.startsWith("o:") ? outputs : name;
+    const source = /^[wo]:/.test(id) ? sourceOf(editor.here, name) : name;
     const part = findPart(editor.here, name);
     const port = id.startsWith("p:") && part !== undefined ? tops(editor.shapes.of(part.item).outputs)[0] : undefined;
     if (id.startsWith("p:") && port === undefined) return editor.say(`${name} has no output`);
-    if (source === undefined || source === null) return editor.say("this wire carries no signal");
+    if (source === undefined) return editor.say("this wire carries no signal");
     scopes.toggle(part !== undefined && port !== undefined ? `${name}.${port}` : source);
   }
 
@@ -189,8 +186,7 @@ class Acts {
     const to = wires[(wires.indexOf(wire) + 1) % wires.length];
     if (to === undefined) return editor.say(id === "" ? "select a block to walk its wires" : "no wire there");
     editor.select([wireId(to)]);
-    const outer = editor.here.outputs.find(([one]) => one === to)?.[1];
-    editor.say(`wire from ${editor.here.connections.find(([, end]) => end === to)?.[0] ?? outer} to ${to}`);
+    editor.say(`wire from ${sourceOf(editor.here, to)} to ${to}`);
   }
 
   /** Moves what is selected by whole steps. */
@@ -283,14 +279,14 @@ export function described(id: string): string {
     return `input ${name}, ${to.length === 0 ? "not connected" : `to ${to.join(", ")}`}`;
   }
   if (id.startsWith("o:")) {
-    return `output ${name}, ${d.outputs.find(([one]) => one === name)?.[1] ?? "not connected"}`;
+    return `output ${name}, ${sourceOf(d, name) ?? "not connected"}`;
   }
   const part = findPart(d, name);
   if (part === undefined) return name;
   const shape = editor.shapes.of(part.item);
   const kind = part.item.is === "diagram" ? "sub-diagram" : part.item.type.replace(/_/g, " ");
   const inputs = tops(shape.inputs).map((port) => {
-    const source = d.connections.find(([, to]) => to === `${name}.${port}`)?.[0];
+    const source = sourceOf(d, `${name}.${port}`);
     return `${port} ${source === undefined ? "not connected" : `from ${source}`}`;
   });
   const readers = d.connections.filter(([source]) => source.split(".")[0] === name).map(([, to]) => to);

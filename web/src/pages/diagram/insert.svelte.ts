@@ -2,7 +2,7 @@
 import { addBorder, made } from "./actions.svelte";
 import { placesOn } from "./canvas/flow";
 import { editor, outputId, partId } from "./editor.svelte";
-import { findPart, type Diagram, type Point } from "./model/diagram";
+import { findPart, sourceOf, type Point } from "./model/diagram";
 import { addPart, connect } from "./model/edits";
 import type { Choice } from "./model/search";
 import { sourceText, tops } from "./model/shapes";
@@ -49,7 +49,7 @@ export function looseEnd(middle: Point): Loose {
   const beside = (at: Point | undefined, dx: number): Point => (at === undefined ? middle : [at[0] + dx, at[1] + 20]);
   const own = places.get(id);
   if (id.startsWith("w:")) {
-    const from = d.connections.find(([, to]) => to === name)?.[0] ?? sourceOf(d, name) ?? null;
+    const from = sourceOf(d, name) ?? null;
     const end = places.get(partId(name.split(".")[0]!)) ?? places.get(outputId(name));
     return { from, to: name, at: beside(end, -100 - GAP) };
   }
@@ -59,10 +59,6 @@ export function looseEnd(middle: Point): Loose {
   const port = part === undefined ? undefined : tops(editor.shapes.of(part.item).outputs)[0];
   if (part === undefined || port === undefined) return { from: null, to: null, at: middle };
   return { from: sourceText(part, port, editor.shapes), to: null, at: beside(own, 100 + GAP) };
-}
-
-function sourceOf(d: Diagram, output: string): string | undefined {
-  return d.outputs.find(([one]) => one === output)?.[1] ?? undefined;
 }
 
 /** Put a block, input, output or parameter at the wire: one step to undo. */

@@ -1,3 +1,4 @@
+import { request } from "../../api/client";
 import { telemetry } from "../../api/telemetry";
 import { History } from "../../chart/history";
 import { STEP_COLUMNS } from "../../chart/step_watch";
@@ -76,18 +77,22 @@ export class Live {
     };
   }
 
-  /** The rows from `low` to `high` [s] of some columns, each once: their names, the times, column by column. */
-  rows(low: number, high: number, columns: readonly string[]) {
+  /** Return the rows from `low` to `high` [s] as a .mat file with the channels of the drone's own logs. */
+  async matFile(low: number, high: number, columns: readonly string[]): Promise<Blob> {
     const { history } = this;
     const names = [...new Set(columns)];
     const from = history.rowAt(low);
     const count = Math.max(0, history.rowAt(high) - from);
     const time = Float64Array.from({ length: count }, (_, k) => history.time(from + k));
-    const values = names.map((name) => {
+    // The server takes float64 times, then float32 column by column.
+    const data = new ArrayBuffer(count * (8 + 4 * names.length));
+    new Float64Array(data, 0, count).set(time);
+    names.forEach((name, c) => {
       const column = history.column(name);
-      return Float32Array.from({ length: count }, (_, k) => column?.at(from + k) ?? NaN);
+      const values = new Float32Array(data, 4 * count * (2 + c), count);
+      for (let k = 0; k < count; k += 1) values[k] = column?.at(from + k) ?? NaN;
     });
-    return { names, time, values };
+    return (await request("POST", `export/mat?columns=${names.join(",")}`, data)).blob();
   }
 
   private read(): Now {

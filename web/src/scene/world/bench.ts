@@ -1,9 +1,20 @@
 import { CircleGeometry, Group, type Mesh, MeshBasicMaterial, PlaneGeometry, CanvasTexture } from "three";
 import { written } from "../../design/units";
-import { BAR_HEIGHT, BAR_RADIUS, BAR_SIDE, CART_HALF, DEPTH, LENGTH, PROFILE, RAIL_STOP } from "../dimensions";
+import {
+  BAR_HEIGHT,
+  BAR_RADIUS,
+  BAR_SIDE,
+  BEARING_HEIGHT,
+  CART_HALF,
+  DEPTH,
+  LENGTH,
+  PROFILE,
+  RAIL_STOP,
+  SUPPORT_SIDE,
+} from "../dimensions";
 import { Label } from "./labels";
 import type { Materials } from "./materials";
-import { box, rodX, shaped } from "./shapes";
+import { box, rodX, rodZ, shaped } from "./shapes";
 
 /** The frame on its desk: what never moves. A scale in front of it says where the cart is. */
 export function bench(materials: Materials): { group: Group; labels: Label[]; shadow: MeshBasicMaterial } {
@@ -50,6 +61,24 @@ export function bench(materials: Materials): { group: Group; labels: Label[]; sh
   ground.rotation.x = -Math.PI / 2;
   group.add(ground);
   return { group, labels, shadow };
+}
+
+/** The cart: bearings on the two bars, a plate, the uprights that hold the drone, and the range sensor. */
+export function cart(materials: Materials): Group {
+  const group = new Group();
+  const { plate, metal, carbon } = materials;
+  const top = BAR_HEIGHT + 0.016;
+  group.add(box(plate, [2 * CART_HALF, 0.006, 2 * SUPPORT_SIDE + 0.008], [0, top, 0]));
+  for (const z of [-BAR_SIDE, BAR_SIDE])
+    for (const side of [-1, 1])
+      group.add(rodX(metal, 2.2 * BAR_RADIUS, 0.032, side * (CART_HALF - 0.017), BAR_HEIGHT, z));
+  for (const z of [-SUPPORT_SIDE, SUPPORT_SIDE]) {
+    const high = BEARING_HEIGHT - top;
+    group.add(box(plate, [0.024, high, 0.006], [0, top + high / 2, z]));
+    group.add(rodZ(metal, 0.014, 0.012, 0, BEARING_HEIGHT, z));
+  }
+  group.add(box(carbon, [0.014, 0.018, 0.026], [-CART_HALF - 0.004, top + 0.012, 0]));
+  return group;
 }
 
 /** The rings: collars on both bars on either side of the cart. */

@@ -1,5 +1,5 @@
 import { CanvasTexture, Sprite, SpriteMaterial } from "three";
-import { colour } from "../../chart/draw/palette";
+import { colour } from "../../chart/draw/canvas";
 
 const PIXELS = 48;
 

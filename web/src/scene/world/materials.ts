@@ -1,5 +1,5 @@
 import { Color, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial, type ColorRepresentation } from "three";
-import { colour } from "../../chart/draw/palette";
+import { colour } from "../../chart/draw/canvas";
 
 /** Colours of things, in light and in dark; those with a meaning are the tokens'. */
 const THINGS = {

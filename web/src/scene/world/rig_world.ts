@@ -1,10 +1,8 @@
 import { DirectionalLight, Group, HemisphereLight, type Mesh, PerspectiveCamera, Scene, WebGLRenderer } from "three";
-import { askFrame, forgetFrame } from "../../chart/draw/frames";
-import { onTheme } from "../../chart/draw/palette";
+import { askFrame, forgetFrame, onTheme } from "../../chart/draw/canvas";
 import { BAR_HEIGHT, BEARING_HEIGHT, CART_HALF, DEPTH, PITCH_STOP, RANGE_FROM, SUPPORT_SIDE } from "../dimensions";
 import type { Place, Pose, Wanted } from "../pose";
-import { bench, dropShadow, rings } from "./bench";
-import { cart } from "./cart";
+import { bench, cart, dropShadow, rings } from "./bench";
 import { DroneBody, ghostBody } from "./drone";
 import type { Label } from "./labels";
 import { PitchLimits } from "./limits";

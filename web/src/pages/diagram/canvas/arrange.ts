@@ -1,6 +1,6 @@
 // Automatic layout by elkjs, in a worker of its own: signals flow from left to right.
 import type { ElkNode } from "elkjs/lib/elk-api";
-import { declaredName, type Diagram, type Part, type Point } from "../model/diagram";
+import { inputNames, wiresOf, type Diagram, type Part, type Point } from "../model/diagram";
 import { sourceEnd, tops, type Shapes } from "../model/shapes";
 import { partSize, portPlace } from "./symbol";
 
@@ -48,14 +48,11 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
     height: 20,
     layoutOptions: { "elk.layered.layering.layerConstraint": layer },
   });
-  children.push(
-    ...[...new Set(d.inputs.map((one) => declaredName(one).split(".")[0]!))].map((n) => border(`i:${n}`, "FIRST")),
-  );
+  children.push(...inputNames(d).map((n) => border(`i:${n}`, "FIRST")));
   children.push(...d.outputs.map(([name]) => border(`o:${name}`, "LAST")));
   const known = new Set(children.flatMap((child) => [child.id, ...(child.ports ?? []).map((port) => port.id)]));
-  const wires = [...d.connections, ...d.outputs.map(([name, source]) => [source ?? "", name] as const)];
-  const edges = wires.flatMap(([source, to], i) => {
-    const end = source === "" ? undefined : sourceEnd(d, shapes, source);
+  const edges = wiresOf(d).flatMap(([source, to], i) => {
+    const end = sourceEnd(d, shapes, source);
     if (end === undefined) return [];
     const from = end[0] === null ? `i:${end[1].split(".")[0]}` : `p:${end[0]}>${end[1].split(".")[0]}`;
     const [part, port] = to.split(".");

@@ -2,7 +2,16 @@
 // that only what changed is drawn anew: 300 blocks must not cost a tenth of a second.
 import { MarkerType, Position, type Edge, type Node, type NodeHandle } from "@xyflow/svelte";
 import { inputId, outputId, partId, wireId } from "../editor.svelte";
-import { declaredName, placeOf, pointOf, type Diagram, type Part, type Point } from "../model/diagram";
+import {
+  declaredName,
+  inputNames,
+  placeOf,
+  pointOf,
+  wiresOf,
+  type Diagram,
+  type Part,
+  type Point,
+} from "../model/diagram";
 import { portOf, sourceEnd, tops, type Port, type Shape, type Shapes } from "../model/shapes";
 import type { Box, Ends, Route, Router } from "./route";
 import { partSize, portPlace, type Size } from "./symbol";
@@ -68,7 +77,7 @@ export function sheet(
   );
   const terminals = terminalPlaces(d, shapes, places);
   for (const [kind, names] of [
-    ["input", [...new Set(d.inputs.map((one) => declaredName(one).split(".")[0]!))]],
+    ["input", inputNames(d)],
     ["output", d.outputs.map(([name]) => name)],
   ] as const) {
     names.forEach((name) => {
@@ -246,7 +255,7 @@ function terminalPlaces(d: Diagram, shapes: Shapes, places: readonly Point[]): M
   const left = Math.min(GAP, ...places.map(([x]) => x)) - GAP;
   const right = Math.max(GAP, ...places.map(([x], i) => x + sizes[i]!.width)) + GAP;
   const found = new Map<string, Point>();
-  const inputs = [...new Set(d.inputs.map((one) => declaredName(one).split(".")[0]!))].map((name) => {
+  const inputs = inputNames(d).map((name) => {
     const to = d.connections.find(([source]) => source.split(".")[0] === name)?.[1].split(".")[0] ?? "";
     return [inputId(name), middle.get(to)] as const;
   });
@@ -298,7 +307,7 @@ function edges(
   router: Router,
 ): { edges: SheetEdge[]; left: boolean } {
   const at = new Map(nodes.map((node) => [node.id, node]));
-  const wires = wiresOf(d, shapes).filter((wire) => hasPort(at, wire));
+  const wires = wireEnds(d, shapes).filter((wire) => hasPort(at, wire));
   const ends = wires.map((wire): Ends => {
     const [from, to] = [at.get(wire.source)!, at.get(wire.target)!];
     const ways = { out: isFlipped(from) ? "left" : "right", in: isFlipped(to) ? "left" : "right" } as const;
@@ -326,13 +335,11 @@ interface WireEnds {
 }
 
 /** The wires of a sheet between its nodes. */
-function wiresOf(d: Diagram, shapes: Shapes): WireEnds[] {
-  const outputs = d.outputs.flatMap(([name, source]) => (source === null ? [] : [[source, name] as const]));
-  const names = new Set(outputs.map(([, name]) => name));
-  return [...d.connections, ...outputs].flatMap(([from, to]) => {
+function wireEnds(d: Diagram, shapes: Shapes): WireEnds[] {
+  return wiresOf(d).flatMap(([from, to]) => {
     const end = sourceEnd(d, shapes, from);
     if (end === undefined) return [];
-    const isOutput = names.has(to) && !to.includes(".");
+    const isOutput = !to.includes(".");
     const [part = "", ...port] = to.split(".");
     return [
       {

@@ -1,12 +1,7 @@
 // Blocks in a line, or with even gaps between them.
+import type { Box } from "../canvas/route";
 import type { Point } from "./diagram";
 
-interface Box {
-  readonly x: number;
-  readonly y: number;
-  readonly width: number;
-  readonly height: number;
-}
 type Boxes = ReadonlyMap<string, Box>;
 
 /** What an alignment is called, in the order of its menu. */

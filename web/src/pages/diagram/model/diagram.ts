@@ -83,6 +83,22 @@ export function pointOf(position: readonly Num[] | null | undefined): Point | nu
   return x === undefined || y === undefined ? null : [x.value, y.value];
 }
 
+/** Return all wires of a sheet, those to its outputs too: [source, destination]. */
+export function wiresOf(d: Diagram): Connection[] {
+  const outputs = d.outputs.flatMap(([name, source]) => (source === null ? [] : [[source, name] as const]));
+  return [...d.connections, ...outputs];
+}
+
+/** Return the source of the wire to "part.port" or to an output. */
+export function sourceOf(d: Diagram, destination: string): string | undefined {
+  return wiresOf(d).find(([, to]) => to === destination)?.[0];
+}
+
+/** Return the names of inputs; the fields of a bus count as one. */
+export function inputNames(d: Diagram): string[] {
+  return [...new Set(d.inputs.map((one) => declaredName(one).split(".")[0] ?? ""))];
+}
+
 const byName = new WeakMap<readonly Part[], ReadonlyMap<string, Part>>();
 
 export function findPart(diagram: Diagram, name: string): Part | undefined {

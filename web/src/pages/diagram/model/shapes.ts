@@ -135,6 +135,11 @@ export function fromLibrary(block: Block): boolean {
   return block.type !== "custom" && block.type !== "state_machine";
 }
 
+/** Return the type, size and unit of a port. */
+export function portText({ kind, width, unit }: Port): string {
+  return `${kind}${width === null ? "" : ` × ${width}`}${unit && ` [${unit}]`}`;
+}
+
 const named = new WeakMap<readonly Port[], readonly string[]>();
 
 /** The names of ports, those of a bus's fields as the one of the bus. */

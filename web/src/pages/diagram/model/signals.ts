@@ -1,6 +1,6 @@
 // From a wire to the signal that flows in it: through the borders of sub-diagrams to the block that gives it.
 import { diagramAt, findPart, type Diagram } from "./diagram";
-import { sourceEnd, type Shapes } from "./shapes";
+import { portOf, sourceEnd, type Shapes } from "./shapes";
 
 /** The output of a block by its path in the diagram, "sub.gain.y"; or an input of the whole diagram. */
 export interface Origin {
@@ -36,4 +36,20 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
     text = inner;
   }
   return undefined;
+}
+
+/** Return the declared unit of a signal; "" if there is none. */
+export function unitOfOrigin(root: Diagram, origin: Origin, shapes: Shapes): string {
+  if (origin.of === "input") return root.inputs.map(portOf).find((one) => one.name === origin.path)?.unit ?? "";
+  // The block's path has as many names as there are sheets: what is behind it is the port, perhaps a field.
+  const names = origin.path.split(".");
+  for (let n = 0; n < names.length - 1; n++) {
+    const part = diagramAt(root, names.slice(0, n)) && findPart(diagramAt(root, names.slice(0, n))!, names[n]!);
+    if (part === undefined) return "";
+    if (part.item.is === "block") {
+      const port = names.slice(n + 1).join(".");
+      return shapes.of(part.item).outputs.find((one) => one.name === port)?.unit ?? "";
+    }
+  }
+  return "";
 }

@@ -1,7 +1,7 @@
-// Wires made by a click: what is selected to what was clicked, without a word about ports.
-import { type Connection, type Diagram, findPart } from "./diagram";
+// Ends of wires: sources and destinations to choose from, and wires made by a click.
+import { declaredName, findPart, wiresOf, type Connection, type Diagram } from "./diagram";
 import { connect, EditFault } from "./edits";
-import { sourceEnd, sourceText, tops, type Shapes } from "./shapes";
+import { portOf, portText, sourceEnd, sourceText, tops, type Port, type Shapes } from "./shapes";
 
 /**
  * `d` with a wire from each of `from` to an input of `to` that is free, in their order; those that find none stay as they
@@ -49,4 +49,70 @@ function outputOf(d: Diagram, shapes: Shapes, id: string, read: ReadonlySet<stri
   const ports = tops(shapes.of(part.item).outputs);
   const port = ports.find((one) => !read.has(`${name}.${one}`)) ?? ports[0];
   return port === undefined ? undefined : sourceText(part, port, shapes);
+}
+
+export interface End {
+  /** As it stands in a connection. */
+  readonly text: string;
+  /** The part, input or output that it belongs to. */
+  readonly owner: string;
+  /** Type and unit, to stand behind the text. */
+  readonly about: string;
+  /** What a destination is fed by; "" if it is free. */
+  readonly from: string;
+}
+
+function about(port: Port | undefined): string {
+  return port === undefined ? "" : ` ${portText(port)}`.replace(/^ real/, "");
+}
+
+/** The destinations of the wires at a part (p:), an input (i:) or an output (o:): into it first, then out of it. */
+export function wiresAt(d: Diagram, id: string): string[] {
+  const name = id.slice(2);
+  if (id.startsWith("o:")) return d.outputs.flatMap(([one, source]) => (one === name && source !== null ? [one] : []));
+  const into = d.connections.filter(([, to]) => id.startsWith("p:") && to.split(".")[0] === name);
+  const out = wiresOf(d).filter(([source]) => source.split(".")[0] === name);
+  return [...new Set([...into, ...out].map(([, to]) => to))];
+}
+
+export function sourcesOf(d: Diagram, shapes: Shapes): End[] {
+  const inputs = tops(d.inputs.map(portOf)).map((name) => ({
+    text: name,
+    owner: name,
+    about: about(d.inputs.filter((one) => declaredName(one) === name).map(portOf)[0]),
+    from: "",
+  }));
+  const parts = d.parts.flatMap((part) => {
+    const { outputs } = shapes.of(part.item);
+    return tops(outputs).map((port) => ({
+      text: sourceText(part, port, shapes),
+      owner: part.name,
+      about: about(outputs.find((one) => one.name === port)),
+      from: "",
+    }));
+  });
+  return [...parts, ...inputs];
+}
+
+export function destinationsOf(d: Diagram, shapes: Shapes): End[] {
+  const fed = new Map(d.connections.map(([source, to]) => [to, source]));
+  const parts = d.parts.flatMap((part) => {
+    const { inputs } = shapes.of(part.item);
+    return tops(inputs).map((port) => {
+      const text = `${part.name}.${port}`;
+      return {
+        text,
+        owner: part.name,
+        about: about(inputs.find((one) => one.name === port)),
+        from: fed.get(text) ?? "",
+      };
+    });
+  });
+  const outputs = d.outputs.map(([name, source]) => ({
+    text: name,
+    owner: name,
+    about: " output",
+    from: source ?? "",
+  }));
+  return [...parts, ...outputs];
 }

@@ -1,6 +1,7 @@
 // Scopes: wires whose signals are shown. A scope stands on what gives the signal, so it stays when wires change.
 import { SERIES } from "../../../chart/kinds";
 import { editor } from "../editor.svelte";
+import { wiresOf } from "../model/diagram";
 import { originOf, type Origin } from "../model/signals";
 
 export interface Scope extends Origin {
@@ -18,10 +19,8 @@ class Scopes {
     const found = new Map<string, string>();
     if (this.all.length === 0) return found;
     const colours = new Map(this.all.map((scope) => [key(scope), scope.colour]));
-    const d = editor.here;
-    const wires = [...d.connections, ...d.outputs.map(([name, source]) => [source ?? "", name] as const)];
-    for (const [source, to] of wires) {
-      const origin = source === "" ? undefined : originOf(editor.root, editor.path, source, editor.shapes);
+    for (const [source, to] of wiresOf(editor.here)) {
+      const origin = originOf(editor.root, editor.path, source, editor.shapes);
       const colour = origin === undefined ? undefined : colours.get(key(origin));
       if (colour !== undefined) found.set(to, colour);
     }
