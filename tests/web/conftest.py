@@ -1,18 +1,17 @@
-"""A browser, a laboratory with a drone on a virtual rig, and axe: what the tests of the page share.
-
-The browser is Debian's Chromium without a graphics card: three.js draws by software, as it does in continuous
-integration. Screenshots go to `out/web`, to be looked at.
-"""
+"""Fixtures of the page's tests: a browser, a server with a virtual drone, axe. Screenshots go to `out/web`."""
 
 from __future__ import annotations
 
 import fcntl
+import functools
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from itertools import product
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -43,7 +42,7 @@ NO_WEBGL = """(() => {
     return kind.startsWith("webgl") ? null : context.call(this, kind, ...options);
   };
 })()"""
-SIZES = {"wide": (1280, 720), "tablet": (1024, 768), "upright": (768, 1024)}
+SIZES = {"wide": (1280, 720), "tablet": (1024, 768), "upright": (768, 1024), "phone": (390, 844)}
 Theme = Literal["light", "dark"]
 THEMES: tuple[Theme, ...] = ("light", "dark")
 expect.set_options(timeout=PATIENCE_S * 1000)
@@ -51,15 +50,11 @@ expect.set_options(timeout=PATIENCE_S * 1000)
 OpenPage = Callable[..., Page]
 Kept = TypeVar("Kept")
 KEPT = pytest.StashKey[dict[str, tuple[object, ExitStack]]]()
-"""By the name of its fixture what takes seconds to start: it lives while the next test asks for it too, no longer.
-
-A drone that flies for nobody takes a seventh of a core. And while Playwright's event loop runs in this thread, no test
-of another file could run one of its own.
-"""
+"""Resources by the name of their fixture; each lives as long as the next test asks for it too."""
 
 
 def kept(request: pytest.FixtureRequest, start: Callable[[], AbstractContextManager[Kept]], kind: type[Kept]) -> Kept:
-    """Return the object kept for the asking fixture; start it if there is none."""
+    """Return the resource of a fixture; start it if there is none."""
     there = request.config.stash.setdefault(KEPT, {})
     name = request.fixturename
     assert name is not None
@@ -73,7 +68,7 @@ def kept(request: pytest.FixtureRequest, start: Callable[[], AbstractContextMana
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> Generator[None]:
-    """Ends what the next test does not ask for."""
+    """Close the resources that the next test does not ask for."""
     try:
         return (yield)
     finally:
@@ -85,7 +80,7 @@ def pytest_runtest_teardown(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 @pytest.fixture(scope="session")
 def built_page() -> Path:
-    """Return the folder of the built page, as the server serves it; build it if web/ has changed."""
+    """Build the page if web/ has changed; return its folder."""
     with (Path(tempfile.gettempdir()) / "twodof-tests-web-build.lock").open("w") as held:
         fcntl.flock(held, fcntl.LOCK_EX)  # the tests of several processes come here at once
         done = subprocess.run(
@@ -101,7 +96,7 @@ def built_page() -> Path:
 
 @contextmanager
 def launched() -> Iterator[Browser]:
-    """A Chromium."""
+    """Start a Chromium."""
     with sync_playwright() as playwright:
         chromium = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=list(ARGUMENTS))
         yield chromium
@@ -110,23 +105,20 @@ def launched() -> Iterator[Browser]:
 
 @pytest.fixture
 def browser(request: pytest.FixtureRequest) -> Browser:
-    """A Chromium that is kept; each test has a context, as a person's own window, of its own."""
+    """Return a Chromium that tests share."""
     toolchains.need("chromium")
     return kept(request, launched, Browser)
 
 
 class Window:
-    """The window that tests open their first page in, one after another, each in a tab of its own.
-
-    What it has fetched and compiled once it has for the next test: a page then costs half of what it does in a new one.
-    """
+    """Window in which each test opens a tab of its own; fetched and compiled files stay for the next one."""
 
     def __init__(self, browser: Browser) -> None:
         self.context = new_window(browser)
         self.tab = self.context.new_page()
 
     def renew(self) -> None:
-        """A tab that knows nothing of the last one; that one ends after it is there, or all is compiled again."""
+        """Replace the tab and clear its storage. The old tab closes last, or all would be compiled again."""
         for page in self.context.pages:
             if page.url.startswith("http"):
                 page.evaluate("localStorage.clear()")
@@ -138,7 +130,7 @@ class Window:
 
 
 def new_window(browser: Browser, touch: bool = False, three_d: bool = False) -> BrowserContext:
-    """A window as of a person who has just come."""
+    """Open an empty window."""
     context = browser.new_context(reduced_motion="reduce", has_touch=touch)
     context.set_default_timeout(PATIENCE_S * 1000)
     if not three_d:
@@ -148,19 +140,16 @@ def new_window(browser: Browser, touch: bool = False, three_d: bool = False) -> 
 
 @pytest.fixture
 def window(browser: Browser, request: pytest.FixtureRequest) -> Window:
-    """One that is kept: ask for `open_page`."""
+    """Return the shared window; use `open_page` instead."""
     return kept(request, lambda: nullcontext(Window(browser)), Window)
 
 
 @pytest.fixture
 def open_page(browser: Browser, window: Window) -> Iterator[OpenPage]:
-    """Opens a link in a window that nobody has used: `open_page(link, "tablet", "dark")`.
+    """Open a link in a clean window: `open_page(link, "tablet", "dark")`.
 
-    The rig is drawn from its side, as where there is no WebGL; `three_d` has it drawn in three dimensions, which
-    without a graphics card is the dearest of the page. `own`, for who changes the window itself, opens a new one.
-
-    What the page writes to the console as an error, and what it raises, fails the test at its end. `expects` names
-    words of the faults that the test makes itself.
+    There is no WebGL without `three_d`, which is slow by software. `own` opens a new window. Errors of the page fail
+    the test at its end, except those that contain a text of `expects`.
     """
     contexts: list[BrowserContext] = []
     errors: list[str] = []
@@ -206,14 +195,14 @@ def open_page(browser: Browser, window: Window) -> Iterator[OpenPage]:
 def shared_server(
     request: pytest.FixtureRequest, built_page: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> LabServer:
-    """One that is kept: ask for `lab_server`."""
+    """Return the shared server; use `lab_server` instead."""
     assert built_page.is_dir()
     return kept(request, lambda: served(tmp_path_factory.mktemp("lab")), LabServer)
 
 
 @pytest.fixture
 def lab_server(shared_server: LabServer) -> LabServer:
-    """A page and a drone on a virtual rig, which stands at its start."""
+    """Serve the page and a virtual drone at its start."""
     shared_server.calm()
     return shared_server
 
@@ -222,7 +211,7 @@ AXE = PROJECT / "web" / "node_modules" / "axe-core" / "axe.min.js"
 
 
 def axe(page: Page, within: str = "body") -> list[str]:
-    """The serious and critical faults that axe finds, one line each: the rule, what it says, where."""
+    """Return the serious and critical faults that axe finds, one line each."""
     page.evaluate(
         AXE.read_text(encoding="utf-8") + ";0"
     )  # not as a script element, which the page's own policy forbids
@@ -235,7 +224,7 @@ def axe(page: Page, within: str = "body") -> list[str]:
 
 
 def picture(page: Page, name: str) -> Path:
-    """Keeps a screenshot in out/web, for people to look at."""
+    """Write a screenshot to out/web."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     path = PICTURES / f"{name}.png"
     page.screenshot(path=path)
@@ -243,10 +232,7 @@ def picture(page: Page, name: str) -> Path:
 
 
 def looks(page: Page, name: str) -> Iterator[tuple[str, Theme]]:
-    """Yield each size and theme, check that the page fits into its window, and keep a picture.
-
-    What loads a page is dear, and a window that is made smaller shows the same as one that was small.
-    """
+    """Show each size and theme in turn; check that nothing scrolls sideways, and take a picture."""
     for size, theme in product(SIZES, THEMES):
         width, height = SIZES[size]
         page.set_viewport_size({"width": width, "height": height})
@@ -257,13 +243,32 @@ def looks(page: Page, name: str) -> Iterator[tuple[str, Theme]]:
 
 
 def readable(page: Page, name: str) -> None:
-    """It `looks` right, and axe finds no serious fault in either theme: what it looks for does not hang on the size."""
+    """Check the page in each size and theme, and by axe in both themes."""
     for size, theme in looks(page, name):
         if size == "wide":
             assert axe(page) == [], theme
 
 
 def scrolls_sideways(page: Page) -> bool:
-    """Return True if the page is wider than its window."""
+    """Return whether the page is wider than its window."""
     wider: bool = page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth")
     return wider
+
+
+class QuietHandler(SimpleHTTPRequestHandler):
+    """Handler of file requests without a log."""
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Write nothing."""
+
+
+@contextmanager
+def files_served(folder: Path) -> Iterator[str]:
+    """Serve the files of a folder; yields the link."""
+    handler = functools.partial(QuietHandler, directory=str(folder))
+    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}/"
+        server.shutdown()
+        thread.join()

@@ -1,4 +1,4 @@
-"""The Diagram page: drawing by mouse and keys, problems, simulation and files."""
+"""The Diagram page: draw by mouse and keys, check, simulate, save."""
 
 from __future__ import annotations
 
@@ -38,7 +38,6 @@ COVERED = """() => {
     }
   return found;
 }"""
-"""What stands over what; a wire's last 3 pixels are its arrow, at the block's own port."""
 HEARD = """() => {
   globalThis.heard = [];
   const said = document.querySelector("#diagram-said");
@@ -59,7 +58,7 @@ def link(server: Served, rest: str = "") -> str:
 
 
 def kept(server: Served, name: str) -> str:
-    """The bytes of a kept diagram."""
+    """Return the text of a saved diagram."""
     return (server.folder / "diagrams" / f"{name}.json").read_text(encoding="utf-8")
 
 
@@ -84,10 +83,7 @@ def drawn(page: Page) -> Page:
 
 
 def hearing(page: Page) -> Callable[[str], None]:
-    """Return a function that waits for words announced from now on.
-
-    A screen reader reads one after another what stood there; the next may come before one has looked.
-    """
+    """Return a function that waits for words announced to screen readers from now on."""
     page.evaluate(HEARD)
     heard: list[str] = []
 
@@ -103,11 +99,11 @@ def hearing(page: Page) -> Callable[[str], None]:
 
 
 def took(page: Page) -> float:
-    """How long the last change took until it was simulated [ms]."""
+    """Return the time from the last change to its simulation [ms]."""
     return float(page.locator("section[data-took]").get_attribute("data-took") or "nan")
 
 
-def test_a_starter_is_drawn_checked_and_flown(server: Served, open_page: OpenPage) -> None:
+def test_a_starter_is_drawn_and_simulated(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=notch-attitude")))
     expect(block(page, "notch")).to_be_visible()
     expect(page.get_by_text("It compiles")).to_be_visible()
@@ -120,7 +116,7 @@ def test_a_starter_is_drawn_checked_and_flown(server: Served, open_page: OpenPag
     assert axe(page, "dialog") == []
 
 
-def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> None:
+def test_all_edits_work_by_keys(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     sheet(page).focus()
     said = hearing(page)
@@ -164,7 +160,7 @@ def test_all_by_keys_and_said_in_words(server: Served, open_page: OpenPage) -> N
 
 
 @pytest.mark.parametrize("name", ["pid-attitude", "lqr-attitude", "stock-position", "pid-position", "direct-motor"])
-def test_blocks_of_starters_do_not_overlap(server: Served, open_page: OpenPage, name: str) -> None:
+def test_no_block_of_a_starter_covers_anything(server: Served, open_page: OpenPage, name: str) -> None:
     page = open_page(link(server, f"?starter={name}"))
     expect(page.locator(".svelte-flow__node[data-id^='p:']")).to_have_count(len(starter(name).parts))
     expect(page.locator(".svelte-flow__edge-path").first).to_be_attached()
@@ -213,7 +209,7 @@ def test_blocks_are_inserted_wired_flipped_and_aligned(server: Served, open_page
     said("^align: left edges$")
 
 
-def test_moved_inputs_stay_and_links_ask_first(server: Served, open_page: OpenPage) -> None:
+def test_moves_are_saved_and_unsaved_changes_confirmed(server: Served, open_page: OpenPage) -> None:
     text = to_json(starter("pid-attitude"))
     keep(server, "moved", text)
     page = drawn(open_page(link(server, "/moved")))
@@ -240,7 +236,7 @@ def test_moved_inputs_stay_and_links_ask_first(server: Served, open_page: OpenPa
         expect(block(page, "notch")).to_have_count(parts)
 
 
-def test_an_algebraic_loop_is_shown_where_it_is(server: Served, open_page: OpenPage) -> None:
+def test_an_algebraic_loop_is_marked(server: Served, open_page: OpenPage) -> None:
     d = starter("pid-attitude")
     del d.connections["error", "b"]
     d.connect("pid", "error.b")
@@ -258,7 +254,7 @@ def test_an_algebraic_loop_is_shown_where_it_is(server: Served, open_page: OpenP
 
 
 @pytest.mark.parametrize("text", [to_json(starter("lqr-attitude")), to_json(from_json(to_json(odd_diagram())))])
-def test_what_is_opened_and_saved_keeps_its_bytes(server: Served, open_page: OpenPage, text: str) -> None:
+def test_opening_and_saving_keeps_the_bytes(server: Served, open_page: OpenPage, text: str) -> None:
     keep(server, "bytes", text)
     page = open_page(link(server, "/bytes"))
     expect(sheet(page)).to_be_visible()
@@ -270,7 +266,7 @@ def test_what_is_opened_and_saved_keeps_its_bytes(server: Served, open_page: Ope
 
 
 def change_value_and_structure(page: Page, turn: int) -> tuple[float, float]:
-    """Changes a limit, then a rule of the PID, each seen to be simulated; answers how long each took [ms]."""
+    """Change a limit, then a rule of the PID; return the time until each was simulated [ms]."""
     flown = page.locator("section[data-flights]")
 
     def after(change: Callable[[], object]) -> float:
@@ -288,8 +284,7 @@ def change_value_and_structure(page: Page, turn: int) -> tuple[float, float]:
     return value, after(lambda: page.get_by_label("derivative", exact=True).select_option(chosen))
 
 
-def test_a_changed_value_needs_no_compilation(server: Served, open_page: OpenPage) -> None:
-    """A value goes into the program that is there: nothing is compiled for it. test_speed.py asks for the time."""
+def test_only_a_changed_structure_is_compiled(server: Served, open_page: OpenPage) -> None:
     page = drawn(open_page(link(server, "?starter=pid-attitude")))
     compiled: list[str] = []
     page.on("request", lambda request: compiled.append(request.url) if "compile" in request.url else None)
@@ -298,18 +293,14 @@ def test_a_changed_value_needs_no_compilation(server: Served, open_page: OpenPag
     assert len(compiled) == 1, "only for the structure"
 
 
-def test_actions_on_300_blocks_cost_little(server: Served, open_page: OpenPage) -> None:
-    """To select all touches each block once, on this computer as busy as it is: 45 to 75 ms.
-
-    Actions cost up to 1.9 times that, a collection of garbage among them. Redoing a paste cost 15 times as much while
-    all wires were bent anew.
-    """
+def test_actions_on_300_blocks_stay_cheap(server: Served, open_page: OpenPage) -> None:
+    """Selecting all touches each block once and measures this computer; other actions cost up to 1.9 times that."""
     figures = _longest_tasks(server, open_page)
     assert max(figures.values()) < 5.0 * figures["all"], figures
 
 
 def _longest_tasks(server: Served, open_page: OpenPage) -> dict[str, float]:
-    """The longest task of each action on 300 blocks [ms]."""
+    """Measure the longest task of each action on 300 blocks [ms]."""
     keep(server, "wide", to_json(wide_diagram(300)))
     page = drawn(open_page(link(server, "/wide")))
     expect(page.locator(".svelte-flow__node-part")).to_have_count(300)
@@ -368,10 +359,7 @@ def _longest_tasks(server: Served, open_page: OpenPage) -> dict[str, float]:
 
 
 def _longest(page: Page, action: Callable[[], object]) -> float:
-    """The longest task of the page's thread in an action, in its own processor time [ms].
-
-    Not by the clock: the long-task observer would count what the other tests take of the processors.
-    """
+    """Measure the longest task of the page's thread in an action, in its own processor time [ms]."""
     browser = page.context.browser
     assert browser is not None
     browser.start_tracing(page=page, categories=["toplevel"])
@@ -387,23 +375,3 @@ def _longest(page: Page, action: Callable[[], object]) -> float:
     ]
     assert tasks, "the trace holds no task"
     return max(tasks)
-
-
-@pytest.mark.parametrize(
-    ("path", "text", "status"),
-    [
-        ("check", '{"schema": "twodof/diagram", "version": 1, "diagram": ' + "[" * 5000, 200),
-        ("compile", "not a diagram", 422),
-        ("read", "{}", 422),
-        ("margins", "[]", 202),
-        ("flash", "[]", 422),
-    ],
-)
-def test_what_a_stranger_sends_is_refused_in_words(server: Served, path: str, text: str, status: int) -> None:
-    answer = server.ask("POST", f"/api/diagrams/{path}", {"text": text})
-    assert answer.status == status
-    if status == 422:
-        assert answer.json["remedy"]
-    elif path == "check":
-        assert not answer.json["fine"]
-        assert answer.json["problems"][0]["remedy"]

@@ -1,4 +1,4 @@
-"""Faults during a flight from the page: each is shown in words and recovers by itself."""
+"""Faults in flight: the page reports each one and recovers by itself."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GONE = ("WebSocket", "ERR_", "502", "504")
 REFUSED = ("409",)
 
 
-def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_the_page_survives_a_server_restart(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
     os.kill(lab_server.child("lab"), signal.SIGKILL)
@@ -46,7 +46,7 @@ def test_the_server_ends_in_flight_and_comes_back(lab_server: LabServer, open_pa
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.03)
 
 
-def test_a_lost_link_to_the_drone_returns(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_the_page_survives_a_lost_link(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=GONE)
     flying(page)
     with lab_server.stopped("companion"):
@@ -54,15 +54,13 @@ def test_a_lost_link_to_the_drone_returns(lab_server: LabServer, open_page: Open
         expect(page.get_by_role("button", name="Disarm")).to_be_disabled()
         expect(page.get_by_text("The link is lost.", exact=True).first).to_be_visible()
     expect(page.get_by_text(f"The link to drone {lab_server.drone} is lost.")).to_be_hidden()
-    # It stayed lost for longer than the failsafe waits: what that did is in the drone's own words, and it flies again.
-    # Which of the two it missed first, and whether it ever missed the other, is a matter of its own time: a loaded
-    # computer gives that more slowly than the clock by which the server takes the link for lost.
+    # Which of the two the drone missed first depends on the load of this computer.
     expect(page.get_by_label("Log of the drone")).to_contain_text(re.compile("failsafe: .*(setpoint|link)_lost"))
     flying(page)
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
 
 
-def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_another_client_holds_the_lease(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link, expects=REFUSED)
     with Drone.connect(lab_server.url):
         expect(page.get_by_text("Commanded by").first).to_be_visible()
@@ -81,7 +79,7 @@ def test_another_client_commands(lab_server: LabServer, open_page: OpenPage) -> 
         lab_server.until(killed=True)
 
 
-def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_the_failsafe_reports_its_reason(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page(lab_server.link)
     armed(page)
     number = page.get_by_label("Pitch θ, number")
@@ -96,7 +94,7 @@ def test_the_failsafe_fires_and_says_why(lab_server: LabServer, open_page: OpenP
     expect(page.get_by_role("alert").get_by_text("near the rail's end")).to_be_hidden()
 
 
-def test_a_tab_that_slept_goes_on(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_slept_tab_reports_it_and_resumes(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page("about:blank", own=True)
     page.clock.install()
     page.goto(lab_server.link)
@@ -110,7 +108,7 @@ def test_a_tab_that_slept_goes_on(lab_server: LabServer, open_page: OpenPage) ->
     expect(page.get_by_text("This page stood still")).to_be_hidden()
 
 
-def test_a_clock_that_is_set_changes_no_plot(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_clock_jump_changes_no_plot(lab_server: LabServer, open_page: OpenPage) -> None:
     page = open_page("about:blank", own=True)
     page.clock.install(time=1_700_000_000)
     page.goto(lab_server.link)
@@ -123,11 +121,7 @@ def test_a_clock_that_is_set_changes_no_plot(lab_server: LabServer, open_page: O
 
 @contextmanager
 def frozen(*pages: Page) -> Iterator[None]:
-    """No script of these tabs runs, and the browser keeps their sockets open and answers the pings of the server.
-
-    The debugger does to a page what a browser does to a tab that it freezes. Chromium's own switch for that
-    (Page.setWebLifecycleState) does nothing without a screen.
-    """
+    """Stop the scripts of these tabs as a browser does when it freezes a tab; their sockets stay open."""
     sessions = [page.context.new_cdp_session(page) for page in pages]
     for chrome in sessions:
         chrome.send("Debugger.enable")
@@ -139,7 +133,7 @@ def frozen(*pages: Page) -> Iterator[None]:
 
 
 def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
-    """Ends the flight; how long [s] its log is, in which no sample is missing."""
+    """End the flight and return the duration [s] of its log, which has no gap."""
     lab_server.tell("disarm")
     lab_server.until(recording="")
     times = read_log(lab_server.folder / "flights" / name)["theta"].time
@@ -147,7 +141,7 @@ def recorded_without_a_gap(lab_server: LabServer, name: str) -> float:
     return float(times[-1] - times[0])
 
 
-def test_a_frozen_pilot_flies_nothing(lab_server: LabServer, open_page: OpenPage) -> None:
+def test_a_frozen_page_loses_command(lab_server: LabServer, open_page: OpenPage) -> None:
     page, watching = open_page(lab_server.link, own=True), open_page(lab_server.watch_link, own=True)
     flying(page)
     flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)
@@ -162,20 +156,3 @@ def test_a_frozen_pilot_flies_nothing(lab_server: LabServer, open_page: OpenPage
     assert lab_server.state["mode"] == "hold"  # and nothing that was asked before is asked again
     flies_to(page, press(page, "0.00"), "Position x", 0.0, 0.05)
     assert recorded_without_a_gap(lab_server, recording) > state["time"] - began
-
-
-@pytest.mark.soak
-def test_a_long_frozen_pilot_finds_a_resting_drone(lab_server: LabServer, open_page: OpenPage) -> None:
-    page = open_page(lab_server.link, own=True)
-    flying(page)
-    recording = lab_server.state["recording"]
-    with frozen(page):
-        lab_server.until(armed=False, ours_leases=False)
-        for _ in range(60):
-            signal.sigtimedwait([], 1.0)
-    expect(page.get_by_text(re.compile(r"This page stood still for [6-9]\d s"))).to_be_visible()
-    expect(page.get_by_text("Not commanded").first).to_be_visible()
-    assert recorded_without_a_gap(lab_server, recording) > 10.0
-    assert not lab_server.state["armed"]
-    flying(page)
-    flies_to(page, press(page, "0.10"), "Position x", 0.1, 0.03)

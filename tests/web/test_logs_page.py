@@ -1,4 +1,4 @@
-"""The Logs page: lists, replays, comparisons, notes, uploads and deletions with undo."""
+"""The Logs page: list, replay, compare, notes, upload, delete and undo."""
 
 from __future__ import annotations
 
@@ -53,8 +53,7 @@ def opened(page: Page) -> None:
     expect(page.get_by_role("button", name="Play")).to_be_enabled()
 
 
-def test_every_view_can_be_read_and_used(logs_server: Served, open_page: OpenPage) -> None:
-    """axe finds no serious fault, nothing scrolls sideways, at each size and in each theme."""
+def test_every_view_is_accessible(logs_server: Served, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     expect(page.get_by_role("img", name="estimated pitch")).to_have_count(2)
     expect(page.get_by_text("cannot be read")).to_be_visible()  # the file that was cut short
@@ -68,7 +67,6 @@ def test_every_view_can_be_read_and_used(logs_server: Served, open_page: OpenPag
 
 
 def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
-    """By link, by a step of the table, by the keyboard, and by playing it to its end."""
     log = read_log(flights / "flights" / FIRST)
     page = open_page(link(logs_server, f"/{FIRST}?at=20.40"), three_d=True)
     opened(page)
@@ -102,7 +100,7 @@ def test_a_replay_shows_where_the_drone_was(logs_server: Served, flights: Path, 
     expect(page.locator("output.time")).to_have_text(f"{log.span[1]:.2f} s")
 
 
-def test_compared_steps_are_those_of_the_library(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+def test_compared_flights_show_their_steps(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     for name in (FIRST, SECOND):
         page.get_by_label(f"Compare {name}").check()
@@ -117,7 +115,7 @@ def test_compared_steps_are_those_of_the_library(logs_server: Served, flights: P
     expect(page.get_by_text("position x").first).to_be_visible()
 
 
-def test_a_log_is_added_noted_and_deleted(
+def test_a_log_is_uploaded_noted_downloaded_and_restored(
     logs_server: Served, flights: Path, open_page: OpenPage, tmp_path: Path
 ) -> None:
     source = flights / "flights" / FIRST
@@ -149,7 +147,7 @@ def test_a_log_is_added_noted_and_deleted(
             break
 
 
-def test_an_upload_shows_progress_and_is_cancelled(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
+def test_an_upload_can_be_cancelled(logs_server: Served, flights: Path, open_page: OpenPage) -> None:
     page = open_page(link(logs_server))
     page.route("**/api/logs/cancelled.mcap", lambda route: None)  # on its way for ever
     content = (flights / "flights" / FIRST).read_bytes()
@@ -163,7 +161,7 @@ def test_an_upload_shows_progress_and_is_cancelled(logs_server: Served, flights:
     expect(page.get_by_role("button", name="Open a file")).to_be_enabled()
 
 
-def test_other_files_are_refused_as_logs(logs_server: Served, open_page: OpenPage, tmp_path: Path) -> None:
+def test_other_files_are_refused(logs_server: Served, open_page: OpenPage, tmp_path: Path) -> None:
     page = open_page(link(logs_server), expects=("422",))  # what is sent is refused
     for name, words in (("page.html", "page.html is not a log"), ("noise.ulg", "noise.ulg")):
         (tmp_path / name).write_bytes(b"<script>alert(1)</script>" * 40)
@@ -185,7 +183,7 @@ def test_a_damaged_log_can_be_deleted(logs_server: Served, flights: Path, open_p
     assert not damaged.exists()
 
 
-def test_who_watches_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:
+def test_a_watcher_changes_nothing(logs_server: Served, open_page: OpenPage) -> None:
     page = open_page(link(logs_server, token=WATCH))
     expect(page.get_by_role("link", name="attitude-steps").first).to_be_visible()
     expect(page.get_by_role("button", name=re.compile("^Delete"))).to_have_count(0)

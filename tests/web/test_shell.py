@@ -1,43 +1,28 @@
-"""The frame around every page: without its server it says so, and at every size and theme it can be read and used."""
+"""The frame around every page."""
 
 from __future__ import annotations
 
-import functools
-import threading
 from collections.abc import Iterator
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import expect
 
-from tests.web.conftest import OpenPage, readable
+from tests.web.conftest import OpenPage, files_served, readable
 
 pytestmark = pytest.mark.slow
 
 NO_SERVER = ("404", "501", "WebSocket")
 
 
-class QuietHandler(SimpleHTTPRequestHandler):
-    """Serves files, and writes no line for each."""
-
-    def log_message(self, format: str, *args: object) -> None:
-        """Write no line."""
-
-
 @pytest.fixture(scope="module")
 def files_only(built_page: Path) -> Iterator[str]:
-    """The page's link on a server that has its files and no API."""
-    handler = functools.partial(QuietHandler, directory=str(built_page))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_address[1]}/"
-        server.shutdown()
-        thread.join()
+    """Serve the page without its API."""
+    with files_served(built_page) as link:
+        yield link
 
 
-def test_a_missing_server_is_shown(files_only: str, open_page: OpenPage) -> None:
+def test_the_frame_reports_a_missing_server(files_only: str, open_page: OpenPage) -> None:
     page = open_page(files_only, expects=NO_SERVER)
     expect(page.get_by_text("No server")).to_be_visible()
     expect(page.get_by_role("button", name="STOP F8")).to_be_visible()
@@ -57,7 +42,7 @@ def test_the_theme_is_chosen_and_kept(files_only: str, open_page: OpenPage) -> N
     assert page.evaluate(background) == light
 
 
-def test_the_first_key_skips_the_bar(files_only: str, open_page: OpenPage) -> None:
+def test_the_skip_link_stays_on_the_page(files_only: str, open_page: OpenPage) -> None:
     page = open_page(f"{files_only}#/tune", expects=NO_SERVER)
     page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="Skip to the page")).to_be_focused()

@@ -1,18 +1,12 @@
-"""How fast the page is, measured in the browser without a graphics card: `make soak` prints the figures.
-
-Each is of this machine as it is just then; what else runs on its cores counts too.
-"""
+"""Speed of the page in a browser without a graphics card; `make soak` prints the figures."""
 
 from __future__ import annotations
 
-import functools
 import os
 import platform
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
-from http.server import ThreadingHTTPServer
 from typing import Any
 
 import pytest
@@ -20,10 +14,9 @@ from playwright.sync_api import Browser, Page
 
 from tests import toolchains
 from tests.patience import PATIENCE_S
-from tests.web.conftest import PROJECT, OpenPage
+from tests.web.conftest import PROJECT, OpenPage, files_served
 from tests.web.lab_server import LabServer
 from tests.web.test_diagram_page import change_value_and_structure, drawn
-from tests.web.test_shell import QuietHandler
 
 pytestmark = pytest.mark.soak
 
@@ -71,24 +64,19 @@ def tell(figures: str) -> None:
 
 @pytest.fixture(scope="module")
 def charts(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    """The page of web/bench with 15 channels at 250 Hz on five strip charts."""
+    """Serve the page of web/bench with 15 channels at 250 Hz on five strip charts."""
     toolchains.need("node")
     folder = tmp_path_factory.mktemp("charts")
     vite = PROJECT / "web" / "node_modules" / "vite" / "bin" / "vite.js"
     command = ["node", str(vite), "build", "--config", "bench/vite.config.ts", "--outDir", str(folder)]
     done = subprocess.run(command, cwd=PROJECT / "web", capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    handler = functools.partial(QuietHandler, directory=str(folder))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever, args=(0.05,), daemon=True)
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_address[1]}/charts.html"
-        server.shutdown()
-        thread.join()
+    with files_served(folder) as link:
+        yield f"{link}charts.html"
 
 
 def until(page: Page, condition: str) -> None:
-    """Waits in the page, frame by frame, since its policy forbids the strings that Playwright would evaluate."""
+    """Wait in the page frame by frame; its policy forbids the strings that Playwright would evaluate."""
     page.evaluate(
         "() => new Promise((done) => { const look = () => ("
         + condition
@@ -97,7 +85,7 @@ def until(page: Page, condition: str) -> None:
 
 
 def waits(page: Page, frames: int) -> dict[str, float]:
-    """Median and 99 % of the waits of the next `frames` frames that are drawn [ms]."""
+    """Measure the median and the 99 % quantile of the delay of the next frames [ms]."""
     page.evaluate("twodofLatency.clear()")
     until(page, f"twodofLatency.drawn >= {frames}")
     found: dict[str, float] = page.evaluate(
@@ -107,7 +95,7 @@ def waits(page: Page, frames: int) -> dict[str, float]:
 
 
 def processor_time(browser: Browser) -> float:
-    """Return the processor time of all processes of the browser so far [s]."""
+    """Return the processor time that the browser has used so far [s]."""
     session = browser.new_browser_cdp_session()
     processes = session.send("SystemInfo.getProcessInfo")["processInfo"]
     session.detach()
@@ -164,7 +152,7 @@ def test_a_minute_of_fifteen_channels_pans_and_zooms(charts: str, open_page: Ope
 
 
 def live_memory(page: Page) -> int:
-    """Bytes that live after a collection: objects, and the arrays behind them."""
+    """Return the live bytes after a garbage collection."""
     session = page.context.new_cdp_session(page)
     session.send("HeapProfiler.collectGarbage")
     usage: dict[str, Any] = session.send("Runtime.getHeapUsage")
@@ -173,7 +161,6 @@ def live_memory(page: Page) -> int:
 
 
 def test_memory_is_flat_over_half_an_hour(charts: str, open_page: OpenPage) -> None:
-    """Two minutes at fifteen times the rate: the rows of half an hour, and the ring goes round."""
     page = open_page(f"{charts}?seconds=60&live=15")
     at = []
     for minutes in (10, 20, 30):

@@ -1,0 +1,44 @@
+"""Flash from the Diagram page: a changed controller is rehearsed, sent to the drone, and flies."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from playwright.sync_api import expect
+
+from tests.patience import PATIENCE_S
+from tests.web.conftest import OpenPage
+from tests.web.lab_server import LabServer
+from tests.web.pilot import flies_to, flying, press
+
+pytestmark = pytest.mark.slow
+
+LONG_MS = PATIENCE_S * 1000
+
+
+@pytest.mark.waits
+def test_a_changed_controller_is_flashed_and_flies(lab_server: LabServer, open_page: OpenPage) -> None:
+    page = open_page(f"{lab_server.link}#/diagram")
+    expect(page.get_by_text(re.compile(r"lown in \d+ ms"))).to_be_visible(timeout=LONG_MS)
+    gain = page.get_by_label("theta_kp", exact=True)
+    gain.fill(str(0.9 * float(gain.input_value())))
+    gain.press("Enter")
+    expect(page.get_by_text("It compiles")).to_be_visible()
+    page.get_by_role("button", name="Flash…").click()
+    dialog = page.get_by_role("dialog")
+    expect(dialog.get_by_text("no swing grows")).to_be_visible(timeout=LONG_MS)
+    expect(dialog.get_by_text("What changes against")).to_be_visible()
+    expect(dialog.get_by_role("listitem").filter(has_text=re.compile("added.*block pid"))).to_be_visible()
+    assert "pid" not in lab_server.state["controller"], "a rehearsal changes nothing on the drone"
+    dialog.get_by_role("button", name=re.compile("Flash to drone")).click()
+    expect(dialog).to_be_hidden(timeout=LONG_MS)
+    page.get_by_role("link", name="Fly", exact=True).click()
+    expect(page.locator("dd", has_text="pid")).to_be_visible()
+    flying(page)
+    flies_to(page, press(page, "\u22120.10"), "Position x", -0.1, 0.02)
+    page.get_by_role("button", name="Disarm").click()
+    lab_server.until(armed=False)
+    assert "pid" in lab_server.state["controller"]
+    page.get_by_role("link", name="Logs", exact=True).click()
+    expect(page.get_by_role("link", name=re.compile("drone")).first).to_be_visible()
