@@ -1,6 +1,6 @@
 // Calls of the server's API. A refusal carries what the server says: what is wrong, where, and what to do about it.
 
-/** What went wrong, as the server tells it; status 0 where it was not reached. */
+/** Refusal of the server; status 0 if it was not reached. */
 export class ApiError extends Error {
   constructor(
     readonly status: number,
@@ -14,7 +14,7 @@ export class ApiError extends Error {
 
 const TOKEN = "twodof-token";
 
-/** Keeps the token of a link `?token=...` for this tab, and takes it out of the address. */
+/** Store the token of a link `?token=...` for this tab and remove it from the address. */
 export function takeToken(): void {
   const here = new URL(location.href);
   const given = here.searchParams.get("token");
@@ -24,22 +24,20 @@ export function takeToken(): void {
   history.replaceState(null, "", here);
 }
 
-/** The token of this tab, or "" where the server wants none. */
+/** Return the token of this tab, or "" if there is none. */
 export function token(): string {
   return sessionStorage.getItem(TOKEN) ?? "";
 }
 
-/** Where the API is, seen from the page. */
 export function apiUrl(path: string): URL {
   return new URL(`api/${path.replace(/^\//, "")}`, document.baseURI.split("#")[0]);
 }
 
-/** Return the message of anything that was thrown. */
 export function messageOf(failure: unknown): string {
   return failure instanceof Error ? failure.message : String(failure);
 }
 
-/** Sends a request; answers the raw response. Raises ApiError for a refusal, a silence of `timeout` [s], or where `end` ends it. */
+/** Send a request. Raises ApiError if the server refuses, is silent for `timeout` [s], or `end` aborts. */
 export async function request(
   method: string,
   path: string,
@@ -65,13 +63,11 @@ export async function request(
   throw refusal(response.status, await response.json().catch(() => ({})));
 }
 
-/** What the server says in a refusal. */
 function refusal(status: number, answer: unknown): ApiError {
   const said = answer as { what?: string; where?: string; remedy?: string };
   return new ApiError(status, said.what ?? `the server refuses (${status})`, said.where, said.remedy);
 }
 
-/** That it was not reached at all. */
 function unreached(path: string): ApiError {
   return new ApiError(0, "no connection to the server", path, "see that `twodof up` runs");
 }
@@ -81,12 +77,10 @@ function ended(timeout: number, end: AbortSignal | undefined): AbortSignal {
   return end === undefined ? late : AbortSignal.any([late, end]);
 }
 
-/** Asks for JSON. */
 export async function get<T>(path: string): Promise<T> {
   return (await (await request("GET", path)).json()) as T;
 }
 
-/** Sends JSON and reads the JSON of the answer. */
 export async function send<T>(method: "POST" | "PUT" | "PATCH" | "DELETE", path: string, body?: unknown): Promise<T> {
   const response = await request(method, path, body);
   return (response.status === 204 ? undefined : await response.json()) as T;
@@ -113,7 +107,7 @@ export function upload(path: string, content: Blob, sent: (share: number) => voi
   });
 }
 
-/** Who this client is to the server, and the path with which others may only watch ("" where there is none). */
+/** Role of this client, and the path of the link that only watches ("" if there is none). */
 export interface LabSession {
   role: "command" | "watch";
   version: string;
@@ -122,12 +116,11 @@ export interface LabSession {
 
 export const labSession = () => get<LabSession>("session");
 
-/** The link that shows this view to somebody who may only watch. */
 export function viewersLink(watchLink: string, here: URL): string {
   return new URL(watchLink, here).href + here.hash;
 }
 
-/** Whether a link leads to the very computer on which it is opened. */
+/** Return whether a link works on this computer only. */
 export function isThisComputerOnly(link: URL): boolean {
   return /^(localhost|127(\.\d+){3}|\[::1\])$/.test(link.hostname);
 }

@@ -5,7 +5,6 @@ import type { ProgramTable } from "../wasm/table";
 import { get, request, send } from "./client";
 import type { Job } from "./jobs";
 
-/** A block of the library. */
 export interface CatalogueEntry {
   type: string;
   name: string;
@@ -13,23 +12,22 @@ export interface CatalogueEntry {
   text: string;
   choices: Record<string, string[]>;
   shape: Answer;
-  /** The arguments it is made with, in Python's order; each number as Python writes it. */
+  /** Default arguments in Python's order; numbers as Python writes them. */
   config: JsonObject;
 }
 
 export interface Catalogue {
-  /** Why no diagram can be simulated here; "" where it can. */
+  /** Why diagrams cannot be simulated here; "" if they can. */
   not_simulated: string;
   blocks: CatalogueEntry[];
   starters: Record<string, { name: string; text: string }>;
 }
 
-/** What is wrong or odd, and where: the path of a block, or "diagram.input". */
+/** Problem or remark; `where` is the path of a block, or "diagram.input". */
 export interface Finding {
   what: string;
   where: string;
   remedy: string;
-  /** Signals of an algebraic loop. */
   loop?: string[];
 }
 
@@ -52,7 +50,7 @@ export interface Code {
   left_out: string[];
 }
 
-/** Lossless where it must be: the arguments of a new block keep 1.0 and 1 apart. */
+/** Return the library of blocks; default arguments keep 1.0 and 1 apart. */
 export async function catalogue(): Promise<Catalogue> {
   const text = await (await request("GET", "diagrams/catalogue")).text();
   const found = JSON.parse(text) as Catalogue;
@@ -103,31 +101,29 @@ async function postText(path: string, text: string): Promise<unknown> {
   return await (await request("POST", path, body)).json();
 }
 
-/** The diagram in its closed loop with the virtual rig, compiled for this browser, and where a flight starts in it. */
+/** Closed loop of the diagram and the virtual rig as WebAssembly, and its initial state. */
 export interface PortableLoop {
   /** Base 64. */
   module: string;
   interface: ProgramTable;
   template: string;
-  /** Where the diagram's parameters and signals are in the loop. */
+  /** Path of the diagram in the loop. */
   prefix: string;
   parameters: Record<string, Value>;
   states: Record<string, Value>;
-  /** Paths in the diagram of the signals that come out of it. */
   signals: string[];
-  /** What the diagram's inputs read: outputs of the module. */
+  /** Outputs of the module that the diagram's inputs read. */
   given: Record<string, string>;
   setpoints: string[];
-  /** Ticks of the module in a step of the controller. */
+  /** Ticks per step of the controller. */
   ticks: number;
 }
 
-/** Compiles; ends on the server too when `signal` says so. */
 export async function compileLoop(text: string, rig: string, signal: AbortSignal): Promise<PortableLoop> {
   return (await (await request("POST", "diagrams/compile", { text, rig }, 40, signal)).json()) as PortableLoop;
 }
 
-/** Margins of one loop in SI units; null for no bound. */
+/** Margins of one loop, SI; null if unlimited. */
 export interface LoopMargins {
   about: string;
   stable: boolean;
@@ -187,6 +183,6 @@ export const startPx4 = (text: string) => send<Job<Px4Module>>("POST", "diagrams
 export const startRehearsal = (text: string, drone: number) =>
   send<Job<Rehearsal>>("POST", "diagrams/rehearsal", { text, drone });
 
-/** Has a rehearsed diagram fly from now on; the drone builds it, which takes up to two minutes. */
+/** Flash a rehearsed diagram. The drone builds it in up to two minutes. */
 export const startFlash = (text: string, drone: number, rehearsal: string, force: boolean) =>
   send<Job<{ drone: number; template: string }>>("POST", "diagrams/flash", { text, drone, rehearsal, force });

@@ -1,13 +1,13 @@
 import { get, send } from "./client";
 
-/** How a drone stands, as the server last told it; angles in radians, all else SI. */
+/** Latest state of a drone; SI and radians. */
 export interface DroneState {
-  /** Its MAVLink system: the number by which calls name it. */
+  /** MAVLink system. */
   system: number;
   name: string;
   url: string;
   link: "heard" | "lost";
-  /** One of ours, not another's PX4. */
+  /** False for a PX4. */
   ours: boolean;
   virtual: boolean;
   armed: boolean;
@@ -18,18 +18,14 @@ export interface DroneState {
   killed_by: readonly [number, number] | null;
   /** What the failsafe does: "none", "level", "brake", "descend", "off". */
   failsafe: string;
-  /** What decided, in words. */
   failsafe_reason: string;
-  /** What it sees now, in words: it speaks against arming. */
+  /** Reasons against arming. */
   warnings: readonly string[];
-  /** The system and component that command it; null for nobody. */
+  /** System and component; null for none. */
   lease_holder: readonly [number, number] | null;
-  /** Whether this server holds the lease. */
   ours_leases: boolean;
-  /** An experiment that this server began flies it. */
   experiment?: boolean;
   controller: string;
-  /** How many parameters differ from their defaults. */
   changed_parameters: number;
   rings_locked: boolean;
   seed: number;
@@ -39,7 +35,7 @@ export interface DroneState {
   rig: string;
 }
 
-/** A line that a drone said; `time` is the drone's [s], null where it is not known. */
+/** Log message of a drone; `time` in drone time [s]. */
 export interface DroneText {
   drone: number;
   severity: string;
@@ -47,25 +43,21 @@ export interface DroneText {
   time: number | null;
 }
 
-/** The loops that take a set-point. */
+/** Set-points by their names in telemetry. */
 export type Loop = "theta" | "q" | "M" | "v" | "x";
 
-/** How a virtual drone begins anew. */
 export interface Reset {
   seed: number;
-  /** Place on the rail [m]. */
   x: number;
-  /** Gain of its noise; 0 is none. */
   noise: number;
   rings: boolean;
 }
 
-/** An excitation in the form of the library's `to_dict`, in SI. */
+/** JSON form of an excitation of the library. */
 export type Excitation = { kind: string; version: number } & Record<string, unknown>;
 
 export const listDrones = () => get<DroneState[]>("drones");
 
-/** What it said before this page was opened, the oldest first. */
 export const listTexts = (drone: number) => get<{ severity: string; text: string }[]>(`drones/${drone}/texts`);
 
 export const arm = (drone: number) => send<DroneState>("POST", `drones/${drone}/arm`);
@@ -76,13 +68,13 @@ export const takeLease = (drone: number) => send<DroneState>("POST", `drones/${d
 export const giveLeaseBack = (drone: number) => send<DroneState>("DELETE", `drones/${drone}/lease`);
 export const reset = (drone: number, how: Reset) => send<DroneState>("POST", `drones/${drone}/reset`, how);
 
-/** A set-point in SI; `thrust` 0 to 1, left out: as it is. The server keeps it alive. */
+/** Set a set-point, SI. The server repeats it to the drone. */
 export function setSetpoint(drone: number, loop: Loop, value: number, thrust?: number): Promise<DroneState> {
   const asked = thrust === undefined ? { loop, value } : { loop, value, thrust };
   return send<DroneState>("PUT", `drones/${drone}/setpoint`, asked);
 }
 
-/** Plays it on board, added to what `loop` follows; answers when it starts. */
+/** Play an excitation on board, added to a set-point. Resolves when it starts. */
 export function excite(drone: number, loop: Loop, excitation: Excitation): Promise<{ duration: number }> {
   return send("POST", `drones/${drone}/excitation`, { excitation, loop });
 }

@@ -7,25 +7,23 @@ export interface ExperimentRow {
   text: string;
   mode: string;
   unit: string;
-  /** Whether the cart is locked. */
   rings: boolean;
   thrust: number;
   hold: number;
   rest: number;
   duration: number;
   excitation: Excitation;
-  /** What is identified from it; null for one that tells no model. */
+  /** Model that is identified; null for none. */
   kind: string | null;
 }
 
 export interface Choices {
   experiments: ExperimentRow[];
-  /** By kind the names of its own numbers. */
+  /** Argument names by kind. */
   excitations: Record<string, string[]>;
   limits: Record<string, number>;
   kinds: { name: string; text: string }[];
   structures: string[];
-  /** Logs, the newest first. */
   flights: string[];
 }
 
@@ -40,9 +38,8 @@ export interface PlannedUnknown {
   unit: string;
   value: number;
   sigma: number;
-  /** Half the 95 % interval over the value. */
+  /** Half the 95 % interval, as a share of the value. */
   share: number | null;
-  /** Whether the experiment is flown for it. */
   wanted: boolean;
   enough: boolean;
 }
@@ -63,7 +60,7 @@ export interface Plan {
   motion: { time: number[]; theta: number[]; x: number[] };
   pitch_share: number;
   rail_share: number;
-  /** How many times as large as with white noise of the sensor alone the deviations are. */
+  /** Standard deviation relative to that with white sensor noise alone. */
   worse: number;
   rehearsed: { estimates: EstimateRow[]; informative: Informative; remarks?: string[] } | null;
 }
@@ -74,7 +71,6 @@ export interface FlownExperiment {
   rig: string;
   good: boolean;
   reason: string;
-  /** Whether a virtual drone stands at its start again, with its rings as they were. */
   put_back: boolean;
   checks: { name: string; passed: boolean; seen: string }[];
 }
@@ -82,17 +78,15 @@ export interface FlownExperiment {
 export interface EstimateRow {
   name: string;
   unit: string;
-  /** What it is, in words. */
   text: string;
   value: number;
   sigma: number | null;
-  /** The 95 % interval. */
   low: number | null;
   high: number | null;
-  /** One record's own: initial states, trims. */
+  /** Initial state or trim of one record. */
   local: boolean;
   sum: boolean;
-  /** What the simple method reads. */
+  /** Result of the simple method. */
   simple: number | null;
 }
 
@@ -102,7 +96,7 @@ export interface OutputCurves {
   record: string;
   validation: boolean;
   fit_percent: number;
-  /** In closed loop: how well model and noise foretell the next sample. The model alone does not know the gusts. */
+  /** One-step-ahead fit, in closed loop. */
   fit_percent_ahead: number | null;
   rmse: number;
   time: number[];
@@ -133,11 +127,11 @@ export interface FitView {
   tests: ResidualTest[];
   estimates: EstimateRow[];
   held: Record<string, number>;
-  /** Mean and standard deviation of what was known of an unknown before the flight. */
+  /** Prior mean and standard deviation. */
   known_before: Record<string, [number, number]>;
   correlation: { labels: string[]; rows: (number | null)[][] };
   disturbance: string;
-  /** The robust standard deviations are quoted, since the residuals are not white. */
+  /** Standard deviations are robust, since the residuals are not white. */
   robust: boolean;
   informative: Informative;
   remarks: string[];

@@ -1,6 +1,6 @@
 import { ApiError, get, send } from "./client";
 
-/** A computation that the server does in the background. */
+/** Background computation of the server. */
 export interface Job<T> {
   id: string;
   kind: string;
@@ -8,7 +8,7 @@ export interface Job<T> {
   /** 0 to 1. */
   fraction: number;
   text: string;
-  /** What it does now cannot be ended half way. */
+  /** It can no longer be cancelled. */
   bound: boolean;
   result: T | null;
   error: { what: string; where: string; remedy: string } | null;

@@ -2,20 +2,19 @@
 
 import { get, request, send, upload } from "./client";
 
-/** A row of the list. */
 export interface LogRow {
   name: string;
   file: string;
-  /** "" for the server's own folder; another's logs are only read. */
+  /** "" for the server's own folder; others are read-only. */
   folder: string;
   bytes: number;
-  /** Of its last change [s, unix]. */
+  /** Unix time [s]. */
   changed: number;
   notes: boolean;
   recording: boolean;
 }
 
-/** A deleted log, which can be brought back until `until` [s, unix]. */
+/** Deleted log; it can be restored until `until`, Unix time [s]. */
 export interface DeletedLog {
   entry: string;
   name: string;
@@ -28,7 +27,7 @@ export interface LogList {
   kept_days: number;
 }
 
-/** Lowest and highest values of equal parts of a flight; null where nothing was logged. */
+/** Minimum and maximum per interval; null without samples. */
 export interface Spark {
   channel: string;
   text: string;
@@ -37,12 +36,12 @@ export interface Spark {
   high: (number | null)[];
 }
 
-/** A log that is damaged, being recorded or gone: why nothing is told of it. */
+/** Reason why a log cannot be read. */
 export interface Unreadable {
   unreadable: string;
 }
 
-/** What the list says of a log; null for what it does not tell. */
+/** Summary in the list; null if the log does not tell. */
 export interface LogSummary {
   span: [number, number];
   duration: number;
@@ -58,22 +57,20 @@ export interface LogSummary {
   spark: Spark | null;
 }
 
-/** And what an open one shows; times in seconds of the log. */
 export interface LogFacts extends LogSummary, LogKept {
   parameters: [string, number][];
   texts: [number, string, string][];
   changes: [number, string, number][];
 }
 
-/** What is there of a log that cannot be read, too. */
+/** Facts that an unreadable log has too. */
 export interface LogKept {
   notes: string;
   ours: boolean;
-  /** In which it can be had as a file. */
   formats: Format[];
 }
 
-/** A curve; its numbers are little-endian in base 64: float64 times, float32 values. */
+/** Curve in base 64, little-endian: float64 times, float32 values. */
 export interface PackedCurve {
   label: string;
   channel: string;
@@ -82,7 +79,6 @@ export interface PackedCurve {
   value: string;
 }
 
-/** A stretch of time with a name. */
 export interface Band {
   start: number;
   stop: number;
@@ -100,7 +96,7 @@ export interface LogView {
   notes: string[];
 }
 
-/** The response to one step; SI, null where it was not reached. */
+/** Figures of one step, SI; null if not reached. */
 export interface LoggedStep {
   loop: "rate" | "attitude" | "velocity" | "position";
   time: number;
@@ -118,7 +114,7 @@ export interface LogComparison extends LogView {
   zero: Record<string, number>;
 }
 
-/** Samples at equal times from `start` [s], `rate` [Hz]; columns of float32 in base 64. */
+/** Samples from `start` [s] at `rate` [Hz]; float32 columns in base 64. */
 export interface LogReplay {
   start: number;
   rate: number;
@@ -137,7 +133,7 @@ export const logSummary = (name: string): Promise<LogSummary | Unreadable> => ge
 export const logReplay = (name: string): Promise<LogReplay> => get(`${of(name)}/replay`);
 export const logSteps = (name: string): Promise<{ steps: LoggedStep[]; unclear: string }> => get(`${of(name)}/steps`);
 
-/** A part of a log, or all of it: `points` of each curve. */
+/** Return a window of a log, or all of it, with `points` per curve. */
 export function logView(name: string, window?: readonly [number, number], points = 2000): Promise<LogView> {
   const query = new URLSearchParams({ points: String(points) });
   if (window) {
@@ -147,18 +143,16 @@ export function logView(name: string, window?: readonly [number, number], points
   return get(`${of(name)}/view?${query}`);
 }
 
-/** Flights over each other. */
 export function compareLogs(names: readonly string[], align: "step" | "start"): Promise<LogComparison> {
   const query = new URLSearchParams([["align", align], ...names.map((name) => ["name", name])]);
   return get(`logs/compare?${query}`);
 }
 
-/** The log as a file of a format. */
 export async function logFile(name: string, form: Format): Promise<Blob> {
   return (await request("GET", `${of(name)}/file?form=${form}`, undefined, FILE_S)).blob();
 }
 
-/** Gives the server a log; answers the name under which it is kept. `sent` is told the share that is there, as it grows. */
+/** Upload a log and return its name on the server. */
 export async function addLog(
   name: string,
   content: Blob,

@@ -9,7 +9,7 @@ export interface ModelValue {
   unit: string;
 }
 
-/** A model that is kept; `pitch`: tuning and design can use it, else `why` says what it lacks. */
+/** Saved model. Tuning and design need `pitch`; `why` says what is missing. */
 export interface ModelRow {
   name: string;
   /** Unix time [s]. */
@@ -24,16 +24,16 @@ export interface ModelRow {
 
 export interface DesignAsked {
   name: string;
-  /** Of the rate loop [rad/s]. */
+  /** Crossover of the rate loop [rad/s]. */
   crossover: number;
-  /** [rad]; left out: what the course's rule gives. */
+  /** [rad]; default: the rule of the course. */
   phase_margin?: number;
   method: "cascade" | "lqg";
   overwrite: boolean;
 }
 
 export interface Designed {
-  /** The diagram's file among the user's diagrams; null where it would not keep the model's family stable. */
+  /** Saved diagram; null if it is not robust. */
   file: string | null;
   name: string;
   method: string;
@@ -42,7 +42,7 @@ export interface Designed {
   figures: Record<string, Interval>;
   goal: number;
   level: number;
-  /** [s] between the bands' samples. */
+  /** Sample time of the bands [s]. */
   period: number;
   bands: Record<"theta" | "M", { low: number[]; middle: number[]; high: number[] }>;
 }

@@ -1,16 +1,14 @@
 // The binary message of the telemetry socket: rows of one subscription, little-endian, see `readRows`.
 
-/** Rows as they came: drone time [s], and one array of values for each column of the subscription. */
+/** Rows of one subscription. */
 export interface Rows {
-  /** The subscription that they belong to. */
   id: number;
-  /** Drone time [s] of each row. */
+  /** Drone time [s]. */
   time: Float64Array<ArrayBuffer>;
-  /** One array for each column, in the order asked for. */
   columns: Float32Array<ArrayBuffer>[];
-  /** Rows of this subscription that the server has let go so far, since this page read too slowly. */
+  /** Rows dropped so far because this page reads too slowly. */
   dropped: number;
-  /** When the server sent them: its Unix time [s]. */
+  /** Unix time of the server [s]. */
   sent: number;
 }
 

@@ -4,7 +4,6 @@ import { apiUrl, token } from "./client";
 import type { DroneState, DroneText } from "./drones";
 import { readRows, type Rows } from "./rows";
 
-/** What the server tells beside rows. */
 export type LabEvent =
   | { event: "drone"; drone: number; state: DroneState }
   | ({ event: "text" } & DroneText)
@@ -13,7 +12,7 @@ export type LabEvent =
   | { event: "log"; name: string }
   | { event: "refused"; id: number; what: string; where: string; remedy: string };
 
-/** The part of a WebSocket that is used; a test gives its own. */
+/** Part of WebSocket that is used. */
 export interface Socket {
   binaryType: BinaryType;
   /** 0 while it connects. */
@@ -34,9 +33,9 @@ interface Subscription {
 
 const FIRST_WAIT_MS = 250;
 const LONGEST_WAIT_MS = 4000;
-/** An open socket on which nothing comes for so long has lost its server, whatever the network says. */
+/** A socket that is silent for so long is lost. */
 const SILENCE_MS = 6000;
-/** The last part of it, awake: after a page has stood still, what came meanwhile is read first. */
+/** Last part of it, so that a page that stood still reads its queue first. */
 const AWAKE_MS = 500;
 const CONNECTING = 0;
 
@@ -44,7 +43,7 @@ export class Telemetry {
   private readonly subscriptions = new Map<number, Subscription>();
   private readonly listeners = new Set<(event: LabEvent) => void>();
   private readonly watchers = new Set<(connected: boolean, retryAt: number) => void>();
-  /** Drones that this socket has told of, and subscriptions that came before their drone was there. */
+  /** Drones that this socket reported, and subscriptions refused before their drone was known. */
   private readonly told = new Set<number>();
   private readonly refused = new Set<number>();
   private socket: Socket | undefined;
@@ -56,19 +55,18 @@ export class Telemetry {
 
   constructor(private readonly connect: () => Socket) {}
 
-  /** Opens the socket; from then on it is kept open. */
+  /** Open the socket and keep it open. */
   start(): void {
     if (this.socket === undefined) this.open();
   }
 
-  /** Closes the socket for good. */
   stop(): void {
     clearTimeout(this.retry);
     this.drop();
     this.say(false, 0);
   }
 
-  /** Tries at once where a next try is waited for: the network or the tab has come back. */
+  /** Reconnect at once, when the network or the tab is back. */
   hurry(): void {
     if (this.socket !== undefined) return;
     this.attempts = 0;
@@ -91,13 +89,13 @@ export class Telemetry {
     };
   }
 
-  /** Has `listener` called with each event, until the answered function is called. */
+  /** Call `listener` with each event. Returns a function that ends it. */
   onEvent(listener: (event: LabEvent) => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
   }
 
-  /** Tells of each change of the connection; `retryAt` is when the next try begins, by `Date.now()` [ms], 0: none. */
+  /** Report changes of the connection; `retryAt` is the time of the next try, `Date.now()` [ms], or 0. */
   onConnection(watcher: (connected: boolean, retryAt: number) => void): () => void {
     this.watchers.add(watcher);
     return () => this.watchers.delete(watcher);
@@ -149,7 +147,7 @@ export class Telemetry {
     for (const listener of this.listeners) listener(event);
   }
 
-  /** A drone is there now: a server that has begun anew did not know it yet when it was asked. */
+  /** Repeat subscriptions that a restarted server refused because it did not know the drone yet. */
   private comes(drone: number): void {
     this.told.add(drone);
     for (const id of this.refused)
@@ -193,7 +191,6 @@ export class Telemetry {
   }
 }
 
-/** Open the socket of this page's server. */
 function openSocket(): Socket {
   const url = apiUrl("telemetry");
   url.protocol = url.protocol.replace("http", "ws");
@@ -201,5 +198,5 @@ function openSocket(): Socket {
   return new WebSocket(url);
 }
 
-/** The page's one socket; `session` starts it. */
+/** Socket of the page; `session` starts it. */
 export const telemetry = new Telemetry(openSocket);

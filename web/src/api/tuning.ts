@@ -1,6 +1,6 @@
 import { get, request, send } from "./client";
 
-/** A parameter of a drone; `tuning`: to change it needs no lease. Values are in SI and radians. */
+/** Parameter of a drone, SI and radians. Changing a `tuning` one needs no lease. */
 export interface ParameterRow {
   name: string;
   value: number;
@@ -10,10 +10,10 @@ export interface ParameterRow {
   high: number | null;
   unit: string;
   text: string;
-  /** Where it stands in a user's controller that flies there, else "". */
+  /** Path in the user's controller, else "". */
   path: string;
   tuning: boolean;
-  /** Our name of a number that this is only the real drone's name of, else "". */
+  /** Name of the parameter that this is an alias of, else "". */
   same_as: string;
 }
 
@@ -24,7 +24,7 @@ export interface Change {
   unit?: string;
 }
 
-/** What differs from a file or snapshot, and what the drone lacks of it. */
+/** Differences from a file or snapshot, and parameters that the drone lacks. */
 export interface Comparison {
   changes: Change[];
   missing: string[];
@@ -49,11 +49,11 @@ export interface LoopMargins {
   disk_margin: number | null;
 }
 
-/** What changed gains would do on the identified family. Angles in radians. */
+/** Prediction of changed gains on the identified models. */
 export interface Preview {
   why: "";
   model: string;
-  /** The user's controller that flies, "" for the stock one. */
+  /** User's controller, "" for the stock one. */
   controller: string;
   touches: boolean;
   parameters: string[];
@@ -68,7 +68,7 @@ export interface Preview {
   verdict: { robust: boolean; text: string };
 }
 
-/** A step of theta that was flown, scaled to the goal that was asked for. */
+/** Flown step of theta, scaled to the goal. */
 export interface MeasuredStep {
   at: number;
   size: number;
@@ -87,13 +87,12 @@ const at = (drone: number) => `drones/${drone}/parameters`;
 
 export const listParameters = (drone: number) => get<ParameterRow[]>(at(drone));
 
-/** All or none of them; `confirm` is the token of a preview that showed what is not kept stable. */
+/** Change all parameters or none; `confirm` is the token of an unstable preview. */
 export function changeParameters(drone: number, changes: Record<string, number>, confirm = "") {
   const query = confirm === "" ? "" : `?confirm=${encodeURIComponent(confirm)}`;
   return send<{ changed: Change[] }>("PATCH", `${at(drone)}${query}`, changes);
 }
 
-/** Takes the last change back; the guard looks at it as at any change. */
 export const undoChange = (drone: number) => send<{ changed: Change[] }>("POST", `${at(drone)}/undo`);
 
 export const guardOf = (drone: number) => get<{ model: string | null; controller: string }>(`tuning/${drone}`);
@@ -101,13 +100,11 @@ export const guardOf = (drone: number) => get<{ model: string | null; controller
 export const chooseGuard = (drone: number, model: string | null) =>
   send<{ model: string | null }>("PUT", `tuning/${drone}/model`, { model });
 
-/** Why there is no preview. */
 export interface NoPreview {
   why: string;
   model: string;
 }
 
-/** Takes a second of the server's time, and more where it is busy. */
 export async function previewTuning(
   drone: number,
   changes: Record<string, number>,
@@ -130,13 +127,12 @@ export const compareSnapshot = (drone: number, name: string, other = "") =>
     `${at(drone)}/snapshots/${encodeURIComponent(name)}${other && `?other=${encodeURIComponent(other)}`}`,
   );
 
-/** A file that QGroundControl loads: of the drone as it is, or of a snapshot. */
+/** Return a file for QGroundControl, of the drone or of a snapshot. */
 export async function parameterFile(drone: number, snapshot = ""): Promise<Blob> {
   const place = snapshot === "" ? "file" : `snapshots/${encodeURIComponent(snapshot)}/file`;
   return (await request("GET", `${at(drone)}/${place}`)).blob();
 }
 
-/** What a file would change; nothing is changed yet. */
 export async function compareFile(drone: number, file: Blob): Promise<Comparison> {
   return (await (await request("POST", `${at(drone)}/file`, file)).json()) as Comparison;
 }

@@ -1,15 +1,15 @@
 import type { Component } from "svelte";
 
-/** A page: its name in links, its label, and its code, which is loaded when it is first opened. */
+/** Page with its name in links; its code is loaded when it is first opened. */
 export interface Page {
   name: string;
   label: string;
   load: () => Promise<{ default: Component }>;
-  /** It is offered only where there are several drones. */
+  /** Shown only with several drones. */
   several?: boolean;
 }
 
-/** The same promise each time: what the link says besides the page's name must not build the page anew. */
+/** Return the same promise each time, so that a new query does not rebuild the page. */
 function once(load: Page["load"]): Page["load"] {
   let found: ReturnType<Page["load"]> | undefined;
   return () => (found ??= load().catch((failure: unknown) => ((found = undefined), Promise.reject(failure))));

@@ -9,7 +9,7 @@ class CurrentRoute {
     addEventListener("hashchange", () => (this.now = readRoute(location.hash)));
   }
 
-  /** Whether one is on a page now: who has waited for something may have been left. */
+  /** Return whether a page is open; it may have been left during a call. */
   on(page: string): boolean {
     return readRoute(location.hash).page === page;
   }

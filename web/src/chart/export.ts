@@ -3,7 +3,6 @@ import type { History } from "./history";
 import { DASHES, type Channel, type Kind, type Series } from "./kinds";
 import { colour } from "./draw/canvas";
 
-/** One name that CSV readers keep as it is. */
 function quoted(text: string): string {
   return /[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
 }
@@ -12,7 +11,7 @@ function number(value: number): string {
   return Number.isFinite(value) ? String(value) : "";
 }
 
-/** A value that was a float32, with the digits that it has. */
+/** Format a float32 value. */
 function single(value: number): string {
   return Number.isFinite(value) ? String(Number(value.toPrecision(7))) : "";
 }
@@ -33,7 +32,7 @@ export function historyCsv(history: History, channels: readonly Channel[], low: 
   return lines.join("\n") + "\n";
 }
 
-/** The curves of a static plot as CSV, one behind the other, since each has an x of its own. */
+/** Return the curves of a static plot as CSV, one after the other. */
 export function seriesCsv(
   series: readonly Series[],
   xLabel: string,
@@ -50,14 +49,13 @@ export function seriesCsv(
   return lines.join("\n") + "\n";
 }
 
-/** A plot as it goes into a picture: its title, the lines of its legend, its curves as they are on the screen. */
+/** Plot in an exported picture. */
 export interface Pictured {
   title: string;
   lines: readonly { label: string; kind: Kind; colour?: string | undefined; dash?: readonly number[] | undefined }[];
   canvas: HTMLCanvasElement;
 }
 
-/** Plots under each other with their titles and legends. */
 async function plotsPng(plots: readonly Pictured[]): Promise<Blob> {
   const ratio = devicePixelRatio;
   const row = 24 * ratio;
@@ -125,7 +123,6 @@ export async function savePng(file: string, plots: readonly Pictured[]): Promise
   }
 }
 
-/** Hands a file to the user. */
 export function download(name: string, content: Blob | string, kind = "text/csv"): void {
   const link = document.createElement("a");
   link.href = URL.createObjectURL(content instanceof Blob ? content : new Blob([content], { type: kind }));

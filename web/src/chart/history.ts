@@ -9,10 +9,10 @@ export interface Rows {
 
 const ROWS = 1 << 18; // 17 minutes at 250 Hz; 15 columns take 20 MB
 
-/** The slowest signal comes every 14 rows of 250 Hz; some may be lost. */
+/** The slowest signal comes every 14 rows. */
 const HELD_ROWS = 100;
 
-/** A time that goes back by more than this [s] is another flight: the drone was started again. */
+/** A time that jumps back by more than this [s] is a restart. */
 const RESTARTED = 0.5;
 
 /**
@@ -27,15 +27,14 @@ export class History {
   readonly names: readonly string[];
   readonly capacity: number;
   readonly columns: readonly Pyramid[];
-  /** Rows [s] by number % capacity, rising. */
   private readonly times: Float64Array;
   private readonly byName = new Map<string, Pyramid>();
   private readonly listeners = new Set<() => void>();
   private next = 0;
   private begin = 0;
-  /** When the server sent the newest rows, unix time [s]; NaN where that is not known. */
+  /** Unix time [s] at which the newest rows were sent. */
   sent = NaN;
-  /** How often the time went back: a drone that was started again. What was there before is gone. */
+  /** Number of restarts of the drone. Earlier rows are dropped. */
   restarts = 0;
 
   constructor(names: readonly string[], capacity = ROWS) {
@@ -58,27 +57,23 @@ export class History {
     return this.next - this.first;
   }
 
-  /** The newest time [s]; NaN before the first row. */
   get newest(): number {
     return this.length ? this.time(this.next - 1) : NaN;
   }
 
-  /** The oldest time that is still there [s]; NaN before the first row. */
   get oldest(): number {
     return this.length ? this.time(this.first) : NaN;
   }
 
-  /** The time of a row [s]. */
   time(row: number): number {
     return this.times[row % this.capacity]!;
   }
 
-  /** The column `name`, or undefined where it is not kept. */
   column(name: string): Pyramid | undefined {
     return this.byName.get(name);
   }
 
-  /** Takes rows in, at most `capacity` of them kept. A row that is not newer than the last one is passed over. */
+  /** Append rows. A row that is not newer than the last one is ignored. */
   append({ time, columns, sent = NaN }: Rows): void {
     for (let k = 0; k < time.length; k += 1) {
       const now = time[k]!;
@@ -95,7 +90,7 @@ export class History {
     for (const tell of this.listeners) tell();
   }
 
-  /** The first row at or after `time` [s]; `last` where none is. */
+  /** Return the first row at or after `time` [s]. */
   rowAt(time: number): number {
     let low = this.first;
     let high = this.next;
@@ -107,7 +102,6 @@ export class History {
     return low;
   }
 
-  /** The row nearest to `time` [s], or -1 without rows. */
   nearest(time: number): number {
     if (!this.length) return -1;
     const row = this.rowAt(time);
@@ -116,7 +110,7 @@ export class History {
     return time - this.time(row - 1) < this.time(row) - time ? row - 1 : row;
   }
 
-  /** The value of a column at `row`, else the one before it: a slow signal is not in every row. NaN without one. */
+  /** Return the latest value of a column up to `row`; a slow signal is not in every row. */
   held(name: string, row = this.next - 1): number {
     const column = this.byName.get(name);
     for (let at = row; column && at >= Math.max(this.first, row - HELD_ROWS); at -= 1) {
@@ -126,7 +120,7 @@ export class History {
     return NaN;
   }
 
-  /** Calls `tell` after each `append`; returns what ends that. */
+  /** Call `tell` after each `append`. Returns a function that ends it. */
   listen(tell: () => void): () => void {
     this.listeners.add(tell);
     return () => this.listeners.delete(tell);

@@ -1,22 +1,20 @@
-/** What a curve is: each has one colour, on every page. */
-export const KINDS = ["measured", "estimate", "set-point", "input", "truth", "simple", "grey-box"] as const;
-export type Kind = (typeof KINDS)[number];
+/** Kinds of curves; each has one colour on every page. */
+export type Kind = "measured" | "estimate" | "set-point" | "input" | "truth" | "simple" | "grey-box";
 
-/** Curves of the same kind, such as flights laid over each other, take these in turn: tokens of design/tokens.css. */
+/** Colours of curves of one kind, such as compared flights: tokens of design/tokens.css. */
 export const SERIES = [1, 2, 3, 4, 5, 6, 7, 8].map((n) => `series-${n}`);
 
-/** A column on a strip chart: its name in the subscription, label, unit on the screen, and the factor from SI to it. */
+/** Column on a strip chart, with the unit of the screen and the factor from SI. */
 export interface Channel {
   column: string;
   label: string;
   kind: Kind;
   unit: string;
   factor?: number;
-  /** Token of its colour where the kind's is taken, such as "series-2". */
   colour?: string;
 }
 
-/** A curve of a static plot: y over x, rising in x, with a band around it if there is one. */
+/** Curve of a static plot, rising in x. */
 export interface Series {
   label: string;
   x: Float64Array;
@@ -29,5 +27,4 @@ export interface Series {
 
 export { DEGREES } from "../design/units";
 
-/** What tells set-points from responses where colours do not. */
 export const DASHES: Partial<Record<Kind, readonly number[]>> = { "set-point": [6, 4], truth: [2, 3] };

@@ -1,16 +1,15 @@
 // What one reads off a step response. The definitions are those of twodof.models.lti.step_figures and
 // twodof.report.step_responses, and a test holds these against what they give.
 
-/** A response has settled within this share of the step. */
 export const SETTLED = 0.05;
 
-/** A step counts when both its levels were held for this long [s]. */
+/** Least time [s] of both levels of a step. */
 export const HELD = 0.25;
 
-/** M answers at once to a set-point, and is stamped a little before it: by at most half a period [s]. */
+/** M reacts at once, and is stamped up to half a period before the set-point [s]. */
 const EARLY = 0.002;
 
-/** Times [s] from the step, overshoot as a share of it; NaN for what the response never reached. */
+/** Times [s] from the step, overshoot as a share of it; NaN if not reached. */
 export interface StepFigures {
   rise: number;
   settling: number;
@@ -67,7 +66,6 @@ export function stepFigures(
   };
 }
 
-/** The largest |M| of a step; NaN without samples. */
 export function peakMoment(time: ArrayLike<number>, moment: ArrayLike<number>, step: Step): number {
   let peak = NaN;
   for (let k = 0; k < time.length; k += 1) {

@@ -9,7 +9,7 @@ const follows = ({ loop }: ControlLoop): string => `estimate.${loop}`;
 /** Columns that `StepWatch` reads. */
 export const STEP_COLUMNS = ["state.mode", "command.M", ...LOOPS.flatMap((one) => [wanted(one), follows(one)])];
 
-/** A step that was flown, or that is being answered now (`over` is false). */
+/** Flown step; the current one is not `over`. */
 export interface FlownStep extends Step {
   loop: ControlLoop;
   figures: StepFigures;
@@ -17,17 +17,17 @@ export interface FlownStep extends Step {
   over: boolean;
 }
 
-/** Rows [s] that are read for one step at most. */
+/** Longest response to a step [s]. */
 const LONGEST = 60;
 
 interface Level {
   value: number;
-  /** The row at which it began, and its time. */
+  /** First row. */
   row: number;
   time: number;
 }
 
-/** Finds the steps of the set-points in a history as they happen: call `update` some times a second. */
+/** Detector of set-point steps in a history. */
 export class StepWatch {
   private steps: FlownStep[] = [];
   private read = 0;
@@ -40,7 +40,7 @@ export class StepWatch {
     private readonly kept = 50,
   ) {}
 
-  /** The steps so far, the newest last; the same array while nothing has changed. */
+  /** Return the steps so far; the same array if nothing changed. */
   update(): readonly FlownStep[] {
     const { history } = this;
     if (history.restarts !== this.restarts) this.clear();
@@ -54,7 +54,6 @@ export class StepWatch {
     return this.steps;
   }
 
-  /** Forgets all steps, and begins at the newest row. */
   clear(): void {
     this.steps = [];
     this.run.clear();
@@ -89,7 +88,7 @@ export class StepWatch {
     return mode === undefined || (row >= this.history.first && mode.at(row) === loop.mode);
   }
 
-  /** The next step has come, or the loop was opened: what is being answered is over. */
+  /** End the current step of a loop. */
   private end(loop: ControlLoop, time: number): void {
     const open = (step: FlownStep): boolean => step.loop === loop && !step.over;
     if (this.steps.some(open))

@@ -3,19 +3,18 @@ import type { Channel } from "./kinds";
 import { figure, quantity } from "./numbers";
 import { channelExtent } from "./draw/painter";
 
-/** The value of a channel at a time, in the unit of the screen; NaN where there is none. */
 export function valueAt(history: History, channel: Channel, time: number): number {
   return history.held(channel.column, history.nearest(time)) * (channel.factor ?? 1);
 }
 
-/** What a chart shows, in words: the values at a time, for who moves a cursor without seeing it. */
+/** Describe the values at a time for a screen reader. */
 export function spoken(history: History, channels: readonly Channel[], time: number): string {
   if (!history.length) return "no data yet";
   const values = channels.map((one) => `${one.label} ${quantity(valueAt(history, one, time), one.unit)}`);
   return `at ${figure(time)} s: ${values.join(", ")}`;
 }
 
-/** The whole chart in words: each channel's least, greatest and last value of what is seen. */
+/** Describe the visible range for a screen reader. */
 export function summary(history: History, channels: readonly Channel[], low: number, high: number): string {
   if (!history.length) return "No data yet.";
   const parts = channels.map((one) => {

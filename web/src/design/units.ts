@@ -1,6 +1,6 @@
 // Radians and SI inside, degrees on the screen.
 
-/** How a unit is shown: its name, what a value is multiplied with, and how many decimals make sense. */
+/** Unit on the screen, with the factor from SI. */
 export interface ScreenUnit {
   name: string;
   factor: number;
@@ -26,12 +26,12 @@ const SHOWN: Record<string, ScreenUnit> = {
   "": { name: "", factor: 1, decimals: 4 },
 };
 
-/** How values of an SI unit are shown; one that is not known stays as it is. */
+/** Return the unit of the screen for an SI unit. */
 export function screenUnit(unit: string): ScreenUnit {
   return SHOWN[unit] ?? { name: raised(unit), factor: 1, decimals: 4 };
 }
 
-/** A unit as it is written: `s^2/rad` and `rad/s2` with a small 2. */
+/** Write `s^2/rad` and `rad/s2` with a raised 2. */
 export function raised(unit: string): string {
   return unit.replace(/\^2|(?<=[a-z])2\b/g, "²");
 }
@@ -43,26 +43,25 @@ export function decibels(factor: number | null): number | null {
 
 const MINUS = "\u2212";
 
-/** The digits of a number as they are read: with the sign of subtraction, and without one where all of them are 0. */
+/** Write a number with a typographic minus; no minus before 0. */
 export function written(digits: string): string {
   // The sign of an exponent stays the ordinary one, so that the number can be copied.
   return digits.replace(/^-/, Number(digits) === 0 ? "" : MINUS);
 }
 
-/** A value in SI as its number on the screen, without its unit; a dash for what is not a number. */
+/** Format a value in the unit of the screen, without the unit; a dash if it is not a number. */
 export function shownNumber(value: number | null | undefined, unit = "", decimals?: number): string {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const { factor, decimals: usual } = screenUnit(unit);
   return written((value * factor).toFixed(decimals ?? usual));
 }
 
-/** A value in SI with the unit of the screen. */
 export function shownValue(value: number | null | undefined, unit = "", decimals?: number): string {
   const { name } = screenUnit(unit);
   return shownNumber(value, unit, decimals) + (name && (name === "%" ? "%" : `\u00a0${name}`));
 }
 
-/** A value as it stands in a field to be edited: no trailing zeros, an ordinary minus. */
+/** Format a value for editing: no trailing zeros, an ordinary minus. */
 export function editableNumber(value: number, unit = "", decimals?: number): string {
   if (!Number.isFinite(value)) return "";
   const { factor, decimals: usual } = screenUnit(unit);
@@ -75,13 +74,13 @@ export function editableNumber(value: number, unit = "", decimals?: number): str
   return String(Number(shown.toFixed(digits)));
 }
 
-/** What a person has typed, in SI: a decimal comma and the typographic minus are read too; NaN for what is not one. */
+/** Read a typed number, in SI; NaN if it is not one. Accepts a decimal comma. */
 export function readNumber(text: string, unit = ""): number {
   const plain = text.trim().replace(",", ".").replace(MINUS, "-");
   return plain === "" ? NaN : Number(plain) / screenUnit(unit).factor;
 }
 
-/** Why a value is not taken, "" where it is; the bounds are in SI. */
+/** Return why a value is refused, or "". */
 export function boundsMistake(value: number, unit: string, low: number, high: number): string {
   if (!Number.isFinite(value)) return "Give a number.";
   // A bound typed as it is shown, such as 50 deg, must not fail by the last digit of pi.

@@ -1,10 +1,9 @@
 import type { Value } from "../wasm/signal";
 import type { ProgramTable } from "../wasm/table";
 
-/** What the library gives beside the module: `twodof.sim.play.PlayProgram.data`. */
+/** Data of `twodof.sim.portable_loop.play_program`. */
 export interface PlayData {
   table: ProgramTable;
-  /** Base ticks in a control step. */
   ticks: number;
   modes: string[];
   states: string[];
@@ -15,7 +14,7 @@ export interface PlayData {
   texts: Record<string, string>;
 }
 
-/** The module and its data, which stand in the page itself: it needs no server, and opens from a folder. */
+/** Read the module and its data from the page itself. */
 export function embedded(): { module: Uint8Array<ArrayBuffer>; data: PlayData } {
   const text = (id: string): string => {
     const found = document.getElementById(id)?.textContent?.trim();

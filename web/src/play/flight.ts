@@ -3,7 +3,6 @@ import { Program } from "../wasm/program";
 import type { Signal } from "../wasm/signal";
 import type { PlayData } from "./data";
 
-/** What a flight is started with. */
 export interface Start {
   rig: string;
   seed: number;
@@ -11,7 +10,7 @@ export interface Start {
   rings: boolean;
 }
 
-/** What is asked of the flight code, SI and radians. */
+/** Inputs of the flight code, SI. */
 export interface Command {
   /** Index into signals.MODES. */
   mode: number;
@@ -21,19 +20,16 @@ export interface Command {
   v: number;
   thrust: number;
   arm: boolean;
-  /** The link carries set-points; without it the failsafe acts. */
   link: boolean;
 }
 
-/** What the failsafe says. */
 export interface Safety {
   state: string;
   action: string;
-  /** What holds now, or held when it acted, in words. */
   reasons: string[];
 }
 
-/** Columns of telemetry, and the closed loop's outputs that they are. */
+/** Outputs of the closed loop by column of telemetry. */
 const OUTPUTS = {
   "estimate.theta": "theta",
   "estimate.q": "q",
@@ -52,18 +48,17 @@ const OUTPUTS = {
   "battery.voltage": "voltage",
 } as const;
 
-/** Control steps [4 ms each] that one call makes at most: a page that slept does not catch up for minutes. */
+/** Most control steps per call, so that a page that slept does not catch up. */
 const MOST_STEPS = 500;
 
-/** The virtual rig and the real flight code, flying here. */
+/** Flight of the virtual rig with the real flight code. */
 export class Flight {
   readonly history = new History([...Object.keys(OUTPUTS), "state.mode"], 1 << 17);
-  /** Control steps since the start. */
   steps = 0;
   private readonly outputs: Signal[];
   private readonly inputs: Record<string, Signal>;
   private pushed = { force: 0, until: 0 };
-  /** Time of the history at which this flight began: flights follow each other on the charts. */
+  /** Start on the charts, where flights follow one another [s]. */
   private began = 0;
 
   private constructor(
@@ -78,17 +73,15 @@ export class Flight {
     return new Flight(await Program.load(module, data.table), data);
   }
 
-  /** Length of a control step [s]. */
   get period(): number {
     return this.program.dt * this.data.ticks;
   }
 
-  /** Time of the newest row [s]. */
   get time(): number {
     return this.began + this.steps * this.period;
   }
 
-  /** In hover in the middle of the rail, with the gains as they are. */
+  /** Start in hover in the middle of the rail. */
   start(start: Start): void {
     const { program, data } = this;
     const at = data.starts.hover;
@@ -110,7 +103,7 @@ export class Flight {
     this.inputs["rings"]!.set(start.rings);
   }
 
-  /** `steps` control steps under a command, each a row of the history. */
+  /** Fly control steps; each appends a row. */
   advance(steps: number, command: Command): void {
     const count = Math.min(steps, MOST_STEPS);
     if (count <= 0) return;
@@ -130,7 +123,7 @@ export class Flight {
     this.history.append({ time, columns });
   }
 
-  /** Sets parameters by path: gains, gusts, the delay. Raises ProgramRefusal, and then sets none. */
+  /** Set parameters by path, all or none. Raises ProgramRefusal. */
   set(values: Readonly<Record<string, number>>): void {
     this.program.set(values);
   }
@@ -139,19 +132,17 @@ export class Flight {
     return Number(this.program.get(path));
   }
 
-  /** Pushes the cart with `force` [N] for `seconds`. */
   push(force: number, seconds: number): void {
     this.pushed = { force, until: this.steps + Math.round(seconds / this.period) };
     this.program.set({ "rig.rail_force": force });
   }
 
-  /** Strikes the drone: its pitch rate jumps by `rate` [rad/s]. */
+  /** Add `rate` [rad/s] to the pitch rate. */
   strike(rate: number): void {
     const q = this.program.state("rig.dynamics.q");
     q.set(q.number() + rate);
   }
 
-  /** Sets how full the battery is, 0 to 1. */
   charge(share: number): void {
     this.program.state("rig.battery.charge").set(share);
   }
@@ -183,7 +174,7 @@ export class Flight {
     inputs["link_new"]!.set(command.link);
   }
 
-  /** A row of nothing, so that no line joins two flights. */
+  /** Append an empty row, so that no line joins two flights. */
   private gap(): void {
     this.history.append({ time: [this.began - 0.25], columns: this.history.names.map(() => [NaN]) });
   }

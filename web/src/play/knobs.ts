@@ -1,18 +1,17 @@
 import { controlLoop } from "../loops";
 
-/** A parameter that the page offers: its path, label, unit, and the part of its bounds that a slider spans. */
+/** Parameter with a slider from 0 to `high`. */
 export interface Knob {
   path: string;
   label: string;
   unit: string;
   high: number;
-  /** In the link of the page. */
+  /** Name in the link. */
   key: string;
 }
 
 const CASCADE = "flight.cascade.";
 
-/** The gains of the four loops, from the innermost. */
 export const GAINS: readonly { loop: string; knobs: readonly Knob[] }[] = [
   {
     loop: "Rate",
@@ -33,7 +32,6 @@ export const GAINS: readonly { loop: string; knobs: readonly Knob[] }[] = [
   { loop: "Position", knobs: [{ path: `${CASCADE}position.kp`, label: "Kp", unit: "1/s", high: 2.5, key: "pos_kp" }] },
 ];
 
-/** What makes flying hard. */
 export const TROUBLES: readonly Knob[] = [
   { path: "rig.gust", label: "Gusts", unit: "N·m", high: 0.03, key: "gust" },
   { path: "rig.delay", label: "Delay", unit: "s", high: 0.06, key: "delay" },

@@ -1,10 +1,10 @@
 import type { Command, Flight, Safety, Start } from "./flight";
 import { KNOBS, MODES, type FlyMode } from "./knobs";
 
-/** Half a period of the steps that it flies by itself [s]. */
+/** Half a period of the automatic steps [s]. */
 const HALF = 2.5;
 
-/** What a person has set, and the clock that flies it. The flight itself computes; this only asks. */
+/** Settings of the page, and the clock of the flight. */
 export class Pilot {
   start: Start = $state({ rig: "lab", seed: 1, noise: true, rings: true });
   mode: FlyMode = $state.raw(MODES[0]!);
@@ -12,11 +12,8 @@ export class Pilot {
   armed = $state(true);
   link = $state(true);
   running = $state(true);
-  /** Seconds of flight in a second. */
   speed = $state(1);
-  /** Steps the set-point up and down by itself. */
   stepping = $state(true);
-  /** By path, as they are set. */
   values: Record<string, number> = $state({});
   refusal = $state("");
   safety: Safety = $state.raw({ state: "", action: "", reasons: [] });
@@ -37,7 +34,7 @@ export class Pilot {
     return this.defaults[path] ?? NaN;
   }
 
-  /** Starts anew in hover: the same seed gives the same flight to the bit. */
+  /** Restart in hover. The same seed gives the same bits. */
   again(): void {
     const troubles = { ...this.values };
     this.owed = 0; // what the flight before has left of a control step
@@ -56,7 +53,6 @@ export class Pilot {
     this.flight.charge(share);
   }
 
-  /** Sets one parameter; a refusal is said beside it. */
   set(path: string, value: number): void {
     try {
       this.flight.set({ [path]: value });
@@ -78,7 +74,7 @@ export class Pilot {
     this.show();
   }
 
-  /** Begins to fly in real time; the answered function ends it. */
+  /** Fly in real time. Returns a function that ends it. */
   fly(): () => void {
     const turn = (now: number): void => {
       this.frame = requestAnimationFrame(turn);
@@ -90,7 +86,6 @@ export class Pilot {
     return () => cancelAnimationFrame(this.frame);
   }
 
-  /** Flies on by `seconds`. */
   advance(seconds: number): void {
     this.owed += seconds / this.flight.period;
     const steps = Math.floor(this.owed);
@@ -123,7 +118,7 @@ export class Pilot {
     };
   }
 
-  /** The link to this flight: what differs from the start. */
+  /** Write the changed settings into the address. */
   show(): void {
     const said = new URLSearchParams();
     for (const { path, key } of KNOBS)

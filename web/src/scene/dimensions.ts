@@ -12,7 +12,7 @@ export const PITCH_STOP = 0.87;
 /** From the bearing to a rotor pair, along the body: `arm` of twodof.rig.parameters. */
 export const ARM = 0.1;
 
-/** What the range sensor measures is the cart's distance from here: signals.RAIL_CENTRE. */
+/** Zero of the range sensor: signals.RAIL_CENTRE. */
 export const RANGE_FROM = -0.5;
 
 // No publication has these: drawn so that the whole is 40 cm high, the propellers stay within the depth and the drone
@@ -29,5 +29,4 @@ export const ROTOR_RADIUS = 0.06;
 export const ROTOR_HEIGHT = 0.022;
 export const BODY_HALF = 0.045;
 
-/** An arrow's length for the command 1 [m]. */
 export const FULL_THRUST = 0.17;

@@ -1,13 +1,12 @@
 // Notices when this page stood still (a tab put to sleep, a lid closed) and when the computer's clock was set.
 
-/** What was noticed: how long the page stood still, or by how much the clock was set; [s]. */
+/** Time [s] that the page stood still, or by which the clock was set. */
 export type ClockEvent = { kind: "stood still" | "clock set"; seconds: number };
 
-/** Timers of a hidden tab come once a minute at the worst, without its having stood still for the user. */
 const STOOD_STILL_S = 5;
 const CLOCK_SET_S = 2;
 
-/** Compares two clocks each time `look` is called: one that only counts, and one that may be set. */
+/** Comparison of a monotonic clock with one that may be set. */
 export class ClockWatch {
   private counted: number;
   private told: number;
@@ -20,7 +19,7 @@ export class ClockWatch {
     this.told = tells();
   }
 
-  /** What has happened since the last look. `performance.now` may stand still with the page, or go on: both are seen. */
+  /** Return what happened since the last call, whether or not `performance.now` stands still with the page. */
   look(): ClockEvent | undefined {
     const [counted, told] = [this.counts(), this.tells()];
     const passed = (counted - this.counted) / 1000;

@@ -1,30 +1,27 @@
 import { ApiError, request, messageOf } from "../api/client";
 import { session } from "./session.svelte";
 
-/** The key of the emergency stop, with Shift for all drones. No other control of any page may use it. */
+/** Key of the emergency stop, with Shift for all drones. No other control may use it. */
 export const STOP_KEY = "F8";
 
 const TRIES = 5;
 const WAIT_MS = 300;
 const TRY_S = 6;
 
-/** What came of the last stop. */
 export type Stop =
   | { kind: "idle" }
   | { kind: "sent"; drones: number[] }
   | { kind: "done"; drones: number[] }
   | { kind: "failed"; drones: number[]; why: string };
 
-/** Kills drones: motors off, now, whoever commands. Says it again until the server says that it was seen. */
+/** Emergency stop: motors off, whoever commands. Repeats the kill until it is confirmed. */
 class EmergencyStop {
   last = $state<Stop>({ kind: "idle" });
 
-  /** Stops the chosen drone, or with `all` every one. */
   async press(all = false): Promise<void> {
     await this.stop(all ? [...session.numbers] : session.number === undefined ? [] : [session.number]);
   }
 
-  /** Stops these drones. */
   async stop(drones: number[]): Promise<void> {
     if (drones.length === 0) return;
     this.last = { kind: "sent", drones };
@@ -37,7 +34,7 @@ class EmergencyStop {
     this.last = { kind: "idle" };
   }
 
-  /** Listens for the key everywhere, before any control of the page hears it. */
+  /** Listen for the key before any control of the page. */
   listen(): () => void {
     const heard = (event: KeyboardEvent) => {
       if (event.key !== STOP_KEY) return;
@@ -50,7 +47,7 @@ class EmergencyStop {
   }
 }
 
-/** "" once it is stopped, else why it may not be. */
+/** Kill a drone. Returns "" or why it is not confirmed. */
 async function killed(drone: number): Promise<string> {
   let why = "";
   for (let attempt = 0; attempt < TRIES; attempt++) {

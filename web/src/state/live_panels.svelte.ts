@@ -3,7 +3,7 @@ import { telemetry } from "../api/telemetry";
 import { History } from "../chart/history";
 import { DEGREES, type Channel } from "../chart/kinds";
 
-/** A chart; its y axis is never narrower than `least`, in the unit of the screen. */
+/** Chart with the least height of its y axis. */
 export interface LivePanel {
   label: string;
   least: number;

@@ -1,16 +1,16 @@
-/** Attributes of a control that is off for a reason: it is shown where one points, and read out. */
+/** Attributes of a control that is off for a reason. */
 export interface Off {
   disabled?: true;
   title?: string;
   "aria-description"?: string;
 }
 
-/** A button that waits for what it, or another, has begun: a press does nothing, but the keyboard stays on it. */
+/** Return the attributes of a button that waits but keeps the focus. */
 export function waitsFor(why: string): Record<string, string> {
   return { "aria-disabled": "true", title: why, "aria-description": why };
 }
 
-/** A control is off for the first of these reasons that is not ""; where all are, nothing is changed. */
+/** Switch a control off for the first reason that is not "". */
 export function offFor(...reasons: readonly string[]): Off {
   const why = reasons.find((reason) => reason !== "");
   return why === undefined ? {} : { disabled: true, title: why, "aria-description": why };

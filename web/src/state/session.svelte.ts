@@ -9,39 +9,31 @@ import { toast, toastError, tried } from "./toasts.svelte";
 const TEXTS_KEPT = 500;
 const LOOK_MS = 1000;
 
-/** What all pages know: the drones, which of them is chosen, and how the server is reached. */
+/** State of all pages: drones, the chosen one, the connection. */
 class Session {
   /** By number. */
   drones = $state.raw<ReadonlyMap<number, DroneState>>(new Map());
-  /** What link this page was opened by: a watcher's calls that change anything are refused, but for the stop. */
+  /** A watcher may only stop drones. */
   role = $state<"command" | "watch">("command");
-  /** Why this page changes nothing, "" where it may. */
   readonly watchOnly = $derived(this.role === "watch" ? "This link can only watch." : "");
   connected = $state(false);
-  /** Why nothing can be asked of the server now, "" while it is reached. */
+  /** Why the server cannot be reached, or "". */
   readonly serverLost = $derived(this.connected ? "" : "No connection to the server.");
-  /** Why nothing can be changed from here now, "" where it can. The stop alone is never off. */
+  /** Why nothing can be changed, or "". The emergency stop is never off. */
   readonly off = $derived(this.serverLost || this.watchOnly);
   /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
   retryAt = $state(0);
-  /** What all drones said, the newest last. */
   texts = $state.raw<readonly DroneText[]>([]);
-  /** What went wrong with this page's own time, for the user to read; undefined when put away. */
   clockEvent = $state<ClockEvent | undefined>(undefined);
-  /** Whether the server was ever reached: before, there is nothing that could be lost. */
   everConnected = $state(false);
-  /** The numbers of the drones, in order. */
   readonly numbers = $derived([...this.drones.keys()].sort((a, b) => a - b));
-  /** The drone that a link named last: one to a part of a page, such as a log, names none, and must choose no other. */
+  /** Drone of the last link that named one; links to logs name none. */
   private named = $state<string | null>(route.now.query.get("drone"));
-  /** The number of the chosen drone: that of the link's `?drone=`, else the one named before, else the first. */
   readonly number = $derived(chosen(route.now.query.get("drone") ?? this.named, this.numbers));
-  /** The chosen drone, undefined while none is known. */
   readonly drone = $derived(this.number === undefined ? undefined : this.drones.get(this.number));
 
   private readonly clocks = new ClockWatch();
 
-  /** Begins to listen; called once, by the page's start. */
   start(from: Telemetry = telemetry): void {
     from.onEvent((event) => this.take(event));
     from.onConnection((connected, retryAt) => {
@@ -65,7 +57,6 @@ class Session {
     document.addEventListener("resume", back);
   }
 
-  /** Makes another drone the chosen one, in the link too. */
   choose(drone: number): void {
     this.named = String(drone);
     const query = Object.fromEntries(route.now.query);
@@ -90,7 +81,7 @@ class Session {
     }
   }
 
-  /** After a loss: what changed meanwhile was not heard. */
+  /** Load what was missed while disconnected. */
   private async catchUp(): Promise<void> {
     try {
       const [drones, me] = await Promise.all([listDrones(), labSession()]);
@@ -113,7 +104,6 @@ class Session {
   }
 }
 
-/** What a drone said before, which has no times. */
 async function before(drone: number): Promise<DroneText[]> {
   return (await listTexts(drone)).map((one) => ({ drone, ...one, time: null }));
 }

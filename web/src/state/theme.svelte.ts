@@ -2,7 +2,6 @@ export type Theme = "light" | "dark" | "system";
 
 const KEPT = "twodof-theme";
 
-/** Light, dark or as the system has it; kept for this browser. */
 class CurrentTheme {
   now = $state<Theme>(read());
 

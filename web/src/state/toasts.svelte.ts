@@ -1,6 +1,5 @@
 import { ApiError } from "../api/client";
 
-/** A short message that does not stand where something was done. */
 export interface Toast {
   id: number;
   kind: "info" | "good" | "warn" | "bad";
@@ -11,12 +10,12 @@ export interface Toast {
 const STAYS_MS = 6000;
 const MOST = 4;
 
-/** The messages that are shown; what is bad stays until it is put away. */
+/** Visible messages; bad ones stay until they are closed. */
 export const toasts = $state<{ now: Toast[] }>({ now: [] });
 
 let count = 0;
 
-/** Shows a message; the same text again is shown once. Answers its number, for `putAway`. */
+/** Show a message; the same text is shown once. */
 export function toast(text: string, kind: Toast["kind"] = "info", remedy = ""): number {
   const id = ++count;
   const others = toasts.now.filter((one) => one.text !== text);
@@ -25,7 +24,6 @@ export function toast(text: string, kind: Toast["kind"] = "info", remedy = ""): 
   return id;
 }
 
-/** Shows what went wrong, with the remedy that the server gives. */
 export function toastError(failure: unknown): number {
   if (failure instanceof ApiError) {
     return toast(

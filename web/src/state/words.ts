@@ -1,10 +1,8 @@
 // How a drone stands, in words for a person; the drone's own sentence always goes first where it has one.
 import type { DroneState } from "../api/drones";
 
-/** What a state is worth: its colour and sign. */
 export type Kind = "good" | "warn" | "bad" | "plain";
 
-/** What the failsafe's action means for who watches. */
 const ACTIONS: Record<string, string> = {
   none: "flies what is asked for",
   level: "holds it level",
@@ -13,7 +11,6 @@ const ACTIONS: Record<string, string> = {
   off: "keeps the motors off until it is disarmed",
 };
 
-/** The failsafe in one sentence, "" where it does nothing. */
 export function failsafeSentence(state: DroneState): string {
   if (state.failsafe === "none" || !state.armed) return "";
   const does = ACTIONS[state.failsafe] ?? state.failsafe;
@@ -35,7 +32,6 @@ export function failsafeWord(state: DroneState): { kind: Kind; text: string } {
   return { kind: state.failsafe === "off" ? "bad" : "warn", text: `Failsafe: ${state.failsafe}` };
 }
 
-/** Who commands it. */
 export function leaseWord(state: DroneState): { kind: Kind; text: string } {
   if (state.ours_leases) return { kind: "good", text: "You command" };
   if (state.lease_holder === null) return { kind: "plain", text: "Not commanded" };

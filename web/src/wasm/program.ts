@@ -1,7 +1,7 @@
 import { ProgramRefusal, Signal, write, type Value } from "./signal";
 import { numbersAt, roomFor, type Entry, type Numbers, type ParameterEntry, type ProgramTable } from "./table";
 
-/** The module was stopped by a trap. The instance is dead; what it held can still be read. */
+/** Trap in the module, which can no longer run. */
 export class ProgramFault extends Error {}
 
 /**
@@ -60,18 +60,16 @@ export class Program {
     return this.table.dt;
   }
 
-  /** Ticks since `reset`. */
   get tick(): number {
     return this.ticked;
   }
 
-  /** To the initial states of the present parameters, tick 0. */
+  /** Set the initial states of the present parameters. */
   reset(): void {
     this.call("init", this.at("P"), this.at("S"));
     this.ticked = 0;
   }
 
-  /** One tick. */
   step(): void {
     this.call("tick");
     this.ticked += 1;
@@ -120,7 +118,7 @@ export class Program {
     return found;
   }
 
-  /** Sets parameters by path: all, or with ProgramRefusal none. They count from the next tick. */
+  /** Set parameters by path, all or none. Raises ProgramRefusal. */
   set(values: Readonly<Record<string, Value>>): void {
     const given = Object.entries(values).map(([path, value]) => [this.checked(path, value), value] as const);
     const { address, size } = this.table.structs.P;
@@ -135,7 +133,6 @@ export class Program {
     }
   }
 
-  /** A parameter as it is. */
   get(path: string): number | number[] {
     return this.handle("parameter", path).value();
   }

@@ -2,7 +2,7 @@
 
 export type NumberType = "float64" | "float32" | "int32" | "uint32" | "bool" | "int8" | "uint8" | "int16" | "uint16";
 
-/** A signal, state or parameter: `count` numbers of `type` at `address` of the memory. */
+/** Signal, state or parameter: `count` numbers of `type` at `address`. */
 export interface Entry {
   path: string;
   unit: string;
@@ -12,14 +12,13 @@ export interface Entry {
   address: number;
 }
 
-/** A parameter with its bounds; null: none. One that is not tunable is set before the first step only. */
+/** Parameter with bounds. Without `tunable` it is set before the first step only. */
 export interface ParameterEntry extends Entry {
   low: number | null;
   high: number | null;
   tunable: boolean;
 }
 
-/** Places in the memory [bytes]. */
 interface Place {
   address: number;
   size: number;
@@ -32,7 +31,6 @@ interface RowPlace {
 export interface ProgramTable {
   twodof: number;
   name: string;
-  /** Base tick [s]. */
   dt: number;
   precision: "float64" | "float32";
   functions: Record<"defaults" | "prepare" | "init" | "step" | "run" | "tick", string>;
@@ -59,12 +57,11 @@ const ARRAYS = {
   uint16: Uint16Array,
 } as const;
 
-/** The numbers of `entry` in a memory, `offset` bytes behind its place; they are the memory's, not a copy. */
+/** View the numbers of an entry in the memory. */
 export function numbersAt(memory: ArrayBuffer, entry: Entry, offset = 0): Numbers {
   return new ARRAYS[entry.type](memory, entry.address + offset, entry.count);
 }
 
-/** Room for `count` numbers of the type of `entry`. */
 export function roomFor(entry: Entry, count: number): Numbers {
   return new ARRAYS[entry.type](count);
 }

@@ -9,7 +9,7 @@ function changed(): void {
   for (const tell of listeners) tell();
 }
 
-/** The colour of a token of design/tokens.css, as it is now: `colour("set-point")`. */
+/** Return the present colour of a token of design/tokens.css. */
 export function colour(token: string): string {
   const known = found.get(token);
   if (known !== undefined) return known;
@@ -26,7 +26,7 @@ export function colour(token: string): string {
   return now;
 }
 
-/** Calls `tell` when light turns to dark or back; returns what ends that. */
+/** Call `tell` when the theme changes. Returns a function that ends it. */
 export function onTheme(tell: () => void): () => void {
   colour("ink");
   listeners.add(tell);
@@ -45,13 +45,12 @@ function drawAll(): void {
   for (const draw of now) draw();
 }
 
-/** Draws in the next frame, once however often it is asked for. */
+/** Draw once in the next frame. */
 export function askFrame(draw: () => void): void {
   due.add(draw);
   if (!asked) asked = requestAnimationFrame(drawAll);
 }
 
-/** What is no longer there is not drawn. */
 export function forgetFrame(draw: () => void): void {
   due.delete(draw);
 }

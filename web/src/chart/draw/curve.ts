@@ -3,9 +3,7 @@ import { DASHES, type Series } from "../kinds";
 import { samplePath } from "./painter";
 import { colour } from "./canvas";
 
-/** Curve of a static plot. */
 export class Curve {
-  /** Number of samples. */
   readonly last: number;
 
   constructor(readonly series: Series) {

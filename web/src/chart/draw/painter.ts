@@ -4,7 +4,7 @@ import { DASHES, type Channel } from "../kinds";
 import { colour } from "./canvas";
 import type { Extent, Pyramid } from "./pyramid";
 
-/** What of a column's samples is drawn: for each pixel column the rows that fall on it. */
+/** Rows of each pixel column. */
 interface Columns {
   count: number;
   /** Canvas x of pixel column k. */
@@ -37,7 +37,7 @@ function columnsOf(u: uPlot, rowAt: (x: number) => number, into: Columns): void 
 
 const extent: Extent = { low: 0, high: 0 };
 
-/** The path of a column through `columns`: from least to greatest of each pixel column, with holes where NaN is. */
+/** Return the path from minimum to maximum of each pixel column, with gaps at NaN. */
 function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => number): Path2D {
   const path = new Path2D();
   let drawing = false;
@@ -65,7 +65,7 @@ function bucketPath(columns: Columns, column: Pyramid, toY: (value: number) => n
   return path;
 }
 
-/** The path through each sample from `from` to `to` - 1, with holes where NaN is. */
+/** Return the path through samples, with gaps at NaN. */
 export function samplePath(
   from: number,
   to: number,
@@ -87,10 +87,10 @@ export function samplePath(
   return path;
 }
 
-/** More samples than this on a pixel, and each pixel shows their least and greatest instead. */
+/** Above this number of samples per pixel, each pixel shows minimum and maximum. */
 const CROWDED = 2;
 
-/** Draws the channels of a history into uPlot's axes. */
+/** Painter of channels into uPlot's axes. */
 export class StripPainter {
   private readonly columns: Columns = room();
 
@@ -147,7 +147,6 @@ export function channelExtent(
   return [least, greatest];
 }
 
-/** Thin vertical lines where something happened. */
 export function paintMarks(u: uPlot, marks: readonly number[]): void {
   const { ctx, bbox } = u;
   ctx.strokeStyle = colour("soft");
@@ -165,7 +164,6 @@ export function paintMarks(u: uPlot, marks: readonly number[]): void {
   ctx.globalAlpha = 1;
 }
 
-/** Vertical lines for cursors, with the letters A and B. */
 export function paintPins(u: uPlot, pins: readonly number[]): void {
   const { ctx, bbox } = u;
   const ratio = devicePixelRatio;

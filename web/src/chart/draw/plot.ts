@@ -4,20 +4,17 @@ import { askFrame, colour, forgetFrame, onTheme } from "./canvas";
 import { tick } from "../numbers";
 
 const FONT = '12px system-ui, -apple-system, "Segoe UI", Roboto, "Noto Sans", "Liberation Sans", sans-serif';
-/** Charts under each other have their time axes under each other. */
 const Y_AXIS = 70;
-/** Pixels from tick to tick: a low plot has three ticks too, as a scale with one number cannot be read. */
+/** Pixels between ticks; a low plot has three ticks too. */
 const TICKS_Y = (height: number): number => Math.max(14, Math.min(26, height / 3.5));
 
 export interface PlotOptions {
-  /** Asked for at each frame: what a plot shows may change. */
   labels: () => readonly [x: string, y: string];
   xLog?: boolean;
-  /** Charts with the same key show the pointer at the same x. */
   key?: string;
 }
 
-/** What a plot shows: least and greatest x and y. */
+/** Visible ranges. */
 export interface Seen {
   x: readonly [number, number];
   y: readonly [number, number];
@@ -124,18 +121,17 @@ export class Plot {
     };
   }
 
-  /** Takes it off the page. */
   readonly end: () => void;
 }
 
-/** A range for the axis of values from `low` to `high`: some room around, and never narrower than `least`. */
+/** Return an axis range with some margin, never narrower than `least`. */
 export function roomy(low: number, high: number, least: number): [number, number] {
   if (!(low <= high)) return [-least / 2, least / 2];
   const spare = Math.max(0.08 * (high - low), (least - (high - low)) / 2);
   return [low - spare, high + spare];
 }
 
-/** As `roomy`, and as before while the values fill it well: an axis that moves at each frame cannot be read. */
+/** Keep the range while the values fill it well; else as `roomy`. */
 export function steady(
   before: readonly [number, number] | undefined,
   low: number,

@@ -2,7 +2,6 @@
 const FAN = 8;
 const SHIFT = 3;
 
-/** Least and greatest of a range; NaN where it holds no number. */
 export interface Extent {
   low: number;
   high: number;
@@ -29,7 +28,7 @@ export class Pyramid {
     }
   }
 
-  /** Writes sample `index`, which follows the last one written. */
+  /** Append sample `index`. */
   put(index: number, value: number): void {
     this.values[index % this.capacity] = value;
     const rounded = Math.fround(value);
@@ -45,12 +44,10 @@ export class Pyramid {
     }
   }
 
-  /** Sample `index`. */
   at(index: number): number {
     return this.values[index % this.capacity]!;
   }
 
-  /** Puts the extent of samples `from` to `to` - 1 into `into`. */
   extent(from: number, to: number, into: Extent): void {
     let low = Infinity;
     let high = -Infinity;

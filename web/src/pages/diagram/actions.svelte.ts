@@ -35,15 +35,13 @@ export type DialogName = "" | "open" | "connect" | "keys" | "flash" | "px4" | "s
 
 const MANY = 50; // blocks of a paste
 
-/** What the parts of the page ask of one another. */
+/** Actions that the parts of the page ask of one another. */
 class Acts {
-  /** The dialog that is open. */
   dialog = $state<DialogName>("");
-  /** Bumped to show the whole sheet. */
+  /** Counter; an increment shows the whole sheet. */
   shownWhole = $state(0);
-  /** What is to be brought into view. */
+  /** Id to scroll into view. */
   wanted = $state("");
-  /** The wire that waits for a block to be inserted. */
   inserting = $state.raw<Loose | undefined>(undefined);
   middle: () => Point = () => [160, 80];
   focusSheet: () => void = () => undefined;
@@ -52,7 +50,7 @@ class Acts {
   focusName: () => void = () => undefined;
   openAlignMenu: () => void = () => undefined;
   save: () => void = () => undefined;
-  /** The id of what wires are walked from. */
+  /** Node whose wires are walked by W. */
   hub = "";
   private copied = "";
 
@@ -136,7 +134,7 @@ class Acts {
     });
   }
 
-  /** Puts what is selected on the scope, or takes it off: a wire, or a block's first output. */
+  /** Toggle the scope of the selected wire, or of a block's first output. */
   scope(): void {
     const [id = ""] = editor.selected;
     const name = id.slice(2);
@@ -149,7 +147,7 @@ class Acts {
     scopes.toggle(part !== undefined && port !== undefined ? `${name}.${port}` : source);
   }
 
-  /** Wires what was selected (`ids`), the uppermost first, to what was clicked, and selects that to go on from there. */
+  /** Wire nodes, the topmost first, to the clicked one, and select that. */
   join(ids: Iterable<string>, to: string): void {
     const at = placesOn(editor.here, editor.shapes);
     const place = (id: string): Point => at.get(id) ?? [0, 0];
@@ -177,7 +175,6 @@ class Acts {
     editor.apply(`align: ${ALIGNMENTS[how].toLowerCase()}`, (d) => moveThings(d, aligned(new Map(chosen), how)));
   }
 
-  /** Selects the next of the wires at the selected block. */
   nextWire(): void {
     const [id = ""] = editor.selected;
     const wire = id.startsWith("w:") ? id.slice(2) : "";
@@ -189,7 +186,6 @@ class Acts {
     editor.say(`wire from ${sourceOf(editor.here, to)} to ${to}`);
   }
 
-  /** Moves what is selected by whole steps. */
   nudge(dx: number, dy: number): void {
     const chosen = [...editor.selected].filter((id) => !id.startsWith("w:"));
     if (chosen.length === 0) return editor.say("select a block to move");
@@ -207,7 +203,7 @@ class Acts {
 
 export const act = new Acts();
 
-/** Adds a block, "diagram" (an empty sub-diagram), "input", "output" or "parameter"; selects it. */
+/** Add a block, "diagram", "input", "output" or "parameter", and select it. */
 export function add(type: string, at?: Point): void {
   if (type === "input" || type === "output" || type === "parameter") return addBorder(type);
   const part = made(type, at ?? act.middle());
@@ -217,7 +213,7 @@ export function add(type: string, at?: Point): void {
   act.wanted = partId(part.name);
 }
 
-/** A part of that type, not yet on the sheet, near `at` where there is room; undefined for a type that is unknown. */
+/** Make a part with a free place near `at`; undefined for an unknown type. */
 export function made(type: string, at: Point): Part | undefined {
   const entry = editor.catalogue?.blocks.find((one) => one.type === type);
   if (type !== "diagram" && entry === undefined) return undefined;
@@ -248,7 +244,7 @@ export function addBorder(
   editor.select(what === "parameter" ? [] : [what === "input" ? inputId(name) : outputId(name)]);
 }
 
-/** The place nearest right of and below `at` where a block of the usual size covers no other, nor its name. */
+/** Return the nearest free place right of and below `at`. */
 function free([x, y]: Point): Point {
   const places = partPlaces(editor.here, editor.shapes);
   const boxes = editor.here.parts.map((part, i) => [places[i]!, partSize(part, editor.shapes.of(part.item))] as const);
@@ -270,7 +266,7 @@ function free([x, y]: Point): Point {
   return [left, top];
 }
 
-/** What a screen reader is told of a node: what it is, and what its ports are wired to. */
+/** Describe a node and its wires for a screen reader. */
 export function described(id: string): string {
   const name = id.slice(2);
   const d = editor.here;

@@ -3,13 +3,13 @@ import { linkTo, type Route } from "../../app/read_route";
 
 export type Asked = { readonly file: string } | { readonly starter: string };
 
-/** What is open: the name it is kept under, else the starter that it was; "" for what it is not. */
+/** Open diagram: its saved name or its starter; "" for the other. */
 export interface Opened {
   readonly file: string;
   readonly starter: string;
 }
 
-/** What is to be opened; undefined where that is open. */
+/** Return what to open; undefined if it is open. */
 export function askedBy(route: Route, { file, starter }: Opened): Asked | undefined {
   const [name] = route.parts;
   const begun = route.query.get("starter");
@@ -21,7 +21,7 @@ export function nameOf(asked: Asked): string {
   return "file" in asked ? asked.file : asked.starter;
 }
 
-/** The address of what is open; what it says beside that, such as the drone, stays. */
+/** Return the address of the open diagram; the rest of the query stays. */
 export function addressOf({ file, starter }: Opened, { query }: Route): string {
   const others = [...query].filter(([key]) => key !== "starter");
   const said = starter === "" ? others : [...others, ["starter", starter]];

@@ -9,7 +9,6 @@ import { History } from "./model/history";
 import { writeJson } from "./model/json_text";
 import { Shapes } from "./model/shapes";
 
-/** Ids on the sheet: a part, an input, an output, the wire to a destination. */
 export const partId = (name: string): string => `p:${name}`;
 export const inputId = (name: string): string => `i:${name}`;
 export const outputId = (name: string): string => `o:${name}`;
@@ -33,16 +32,15 @@ class Editor {
   path = $state.raw<readonly string[]>([]);
   selected = $state.raw<ReadonlySet<string>>(new Set());
   catalogue = $state.raw<api.Catalogue | undefined>(undefined);
-  /** The name it is kept under; "" for one that was not kept yet. */
+  /** Saved name, or "". */
   file = $state("");
-  /** The starter diagram that it was when it was opened; "" for one that is kept, or from elsewhere. */
+  /** Starter that was opened, or "". */
   starter = $state("");
   saved = $state.raw<Diagram>(EMPTY);
-  /** Counts the diagrams that were opened. */
   opened = $state(0);
-  /** What a screen reader is told. */
+  /** Announcement for screen readers. */
   said = $state("");
-  /** Counts what became known of blocks' ports, so that what is drawn of them is drawn anew. */
+  /** Counter of learnt shapes; drawings depend on it. */
   known = $state(0);
   canUndo = $state(false);
   canRedo = $state(false);
@@ -53,7 +51,6 @@ class Editor {
   readonly here: Diagram = $derived(diagramAt(this.root, this.path) ?? this.root);
   readonly dirty: boolean = $derived(this.root !== this.saved);
 
-  /** Names of the selected parts. */
   readonly parts: string[] = $derived([...this.selected].filter((id) => id.startsWith("p:")).map((id) => id.slice(2)));
 
   async start(): Promise<void> {
@@ -66,7 +63,7 @@ class Editor {
     this.known++;
   }
 
-  /** Opens a diagram's text as Python keeps it. Raises JsonFault or DiagramFault. */
+  /** Open a diagram's text. Raises JsonFault or DiagramFault. */
   async open(text: string, { file, starter }: Opened): Promise<void> {
     const read = readDiagram(text);
     await this.learn(read);
@@ -86,7 +83,7 @@ class Editor {
     return writeDiagram(this.root);
   }
 
-  /** Asks the server for the ports of blocks that are new. */
+  /** Ask the server for the shapes of new blocks. */
   async learn(diagram: Diagram): Promise<void> {
     const unknown = [...this.shapes.unknown(diagram).keys()].filter((key) => !this.asked.has(key));
     for (let at = 0; at < unknown.length; at += 500) {
@@ -104,7 +101,7 @@ class Editor {
     if (unknown.length > 0) this.known++;
   }
 
-  /** Edits the open sheet. Answers "" or why it was refused. */
+  /** Edit the open sheet. Returns "" or why it was refused. */
   apply(called: string, edit: (d: Diagram) => Diagram, tag = ""): string {
     const before = this.root;
     let after: Diagram;
@@ -125,11 +122,6 @@ class Editor {
     void this.learn(after);
     if (tag === "") this.say(called);
     return "";
-  }
-
-  /** Ends what counts as one step of a slider or a field. */
-  endStep(): void {
-    this.history.close();
   }
 
   undo(): void {
@@ -162,7 +154,6 @@ class Editor {
     this.selected = next;
   }
 
-  /** Goes into a sub-diagram, or to any path of them. */
   enter(path: readonly string[]): void {
     const there = diagramAt(this.root, path);
     if (there === undefined) return;

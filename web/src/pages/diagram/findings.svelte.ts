@@ -14,7 +14,6 @@ export interface Found extends api.Finding {
 
 class Findings {
   checked = $state.raw<api.Check | undefined>(undefined);
-  /** The diagram that was checked. */
   of = $state.raw<Diagram | undefined>(undefined);
   failure = $state("");
   busy = $state(false);
@@ -39,7 +38,7 @@ class Findings {
 
   readonly problems: Found[] = $derived(this.all.filter((one) => one.kind === "problem"));
 
-  /** Sentences by the id of what they are about on the open sheet. */
+  /** Problems by id on the open sheet. */
   readonly byId: ReadonlyMap<string, string> = $derived.by(() => {
     void editor.known;
     const found = new Map<string, string>();
@@ -62,7 +61,6 @@ class Findings {
     return found;
   });
 
-  /** Parts and wires of algebraic loops on the open sheet. */
   readonly loop: ReadonlySet<string> = $derived.by(() => {
     const found = new Set<string>();
     for (const one of this.problems) {
@@ -72,7 +70,6 @@ class Findings {
     return found;
   });
 
-  /** Called when the diagram changed. */
   changed(root: Diagram): void {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => void this.look(root), WAIT_MS);

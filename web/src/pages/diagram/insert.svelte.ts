@@ -7,7 +7,7 @@ import { addPart, connect } from "./model/edits";
 import type { Choice } from "./model/search";
 import { sourceText, tops } from "./model/shapes";
 
-/** A wire that waits for a block: what it comes from and what it goes to, where it has such an end; and where. */
+/** Wire without one end, and the place of the missing block. */
 export interface Loose {
   readonly from: string | null;
   readonly to: string | null;
@@ -25,7 +25,7 @@ const GAP = 60;
 class Choices {
   readonly all: readonly Choice[] = $derived([...OWN, ...(editor.catalogue?.blocks ?? [])]);
 
-  /** What has the ports that the wire asks for. */
+  /** Return the blocks with ports for the wire. */
   fitting({ from, to }: Loose): Choice[] {
     const shapes = new Map(editor.catalogue?.blocks.map((one) => [one.type, one.shape]));
     return this.all.filter(({ type }) => {
@@ -41,7 +41,7 @@ class Choices {
 }
 export const choices = new Choices();
 
-/** What is selected as the wire that a block is inserted at: into a wire, behind a block or input, before an output. */
+/** Return the wire at the selection into which a block is inserted. */
 export function looseEnd(middle: Point): Loose {
   const [id = ""] = editor.selected;
   const [d, name] = [editor.here, id.slice(2)];

@@ -1,6 +1,6 @@
 // A slider gives more values than the network takes: one call is under way, and of those that wait the last is kept.
 
-/** Calls `send` with the newest of the values given to `give`, one call at a time. */
+/** Sender of the newest value, one call at a time. */
 export class LatestOnly<Value> {
   private waiting: Value | undefined;
   private busy = false;
@@ -15,7 +15,6 @@ export class LatestOnly<Value> {
     if (!this.busy) void this.work();
   }
 
-  /** Lets go of what waits. */
   clear(): void {
     this.waiting = undefined;
   }

@@ -21,7 +21,7 @@ const COLUMNS = [
 const RATE_HZ = 250;
 const SHOW_MS = 100;
 
-/** The newest values, for numbers on the screen; NaN while unknown. SI and radians. */
+/** Newest values, SI; NaN while unknown. */
 export interface Now {
   theta: number;
   q: number;
@@ -29,11 +29,10 @@ export interface Now {
   v: number;
   M: number;
   T: number;
-  /** In place of a loop's name: its place in signals.MODES. */
+  /** Index into signals.MODES. */
   mode: number;
-  /** What the drone follows: in the loop of `mode` that is what counts. */
+  /** Set-points; that of `mode` counts. */
   wanted: { theta: number; q: number; x: number; v: number };
-  /** What the server let go since this page read too slowly. */
   dropped: number;
 }
 
@@ -49,7 +48,7 @@ const NOTHING: Now = {
   dropped: 0,
 };
 
-/** The rows of one drone while its page is open: kept for the charts, the newest of them for the numbers. */
+/** Rows of one drone while its page is open. */
 export class Live {
   readonly history: History;
   now = $state.raw<Now>(NOTHING);
@@ -62,7 +61,7 @@ export class Live {
     this.history = new History(virtual ? [...COLUMNS, ...TRUTH] : COLUMNS);
   }
 
-  /** Begins; the answered function ends it. */
+  /** Start; returns a function that stops it. */
   start(): () => void {
     const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => {
       this.dropped = rows.dropped;

@@ -2,7 +2,7 @@
 import type { ExperimentAsked, ExperimentRow, FitAsked } from "../../api/identification";
 import type { Excitation } from "../../api/drones";
 
-/** The experiments by what moves the drone: the moment itself, or the set-point of a controller. */
+/** Group experiments in open and in closed loop. */
 export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [string, ExperimentRow[]])[] {
   return [
     ["In open loop", rows.filter((row) => row.mode === "open-loop")],
@@ -10,12 +10,11 @@ export function byLoop(rows: readonly ExperimentRow[]): readonly (readonly [stri
   ];
 }
 
-/** The experiment as it is asked for; `own` takes the place of its excitation. */
 export function experimentAsked(row: ExperimentRow, own: Excitation | undefined): ExperimentAsked {
   return own === undefined ? { name: row.name } : { name: row.name, excitation: own };
 }
 
-/** Of a log's name which experiment it holds, where the name says so: those that this page flew. */
+/** Return the experiment that a log is named after. */
 export function experimentOf(log: string, names: readonly string[]): string | undefined {
   const stem = log.replace(/\.\w+$/, "").replace(/-\d$/, "");
   return names
@@ -24,12 +23,12 @@ export function experimentOf(log: string, names: readonly string[]): string | un
     .at(0);
 }
 
-/** The newest log of an experiment among `flights`, which are the newest first. */
+/** Return the newest log of an experiment; `flights` are sorted. */
 export function latestOf(flights: readonly string[], name: string, names: readonly string[]): string | undefined {
   return flights.find((log) => experimentOf(log, names) === name);
 }
 
-/** A window that was typed, in seconds: undefined where both fields are empty; a sentence where it is none. */
+/** Read a typed window [s]; undefined if it is empty, or why it is refused. */
 export function windowOf(from: string, to: string): [number, number] | undefined | string {
   if (from.trim() === "" && to.trim() === "") return undefined;
   const [low, high] = [from, to].map((text) => Number(text.trim().replace(",", "."))) as [number, number];
@@ -38,7 +37,6 @@ export function windowOf(from: string, to: string): [number, number] | undefined
   return low < high && low >= 0 ? [low, high] : "The window must end after it begins.";
 }
 
-/** A fit as it is asked for: what is empty is left to the library. */
 export function fitAsked(given: {
   log: string;
   kind: string;

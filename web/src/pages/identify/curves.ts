@@ -6,7 +6,7 @@ import { screenUnit } from "../../design/units";
 const numbers = (values: readonly (number | null)[], factor: number) =>
   Float64Array.from(values, (value) => (value === null ? NaN : value * factor));
 
-/** How well the model reproduces an output; in closed loop what counts is how well it foretells the next sample. */
+/** Describe the fit of an output; in closed loop one sample ahead. */
 export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent_ahead">): string {
   const alone = `${output.fit_percent.toFixed(1)} %`;
   return output.fit_percent_ahead === null
@@ -14,7 +14,6 @@ export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent
     : `FIT ${output.fit_percent_ahead.toFixed(1)} % one sample ahead; drawn is the model without the gusts, ${alone}`;
 }
 
-/** Data, the grey-box fit and the simple method of one output. */
 export function fitSeries(output: OutputCurves): Series[] {
   const { factor } = screenUnit(output.unit);
   const x = Float64Array.from(output.time);
@@ -42,7 +41,7 @@ export function inputSeries(input: FitView["inputs"][number]): Series[] {
   return [{ label: input.name, x: Float64Array.from(input.time), y: numbers(input.value, factor), kind: "input" }];
 }
 
-/** A correlation over its lags, with the bound that it passes within. */
+/** Return a correlation over its lags, with its bound. */
 export function testSeries(test: ResidualTest): Series[] {
   const x = Float64Array.from(test.lags);
   const high = Float64Array.from(test.bound);
@@ -53,7 +52,6 @@ export function testSeries(test: ResidualTest): Series[] {
   ];
 }
 
-/** In words what a test of the residual found. */
 export function testWords(test: ResidualTest): string {
   const what = test.against === "itself" ? "white" : `independent of ${test.against}`;
   return test.passed
@@ -61,7 +59,7 @@ export function testWords(test: ResidualTest): string {
     : `${test.output}: the residual is not ${what} (${test.outside} of ${test.lags.length} lags outside, ${test.allowed} by chance)`;
 }
 
-/** How strongly two estimates go together, as a share of full colour. */
+/** Return the magnitude of a correlation, 0 to 1. */
 export function strength(value: number | null): number {
   return value === null || !Number.isFinite(value) ? 0 : Math.min(1, Math.abs(value));
 }

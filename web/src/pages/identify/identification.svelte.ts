@@ -17,13 +17,12 @@ import { experimentAsked, fitAsked, latestOf } from "./asked";
 
 const MOST_TRIES = 3;
 
-/** What runs in the background, as the page shows it. */
 export interface Running {
   doing: string;
   job: string;
   fraction: number;
   text: string;
-  /** A flight is stopped, which disarms; a computation is cancelled. */
+  /** A flight is stopped, a computation is cancelled. */
   flight: boolean;
 }
 
@@ -37,16 +36,14 @@ export interface FitChoice {
   disturbance: string;
 }
 
-/** A virtual rig's gusts are others each time. */
 function seed(): number {
   return Math.floor(Math.random() * 2 ** 31);
 }
 
-/** One run from an experiment to a fit: what was chosen, planned, flown and found. */
+/** State of the page from the choice of an experiment to the fit. */
 export class Identification {
   choices = $state.raw<Choices | undefined>(undefined);
   name = $state("impulse");
-  /** The excitation of one's own, undefined: the experiment's. */
   own = $state.raw<Excitation | undefined>(undefined);
   plan = $state.raw<Plan | undefined>(undefined);
   flown = $state.raw<FlownExperiment | undefined>(undefined);
@@ -61,9 +58,7 @@ export class Identification {
     disturbance: "auto",
   });
   running = $state.raw<Running | undefined>(undefined);
-  /** What is said of a button that would begin something else meanwhile. */
   readonly waits = "Another job is running.";
-  /** Why the last thing failed, and which. */
   failure = $state("");
   readonly experiment = $derived(this.choices?.experiments.find((one) => one.name === this.name));
   readonly names = $derived(this.choices?.experiments.map((one) => one.name) ?? []);
@@ -83,7 +78,7 @@ export class Identification {
     this.plan = undefined;
   }
 
-  /** The log that is fitted, and with it what its name says of it. */
+  /** Choose a log, and the experiment that it is named after. */
   chooseLog(log: string): void {
     const impulse = latestOf(this.choices?.flights ?? [], "impulse", this.names) ?? "";
     const kind = latestOf([log], "impulse", this.names)
@@ -114,7 +109,7 @@ export class Identification {
     );
   }
 
-  /** Flies the experiment; `since` says why it is flown again. */
+  /** Fly the experiment; `since` is the reason of a repetition. */
   async fly(drone: number, since = ""): Promise<boolean> {
     const asked = this.asked();
     if (asked === undefined) return false;
@@ -142,7 +137,7 @@ export class Identification {
     return this.run("Identifying", started, false, (found) => (this.fit = { job, view: found.view }));
   }
 
-  /** The paper's pitch in one go: the impulse for the poles, the doublet for gain and delay, and the fit of both. */
+  /** Fly the impulse for the poles and the doublet for gain and delay, and fit both. */
   async runPitch(drone: number, virtual: boolean): Promise<void> {
     if (this.running) return;
     for (const name of ["impulse", "doublet"]) {
@@ -183,7 +178,7 @@ export class Identification {
     return row === undefined ? undefined : experimentAsked(row, this.own);
   }
 
-  /** Runs a job to its end; answers whether it was done. */
+  /** Run a job; returns whether it succeeded. */
   private async run<T>(
     doing: string,
     start: () => Promise<Job<T>>,

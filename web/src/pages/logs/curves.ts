@@ -4,7 +4,6 @@ import type { LogView, PackedCurve } from "../../api/logs";
 import { type Kind, type Series, SERIES } from "../../chart/kinds";
 import { float32s, float64s, staircase } from "./unpack";
 
-/** A plot: what stands above it, its unit, its series. */
 export interface Panel {
   label: string;
   unit: string;
@@ -19,13 +18,13 @@ const KIND: Record<string, Kind> = {
   "thrust T": "simple",
 };
 
-/** "pitch θ [deg]" as its name and unit. */
+/** Split "pitch θ [deg]" into name and unit. */
 export function nameAndUnit(label: string): [string, string] {
   const match = /^(.*) \[([^\]]*)\]$/.exec(label);
   return match ? [match[1]!, match[2] === "–" ? "" : match[2]!] : [label, ""];
 }
 
-/** The plots of a view. Flights laid over each other have colours of their own, the same in every plot. */
+/** Return the plots of a view. Compared flights have the same colour in every plot. */
 export function panels(view: Pick<LogView, "views">, flights: readonly string[] = []): Panel[] {
   return view.views.map((one) => {
     const [label, unit] = nameAndUnit(one.label);
@@ -44,7 +43,7 @@ function series(curve: PackedCurve, place: number, flights: readonly string[]): 
   return made;
 }
 
-/** Whether a view left samples out, so that a closer look is worth asking for. */
+/** Return whether samples were left out. */
 export function isThinned(shown: readonly Panel[], points: number): boolean {
   return shown.some((panel) => panel.series.some((one) => one.x.length >= 0.8 * points));
 }

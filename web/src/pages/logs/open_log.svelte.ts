@@ -24,17 +24,15 @@ export class OpenLog {
   steps = $state.raw<{ steps: readonly LoggedStep[]; unclear: string }>({ steps: [], unclear: "" });
   replay = $state.raw<Replay | undefined>();
   failure = $state<unknown>(undefined);
-  /** Whether it is of the server's own folder: then it may be deleted, also where it cannot be read. */
+  /** Of the server's own folder, so that it may be deleted. */
   ours = $state(false);
-  /** The formats in which it can be had, of a damaged one its own alone; none until that is known. */
   formats = $state.raw<readonly Format[]>([]);
-  /** Of the replay [s]. */
   time = $state(0);
   plays = $state(false);
   speed = $state(1);
   readonly span = $derived<readonly [number, number]>(this.facts?.span ?? [0, 1]);
   readonly view = new LineView(() => this.span);
-  /** What the 3-D view shows: where the pointer is on a plot while nothing plays, else the replay's time. */
+  /** Time of the 3-D view: the pointer on a plot, or the replay. */
   readonly now = $derived(this.plays ? this.time : (this.view.pointer ?? this.time));
 
   private all: readonly Panel[] = [];
@@ -43,7 +41,6 @@ export class OpenLog {
 
   constructor(readonly name: string) {}
 
-  /** Reads the log; `at` is where the replay stands. */
   async load(at: number): Promise<void> {
     try {
       const facts = await logFacts(this.name);
@@ -67,7 +64,7 @@ export class OpenLog {
     }
   }
 
-  /** Asks for more of the part that is looked at, where the whole has been thinned; answers what ends the wait. */
+  /** Load more points of the visible range. Returns a function that cancels it. */
   look([low, high]: readonly [number, number]): () => void {
     const number = (this.asks += 1);
     const [start, end] = this.span;
@@ -113,7 +110,6 @@ export class OpenLog {
     cancelAnimationFrame(this.frame);
   }
 
-  /** The mode that flew at a time, "" where that is not known. */
   mode(time: number): string {
     return this.whole?.modes.find((band) => time >= band.start && time < band.stop)?.label ?? "";
   }
@@ -123,7 +119,7 @@ export class OpenLog {
   }
 }
 
-/** The panels of the whole, with the curves of a part where that has them: panels do not come and go with the zoom. */
+/** Replace curves by finer ones; the panels stay the same. */
 function merged(all: readonly Panel[], part: readonly Panel[]): Panel[] {
   return all.map((one) => ({
     ...one,

@@ -6,7 +6,7 @@ import { float32s } from "./unpack";
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5, 10] as const;
 
-/** The next time after `passed` [s] of ours; it stops at the end, and begins anew from there. */
+/** Return the replay's time after `passed` [s]. */
 export function advance(
   time: number,
   passed: number,
@@ -18,7 +18,6 @@ export function advance(
   return next >= end ? { time: end, over: true } : { time: next, over: false };
 }
 
-/** Samples of a flight at equal times. */
 export class Replay {
   private readonly columns: Record<string, Float32Array>;
 
@@ -26,7 +25,7 @@ export class Replay {
     this.columns = Object.fromEntries(Object.entries(told.columns).map(([name, text]) => [name, float32s(text)]));
   }
 
-  /** A column at a time [s], straight between samples; NaN where nothing is known. */
+  /** Interpolate a column at a time [s]; NaN outside. */
   at(name: string, time: number): number {
     const column = this.columns[name];
     if (column === undefined) return NaN;
@@ -45,13 +44,13 @@ export class Replay {
     return { x: known("x"), theta: known("theta"), ...pairs(known("T"), known("M")) };
   }
 
-  /** Where the virtual rig truly was; undefined for a real one. */
+  /** Return the true place; undefined for a real rig. */
   truth(time: number): Place | undefined {
     const place = { x: this.at("x_true", time), theta: this.at("theta_true", time) };
     return Number.isFinite(place.x) && Number.isFinite(place.theta) ? place : undefined;
   }
 
-  /** What was asked for, in the mode that flew then. */
+  /** Return the set-points of a mode. */
   wanted(time: number, mode: string): Wanted {
     const set = (name: string): number | undefined => {
       const value = this.at(name, time);

@@ -1,6 +1,5 @@
 // Numbers as the server packs them: little-endian, in base 64.
 
-/** The bytes of a base 64 text. */
 function bytes(text: string): ArrayBuffer {
   const raw = atob(text);
   const out = new Uint8Array(raw.length);
@@ -11,7 +10,7 @@ function bytes(text: string): ArrayBuffer {
 export const float32s = (text: string): Float32Array => new Float32Array(bytes(text));
 export const float64s = (text: string): Float64Array => new Float64Array(bytes(text));
 
-/** A line through samples that are held until the next one: each value stands twice. */
+/** Return a staircase through held samples. */
 export function staircase(time: Float64Array, value: Float32Array): { x: Float64Array; y: Float32Array } {
   const count = Math.max(0, 2 * time.length - 1);
   const [x, y] = [new Float64Array(count), new Float32Array(count)];

@@ -4,7 +4,7 @@ import type { LogRow, LogSummary } from "../../api/logs";
 
 const SUFFIX = /\.(mcap|mat|parquet|csv|ulg)$/i;
 
-/** The name under which a dropped file is sent: what the server would refuse in it becomes a hyphen. */
+/** Return a file name that the server accepts. */
 export function sentName(name: string): string {
   const suffix = SUFFIX.exec(name)?.[0].toLowerCase() ?? "";
   const stem = name
@@ -17,7 +17,7 @@ export function sentName(name: string): string {
   return (stem || "log") + suffix;
 }
 
-/** Why a file is not worth sending, "" where it may be. */
+/** Return why a file cannot be uploaded, or "". */
 export function notALog(file: Pick<File, "name" | "size">): string {
   if (!SUFFIX.test(file.name)) return `${file.name} is not a log: .mcap, .mat, .parquet, .csv and .ulg are read.`;
   if (file.size === 0) return `${file.name} is empty.`;
@@ -34,21 +34,19 @@ export function duration(seconds: number): string {
   return `${Math.floor(whole / 60)} min ${String(whole % 60).padStart(2, "0")} s`;
 }
 
-/** When a flight began, or the file was last changed, as this computer writes dates. */
 export function when(row: Pick<LogRow, "changed">, summary?: Pick<LogSummary, "began">): string {
   const told = summary?.began ? Date.parse(summary.began) : NaN;
   const date = new Date(Number.isFinite(told) ? told : 1000 * row.changed);
   return date.toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
 }
 
-/** What flew, in a few words. */
 export function flown(summary: LogSummary): string {
   const rig = summary.rig === null ? null : `rig ${summary.rig}${summary.virtual ? " (virtual)" : ""}`;
   const controller = summary.controller === "stock" ? "stock controllers" : summary.controller;
   return [summary.drone === null ? null : `drone ${summary.drone}`, rig, controller].filter(Boolean).join(", ");
 }
 
-/** An SVG path around a spark's lowest and highest values, 0 to `width` and 0 to `height`; "" without a value. */
+/** Return the SVG path of a spark within `width` and `height`. */
 export function sparkPath(
   low: readonly (number | null)[],
   high: readonly (number | null)[],

@@ -2,18 +2,18 @@
 import type { History } from "../../chart/history";
 import type { FlownStep } from "../../chart/step_watch";
 
-/** A response from 0 to the goal: times [s] from the step on, theta [rad]. */
+/** Response from 0 to the goal; theta [rad]. */
 export interface ScaledStep {
   label: string;
   time: Float64Array;
   theta: Float64Array;
 }
 
-/** A smaller step [rad] is mostly noise once it is scaled. */
+/** Smallest step [rad]; below it is mostly noise. */
 const LEAST = 0.035;
 const SHOWN_S = 3;
 
-/** The step of the attitude turned, moved and scaled to go from 0 to `goal` [rad]; undefined for any other step. */
+/** Scale a step of the attitude to go from 0 to `goal` [rad]; undefined for other steps. */
 export function scaledStep(history: History, step: FlownStep, goal: number, label: string): ScaledStep | undefined {
   const size = step.after - step.before;
   const theta = history.column("estimate.theta");

@@ -9,7 +9,7 @@ const RATE_HZ = 250;
 const LOOK_MS = 300;
 const SHOWN = 4;
 
-/** The steps of theta that the drone answered: those flown while one looks, else those of the latest log. */
+/** Steps of theta: flown while the page is open, or of the latest log. */
 export class MeasuredSteps {
   shown = $state(true);
   private live = $state.raw<readonly FlownStep[]>([]);
@@ -20,7 +20,7 @@ export class MeasuredSteps {
 
   constructor(private readonly drone: number) {}
 
-  /** Begins; the answered function ends it. */
+  /** Start; returns a function that stops it. */
   start(): () => void {
     const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => this.history.append(rows));
     const events = telemetry.onEvent((event) => {
@@ -35,7 +35,6 @@ export class MeasuredSteps {
     };
   }
 
-  /** The last steps, scaled to `goal` [rad]. */
   scaled(goal: number): ScaledStep[] {
     if (!this.shown) return [];
     const steps = this.live.filter((step) => step.loop.loop === "theta");
@@ -51,7 +50,6 @@ export class MeasuredSteps {
     }));
   }
 
-  /** Where they come from. */
   get text(): string {
     if (this.live.some((step) => step.loop.loop === "theta")) return "as they were flown just now";
     return this.logged.length > 0 ? `of ${this.log}` : "none flown yet: set steps of the pitch on the Fly page";

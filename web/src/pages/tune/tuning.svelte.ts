@@ -18,32 +18,28 @@ import { asRecord, differences, withChanges, type Edits } from "./draft";
 
 const WAIT_MS = 200;
 
-/** The parameters of one drone as a person tunes them: what was edited, what it would do, what was sent. */
+/** Parameters of one drone: edits, preview and sent changes. */
 export class Tuning {
   rows = $state.raw<readonly ParameterRow[]>([]);
   edits = $state.raw<Edits>(new Map());
-  /** Parameters in whose fields stands what cannot be sent. */
+  /** Parameters with a refused value in their field. */
   wrong = $state.raw<readonly string[]>([]);
-  /** Those of the pitch; undefined until the server has told. */
+  /** Models of the pitch; undefined until loaded. */
   models = $state.raw<readonly ModelRow[] | undefined>(undefined);
-  /** The model that guards the drone's gains. */
   model = $state<string | null>(null);
-  /** The size of the step that is predicted [rad]. */
+  /** Size of the predicted step [rad]. */
   goal = $state((10 * Math.PI) / 180);
   preview = $state.raw<Preview | undefined>(undefined);
-  /** Why there is no preview. */
   refused = $state("");
   previewing = $state(false);
   sending = $state(false);
-  /** Why what was sent was refused. */
   failure = $state("");
   loaded = $state(false);
-  /** The changes of this page that can be taken back, the last one at the end. */
+  /** Sent changes that can be undone. */
   sent = $state.raw<readonly (readonly Change[])[]>([]);
   readonly changes = $derived(differences(this.rows, this.edits));
-  /** The changes that the preview shows. */
   private previewed = $state("");
-  /** The preview, where it is that of the edits as they are now, and not still of those before. */
+  /** Preview of the present edits; undefined while it is outdated. */
   readonly judged = $derived(
     this.preview !== undefined && this.previewed === JSON.stringify(asRecord(this.changes)) ? this.preview : undefined,
   );
@@ -57,7 +53,7 @@ export class Tuning {
 
   constructor(readonly drone: number) {}
 
-  /** Begins; the answered function ends it. */
+  /** Start; returns a function that stops it. */
   start(): () => void {
     void this.load();
     return telemetry.onEvent((event) => {
@@ -90,7 +86,6 @@ export class Tuning {
     });
   }
 
-  /** Notes that what stands in a field is beyond its bounds, or is no longer: it is not what would be sent. */
   markWrong(name: string, wrong: boolean): void {
     this.wrong = wrong ? [...this.wrong, name] : this.wrong.filter((one) => one !== name);
   }
@@ -115,7 +110,7 @@ export class Tuning {
     this.askSoon();
   }
 
-  /** Sends all edits as one transaction; `confirm` is the token of a preview that shows what is not kept stable. */
+  /** Send all edits in one transaction; `confirm` is the token of an unstable preview. */
   async send(confirm = ""): Promise<boolean> {
     this.sending = true;
     this.failure = "";
@@ -156,7 +151,6 @@ export class Tuning {
     }
   }
 
-  /** Asks for a preview a moment after the last edit. */
   askSoon(): void {
     clearTimeout(this.waiting);
     this.waiting = setTimeout(() => {

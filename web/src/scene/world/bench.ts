@@ -16,7 +16,7 @@ import { Label } from "./labels";
 import type { Materials } from "./materials";
 import { box, rodX, rodZ, shaped } from "./shapes";
 
-/** The frame on its desk: what never moves. A scale in front of it says where the cart is. */
+/** Build the frame and its scale. */
 export function bench(materials: Materials): { group: Group; labels: Label[]; shadow: MeshBasicMaterial } {
   const group = new Group();
   const { metal, steel, rubber, scale } = materials;
@@ -63,7 +63,7 @@ export function bench(materials: Materials): { group: Group; labels: Label[]; sh
   return { group, labels, shadow };
 }
 
-/** The cart: bearings on the two bars, a plate, the uprights that hold the drone, and the range sensor. */
+/** Build the cart: bearings, plate, uprights and range sensor. */
 export function cart(materials: Materials): Group {
   const group = new Group();
   const { plate, metal, carbon } = materials;
@@ -81,7 +81,7 @@ export function cart(materials: Materials): Group {
   return group;
 }
 
-/** The rings: collars on both bars on either side of the cart. */
+/** Build the rings on both sides of the cart. */
 export function rings(materials: Materials): Group {
   const group = new Group();
   for (const z of [-BAR_SIDE, BAR_SIDE])
@@ -90,7 +90,6 @@ export function rings(materials: Materials): Group {
   return group;
 }
 
-/** A disc under the drone, so that one sees where over the desk it is. */
 export function dropShadow(): Mesh {
   const material = new MeshBasicMaterial({ map: softShadow(), transparent: true, depthWrite: false, color: 0x000000 });
   const mesh = shaped(new CircleGeometry(0.2, 32), material, 0, 0.001, 0);

@@ -11,7 +11,7 @@ const PLACES = [
 ] as const;
 const HEAD = 0.026;
 
-/** The drone about its bearing, which is the group's origin: turn the group about z to pitch it. */
+/** Drone with its bearing at the origin; it pitches about z. */
 export class DroneBody {
   readonly group = new Group();
   private readonly blades: Mesh[] = [];
@@ -42,7 +42,7 @@ export class DroneBody {
     }
   }
 
-  /** Arrows as long as the commands; `moving`: the blades turn, a little further at each call. */
+  /** Show commands as arrows; `moving` turns the blades. */
   thrust(fore: number, aft: number, moving: boolean): void {
     const commands = [fore, fore, aft, aft];
     if (moving) this.turned += 0.9;
@@ -58,7 +58,6 @@ export class DroneBody {
   }
 }
 
-/** The drone's outline alone, for a ghost. */
 export function ghostBody(material: Material): Group {
   const group = new Group();
   frame(group, material, material);

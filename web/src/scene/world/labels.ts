@@ -3,7 +3,7 @@ import { colour } from "../../chart/draw/canvas";
 
 const PIXELS = 48;
 
-/** A short text that always faces the viewer; `paint` writes it in the present theme's colour. */
+/** Text that faces the viewer, in the colour of the theme. */
 export class Label {
   readonly sprite: Sprite;
   private readonly canvas = document.createElement("canvas");

@@ -7,7 +7,7 @@ import { box, shaped } from "./shapes";
 const INNER = 0.194;
 const OUTER = 0.208;
 
-/** The arc that the nose may sweep, in a plane before the drone; its needles are the pitch and the set-point. */
+/** Arc of the pitch up to its stops, with needles of pitch and set-point. */
 export class PitchLimits {
   readonly group = new Group();
   readonly labels: Label[];
@@ -34,7 +34,6 @@ export class PitchLimits {
     this.group.position.z = side;
   }
 
-  /** Turns the needles [rad]; without a set-point that one is not there. */
   show(theta: number, wanted: number | undefined): void {
     this.needle.parent!.rotation.z = theta;
     this.wanted.visible = wanted !== undefined;

@@ -1,7 +1,6 @@
 import { Color, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial, type ColorRepresentation } from "three";
 import { colour } from "../../chart/draw/canvas";
 
-/** Colours of things, in light and in dark; those with a meaning are the tokens'. */
 const THINGS = {
   light: {
     metal: "#c3c8cf",
@@ -21,7 +20,7 @@ const THINGS = {
   },
 } as const;
 
-/** The scene's materials, each made once; `paint` gives them the colours of the present theme. */
+/** Materials of the scene; `paint` applies the theme. */
 export class Materials {
   readonly metal = new MeshLambertMaterial();
   readonly steel = new MeshPhongMaterial({ shininess: 60 });
@@ -68,7 +67,6 @@ export class Materials {
     for (const [material, value] of give) material.color.set(value);
   }
 
-  /** The pitch is near its stop, or not. */
   warn(near: boolean): void {
     const now = colour(near ? "bad" : "soft");
     this.limit.color.set(now);

@@ -3,7 +3,7 @@ import { MathUtils, type PerspectiveCamera, Vector3 } from "three";
 const HOME = { round: 0.34, up: 0.24 };
 const TARGET = new Vector3(0, 0.155, 0);
 
-/** The camera's way round the rig: drag or arrow keys turn it, a double click puts it back. */
+/** Camera around the rig, turned by drag or arrow keys. */
 export class Orbit {
   private round = HOME.round;
   private up = HOME.up;
@@ -51,7 +51,7 @@ export class Orbit {
     this.place();
   }
 
-  /** Puts the camera so far away that the whole rail is seen. */
+  /** Place the camera so that the whole rail is visible. */
   place(): void {
     const wide = 2 * Math.atan(Math.tan(MathUtils.degToRad(this.camera.fov) / 2) * this.camera.aspect);
     const far = Math.max(0.63 / Math.tan(wide / 2), 0.275 / Math.tan(MathUtils.degToRad(this.camera.fov) / 2)) + 0.2;

@@ -10,9 +10,9 @@ import { Materials } from "./materials";
 import { Orbit } from "./orbit";
 import { box, rodX } from "./shapes";
 
-/** As near to its stop [rad] the pitch's arc turns red. */
+/** Distance to the stop [rad] at which the arc turns red. */
 const NEAR = 0.12;
-/** A ghost that is nearer than this [m, rad] to the drone would only blur it. */
+/** A nearer ghost is hidden [m]. */
 const APART = 0.004;
 /**
  * A processor that draws in place of a graphics card holds up the whole page while it does. It then draws at most each
@@ -22,9 +22,8 @@ const SOFTWARE_WAIT = 50;
 const SHARE = 6;
 const LONGEST_WAIT = 500;
 
-/** The rig in three dimensions. It is drawn when something has changed, at most once a frame, and never otherwise. */
+/** Rig in three dimensions, drawn on changes only. */
 export class RigWorld {
-  /** Frames drawn so far. */
   drawn = 0;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
@@ -59,7 +58,7 @@ export class RigWorld {
     this.drawn += 1;
   };
 
-  /** Raises where there is no WebGL. */
+  /** Raises without WebGL. */
   constructor(
     canvas: HTMLCanvasElement,
     private readonly still: boolean,
@@ -103,7 +102,6 @@ export class RigWorld {
     this.paint();
   }
 
-  /** Shows a pose, the truth behind it where there is one, and what is asked for. */
   show(pose: Pose, ghost: Place | undefined, wanted: Wanted): void {
     const { x, theta } = pose;
     this.slide.position.x = x;
@@ -126,7 +124,6 @@ export class RigWorld {
     this.ask();
   }
 
-  /** Ends it, and gives the graphics card back what it has taken. */
   end(): void {
     this.ends.abort();
     forgetFrame(this.draw);
@@ -158,7 +155,6 @@ function drawnBySoftware(): boolean {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-/** The cart's place on the scale. */
 function pointer(materials: Materials): Mesh {
   return box(materials.nose, [0.007, 0.002, 0.026], [0, 0.002, DEPTH / 2 + 0.01]);
 }

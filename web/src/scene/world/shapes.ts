@@ -1,6 +1,5 @@
 import { BoxGeometry, CylinderGeometry, Mesh, TorusGeometry, type BufferGeometry, type Material } from "three";
 
-/** A box of a size, with its middle at a place. */
 export function box(
   material: Material,
   [width, height, depth]: readonly [number, number, number],
@@ -9,21 +8,18 @@ export function box(
   return at(new Mesh(new BoxGeometry(width, height, depth), material), x, y, z);
 }
 
-/** A rod along x. */
 export function rodX(material: Material, radius: number, length: number, x: number, y: number, z: number): Mesh {
   const mesh = at(new Mesh(new CylinderGeometry(radius, radius, length, 20), material), x, y, z);
   mesh.rotation.z = Math.PI / 2;
   return mesh;
 }
 
-/** A rod along z. */
 export function rodZ(material: Material, radius: number, length: number, x: number, y: number, z: number): Mesh {
   const mesh = at(new Mesh(new CylinderGeometry(radius, radius, length, 20), material), x, y, z);
   mesh.rotation.x = Math.PI / 2;
   return mesh;
 }
 
-/** A flat ring that lies on the ground plane's direction, such as a propeller's guard. */
 export function hoop(material: Material, radius: number, thick: number, x: number, y: number, z: number): Mesh {
   const mesh = at(new Mesh(new TorusGeometry(radius, thick, 8, 40), material), x, y, z);
   mesh.rotation.x = Math.PI / 2;

@@ -18,7 +18,7 @@ const SNAP = 10;
 const MOST_SHEETS = 40;
 const PATIENCE_MS = 3000;
 
-/** The graph that is laid out: parts with their ports, inputs in the first layer, outputs in the last. */
+/** Return the graph of a sheet, inputs in the first layer and outputs in the last. */
 export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
   const side = (where: "WEST" | "EAST") => ({ "elk.port.side": where });
   const children: ElkNode[] = d.parts.map((part) => {
@@ -62,13 +62,12 @@ export function graphOf(d: Diagram, shapes: Shapes): ElkNode {
   return { id: "root", layoutOptions: OPTIONS, children, edges };
 }
 
-/** New places of all parts. */
 export async function arranged(d: Diagram, shapes: Shapes): Promise<Map<string, Point>> {
   const [places] = await layouts([d], shapes);
   return places!;
 }
 
-/** `d` with its parts, and those within it, arranged on each sheet whose file gives no place at all. */
+/** Arrange each sheet on which no part has a position. */
 export async function presumed(d: Diagram, shapes: Shapes): Promise<Diagram> {
   const sheets = unplaced(d);
   if (sheets.length === 0 || sheets.length > MOST_SHEETS) return d;
@@ -97,7 +96,6 @@ function placed(d: Diagram, places: ReadonlyMap<Diagram, ReadonlyMap<string, Poi
   return parts.every((part, i) => part === d.parts[i]) ? d : { ...d, parts };
 }
 
-/** The places of the parts of each sheet. */
 async function layouts(sheets: readonly Diagram[], shapes: Shapes): Promise<Map<string, Point>[]> {
   const [{ default: Elk }, { default: place }] = await Promise.all([
     import("elkjs/lib/elk-api"),

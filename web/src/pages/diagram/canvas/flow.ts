@@ -22,7 +22,7 @@ export interface PartData extends Record<string, unknown> {
   readonly size: Size;
   readonly inputs: readonly string[];
   readonly outputs: readonly string[];
-  /** What is wrong with it, a sentence a line; "" if nothing is. */
+  /** Problems, one per line. */
   readonly fault: string;
   readonly loop: boolean;
 }
@@ -36,11 +36,11 @@ export type TerminalNode = Node<TerminalData, "inlet" | "outlet">;
 export type SheetNode = PartNode | TerminalNode;
 export type SheetEdge = Edge<{ color: string; fault: boolean; route: Route }>;
 
-/** What is told of the sheet beside the diagram itself, by id. */
+/** Marks on the sheet, by id. */
 export interface Marks {
   readonly faults: ReadonlyMap<string, string>;
   readonly loop: ReadonlySet<string>;
-  /** Wires that a scope shows: destination -> colour. */
+  /** Colour of the scope, by destination. */
   readonly scoped: ReadonlyMap<string, string>;
 }
 
@@ -54,14 +54,14 @@ function terminalWidth(name: string): number {
   return Math.min(190, Math.max(50, 10 * Math.ceil((name.length * 6.6 + 18) / 10)));
 }
 
-/** What is drawn; `left`: whether the bends of some wires are still to be found, by another call. */
+/** Nodes and edges; `left`: some wires are to be routed by another call. */
 export interface Drawn {
   readonly nodes: SheetNode[];
   readonly edges: SheetEdge[];
   readonly left: boolean;
 }
 
-/** Nodes and edges of a sheet, which keep what they can of those before. */
+/** Return nodes and edges of a sheet; unchanged ones are reused. */
 export function sheet(
   d: Diagram,
   shapes: Shapes,
@@ -113,7 +113,7 @@ export function firstOf(drawn: Drawn, before: { nodes: readonly SheetNode[] }, m
   return { nodes, edges, left: true };
 }
 
-/** A port as xyflow knows it: it need not measure what it is told. */
+/** Return ports with their sizes, so that xyflow need not measure them. */
 function handles(size: Size, inputs: readonly string[], outputs: readonly string[], flipped: boolean): NodeHandle[] {
   const at = (type: "source" | "target", id: string, y: number): NodeHandle => ({
     id,
@@ -162,7 +162,6 @@ function partNode(
   };
 }
 
-/** What of a part's data is drawn, without its place. */
 function placeless({ part, shape, fault, loop }: PartData) {
   return { ...part, position: null, presumed: null, shape, fault, loop };
 }
@@ -210,7 +209,7 @@ function terminal(
   };
 }
 
-/** Where parts stand; those without a place in the file get one below the others. */
+/** Return the places of parts; parts without one stand below the others. */
 export function partPlaces(d: Diagram, shapes: Shapes): Point[] {
   const placed = d.parts.map(placeOf);
   const bottom = Math.max(
@@ -221,21 +220,20 @@ export function partPlaces(d: Diagram, shapes: Shapes): Point[] {
   return placed.map((at) => at ?? ([160 * (free % 6), bottom + GAP + 100 * Math.floor(free++ / 6)] as const));
 }
 
-/** Where all that is on a sheet stands, by its id. */
+/** Return the places of all nodes by id. */
 export function placesOn(d: Diagram, shapes: Shapes): Map<string, Point> {
   const places = partPlaces(d, shapes);
   const parts = d.parts.map((part, i) => [partId(part.name), places[i]!] as const);
   return new Map([...parts, ...terminalPlaces(d, shapes, places)]);
 }
 
-/** Where they stand, and how large they are. */
+/** Return the boxes of all nodes by id. */
 export function boxesOn(d: Diagram, shapes: Shapes): Map<string, Box> {
   const sizes = new Map(d.parts.map((part) => [partId(part.name), partSize(part, shapes.of(part.item))]));
   const border = (id: string): Size => ({ width: terminalWidth(id.slice(2)), height: TERMINAL_HEIGHT });
   return new Map([...placesOn(d, shapes)].map(([id, [x, y]]) => [id, { x, y, ...(sizes.get(id) ?? border(id)) }]));
 }
 
-/** The box around them all. */
 export function extentOf(nodes: readonly SheetNode[]): Box {
   if (nodes.length === 0) return { x: 0, y: 0, width: 400, height: 200 };
   const boxes = nodes.map(boxOf);
@@ -288,7 +286,6 @@ function isFlipped(node: SheetNode): boolean {
   return node.type === "part" && node.data.part.flipped;
 }
 
-/** Where a wire begins at a node, or ends. */
 function portAt(node: SheetNode, handle: string, side: "in" | "out"): Point {
   const box = boxOf(node);
   const x = (side === "in") === isFlipped(node) ? box.x + box.width : box.x;
@@ -325,7 +322,6 @@ function edges(
 
 interface WireEnds {
   readonly id: string;
-  /** As the diagram writes them. */
   readonly from: string;
   readonly to: string;
   readonly source: string;
@@ -334,7 +330,6 @@ interface WireEnds {
   readonly targetHandle: string;
 }
 
-/** The wires of a sheet between its nodes. */
 function wireEnds(d: Diagram, shapes: Shapes): WireEnds[] {
   return wiresOf(d).flatMap(([from, to]) => {
     const end = sourceEnd(d, shapes, from);
@@ -355,7 +350,6 @@ function wireEnds(d: Diagram, shapes: Shapes): WireEnds[] {
   });
 }
 
-/** Whether both ports are there: what a block is not known to have cannot be drawn. */
 function hasPort(at: ReadonlyMap<string, SheetNode>, wire: WireEnds): boolean {
   const [from, to] = [at.get(wire.source), at.get(wire.target)];
   const has = (node: SheetNode | undefined, handle: string): boolean =>

@@ -53,7 +53,7 @@ function middle(node: SheetNode): [number, number] {
   return [node.position.x + (node.width ?? 0) / 2, node.position.y + (node.height ?? 0) / 2];
 }
 
-/** The node that an arrow leads to from `from`: near, and more ahead than aside. */
+/** Return the nearest node in a direction. */
 function towards(nodes: readonly SheetNode[], from: SheetNode, direction: Direction): SheetNode | undefined {
   const [x, y] = middle(from);
   const sign = direction === "ArrowLeft" || direction === "ArrowUp" ? -1 : 1;
@@ -72,12 +72,11 @@ function towards(nodes: readonly SheetNode[], from: SheetNode, direction: Direct
   return best;
 }
 
-/** Inputs stand with their right edges in a line. */
 function column(node: SheetNode): number {
   return node.position.x + (node.type === "inlet" ? (node.width ?? 0) : 0);
 }
 
-/** The one after (or, with -1, before) `from` as one reads; the first (last) without one. */
+/** Return the next or previous node in reading order. */
 function next(nodes: readonly SheetNode[], from: SheetNode | undefined, step: 1 | -1): SheetNode | undefined {
   const read = [...nodes].sort((a, b) => column(a) - column(b) || a.position.y - b.position.y);
   const at = from === undefined ? (step === 1 ? -1 : read.length) : read.findIndex((node) => node.id === from.id);

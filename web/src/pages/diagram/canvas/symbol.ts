@@ -6,7 +6,6 @@ import { tops, type Shape } from "../model/shapes";
 const PITCH = 20; // between two ports
 const GRID = 10;
 
-/** The arguments of a library block. */
 export function configOf(item: Block | Diagram): JsonObject {
   const config = item.is === "block" ? item.json["config"] : undefined;
   return isObject(config) ? config : {};
@@ -39,7 +38,7 @@ const FIXED: Readonly<Record<string, string>> = {
   bias: "u + b",
 };
 
-/** The words or signs within a block. */
+/** Return the text within a block. */
 export function symbol(part: Part): string {
   const { item } = part;
   if (item.is === "diagram") return item.name;
@@ -71,7 +70,6 @@ export function symbol(part: Part): string {
   return FIXED[item.type] ?? item.type.replace(/^models\./, "").replace(/_/g, " ");
 }
 
-/** A value in few characters. */
 export function shown(value: Json | undefined): string {
   if (value === undefined || value === null) return "";
   if (value instanceof Num) return String(Number(value.value.toPrecision(4)));
@@ -83,7 +81,7 @@ function superscript(text: string): string {
   return [...text].map((c) => "⁰¹²³⁴⁵⁶⁷⁸⁹"["0123456789".indexOf(c)] ?? c).join("");
 }
 
-/** The sign before an input of a sum or product, "" where there is none. */
+/** Return the sign of an input of a sum or product, or "". */
 export function portSign(part: Part, index: number): string {
   const signs = configOf(part.item)[part.item.is === "block" && part.item.type === "sum" ? "signs" : "operations"];
   if (part.item.is !== "block" || typeof signs !== "string") return "";
@@ -106,10 +104,8 @@ function fromLibraryType(type: string): boolean {
   return type !== "custom" && type !== "state_machine";
 }
 
-/** By part, and of what shape it was then: every drawing of a sheet asks for all of them. */
 const sizes = new WeakMap<Part, { readonly shape: Shape; readonly size: Size }>();
 
-/** How large a part is drawn, in steps of the grid. */
 export function partSize(part: Part, shape: Shape): Size {
   const known = sizes.get(part);
   if (known?.shape === shape) return known.size;
@@ -131,7 +127,7 @@ function measured(part: Part, shape: Shape): Size {
   return { width, height };
 }
 
-/** Where the port `index` of `count` is on a side of this height. */
+/** Return the offset of a port on a side of this height. */
 export function portPlace(index: number, count: number, height: number): number {
   const first = GRID * Math.round((height - PITCH * (count - 1)) / 2 / GRID);
   return first + PITCH * index;

@@ -4,7 +4,7 @@ import type { Point } from "./diagram";
 
 type Boxes = ReadonlyMap<string, Box>;
 
-/** What an alignment is called, in the order of its menu. */
+/** Labels in the order of the menu. */
 export const ALIGNMENTS = {
   left: "Left edges",
   centre: "Centres, one above the other",
@@ -17,12 +17,11 @@ export const ALIGNMENTS = {
 } as const;
 export type Alignment = keyof typeof ALIGNMENTS;
 
-/** How many blocks it takes: of two, each gap is even. */
 export function leastFor(how: Alignment): number {
   return how === "across" || how === "down" ? 3 : 2;
 }
 
-/** The new places of boxes: edges meet at the outermost one, centres at the middle of them all. */
+/** Return aligned places: edges at the outermost box, centres at the middle of all. */
 export function aligned(boxes: Boxes, how: Alignment): Map<string, Point> {
   if (how === "across") return spread(boxes, "x", "width");
   if (how === "down") return spread(boxes, "y", "height");
@@ -40,7 +39,7 @@ export function aligned(boxes: Boxes, how: Alignment): Map<string, Point> {
   return new Map([...boxes].map(([id, box]) => [id, place[how](box)]));
 }
 
-/** The first and the last stay; those between them get gaps alike. */
+/** Space boxes evenly between the first and the last. */
 function spread(boxes: Boxes, axis: "x" | "y", size: "width" | "height"): Map<string, Point> {
   const row = [...boxes].sort(([, a], [, b]) => a[axis] - b[axis]);
   const [first, last] = [row[0]![1], row.at(-1)![1]];

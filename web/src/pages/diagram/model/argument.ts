@@ -35,7 +35,7 @@ function number(typed: string, wholes: boolean): Json | undefined {
   return wholes && /^[+-]?\d+$/.test(typed) ? new Num(String(found)) : real(found);
 }
 
-/** JSON, or elements with spaces or commas between them and rows with semicolons. */
+/** Read JSON, or elements separated by spaces or commas in rows separated by semicolons. */
 function list(typed: string, wholes: boolean): Json | undefined {
   try {
     const found = readJson(typed);
@@ -49,7 +49,7 @@ function list(typed: string, wholes: boolean): Json | undefined {
   return rows.length === 1 ? rows[0] : (rows as Json[]);
 }
 
-/** The numbers, or the names, of a row. One alone is not a list: in brackets it is JSON, which was read before. */
+/** Read a row of numbers or names. */
 function elements(row: string, wholes: boolean): Json[] | undefined {
   const texts = row.trim().split(/\s*,\s*|\s+/);
   if (texts.length > 1 && texts.every((one) => WORD.test(one))) return texts;

@@ -1,15 +1,15 @@
 // Where a finding belongs: the path that Python names, as what is on a sheet.
 import { declaredName, findPart, type Diagram } from "./diagram";
 
-/** A finding's place: the sheet's path, and the id of a part (p:), input (i:) or output (o:) on it; "" for the sheet. */
+/** Place of a finding: path of the sheet, and id of a part (p:), input (i:) or output (o:), "" for the sheet. */
 export interface Place {
   readonly path: readonly string[];
   readonly id: string;
-  /** What of a part is meant: a port or an argument. */
+  /** Port or argument. */
   readonly rest: string;
 }
 
-/** The place of "sub.gain.u", or of "name_of_the_diagram.sub.gain.u". */
+/** Find the place of "sub.gain.u" or "diagram.sub.gain.u". */
 export function placeOfFinding(root: Diagram, where: string): Place {
   const segments = where.split(/[.,] ?/).filter(Boolean);
   const direct = walk(root, segments);
@@ -39,14 +39,14 @@ function walk(root: Diagram, segments: readonly string[]): Place {
   return { path, id: "", rest: segments.join(".") };
 }
 
-/** The id that shows `place` on the sheet at `at`: its own, or the sub-diagram's that holds it; "" if neither is there. */
+/** Return the id that shows a place on the sheet at `at`, or "". */
 export function seenFrom(at: readonly string[], place: Place): string {
   if (!at.every((name, i) => place.path[i] === name)) return "";
   const below = place.path[at.length];
   return below === undefined ? place.id : `p:${below}`;
 }
 
-/** What of an algebraic loop is on the sheet at `at`: parts, and the wires between them (w:part.port). */
+/** Return the parts and wires of an algebraic loop on the sheet at `at`. */
 export function loopOnSheet(
   root: Diagram,
   at: readonly string[],

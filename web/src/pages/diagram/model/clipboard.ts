@@ -21,7 +21,7 @@ interface Copied {
   readonly connections: readonly Connection[];
 }
 
-/** The text of the parts called `names`, with the wires among them. */
+/** Return parts and the wires among them as text. */
 export function copyText(d: Diagram, names: ReadonlySet<string>): string {
   const inside = (end: string): boolean => names.has(end.split(".")[0] ?? "");
   const isInput = (source: string): boolean => d.inputs.some((one) => declaredName(one) === source);
@@ -34,7 +34,7 @@ export function copyText(d: Diagram, names: ReadonlySet<string>): string {
   });
 }
 
-/** What a text of `copyText` holds. Raises JsonFault or DiagramFault for another text. */
+/** Read a text of `copyText`. Raises JsonFault or DiagramFault. */
 function copied(text: string): Copied {
   const json = readJson(text);
   if (!isObject(json) || json["schema"] !== SCHEMA || !isList(json["parts"]) || !isList(json["connections"])) {
@@ -47,7 +47,7 @@ function copied(text: string): Copied {
   return { parts: json["parts"].map(partFrom), connections: pairs.map(([a, b]) => [a, b] as const) };
 }
 
-/** The diagram with what `text` holds, under names that are free, a little beside where it was; and those names. */
+/** Paste a text under free names, a little aside. */
 export function paste(d: Diagram, text: string): { diagram: Diagram; names: string[] } {
   const { parts, connections } = copied(text);
   const names = new Map<string, string>();

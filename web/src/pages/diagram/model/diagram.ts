@@ -9,7 +9,7 @@ export type Point = readonly [x: number, y: number];
 export const CONDITIONS = ["enable", "reset", "trigger"] as const;
 export type Condition = (typeof CONDITIONS)[number];
 
-/** A library block ({type, config}), a custom one or a state machine: kept as it stands in the file. */
+/** Block as it stands in the file. */
 export interface Block {
   readonly is: "block";
   readonly type: string;
@@ -25,7 +25,7 @@ export interface Diagram {
   readonly parts: readonly Part[];
   readonly connections: readonly Connection[];
   readonly outputs: readonly Output[];
-  /** Where inputs and outputs stand that were moved, by name; a bus by its own. */
+  /** Positions of moved inputs and outputs by name. */
   readonly inputPositions: Positions;
   readonly outputPositions: Positions;
 }
@@ -34,28 +34,25 @@ export type Positions = Readonly<Record<string, readonly Num[]>>;
 export interface Part {
   readonly name: string;
   readonly rate: readonly Num[] | null;
-  /** Parameters of the part bound to parameters of the diagram: inner name -> outer name. */
+  /** Outer names of bound parameters by inner name. */
   readonly params: Readonly<Record<string, string>>;
   readonly conditions: Readonly<Partial<Record<Condition, string>>>;
-  /** What the page does not edit: disabled, edge, enabling, initial. */
+  /** Properties that the page does not edit. */
   readonly rest: JsonObject;
-  /** As it is written in the file; `placeOf` gives the numbers. */
   readonly position: readonly Num[] | null;
-  /** Drawn with its inputs on the right side. */
   readonly flipped: boolean;
-  /** Where it is drawn while the file does not say. It is not written. */
+  /** Place if the file gives none; it is not written. */
   readonly presumed?: Point;
   readonly item: Block | Diagram;
 }
 
-/** A file that is JSON, but not a diagram. */
 export class DiagramFault extends Error {}
 
 const SCHEMA = "twodof/diagram";
 const VERSION = "1";
 const REST = ["disabled", "edge", "enabling", "initial"] as const;
 
-/** The diagram in the text of a file. Raises JsonFault or DiagramFault. */
+/** Read the text of a file. Raises JsonFault or DiagramFault. */
 export function readDiagram(text: string): Diagram {
   const file = readJson(text);
   if (!isObject(file) || file["schema"] !== SCHEMA) throw new DiagramFault("this is not a diagram of twodof");
@@ -64,7 +61,6 @@ export function readDiagram(text: string): Diagram {
   return diagramFrom(file["diagram"]);
 }
 
-/** Write the diagram as the text of a file. */
 export function writeDiagram(diagram: Diagram): string {
   return writeJson({ schema: SCHEMA, version: new Num(VERSION), diagram: diagramTo(diagram) });
 }
@@ -73,7 +69,6 @@ export function declaredName(declared: JsonObject): string {
   return string(declared["name"]);
 }
 
-/** Where a part stands on its sheet; null where nothing says. */
 export function placeOf(part: Part): Point | null {
   return pointOf(part.position) ?? part.presumed ?? null;
 }
@@ -110,7 +105,6 @@ export function findPart(diagram: Diagram, name: string): Part | undefined {
   return parts.get(name);
 }
 
-/** The sub-diagram at a path of parts' names; undefined if there is none. */
 export function diagramAt(root: Diagram, path: readonly string[]): Diagram | undefined {
   let here: Diagram = root;
   for (const name of path) {

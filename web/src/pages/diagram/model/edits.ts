@@ -14,7 +14,7 @@ export class EditFault extends Error {}
 
 const NAME = /^[A-Za-z][A-Za-z0-9_]{0,62}$/;
 
-/** Applies an edit to the sub-diagram at a path of parts' names. */
+/** Apply an edit to the sub-diagram at a path. */
 export function edited(root: Diagram, path: readonly string[], edit: (d: Diagram) => Diagram): Diagram {
   const [name, ...rest] = path;
   if (name === undefined) return edit(root);
@@ -29,18 +29,16 @@ export function edited(root: Diagram, path: readonly string[], edit: (d: Diagram
   return parts.every((part, i) => part === root.parts[i]) ? root : { ...root, parts };
 }
 
-/** Names that a new part, input or parameter cannot have. */
 export function taken(d: Diagram): Set<string> {
   const tops = [...d.inputs, ...d.params].map((one) => declaredName(one).split(".")[0] ?? "");
   return new Set([...d.parts.map((part) => part.name), ...tops]);
 }
 
-/** `wanted`, or that with the first number that is free. */
 export function freeName(d: Diagram, wanted: string, also: ReadonlySet<string> = new Set()): string {
   return nameBeside(taken(d), wanted, also);
 }
 
-/** `wanted`, or that with the first number that makes it another name than these. */
+/** Return `wanted`, with a number if it is used. */
 export function nameBeside(used: ReadonlySet<string>, wanted: string, also: ReadonlySet<string> = new Set()): string {
   const free = (name: string): boolean => !used.has(name) && !also.has(name);
   if (free(wanted)) return wanted;
@@ -48,7 +46,6 @@ export function nameBeside(used: ReadonlySet<string>, wanted: string, also: Read
   for (let n = 2; ; n++) if (free(`${stem}_${n}`)) return `${stem}_${n}`;
 }
 
-/** Refuse what is not a name. */
 export function checkForm(name: string): void {
   if (!NAME.test(name)) throw new EditFault(`"${name}" is not a name: use a letter, then letters, digits or _`);
 }
@@ -63,7 +60,6 @@ export function addPart(d: Diagram, part: Part): Diagram {
   return { ...d, parts: [...d.parts, part] };
 }
 
-/** Changes one part by a function. */
 export function changePart(d: Diagram, name: string, change: (part: Part) => Part): Diagram {
   return { ...d, parts: d.parts.map((part) => (part.name === name ? change(part) : part)) };
 }
@@ -72,7 +68,6 @@ export function movePart(part: Part, to: Point): Part {
   return { ...part, position: written(to) };
 }
 
-/** Turns parts over: their inputs go to the other side. */
 export function flipParts(d: Diagram, names: ReadonlySet<string>): Diagram {
   return { ...d, parts: d.parts.map((one) => (names.has(one.name) ? { ...one, flipped: !one.flipped } : one)) };
 }
@@ -89,7 +84,7 @@ export function moveParts(d: Diagram, places: ReadonlyMap<string, Point>): Diagr
   return { ...d, parts };
 }
 
-/** Moves what stands on a sheet, by its id there: parts (p:), inputs (i:) and outputs (o:). */
+/** Move nodes by id. */
 export function moveThings(d: Diagram, places: ReadonlyMap<string, Point>): Diagram {
   const of = (mark: string) =>
     [...places].filter(([id]) => id.startsWith(mark)).map(([id, to]) => [id.slice(2), to] as const);
@@ -104,12 +99,12 @@ export function moveThings(d: Diagram, places: ReadonlyMap<string, Point>): Diag
   };
 }
 
-/** Inputs and outputs stand again where the sheet puts them. */
+/** Remove the positions of inputs and outputs. */
 export function freeBorder(d: Diagram): Diagram {
   return { ...d, inputPositions: {}, outputPositions: {} };
 }
 
-/** Where one thing of a sheet has a place of its own, the others keep what was presumed of theirs. */
+/** Write the presumed places once any node has a place of its own. */
 export function settled(d: Diagram): Diagram {
   const positions = [d.inputPositions, d.outputPositions].some((one) => Object.keys(one).length > 0);
   if (!positions && d.parts.every((part) => part.position === null)) return d;
@@ -166,7 +161,7 @@ function isInput(d: Diagram, source: string): boolean {
   return d.inputs.some((one) => declaredName(one).split(".")[0] === source.split(".")[0]);
 }
 
-/** Wires `source` to "part.port", or to an output's name; what was there before gives way. */
+/** Wire a source to "part.port" or to an output; replaces the wire there. */
 export function connect(d: Diagram, source: string, destination: string): Diagram {
   if (d.outputs.some(([name]) => name === destination)) {
     return {
@@ -180,7 +175,6 @@ export function connect(d: Diagram, source: string, destination: string): Diagra
   return { ...d, connections: [...connections, [source, destination] as Connection] };
 }
 
-/** Removes the wires to these destinations. */
 export function disconnect(d: Diagram, destinations: ReadonlySet<string>): Diagram {
   return {
     ...d,
@@ -189,7 +183,6 @@ export function disconnect(d: Diagram, destinations: ReadonlySet<string>): Diagr
   };
 }
 
-/** Renames a part, and follows its name in wires and conditions. */
 export function renamePart(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   checkName(d, to, from);
@@ -203,7 +196,7 @@ export function renameInput(d: Diagram, from: string, to: string): Diagram {
   return renamed({ ...d, inputs, inputPositions: rekeyed(d.inputPositions, from, to) }, from, to, false);
 }
 
-/** Follows a new name in all sources and, of a part, destinations. */
+/** Rename sources and, for a part, destinations. */
 function renamed(d: Diagram, from: string, to: string, part: boolean): Diagram {
   const follow = (end: string): string =>
     end === from ? to : end.startsWith(`${from}.`) ? to + end.slice(from.length) : end;
@@ -253,7 +246,7 @@ export function renameOutput(d: Diagram, from: string, to: string): Diagram {
   return { ...d, outputs, outputPositions: rekeyed(d.outputPositions, from, to) };
 }
 
-/** Sets the key of what is declared (an input or parameter); undefined takes it out. */
+/** Set a property of an input or parameter; undefined removes it. */
 export function declare(
   d: Diagram,
   section: "inputs" | "params",
@@ -271,20 +264,17 @@ export function declare(
 
 const ORDER = ["name", "value", "kind", "width", "unit", "low", "high", "text", "tunable", "shape", "enum"];
 
-/** The keys in the order in which Python declares them. */
 function ordered(one: JsonObject): JsonObject {
   const place = (key: string): number => (ORDER.includes(key) ? ORDER.indexOf(key) : ORDER.length);
   return Object.fromEntries(Object.entries(one).sort(([a], [b]) => place(a) - place(b)));
 }
 
-/** Sets an argument of a library block. */
 export function configure(part: Part, key: string, value: Json): Part {
   if (part.item.is !== "block") return part;
   const config = (part.item.json["config"] ?? {}) as JsonObject;
   return { ...part, item: { ...part.item, json: { ...part.item.json, config: { ...config, [key]: value } } } };
 }
 
-/** Sets the value of a parameter that a custom block declares. */
 export function setDeclared(part: Part, name: string, value: Json): Part {
   if (part.item.is !== "block") return part;
   const params = (part.item.json["params"] ?? []) as readonly JsonObject[];
@@ -292,13 +282,13 @@ export function setDeclared(part: Part, name: string, value: Json): Part {
   return { ...part, item: { ...part.item, json: { ...part.item.json, params: changed } } };
 }
 
-/** Runs the part at ticks with tick % divider == offset. */
+/** Run the part at ticks with tick % divider == offset. */
 export function setRate(part: Part, divider: number, offset: number): Part {
   const base = divider === 1 && offset === 0;
   return { ...part, rate: base ? null : [new Num(String(divider)), new Num(String(offset))] };
 }
 
-/** Binds a parameter of a part to one of the diagram; "" frees it. */
+/** Bind a parameter of a part to one of the diagram; "" unbinds it. */
 export function bind(part: Part, inner: string, outer: string): Part {
   const params = filtered(part.params, (name) => name !== inner);
   return { ...part, params: outer === "" ? params : { ...params, [inner]: outer } };
@@ -312,7 +302,6 @@ export function newPart(d: Diagram, wanted: string, item: Block | Diagram, posit
   );
 }
 
-/** A parameter declared of the diagram. */
 export function addParam(d: Diagram, declared: JsonObject): Diagram {
   checkName(d, declaredName(declared));
   return { ...d, params: [...d.params, declared] };
@@ -323,7 +312,6 @@ export function removeParam(d: Diagram, name: string): Diagram {
   return { ...d, parts, params: d.params.filter((one) => declaredName(one) !== name) };
 }
 
-/** Renames a parameter of the diagram, and follows its name where parts are bound to it. */
 export function renameParam(d: Diagram, from: string, to: string): Diagram {
   if (from === to) return d;
   checkName(d, to, from);

@@ -4,7 +4,7 @@ import { freeName, newPart, EditFault } from "./edits";
 import { Num, type JsonObject } from "./json_text";
 import type { Port, Shapes } from "./shapes";
 
-/** `d` with the parts called `names` in a new sub-diagram, and its name. What they share with the rest is wired again. */
+/** Move parts into a new sub-diagram; returns its name too. */
 export function grouped(d: Diagram, names: ReadonlySet<string>, shapes: Shapes): { diagram: Diagram; name: string } {
   const inside = d.parts.filter((part) => names.has(part.name));
   if (inside.length === 0) throw new EditFault("select the blocks of the sub-diagram");

@@ -5,7 +5,7 @@ interface Step {
   readonly before: Diagram;
   readonly after: Diagram;
   readonly called: string;
-  /** Edits with the same non-empty tag that follow one another are one step: a slider's way, a name being typed. */
+  /** Successive edits with the same non-empty tag are one step. */
   readonly tag: string;
 }
 
@@ -33,12 +33,6 @@ export class History {
       if (this.done.length > MOST) this.done.shift();
     }
     this.undone.length = 0;
-  }
-
-  /** Ends a step: the next edit with the same tag is one of its own. */
-  close(): void {
-    const last = this.done.at(-1);
-    if (last !== undefined) this.done[this.done.length - 1] = { ...last, tag: "" };
   }
 
   undo(): Step | undefined {

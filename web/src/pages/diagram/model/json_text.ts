@@ -1,6 +1,5 @@
 // JSON in which 1.0 and 1 stay two numbers: Python reads the first as a real and the second as an integer.
 
-/** A number as the file writes it. */
 export class Num {
   constructor(readonly text: string) {}
 
@@ -14,7 +13,6 @@ export interface JsonObject {
   readonly [key: string]: Json;
 }
 
-/** Text that is not JSON. */
 export class JsonFault extends Error {}
 
 /** Return `value` as a real number, with a decimal point or an exponent. */

@@ -1,4 +1,3 @@
-/** What a palette offers. */
 export interface Choice {
   readonly type: string;
   readonly name: string;
@@ -6,7 +5,7 @@ export interface Choice {
   readonly text: string;
 }
 
-/** The choices that hold every word of `query`, the best first: by name's beginning, by name, by text. All for "". */
+/** Return the choices that contain every word of `query`, the best first. */
 export function searched<T extends Choice>(choices: readonly T[], query: string): T[] {
   const asked = plain(query);
   if (asked === "") return [...choices];
@@ -18,7 +17,7 @@ export function searched<T extends Choice>(choices: readonly T[], query: string)
 }
 
 const NONE = 100;
-/** Simulink's names for what has another name here, as words without what stands between them. */
+/** Simulink's names of blocks. */
 const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
   Object.entries({
     sum: ["add", "subtract"],
@@ -68,7 +67,7 @@ const ALSO: ReadonlyMap<string, readonly string[]> = new Map(
   }),
 );
 
-/** What of Simulink is not a block here: how one does it instead. */
+/** Replacements of Simulink's blocks that do not exist here. */
 const INSTEAD: readonly (readonly [words: readonly string[], instead: string])[] = [
   [
     ["scope", "display", "to workspace", "floating scope"],
@@ -93,7 +92,7 @@ const plain = (text: string): string =>
     .filter(Boolean)
     .join(" ");
 
-/** What to do for a block of Simulink that there is not here; "" for other words. */
+/** Return the replacement of a Simulink block, or "". */
 export function instead(query: string): string {
   const asked = plain(query);
   if (asked.length < 3) return "";
@@ -103,7 +102,6 @@ export function instead(query: string): string {
   return begun?.[1] ?? "";
 }
 
-/** How well what was asked fits Simulink's names of a block. */
 function also({ type }: Choice, asked: string): number {
   const names = ALSO.get(type) ?? [];
   if (names.includes(asked)) return 0;

@@ -6,15 +6,12 @@ import { isList, isObject, Num, readJson, writeJson, type Json, type JsonObject 
 export interface Port {
   readonly name: string;
   readonly kind: string;
-  /** Elements of an array; null for a number. */
   readonly width: number | null;
   readonly unit: string;
 }
 
 export interface Parameter extends Port {
-  /** The number, the numbers, or the truth value. */
   readonly value: unknown;
-  /** Bounds; null where there is none. */
   readonly low: number | null;
   readonly high: number | null;
   readonly text: string;
@@ -24,18 +21,17 @@ export interface Shape {
   readonly inputs: readonly Port[];
   readonly outputs: readonly Port[];
   readonly params: readonly Parameter[];
-  /** Alike for two blocks that differ only in the values of their parameters. */
+  /** Equal for blocks that differ in values of parameters only. */
   readonly structure: string;
 }
 
-/** What the server said of a block: its shape, or why it cannot be made. */
+/** Shape of a block, or the server's refusal. */
 export type Answer = Shape | { readonly what: string; readonly where: string; readonly remedy: string };
 
 const NOTHING: Shape = { inputs: [], outputs: [], params: [], structure: "" };
 
 export class Shapes {
   private readonly known = new Map<string, Answer>();
-  /** By type the arguments of blocks, and their shapes. */
   private readonly byType = new Map<string, { readonly config: Json; readonly shape: Shape }[]>();
   private readonly keys = new WeakMap<Block, string>();
   private readonly own = new WeakMap<Block | Diagram, Shape>();
@@ -59,7 +55,7 @@ export class Shapes {
     this.byType.set(read["type"], [...alike, { config: read["config"] ?? {}, shape: answer }]);
   }
 
-  /** That of the block of its type with the most arguments in common: what it was before it was changed, mostly. */
+  /** Return the shape of the known block with the most arguments in common. */
   private nearest(block: Block): Shape {
     const config = block.json["config"];
     const own = isObject(config) ? Object.entries(config).map(([name, value]) => [name, writeJson(value)]) : [];
@@ -72,7 +68,7 @@ export class Shapes {
     return best;
   }
 
-  /** The library blocks of a diagram, sub-diagrams included, of which nothing is known yet. */
+  /** Return the library blocks without a known shape, sub-diagrams included. */
   unknown(diagram: Diagram, found = new Map<string, Block>()): Map<string, Block> {
     for (const { item } of diagram.parts) {
       if (item.is === "diagram") this.unknown(item, found);
@@ -81,14 +77,13 @@ export class Shapes {
     return found;
   }
 
-  /** Why a block cannot be made, or undefined. */
   refusal(item: Block | Diagram): { what: string; where: string; remedy: string } | undefined {
     if (item.is === "diagram" || !fromLibrary(item)) return undefined;
     const answer = this.known.get(this.key(item));
     return answer !== undefined && "what" in answer ? answer : undefined;
   }
 
-  /** The ports and parameters of a part; of a block that is not known yet, or that cannot be, those that it is near to. */
+  /** Return the shape of a part; that of a similar block if it is unknown or refused. */
   of(item: Block | Diagram): Shape {
     if (item.is === "block" && fromLibrary(item)) {
       const answer = this.known.get(this.key(item));
@@ -115,7 +110,7 @@ export class Shapes {
     };
   }
 
-  /** What a source gives, as far as it is known. */
+  /** Return the port of a source, as far as it is known. */
   carried(d: Diagram, source: string | null): Port {
     const nothing: Port = { name: "", kind: "real", width: null, unit: "" };
     if (source === null) return nothing;
@@ -130,7 +125,6 @@ export class Shapes {
   }
 }
 
-/** Whether only the server knows the block's ports. */
 export function fromLibrary(block: Block): boolean {
   return block.type !== "custom" && block.type !== "state_machine";
 }
@@ -142,14 +136,14 @@ export function portText({ kind, width, unit }: Port): string {
 
 const named = new WeakMap<readonly Port[], readonly string[]>();
 
-/** The names of ports, those of a bus's fields as the one of the bus. */
+/** Return the names of ports; the fields of a bus count as one. */
 export function tops(ports: readonly Port[]): readonly string[] {
   let names = named.get(ports);
   if (names === undefined) named.set(ports, (names = [...new Set(ports.map((port) => port.name.split(".")[0] ?? ""))]));
   return names;
 }
 
-/** A source or destination in the form [part or null, port]: "pid" is ["pid", "M"], an input "q" is [null, "q"]. */
+/** Split a source: "pid" is ["pid", "M"], an input "q" is [null, "q"]. */
 export function sourceEnd(d: Diagram, shapes: Shapes, source: string): readonly [string | null, string] | undefined {
   if (d.inputs.some((one) => inBus(declaredName(one), source))) return [null, source];
   const [name = "", ...path] = source.split(".");
@@ -168,7 +162,7 @@ function inBus(declared: string, source: string): boolean {
   return declared === source || declared.startsWith(`${source}.`);
 }
 
-/** How a source is written: the part alone where it has one output, as Python's users write it. */
+/** Write a source: the part alone if it has one output. */
 export function sourceText(part: Part, port: string, shapes: Shapes): string {
   const names = tops(shapes.of(part.item).outputs);
   return names.length === 1 && names[0] === port ? part.name : `${part.name}.${port}`;
@@ -223,7 +217,6 @@ function plainNumber(json: Json, otherwise: number): number {
   return json instanceof Num ? json.value : otherwise;
 }
 
-/** JSON as JavaScript's own values; numbers lose how they were written. */
 export function plain(json: Json): unknown {
   if (json instanceof Num) return json.value;
   if (isList(json)) return json.map(plain);

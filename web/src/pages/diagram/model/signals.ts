@@ -2,7 +2,7 @@
 import { diagramAt, findPart, type Diagram } from "./diagram";
 import { portOf, sourceEnd, type Shapes } from "./shapes";
 
-/** The output of a block by its path in the diagram, "sub.gain.y"; or an input of the whole diagram. */
+/** Output of a block by its path, "sub.gain.y", or an input of the diagram. */
 export interface Origin {
   readonly of: "block" | "input";
   readonly path: string;
@@ -10,7 +10,7 @@ export interface Origin {
 
 const MOST = 200; // borders that a wire may cross
 
-/** Where the signal that `source` means on the sheet at `path` comes from; undefined where it leads nowhere. */
+/** Trace a source on the sheet at `path` to its origin. */
 export function originOf(root: Diagram, path: readonly string[], source: string, shapes: Shapes): Origin | undefined {
   let at = [...path];
   let text = source;

@@ -5,7 +5,7 @@ import type { JsonObject } from "./json_text";
 import { fromLibrary, parameterOf, withoutValue, type Shapes } from "./shapes";
 import { writeJson } from "./json_text";
 
-/** Alike for two diagrams that one program serves: they differ in values of parameters, places and texts only. */
+/** Equal for diagrams of one program, which differ in values of parameters, places and texts only. */
 export function structureOf(d: Diagram, shapes: Shapes): string {
   return writeJson(withoutValues(d, shapes));
 }
@@ -28,12 +28,11 @@ function skeleton(part: Part, shapes: Shapes): JsonObject {
   return { ...form, block: structure === "" ? item.json : { type: item.type, structure } };
 }
 
-/** Whether the value is a number, a truth value or a list of numbers, which stand in memory as they are written. */
 function settable(declared: JsonObject): boolean {
   return valueOf(parameterOf(declared).value) !== undefined && declared["shape"] === undefined;
 }
 
-/** The values of all parameters that are not bound to others, by path. */
+/** Return the values of unbound parameters by path. */
 export function parameterValues(d: Diagram, shapes: Shapes, prefix = ""): Record<string, Value> {
   const found: Record<string, Value> = {};
   for (const declared of d.params) {
@@ -58,7 +57,6 @@ function blockValues(part: Part, shapes: Shapes, prefix: string): Record<string,
   return Object.fromEntries(rows.filter((row): row is [string, Value] => row[1] !== undefined));
 }
 
-/** A parameter's value as a program takes it; undefined for another. */
 function valueOf(value: unknown): Value | undefined {
   const one = numberOf(value);
   if (one !== undefined) return one;

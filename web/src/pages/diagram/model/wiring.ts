@@ -32,7 +32,6 @@ function freeInputs(d: Diagram, shapes: Shapes, id: string): string[] {
     .filter((port) => !isFed(port));
 }
 
-/** "part.port" of the outputs that something reads. */
 function outputsRead(d: Diagram, shapes: Shapes): ReadonlySet<string> {
   const conditions = d.parts.flatMap((part) => Object.values(part.conditions));
   const sources = [...d.connections.map(([source]) => source), ...d.outputs.map(([, source]) => source), ...conditions];
@@ -40,7 +39,7 @@ function outputsRead(d: Diagram, shapes: Shapes): ReadonlySet<string> {
   return new Set(ends.flatMap((end) => (end === undefined ? [] : [`${end[0]}.${end[1].split(".")[0]}`])));
 }
 
-/** The first output that nobody reads, or else the first: an output may be read by many. */
+/** Return the first unread output, or else the first. */
 function outputOf(d: Diagram, shapes: Shapes, id: string, read: ReadonlySet<string>): string | undefined {
   const name = id.slice(2);
   if (id.startsWith("i:")) return name;
@@ -52,13 +51,10 @@ function outputOf(d: Diagram, shapes: Shapes, id: string, read: ReadonlySet<stri
 }
 
 export interface End {
-  /** As it stands in a connection. */
   readonly text: string;
-  /** The part, input or output that it belongs to. */
   readonly owner: string;
-  /** Type and unit, to stand behind the text. */
   readonly about: string;
-  /** What a destination is fed by; "" if it is free. */
+  /** Source of a destination; "" if it is free. */
   readonly from: string;
 }
 
@@ -66,7 +62,7 @@ function about(port: Port | undefined): string {
   return port === undefined ? "" : ` ${portText(port)}`.replace(/^ real/, "");
 }
 
-/** The destinations of the wires at a part (p:), an input (i:) or an output (o:): into it first, then out of it. */
+/** Return the destinations of the wires at a node, incoming ones first. */
 export function wiresAt(d: Diagram, id: string): string[] {
   const name = id.slice(2);
   if (id.startsWith("o:")) return d.outputs.flatMap(([one, source]) => (one === name && source !== null ? [one] : []));

@@ -5,14 +5,14 @@ import type { Value } from "../../../wasm/signal";
 export interface Flight {
   readonly parameters: Record<string, Value>;
   readonly states: Record<string, Value>;
-  /** Held inputs, and those with a value for each step. */
+  /** Constant inputs. */
   readonly inputs: Record<string, Value>;
   readonly columns: Record<string, Float64Array>;
   readonly steps: number;
   readonly wanted: readonly string[];
 }
 
-/** The wanted signals at each step of `ticks` ticks; of an array its elements as "path[i]". */
+/** Return the signals at each step; elements of arrays as "path[i]". */
 export function fly(program: Program, ticks: number, asked: Flight): Record<string, Float64Array> {
   const known = new Set(program.table.parameters.map((one) => one.path));
   program.reset(); // a parameter that is not tunable is set before the first step only

@@ -4,7 +4,7 @@ import type { Value } from "../../../wasm/signal";
 
 export interface Scenario {
   readonly mode: string;
-  /** The step [SI], and when it comes [s]. */
+  /** Size of the step [SI] and its time [s]. */
   readonly size: number;
   readonly at: number;
   readonly thrust: number;
@@ -61,7 +61,6 @@ export function beginWith(template: string): Scenario {
   };
 }
 
-/** The inputs and parameters of the loop for a scenario. */
 export function flown(scenario: Scenario, template: string, setpoints: readonly string[]) {
   const { loop } = modeOf(template, scenario.mode);
   const steps = Math.round(scenario.seconds / PERIOD);

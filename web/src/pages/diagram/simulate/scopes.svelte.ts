@@ -14,7 +14,6 @@ const key = (origin: Origin): string => `${origin.of} ${origin.path}`;
 class Scopes {
   all = $state.raw<readonly Scope[]>([]);
 
-  /** Colours by the wires' destinations on the open sheet. */
   readonly byWire: ReadonlyMap<string, string> = $derived.by(() => {
     const found = new Map<string, string>();
     if (this.all.length === 0) return found;
@@ -27,7 +26,6 @@ class Scopes {
     return found;
   });
 
-  /** Shows the signal of a source on the open sheet, or hides it; says which. */
   toggle(source: string): void {
     const origin = originOf(editor.root, editor.path, source, editor.shapes);
     if (origin === undefined) return editor.say("this wire carries no signal yet");

@@ -27,21 +27,19 @@ class Simulation {
   template = $state("attitude_control");
   problem = $state("");
   busy = $state<"" | "compiling" | "flying">("");
-  /** From the change to the flown result, and what of it was the flight [ms]. */
+  /** Time from the change to the result, and of the flight alone [ms]. */
   took = $state({ all: 0, flight: 0, compiled: false });
-  /** Counts what was flown. */
   flights = $state(0);
   private worker: Worker | undefined;
   private loop: api.PortableLoop | undefined;
   private structure = "";
-  /** When the change came that is not flown yet; 0: all is flown. */
+  /** Time of the first change since the last flight, or 0. */
   private began = 0;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private asked = 0;
   private abort: AbortController | undefined;
   private readonly waiting = new Map<number, (answer: Answer) => void>();
 
-  /** Called when the diagram, the scenario or the scopes changed. */
   changed(): void {
     this.began ||= performance.now();
     clearTimeout(this.timer);
@@ -76,7 +74,6 @@ class Simulation {
     }
   }
 
-  /** Whether it was checked and may fly; the check that is under way calls again. */
   private mayCompile(root: Diagram): boolean {
     const missing = editor.catalogue?.not_simulated ?? "";
     if (missing !== "") return this.refuse(missing);

@@ -18,9 +18,7 @@ export type Asked = Load | Run;
 export interface Answer {
   readonly id: number;
   readonly error?: string;
-  /** The wanted signals at each step; of an array its elements as "path[i]". */
   readonly signals?: Record<string, Float64Array>;
-  /** How long it took [ms]. */
   readonly took?: number;
 }
 

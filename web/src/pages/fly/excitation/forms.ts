@@ -2,7 +2,7 @@
 import type { Excitation, Loop } from "../../../api/drones";
 import { controlLoop } from "../../../loops";
 
-/** A number, several of them, or a choice. `unit` "amplitude" is that of the excited loop. */
+/** Field of the form; the unit "amplitude" is that of the loop. */
 export type Field =
   | (Named & { type: "number"; unit: string; value: number; low: number; high: number; whole?: boolean })
   | (Named & { type: "numbers"; unit: string; values: readonly number[] })
@@ -20,7 +20,7 @@ export interface Kind {
 }
 
 const DEG = Math.PI / 180;
-/** Amplitudes that move the rig well within its stops; the preview says how far. */
+/** Initial amplitudes, well within the stops. */
 const AMPLITUDES: Record<Loop, number> = { theta: 5 * DEG, q: 30 * DEG, M: 0.03, v: 0.15, x: 0.1 };
 const LARGEST: Record<Loop, number> = { theta: 50 * DEG, q: 10, M: 1, v: 2, x: 0.4 };
 
@@ -38,7 +38,7 @@ const whole = (name: string, label: string, value: number, low: number, high: nu
 
 const HOLD = 0.001;
 
-/** The kinds, with values to begin with that suit the loop. */
+/** Return the kinds with initial values for a loop. */
 export function kinds(loop: Loop): readonly Kind[] {
   const most = LARGEST[loop];
   const amplitude = (name = "amplitude", label = "Amplitude"): Field =>
@@ -127,7 +127,6 @@ export function kinds(loop: Loop): readonly Kind[] {
   ];
 }
 
-/** What all kinds have. */
 export const COMMON: readonly Field[] = [
   seconds("lead", "Rest before", 0.5),
   whole("repeat", "Played", 1, 1, 100),
@@ -137,20 +136,18 @@ export const COMMON: readonly Field[] = [
 
 export type Values = Record<string, number | readonly number[] | string>;
 
-/** The values to begin with. */
 export function initial(kind: Kind): Values {
   return Object.fromEntries(
     [...kind.fields, ...COMMON].map((field) => [field.name, field.type === "numbers" ? field.values : field.value]),
   );
 }
 
-/** What is sent: the library's form, or for a multisine its peak, of which the server makes amplitudes and phases. */
+/** Return the library's JSON; of a multisine the peak, from which the server computes amplitudes and phases. */
 export function excitationOf(kind: Kind, loop: Loop, values: Values): Excitation {
   const given = [...kind.fields, ...COMMON].map((field) => [field.name, values[field.name]]);
   return { kind: kind.kind, version: 1, unit: controlLoop(loop).unit, ...Object.fromEntries(given) } as Excitation;
 }
 
-/** The unit of a field of the form. */
 export function unitOf(field: Field, loop: Loop): string {
   if (field.type === "choice") return "";
   return field.unit === "amplitude" ? controlLoop(loop).unit : field.unit;
