@@ -59,7 +59,7 @@ def _fly(page: Page, take: Take) -> None:
 def _look_at_the_log(page: Page, take: Take) -> None:
     page.get_by_role("link", name="Logs", exact=True).click()
     expect(page.get_by_role("img", name="estimated").first).to_be_visible(timeout=LONG_MS)
-    expect(page.get_by_label("Put this message away")).to_have_count(0)
+    expect(page.get_by_label("Close this message")).to_have_count(0)
     take("logs")
     page.locator("main li a").first.click()
     expect(page.get_by_role("button", name="Play")).to_be_enabled(timeout=LONG_MS)

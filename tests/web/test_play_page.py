@@ -84,7 +84,7 @@ def test_the_same_seed_flies_the_same_bits_again(link: str, open_page: OpenPage)
     for left in (0.0013, 0.0029):
         page.evaluate("pilot.running = false")
         page.evaluate("(s) => pilot.advance(s)", left)  # a frame ends anywhere in a control step
-        page.get_by_role("button", name="Start anew").click()
+        page.get_by_role("button", name="Restart").click()
         flown(page, 6.0)
         flights.append([latest(page, name) for name in ("truth.x", "truth.theta", "estimate.x", "command.M")])
     assert flights[0] == flights[1]
@@ -116,7 +116,7 @@ def test_a_cut_link_is_what_the_failsafe_says(link: str, open_page: OpenPage) ->
     expect(page.get_by_text("no set-point came for a while")).to_be_visible()
     flown(page, 8.0)
     expect(page.get_by_text(re.compile("The failsafe stopped the motors"))).to_be_visible()
-    page.get_by_role("button", name="Start anew").press("Enter")
+    page.get_by_role("button", name="Restart").press("Enter")
     flown(page, 0.5)
     expect(page.get_by_text("Flying.")).to_be_visible()
 
