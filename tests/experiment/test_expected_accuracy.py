@@ -38,7 +38,7 @@ def test_the_bound_is_what_output_error_attains(still: Laboratory) -> None:
         assert bound == pytest.approx(flown.cramer_rao(name), rel=0.1)
 
 
-def test_with_the_noise_of_a_rig_it_is_the_bound_of_that_noise() -> None:
+def test_the_bound_is_that_of_the_rigs_noise() -> None:
     """The rig's gusts push the pendulum: the bound with their whole covariance is met within 7 %.
 
     The plan's noise remembers 40 samples, a fit's does too, and the whole covariance all of them.
@@ -116,7 +116,7 @@ def test_a_flight_in_closed_loop_claims_what_was_planned() -> None:
             assert flown.sigma(unknown) == pytest.approx(rows[unknown]["sigma"], rel=0.34), unknown
 
 
-def test_a_free_cart_in_closed_loop_is_planned_with_the_moment_of_its_speed() -> None:
+def test_a_free_cart_is_planned_with_its_moment() -> None:
     free = replace(experiment("attitude-prbs"), rings=False)
     names = [row["name"] for row in expected_accuracy(free, Laboratory("lab", noise=0.0)).to_json()["unknowns"]]
     assert "M_u" in names

@@ -51,7 +51,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_does_not(laboratory: Labo
     assert one["gyr"].value.tobytes() != other["gyr"].value.tobytes()
 
 
-def test_the_doublet_is_flown_about_the_trim_that_the_level_hold_found() -> None:
+def test_the_doublet_is_flown_about_the_found_trim() -> None:
     laboratory = Laboratory("lab", conditions={"trim": 0.02})
     flight = laboratory.fly(IDENTIFICATION["doublet"], seed=3)
     begin = script(flight.experiment).begin
@@ -128,7 +128,7 @@ def test_a_seed_that_the_noise_cannot_take_is_refused(laboratory: Laboratory, se
 
 
 @pytest.mark.parametrize("noise", [-1.0, float("nan"), float("inf"), "1"])
-def test_a_noise_that_makes_no_sense_is_refused_when_the_rig_is_built(noise: float) -> None:
+def test_a_wrong_noise_is_refused_with_the_rig(noise: float) -> None:
     with pytest.raises(ParameterError, match="noise"):
         Laboratory("lab", noise=noise)
 

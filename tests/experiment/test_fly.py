@@ -274,7 +274,7 @@ def test_a_real_drone_flies_to_its_start_during_the_hold() -> None:
             pass
 
 
-def test_a_real_drone_that_is_not_where_it_is_to_begin_is_not_excited() -> None:
+def test_a_real_drone_off_its_start_is_not_excited() -> None:
     with drone_thread(real) as url, Drone.connect(url) as drone:
         flight = fly(experiment("velocity-doublets", hold=0.3), drone)
         assert_failed(flight, "the drone does not hold its position: the cart is at")
@@ -354,7 +354,7 @@ def test_a_flight_in_which_the_failsafe_acted_is_broken_off() -> None:
         assert all(start - 1.0 < time < end + 5.0 for time, _, _ in texts)
 
 
-def test_a_start_from_which_the_rail_is_too_short_is_broken_off_before_its_end() -> None:
+def test_a_start_too_near_the_rails_end_ends_early() -> None:
     with drone_thread() as url, Drone.connect(url) as drone:
         flight = fly(short("velocity-doublets"), drone, x_start=0.29)
         assert not flight.good
@@ -429,7 +429,7 @@ def test_ctrl_c_disarms_and_hands_over_what_was_flown() -> None:
     )  # it was stopped past the half, in tenths of a second
 
 
-def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too_many() -> None:
+def test_lost_samples_are_gaps_and_fail_the_check() -> None:
     plan = script(experiment("attitude-steps"))
     values = np.zeros((plan.steps, len(COLUMNS)))
     values[:, NAMES.index("dist")] = np.nan
@@ -452,7 +452,7 @@ def test_lost_samples_are_gaps_in_the_log_and_fail_the_check_where_there_are_too
 
 
 @pytest.mark.long
-def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates() -> None:
+def test_lost_truth_is_judged_by_the_estimates() -> None:
     plan = script(experiment("attitude-steps"))
     values = np.zeros((plan.steps, len(COLUMNS)))
     values[:, NAMES.index("theta")] = 0.2
@@ -471,7 +471,7 @@ def test_truth_that_was_lost_is_a_gap_and_its_steps_are_judged_by_the_estimates(
 
 
 @pytest.mark.long
-def test_rows_that_come_twice_in_disorder_or_from_before_are_put_right() -> None:
+def test_rows_are_sorted_without_copies() -> None:
     values = np.arange(4.0)[:, None] * np.ones(len(COLUMNS))
     samples = ReceivedSamples.of([12, 10, 12, 3], values, first=10, steps=3)
     np.testing.assert_array_equal(samples.ticks, [10, 12])

@@ -41,7 +41,7 @@ def finite(log: FlightLog) -> bool:
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_moment_that_is_no_number_stops_the_motors_and_is_said(bad: float, tmp_path: Path) -> None:
+def test_a_moment_without_a_number_stops_the_motors(bad: float, tmp_path: Path) -> None:
     laboratory = Laboratory("lab", controllers=[breaks(ATTITUDE, 3.0, {"M": (0.0, bad)})])
     flight = laboratory.fly("attitude-steps")
     assert not flight.good

@@ -32,7 +32,7 @@ def test_it_is_what_the_flight_does(rig: str, rings: bool) -> None:
     assert found.failsafe == ""
 
 
-def test_a_small_step_of_the_place_ends_where_it_is_asked_to() -> None:
+def test_a_small_step_of_the_place_reaches_its_end() -> None:
     found = predict(Steps((0.1,), 6.0, unit="m"), "x", "paper", x=-0.05)
     assert found.x[round(5.5 / PERIOD)] == pytest.approx(0.05, abs=0.01)
     assert found.rail < found.rail_stop

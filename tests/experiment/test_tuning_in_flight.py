@@ -99,7 +99,7 @@ def simulated(flown: Flown, at: int | None) -> tuple[Script, Signals]:
 
 
 @pytest.mark.long
-def test_a_change_in_flight_has_the_bits_of_the_same_change_in_the_simulator(flown: Flown) -> None:
+def test_tuning_in_flight_has_the_simulators_bits(flown: Flown) -> None:
     plan, same = simulated(flown, flown.at)
     found = differing(flown.rows, plan, same)
     # What a sandbox shows as the rate set-point while nothing flies is that of the stock controllers.

@@ -29,7 +29,7 @@ def there() -> Iterator[OnBoard]:
         yield made
 
 
-def test_it_flies_as_a_part_of_the_drone_and_disarms_when_it_is_told_to_end(there: OnBoard, tmp_path: Path) -> None:
+def test_a_program_on_board_disarms_at_its_end(there: OnBoard, tmp_path: Path) -> None:
     file = tmp_path / "holds.py"
     file.write_text(HOLDS.format(seconds=60.0))
     command = [sys.executable, "-m", "twodof.gcs.app", str(file), "--url", there.url]

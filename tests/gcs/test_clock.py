@@ -62,7 +62,7 @@ def test_one_that_restarts_after_weeks_is_noticed() -> None:
     run_virtual(work())
 
 
-def test_in_lockstep_set_points_and_grants_go_over_the_end_of_their_numbers() -> None:
+def test_in_lockstep_numbers_wrap_for_set_points_and_grants() -> None:
     async def work() -> None:
         peer = OldPeer(lockstep=True)
         peer.tick = TICKS - 1000
@@ -80,7 +80,7 @@ def test_in_lockstep_set_points_and_grants_go_over_the_end_of_their_numbers() ->
 
 @pytest.mark.parametrize(("after", "pause"), [(0.0, 0.0), (0.5, 1.6), (1.0, 1.7), (2.0, 2.0)])
 @flight()
-async def test_a_drone_that_falls_silent_is_lost_even_where_this_program_stood_still(
+async def test_a_silent_drone_is_lost_despite_a_pause(
     peer: Peer, drone: AsyncDrone, after: float, pause: float
 ) -> None:
     """And not one whose time stands still: it is silent over all."""

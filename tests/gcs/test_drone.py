@@ -94,7 +94,7 @@ def test_parameters_by_both_names_together_and_back(there: OnBoard) -> None:
         assert len(rows) > 50
 
 
-def test_parameters_are_a_mapping_also_for_names_that_there_are_not(there: OnBoard) -> None:
+def test_parameters_are_a_mapping(there: OnBoard) -> None:
     with Drone.connect(there.url) as drone:
         assert "ATT_KP" in drone.parameters
         assert drone.parameters.get("ATT_KP") == drone.parameters["ATT_KP"]
@@ -137,7 +137,7 @@ def test_a_recording_is_the_drones_own_log(there: OnBoard, tmp_path: Path) -> No
         assert all(np.array_equal(back[name].value, log[name].value) for name in log.channels), suffix
 
 
-def test_a_recording_never_replaces_a_file_and_names_what_there_is_not(there: OnBoard, tmp_path: Path) -> None:
+def test_a_recording_refuses_existing_files_and_unknown_topics(there: OnBoard, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_text("mine")
     with Drone.connect(there.url) as drone:
         with pytest.raises(LogError, match="already"), drone.record(tmp_path / "a.mcap"):
@@ -147,9 +147,7 @@ def test_a_recording_never_replaces_a_file_and_names_what_there_is_not(there: On
     assert (tmp_path / "a.mcap").read_text() == "mine"
 
 
-def test_a_disk_that_is_full_ends_the_recording_and_not_the_flight(
-    there: OnBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_ends_the_recording_only(there: OnBoard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -199,7 +197,7 @@ def test_an_impulse_flies_without_thrust(there: OnBoard) -> None:
         assert rows.values[:, 2].max() > 0.5
 
 
-def test_a_kill_is_seen_at_once_and_holds_until_it_is_released(there: OnBoard) -> None:
+def test_a_kill_in_lockstep_holds_until_released(there: OnBoard) -> None:
     """In lockstep too, where nothing is seen unless time passes; a reset and leaving release nothing."""
     with Drone.connect(there.url) as drone:
         drone.run(0.5)
@@ -224,7 +222,7 @@ def test_a_kill_is_seen_at_once_and_holds_until_it_is_released(there: OnBoard) -
         drone.arm()
 
 
-def test_what_is_no_excitation_column_or_recording_is_said_at_the_call(there: OnBoard, tmp_path: Path) -> None:
+def test_wrong_excitations_columns_and_recordings_raise_at_once(there: OnBoard, tmp_path: Path) -> None:
     with Drone.connect(there.url) as drone:
         with pytest.raises(ExperimentError, match="3 is no excitation"):
             drone.excite(3)
@@ -352,7 +350,7 @@ def test_a_script_that_ends_without_leaving_disarms(how: str) -> None:
         assert there.drone.commander.lease.holder is None
 
 
-def test_a_reset_in_a_recording_loses_nothing_of_what_came_before(there: OnBoard, tmp_path: Path) -> None:
+def test_a_recording_goes_on_over_a_reset(there: OnBoard, tmp_path: Path) -> None:
     with Drone.connect(there.url) as drone:
         drone.run(0.1)
         with drone.record(tmp_path / "twice.mcap") as recording:

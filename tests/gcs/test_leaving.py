@@ -50,7 +50,7 @@ def ends_s(finish: bool) -> float:
     return 0.05 if finish else PATIENCE_S
 
 
-def test_a_callback_that_wants_to_end_the_program_ends_nothing_and_is_reported() -> None:
+def test_a_callback_that_exits_is_reported() -> None:
     runner = LoopThread("test")
     reported: list[Any] = []
     try:
@@ -109,7 +109,7 @@ def test_ctrl_c_cancels_work_unless_it_must_finish(when: str, finish: bool, monk
         runner.close()
 
 
-def test_leaving_that_is_broken_off_says_once_more_what_stops_the_motors() -> None:
+def test_cancelled_leaving_still_orders_to_disarm() -> None:
     """A task cancelled a second time has no time to see anything. Nothing is held afterwards: it is not a kill."""
 
     async def work() -> None:
@@ -164,7 +164,7 @@ class Forgetful(Peer):
             super()._twodof_lease(got, frame)
 
 
-def test_the_lease_is_given_up_though_the_first_word_of_it_is_lost() -> None:
+def test_the_lease_is_given_up_over_lost_messages() -> None:
     """Else the next script would have to wait until it ends by itself."""
 
     async def work() -> None:
@@ -191,7 +191,7 @@ class Standing(Peer):
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_a_kill_of_one_that_stands_is_seen_by_what_it_says_of_the_kill(lockstep: bool) -> None:
+def test_a_kill_of_a_disarmed_drone_is_seen(lockstep: bool) -> None:
     """In lockstep too, by one who may not let time pass; the first heartbeat that says it gets lost."""
     lost = False
 
@@ -239,7 +239,7 @@ def test_deadlines_do_not_add_up() -> None:
     run_virtual(work())
 
 
-def test_leaving_over_a_link_that_is_gone_insists_and_holds_nothing() -> None:
+def test_leaving_insists_over_a_lost_link() -> None:
     """The drone is not heard, and may hear: it is told to disarm for a while, and holds nothing afterwards."""
 
     async def work() -> None:

@@ -37,7 +37,7 @@ def test_a_file_of_qgroundcontrol_is_read() -> None:
     assert ParameterFile.read(FROM_QGC, component=100).values == {"CAM_MODE": 2.0}
 
 
-def test_what_it_holds_is_no_change_on_a_drone_that_has_it() -> None:
+def test_a_file_of_the_drones_values_changes_nothing() -> None:
     """QGroundControl's 18 digits and our shortest ones are one float32."""
     known = {"RATE_KP": entry("RATE_KP", 0.0854), "SAFE_WATCH_BITS": entry("SAFE_WATCH_BITS", 0.0, INT32)}
     assert ParameterFile.read(FROM_QGC).against(known) == ({"SAFE_WATCH_BITS": 1.0}, ())

@@ -60,7 +60,7 @@ async def test_each_access_asks_the_drone(peer: Peer, drone: AsyncDrone) -> None
 
 
 @flight(own)
-async def test_a_parameter_is_found_by_its_path_with_bounds_and_unit(peer: Peer, drone: AsyncDrone) -> None:
+async def test_a_parameter_is_found_by_its_path(peer: Peer, drone: AsyncDrone) -> None:
     path = "attitude_control.k_q"
     assert await drone.parameters.read(path) == 0.1
     await drone.parameters.update({path: 0.25, "ATT_KP": 6.0})

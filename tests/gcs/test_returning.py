@@ -23,7 +23,7 @@ async def killed(drone: AsyncDrone) -> None:
 
 
 @pytest.mark.parametrize("armed", [False, True])
-def test_a_script_that_was_killed_and_starts_again_waits_for_its_own_lease(armed: bool) -> None:
+def test_a_restarted_script_waits_for_its_old_lease(armed: bool) -> None:
     """Disarmed it ends 3 s after it was asked for the last time, in flight 3 s after the last word; then it is ours."""
 
     async def work() -> None:
@@ -65,7 +65,7 @@ class Standing(Peer):
         self.send("TWODOF_LEASE", holder_system=self.holder[0], holder_component=self.holder[1], duration_ms=left)
 
 
-def test_a_pilot_that_died_in_lockstep_is_followed_by_the_next_one() -> None:
+def test_a_dead_pilot_in_lockstep_has_a_successor() -> None:
     async def work() -> None:
         async with Standing() as peer:
             start = asyncio.get_running_loop().time()
@@ -76,7 +76,7 @@ def test_a_pilot_that_died_in_lockstep_is_followed_by_the_next_one() -> None:
     run_virtual(work())
 
 
-def test_a_lease_that_is_kept_is_refused_as_soon_as_that_is_seen() -> None:
+def test_a_renewed_lease_is_refused_soon() -> None:
     """Its holder renews it all the time, so two and a half seconds are enough to know; the deadline would be thirty."""
 
     async def work() -> None:
@@ -132,7 +132,7 @@ def test_a_drone_that_restarts_in_its_first_second_is_noticed(after: float, watc
 
 @pytest.mark.parametrize("pause", [2.0, 30.0])
 @pytest.mark.parametrize(("watching", "armed"), [(False, False), (True, False), (True, True), (False, True)])
-def test_a_program_that_stood_still_goes_on_unless_it_was_flying(watching: bool, armed: bool, pause: float) -> None:
+def test_a_pause_ends_the_session_in_flight_only(watching: bool, armed: bool, pause: float) -> None:
     """A notebook's slow cell, a laptop that slept: the drone was not silent. But for 3 s nobody flew it."""
 
     async def work() -> None:
@@ -180,7 +180,7 @@ async def test_a_pilot_that_stood_still_for_a_moment_flies_on(peer: Peer, drone:
     assert drone.messages == []
 
 
-def test_a_drone_that_was_ended_and_begun_again_at_once_is_noticed() -> None:
+def test_a_quick_restart_of_the_program_is_noticed() -> None:
     """The program itself: another start of it says another number, a reset the same."""
 
     async def start(whole: Whole) -> tuple[int, int]:

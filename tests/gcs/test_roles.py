@@ -48,7 +48,7 @@ def through_the_companion(index: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("served", [directly, through_the_companion])
-def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
+def test_the_commander_may_withhold_tuning(
     served: Callable[[int], AbstractContextManager[None]],
 ) -> None:
     with free_numbers(1) as index, served(index):
@@ -73,7 +73,7 @@ def test_a_program_tunes_what_another_flies_until_that_one_withholds_it(
             tuner.parameters["RATE_KP"] = 0.08  # the lease was given up, and with it what it withheld
 
 
-def test_the_shell_tunes_what_another_program_flies_at_the_port_that_one_has() -> None:
+def test_the_shell_tunes_another_programs_drone() -> None:
     with free_numbers(1) as index, directly(index):
         url = f"udpin://127.0.0.1:{Ports.ONBOARD + index}"
         with Drone.connect(url):
@@ -94,7 +94,7 @@ async def test_what_is_withheld_is_allowed_again_with_the_next_lease(peer: Peer,
 
 
 @flight()
-async def test_who_has_lost_the_lease_is_told_to_whom_and_withholds_nothing(peer: Peer, drone: AsyncDrone) -> None:
+async def test_without_the_lease_tuning_cannot_be_withheld(peer: Peer, drone: AsyncDrone) -> None:
     peer.holder = (7, 190)
     with pytest.raises(Rejected, match="7/190 holds the lease"):
         await drone.withhold_tuning()
@@ -111,5 +111,5 @@ def test_an_open_loop_message_beyond_its_bounds_is_refused(M: float, T: float, w
     assert commander.open_loop(ME, M, T, True, False, False).accepted  # it is not flown
 
 
-def test_the_end_of_open_loop_is_taken_whatever_moment_is_still_in_the_message() -> None:
+def test_open_loop_ends_whatever_moment_the_message_has() -> None:
     assert Cockpit().commander.open_loop(ME, 5.0, 0.0, False, True, False).accepted

@@ -271,7 +271,7 @@ def test_one_that_answers_wrongly(tmp_path: Path, lockstep: bool, seed: int) -> 
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_time_that_stands_still_holds_no_call_up_that_lets_it_pass(lockstep: bool) -> None:
+def test_calls_end_though_time_stands_still(lockstep: bool) -> None:
     """One that refuses every mode is asked again .1 s later, of its own time: which never comes."""
     stuck = False
 

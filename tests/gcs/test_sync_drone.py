@@ -40,7 +40,7 @@ def verbs(kind: type) -> dict[str, Any]:
     return {name: one for name, one in found if not name.startswith("_")}
 
 
-def test_what_connects_takes_the_same_but_for_the_component_of_a_program_on_board() -> None:
+def test_both_faces_connect_with_the_same_arguments() -> None:
     there = inspect.signature(AsyncDrone.connect).parameters
     here = inspect.signature(Drone.connect).parameters
     assert [(row.name, row.default) for row in here.values()] == [

@@ -127,6 +127,6 @@ def test_a_truth_value_of_a_command_is_one(server: Served) -> None:
 @pytest.mark.long
 @settings(deadline=None)
 @given(st.one_of(st.text(), st.recursive(st.none() | st.booleans() | st.floats() | st.text(), st.lists).map(repr)))
-def test_a_message_of_a_web_socket_is_a_request_or_is_refused(text: str) -> None:
+def test_a_socket_message_is_a_request_or_refused(text: str) -> None:
     with suppress(MalformedRequest):  # and nothing else
         assert isinstance(read_request(text), Subscribe | Unsubscribe)

@@ -91,7 +91,7 @@ def test_a_snapshot_says_what_it_would_change_and_brings_it_back(lab: ServedLab)
     assert lab.call("GET", "drones/1/parameters/snapshots/first")[0] == 404
 
 
-def test_steps_of_a_log_that_is_gone_are_none_and_say_why(lab: ServedLab) -> None:
+def test_a_deleted_log_has_no_steps(lab: ServedLab) -> None:
     status, told = lab.call("POST", "tuning/1/measured", {"log": "deleted-meanwhile.mcap"})
     assert (status, told["steps"], told["unclear"]) == (200, [], "there is no such log")
 
@@ -120,7 +120,7 @@ class TestGuard:
             assert lab.call("PUT", "models/careful", MODEL)[0] == 201
         assert lab.call("PUT", "tuning/1/model", {"model": "careful"})[1]["model"] == "careful"
 
-    def test_what_it_does_not_keep_stable_is_refused_until_it_is_confirmed(self, lab: ServedLab) -> None:
+    def test_unstable_gains_need_a_confirmation(self, lab: ServedLab) -> None:
         status, told = lab.call("PATCH", "drones/1/parameters", WILD)
         assert status == 409
         assert "does not keep this stable" in told["what"]
@@ -145,7 +145,7 @@ class TestGuard:
         assert status == 200
         assert {"name": "RATE_KP", "before": 0.0854, "value": 0.12} in told["changed"]
 
-    def test_what_it_keeps_stable_and_what_is_no_gain_of_the_pitch_pass(self, lab: ServedLab) -> None:
+    def test_stable_gains_and_other_parameters_pass(self, lab: ServedLab) -> None:
         assert lab.call("PATCH", "drones/1/parameters", {"RATE_KP": 0.08, "POS_KP": 1.0})[0] == 200
 
     def test_a_preview_has_the_band_the_margins_and_the_figures(self, lab: ServedLab) -> None:

@@ -104,14 +104,14 @@ def test_a_name_that_somebody_lets_point_here_is_not_ours(server: Served, host: 
     assert (server.ask("GET", "/", None, headers).status == 421) == (status == 421)  # the page too
 
 
-def test_a_request_from_our_own_page_is_let_in_and_from_another_port_is_not(server: Served) -> None:
+def test_requests_of_another_port_are_refused(server: Served) -> None:
     ours = server.ask("POST", "/api/drones/77/arm", None, {"Origin": f"http://{server.host}"}, token=COMMAND)
     assert ours.status == 404
     for origin in ("null", f"http://127.0.0.1:{server.port + 1}", "file://", f"http://{server.host}.evil.example", ""):
         assert server.ask("POST", "/api/drones/77/arm", None, {"Origin": origin}, token=COMMAND).status == 403, origin
 
 
-def test_without_a_token_the_loopback_may_command_and_a_viewers_link_watches(tmp_path: Path) -> None:
+def test_without_a_token_the_loopback_may_command(tmp_path: Path) -> None:
     with served(tmp_path, watch_token=WATCH) as server:
         told = server.ask("GET", "/api/session").json
         assert told["role"] == "command"
@@ -211,7 +211,7 @@ def test_a_web_socket_of_somebody_else_is_not_opened(server: Served, token: str,
 
 
 @pytest.mark.parametrize("token", [COMMAND, WATCH])
-def test_a_web_socket_of_our_own_page_is_opened_with_its_role(server: Served, token: str) -> None:
+def test_a_socket_of_our_page_has_its_role(server: Served, token: str) -> None:
     with server.socket(token, origin=f"http://{server.host}") as client:
         assert client.event("session")["role"] == token.split("-")[0]
 
@@ -240,7 +240,7 @@ MALFORMED = [
 
 
 @pytest.mark.parametrize("message", MALFORMED, ids=lambda one: str(one)[:40])
-def test_a_message_that_is_none_closes_its_web_socket_and_no_other(server: Served, message: str | bytes) -> None:
+def test_a_malformed_message_closes_its_own_socket_only(server: Served, message: str | bytes) -> None:
     with server.socket(WATCH) as other, server.socket(WATCH) as client:
         client.websocket.send(message)
         code, reason = client.closed()
@@ -269,7 +269,7 @@ def test_what_is_well_formed_and_cannot_be_is_refused_in_words(server: Served) -
         assert "estimate.theta" in refused["remedy"]
 
 
-def test_a_page_that_is_not_built_says_how_and_is_there_once_it_is(tmp_path: Path) -> None:
+def test_a_page_is_served_once_it_is_built(tmp_path: Path) -> None:
     page = tmp_path / "page"
     with served(tmp_path, page=page) as server:
         missing = server.ask("GET", "/")

@@ -59,7 +59,7 @@ class _Flown:
             await asyncio.sleep(0.0005)
 
 
-def test_a_file_is_said_to_be_written_from_its_first_moment_to_its_last(tmp_path: Path) -> None:
+def test_a_file_in_writing_is_always_named(tmp_path: Path) -> None:
     """Else the list of logs offers one that cannot be read yet."""
     flown = _Flown(tmp_path, 2.0, telemetry=True)
     assert flown.unclaimed == set()

@@ -44,7 +44,7 @@ def drone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, On
         yield found
 
 
-def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extremes(
+def test_rows_have_the_drones_bits(
     drone: tuple[Served, OnBoard],
 ) -> None:
     server, there = drone
@@ -78,7 +78,7 @@ def test_rows_are_what_the_drone_computed_to_the_bit_and_decimated_rows_its_extr
         assert set(decimated[1, k : k + 2].astype(np.float32)) == {bucket.min(), bucket.max()}
 
 
-def test_the_page_flies_it_and_what_it_is_told_is_what_it_does(drone: tuple[Served, OnBoard]) -> None:
+def test_the_page_flies_the_drone_as_it_is_told(drone: tuple[Served, OnBoard]) -> None:
     server, there = drone
     with server.socket() as client:
         assert server.ask("POST", "/api/drones/1/arm").json["armed"]
@@ -104,7 +104,7 @@ def test_the_page_flies_it_and_what_it_is_told_is_what_it_does(drone: tuple[Serv
         assert not server.ask("DELETE", "/api/drones/1/lease").json["ours_leases"]
 
 
-def test_a_script_flies_while_the_page_watches_tunes_and_may_always_stop_it(drone: tuple[Served, OnBoard]) -> None:
+def test_the_page_tunes_and_stops_a_scripts_drone(drone: tuple[Served, OnBoard]) -> None:
     server, there = drone
     with server.socket() as client, Drone.connect(there.url) as script:
         script.arm()
@@ -229,9 +229,7 @@ def test_an_experiment_is_one_log_and_the_drone_stands_as_before(drone: tuple[Se
 
 
 @pytest.mark.long
-def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_drone_without_clients_is_levelled_then_disarmed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pilot, "LEVEL_S", 0.4)
     monkeypatch.setattr(pilot, "LEAVE_S", 1.2)
     with flying(tmp_path, safety_off=True) as (server, there):
@@ -258,9 +256,7 @@ def test_what_everybody_has_left_is_levelled_then_disarmed_and_given_up(
 
 
 @pytest.mark.long
-def test_a_page_that_stands_still_with_its_socket_open_is_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frozen_page_does_not_keep_the_drone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(telemetry_client, "ALIVE_S", 0.1)
     monkeypatch.setattr(pilot, "LEVEL_S", 0.4)
     monkeypatch.setattr(pilot, "LEAVE_S", 1.2)

@@ -111,7 +111,7 @@ def test_a_job_that_fails_says_why_and_the_next_one_runs(
     with_jobs(work)
 
 
-def test_who_only_watches_has_a_share_and_who_commands_finds_a_place() -> None:
+def test_watchers_have_a_share_of_the_jobs() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
         watchers = [LabClient(Role.WATCH, f"10.0.0.{k}") for k in range(3)]
         first = [jobs.start("sleep", sleeps, client=watchers[0]) for _ in range(MOST_OF_ONE)]
@@ -142,7 +142,7 @@ def test_a_job_that_is_cancelled_ends_with_its_process() -> None:
     with_jobs(work)
 
 
-def test_more_than_can_run_wait_for_their_turn_and_more_than_can_wait_are_refused() -> None:
+def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
     async def work(jobs: Jobs, _: list[Mapping[str, Any]]) -> None:
         started: list[Job] = [jobs.start("sleep", sleeps) for _ in range(AT_ONCE + MOST_WAITING)]
         with pytest.raises(Rejected, match="too many jobs"):

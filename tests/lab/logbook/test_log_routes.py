@@ -189,7 +189,7 @@ def test_a_hostile_name_finds_nothing(server: Served, name: str) -> None:
         ("page.mat", b"<script>alert(1)</script>" * 100),
     ],
 )
-def test_a_file_that_is_no_log_is_refused_with_a_reason_and_not_kept(server: Served, name: str, content: bytes) -> None:
+def test_a_file_without_a_log_is_refused(server: Served, name: str, content: bytes) -> None:
     before = files(server)
     got = server.ask("POST", f"/api/logs/{name}", content)
     assert got.status == 422
@@ -199,14 +199,14 @@ def test_a_file_that_is_no_log_is_refused_with_a_reason_and_not_kept(server: Ser
     nothing_is_left_over(server)
 
 
-def test_a_huge_file_is_refused_before_it_is_sent_and_while_it_is(server: Served) -> None:
+def test_a_huge_file_is_refused(server: Served) -> None:
     assert MOST_UPLOADED < MAX_FILE_BYTES
     got = server.ask("POST", "/api/logs/big.mat", None, {"Content-Length": str(MOST_UPLOADED + 1)})
     assert (got.status, str(MOST_UPLOADED) in got.json["what"]) == (413, True)
     assert "big.mat" not in names(server)
 
 
-def test_a_log_that_is_dropped_is_kept_whole_and_never_over_another(server: Served, tmp_path: Path) -> None:
+def test_an_uploaded_log_never_replaces_another(server: Served, tmp_path: Path) -> None:
     write_log(attitude_steps(), tmp_path / "x.mat")
     content = (tmp_path / "x.mat").read_bytes()
     first, second = (server.ask("POST", "/api/logs/dropped.mat", content) for _ in range(2))

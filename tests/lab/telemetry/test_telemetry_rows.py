@@ -30,7 +30,7 @@ VALUES = st.lists(
 
 
 @given(VALUES, RATES, st.lists(st.integers(1, 40), min_size=1, max_size=10))
-def test_each_bucket_has_its_minimum_and_maximum_and_never_more_rows_than_asked_for(
+def test_each_bucket_gives_its_minimum_and_maximum(
     values: list[tuple[float, float]], rate: float, pieces: list[int]
 ) -> None:
     decimation = Decimation(rate)
@@ -99,7 +99,7 @@ def test_rows_of_several_messages_are_given_in_order_and_once() -> None:
     assert taken(rows) == [5]
 
 
-def test_the_truth_of_a_tick_is_waited_for_while_it_comes_and_no_longer() -> None:
+def test_rows_wait_for_a_truth_that_comes() -> None:
     rows = TickRows()
     rows.truth(1, (0.1, 0.2, 0.3, 0.4))
     put(rows, 1, 2)
@@ -121,7 +121,7 @@ def test_a_drone_that_began_anew_begins_anew_here() -> None:
     assert taken(rows) == [0, 1]
 
 
-def test_a_slow_client_loses_the_oldest_rows_and_is_told_how_many() -> None:
+def test_a_slow_client_loses_its_oldest_rows() -> None:
     outbox, slow, other = Outbox(), StreamState(1), StreamState(2)
     size = 1000
     outbox.put(Rows(other, b"x" * size, 1))
@@ -132,7 +132,7 @@ def test_a_slow_client_loses_the_oldest_rows_and_is_told_how_many() -> None:
     assert outbox.waiting <= MOST_BYTES
 
 
-def test_what_alone_is_larger_than_the_outbox_is_sent_all_the_same() -> None:
+def test_rows_larger_than_the_outbox_are_sent() -> None:
     outbox, stream = Outbox(), StreamState(1)
     outbox.put(Rows(stream, b"x" * (2 * MOST_BYTES), 7))
     assert asyncio.run(outbox.next()) == Rows(stream, b"x" * (2 * MOST_BYTES), 7)

@@ -40,7 +40,7 @@ def rehearsed(lab: ServedLab, text: str) -> tuple[str, dict[str, Any]]:
 
 
 @pytest.mark.long
-def test_only_what_was_rehearsed_flies_and_what_is_unstable_only_if_confirmed(lab: ServedLab) -> None:
+def test_only_rehearsed_diagrams_are_flashed(lab: ServedLab) -> None:
     job, found = rehearsed(lab, OWN)
     assert found["template"] == "attitude_control"
     assert found["trial"]["fault"] is None

@@ -68,7 +68,7 @@ def test_it_stays_warm_and_says_what_is_wrong() -> None:
 
 
 @pytest.mark.parametrize("why", ["late", "left"])
-def test_what_takes_too_long_or_is_asked_for_no_more_ends_with_its_compiler(why: str, tmp_path: Any) -> None:
+def test_late_and_abandoned_work_ends_with_its_compiler(why: str, tmp_path: Any) -> None:
     place = tmp_path / "pid"
 
     async def use(bench: Workbench) -> None:
