@@ -1,8 +1,7 @@
 """Topics of the on-board log: every number of a step in one row, and the topics of PX4.
 
-PlotJuggler, Flight Review and pyulog show a flight by PX4's names. Topics and fields are those of PX4 v1.16 (msg/)
-that this vehicle has and those programs draw. Roll, yaw, y and z are 0: the rail is the local x axis. What PX4 leaves
-open is NaN.
+PlotJuggler, Flight Review and pyulog show a flight by PX4's names. Topics and fields are those of PX4 v1.16 (msg/), as
+far as this vehicle has them. Roll, yaw, y and z are 0: the rail is the local x axis. What PX4 leaves open is NaN.
 """
 
 from collections.abc import Callable
@@ -155,13 +154,21 @@ _SAMPLED: dict[str, Value] = {"uint64_t timestamp_sample": _of("timestamp")}
 _THRUST: dict[str, Value] = {"float[3] thrust_body": _vector("", "", "-T")}
 
 
+def _unset(kind: str, *names: str) -> dict[str, Value]:
+    """Return fields that are always 0."""
+    return {f"{kind} {name}": 0 for name in names}
+
+
 PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "sensor_combined",
         "accelerometer and gyro, each sample of the IMU",
         {
             "float[3] gyro_rad": _vector("gyro_x", "gyro_y", "gyro_z"),
+            "uint32_t gyro_integral_dt": 4000,
+            "int32_t accelerometer_timestamp_relative": 0,
             "float[3] accelerometer_m_s2": _vector("acc_x", "acc_y", "acc_z"),
+            "uint32_t accelerometer_integral_dt": 4000,
         },
         lambda rows: rows["imu_new"] != 0,
     ),
@@ -173,7 +180,12 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "vehicle_attitude",
         "estimated pitch as a quaternion, each step",
-        {**_SAMPLED, "float[4] q": _quaternion("theta")},
+        {
+            **_SAMPLED,
+            "float[4] q": _quaternion("theta"),
+            "float[4] delta_q_reset": 0,
+            "uint8_t quat_reset_counter": 0,
+        },
     ),
     LoggedTopic(
         "vehicle_local_position",
@@ -181,13 +193,14 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
         {
             **_SAMPLED,
             "bool xy_valid": 1,
+            "bool z_valid": 0,
             "bool v_xy_valid": 1,
+            "bool v_z_valid": 0,
             "float x": _of("x"),
             "float y": 0,
             "float z": 0,
             "float vx": _of("v"),
-            "float vy": 0,
-            "float vz": 0,
+            **_unset("float", "vy", "vz", "ax", "ay", "az", "heading"),
             "float dist_bottom": np.nan,
         },
         lambda rows: is_published(rows["tick"].astype(np.int64) - 1),
@@ -210,9 +223,7 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
             "float y": 0,
             "float z": 0,
             "float vx": _of("v0"),
-            "float vy": 0,
-            "float vz": 0,
-            "float yaw": 0,
+            **_unset("float", "vy", "vz", "yaw", "yawspeed"),
         },
     ),
     LoggedTopic(
@@ -226,16 +237,19 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "actuator_motors",
         "the four motors' commands, each step; motors 1 and 3 are the fore pair, 2 and 4 the aft pair",
-        {**_SAMPLED, "float[12] control": _motors},
+        {**_SAMPLED, "uint16_t reversible_flags": 0, "float[12] control": _motors},
     ),
     LoggedTopic(
         "distance_sensor",
         "range, each sample, stamped when it was measured",
         {
+            "uint32_t device_id": 0,
             "float min_distance": 0.0,
             "float max_distance": 1.3,
             "float current_distance": _of("dist"),
             "float variance": 0,
+            "int8_t signal_quality": -1,
+            **_unset("uint8_t", "type", "orientation"),
         },
         lambda rows: rows["dist_new"] != 0,
         _measured_us,
@@ -257,8 +271,11 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
         "vehicle_status",
         "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
         {
+            "uint64_t armed_time": 0,
             "uint8_t arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
             "uint8_t nav_state": _nav_state,
+            "uint8_t nav_state_user_intention": _nav_state,
+            "uint8_t vehicle_type": 1,
             "bool failsafe": lambda rows: rows["action"] != 0,
         },
         _changed,
@@ -266,7 +283,12 @@ PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "actuator_armed",
         "armed, and whether arming is possible: each change, and 2 Hz",
-        {"bool armed": _of("armed"), "bool ready_to_arm": lambda rows: rows["causes"] == 0},
+        {
+            "bool armed": _of("armed"),
+            "bool prearmed": 0,
+            "bool ready_to_arm": lambda rows: rows["causes"] == 0,
+            "bool lockdown": 0,
+        },
         _changed,
     ),
 )
