@@ -111,7 +111,7 @@ class Excitation(ABC):
 
     @property
     def duration(self) -> float:
-        """From the start to the end of the rest after it [s]."""
+        """Duration with the rest before the first pattern and after the last one [s]."""
         us = _us(self.lead) + self.repeat * _us(self.pattern) + (self.repeat - 1) * _us(self.pause)
         return (us + _us(self.settle)) / 1e6
 

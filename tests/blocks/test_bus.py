@@ -184,7 +184,7 @@ CLASHES: dict[str, tuple[Port, Port, str]] = {
         Port("a", Bus("R", [Port("q")])),
         "reader.u.a.q: the bus 'source.y' has no field 'a.q' (there are: a.p, a.count)",
     ),
-    "a bus for a number": (Port("a", RATES), Port("a"), "reader.u.a: a bus with the fields p, count"),
+    "a bus for a number": (Port("a", RATES), Port("a"), "reader.u.a: it is a bus, with the fields p, count"),
     "a number for a bus": (Port("a"), Port("a", RATES), "reader.u.a.p: 'source.y.a' is not a bus"),
 }
 

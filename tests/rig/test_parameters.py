@@ -77,7 +77,7 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("{", "is no JSON"),
+        ("{", "is not JSON"),
         ("[]", "is not of version"),
         ('{"version": 2, "parameters": {}}', "is not of version"),
         ('{"version": 1}', "has no table"),

@@ -35,7 +35,7 @@ class ModelResponse:
     phase_sigma: Array
 
     def gain_band(self, level: float = 0.95) -> tuple[Array, Array]:
-        """Return the gain's lower and upper limit at `level`."""
+        """Return the lower and upper limit of the gain, as a ratio, at the confidence `level`."""
         share = deviations(level) * self.gain_sigma
         return np.asarray(abs(self.response) * np.exp(-share)), np.asarray(abs(self.response) * np.exp(share))
 

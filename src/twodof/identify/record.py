@@ -157,7 +157,11 @@ class Record:
                     "name it in `inputs` too",
                 )
         if not isinstance(hold, str | Mapping):
-            raise IdentificationError(f"there is no hold {hold!r:.40}", f"record '{name}'", f"use {', '.join(HOLDS)}")
+            raise IdentificationError(
+                f"the hold {hold!r:.40} is neither a name nor a mapping",
+                f"record '{name}'",
+                f"use {', '.join(HOLDS)}, or a mapping from input to one of them",
+            )
         holds = dict.fromkeys(inputs, hold) if isinstance(hold, str) else dict(hold)
         for channel, kind in holds.items():
             _check_hold(kind, f"record '{name}', input '{channel}'")

@@ -269,7 +269,11 @@ def function_block(
         else:
             found_inputs.append(ports.pop(name, Port(name)))
     for name in [*ports, *tunables]:
-        raise DiagramError(f"{name!r} is declared", label, "give the function an argument of this name")
+        raise DiagramError(
+            f"{name!r} is declared, but the function has no such argument",
+            label,
+            "add the argument, or delete the declaration",
+        )
     declared = [Port(port) if isinstance(port, str) else port for port in outputs]
     # The class is as much the user's as the function is.
     names = {"__doc__": function.__doc__, "__module__": getattr(function, "__module__", "__main__")}

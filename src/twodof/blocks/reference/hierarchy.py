@@ -104,7 +104,7 @@ class DiagramLevel:
         fields = _fields_of(end, self._root)
         if fields:
             names = [str(field).removeprefix(f"{end}.") for field in fields]
-            what = f"a bus with the fields {nearest('', names)}"
+            what = f"it is a bus, with the fields {nearest('', names)}"
             raise DiagramError(what, f"{self.path}.{source}", "name one of its fields")
         return end
 

@@ -86,5 +86,5 @@ def _fields(signals: Mapping[str, FlatSignal], name: str) -> dict[str, FlatSigna
 def scalar(found: Mapping[str, FlatSignal], where: str) -> FlatSignal:
     """Return the one signal of a source. Raises DiagramError for a bus."""
     if "" not in found:
-        raise DiagramError(f"a bus with the fields {nearest('', found)}", where, "name one of its fields")
+        raise DiagramError(f"it is a bus, with the fields {nearest('', found)}", where, "name one of its fields")
     return found[""]
