@@ -34,6 +34,7 @@ import shutil
 import sys
 import time
 import zlib
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -411,13 +412,14 @@ def record(before: Mapping[str, Any] | None, quick: bool) -> dict[str, Any]:
     return {"outputs": found, "wire": wire, "files": files, "texts": texts}
 
 
-def _message(frame: str) -> int:
-    """The number of the message in a noted packet."""
-    return int.from_bytes(bytes.fromhex(frame[15:21]), "little")
+def _content(frame: str) -> tuple[str, int, str]:
+    """Direction, message number and payload of a noted packet with its sender: all but sequence and checksum."""
+    packet = bytes.fromhex(frame[1:])
+    return frame[0], int.from_bytes(packet[7:10], "little"), packet[5:7].hex() + packet[10 : 10 + packet[1]].hex()
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any], quick: bool = False) -> list[str]:
-    """Each difference, in a line; of a session the first packet of each message that differs.
+    """Each difference, in a line; of a session the packets that went or came, message by message.
 
     With `quick` what there is only before is left out.
     """
@@ -426,13 +428,19 @@ def differences(before: Mapping[str, Any], after: Mapping[str, Any], quick: bool
         others = after["wire"].get(name, [])
         if frames == others:
             continue
-        unlike = [k for k, (a, b) in enumerate(zip(frames, others, strict=False)) if a != b]
-        told.append(f"wire, {name}: {len(frames)} packets before, {len(others)} after, {len(unlike)} differ in place")
-        of_each = {_message(frames[k]): k for k in reversed(unlike)}  # the first of each message
-        for message, k in sorted(of_each.items(), key=lambda row: row[1])[:MOST_SHOWN]:
-            many = sum(_message(frames[one]) == message for one in unlike)
-            told.append(f"    message {message} differs {many} times, first as packet {k}")
-            told += [f"        before: {frames[k]}", f"        after:  {others[k]}"]
+        told.append(f"wire, {name}: {len(frames)} packets before, {len(others)} after")
+        was, now = (Counter(map(_content, each)) for each in (frames, others))
+        gone, new = was - now, now - was
+        if not gone and not new:
+            told.append("    the same packets in another order or with other numbers")
+        for message in sorted({one[1] for one in (gone + new)})[:MOST_SHOWN]:
+            for word, packets in (("gone", gone), ("new", new)):
+                of_it = {one: many for one, many in packets.items() if one[1] == message}
+                if of_it:
+                    direction, _, payload = next(iter(of_it))
+                    told.append(
+                        f"    message {message}: {sum(of_it.values())} {word}, such as {direction}{payload:.160}"
+                    )
     for part in ("outputs", "files", "texts"):
         wanted = {name: value for name, value in before[part].items() if name in after[part] or not quick}
         told += _unlike(part, wanted, after[part])
