@@ -140,6 +140,7 @@ def test_equal_diagrams_give_equal_c() -> None:
 
 def test_pieces_change_no_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pieces, "LONGEST", 12)
+    monkeypatch.setattr(pieces, "LONGEST_SETUP", 6)
     monkeypatch.setattr(pieces, "PIECE", 4)
     cases = differential.cheap_cases(717, 8, 20)
     programs = differential.emitted(cases, "float64", "rk4")

@@ -155,9 +155,9 @@ class _Emitter:
             declared = indented(stage.declarations())
             text = f"typedef struct {{ /* what does not change inside a step */\n{declared}}} {p}_Held;\n\n"
             self.listing.add(text, Mark("Held", "", "declaration"))
-        self._list(self._defaults(), "default parameters")
-        self._list(self._prepare(), "derived parameters")
-        self._list(self._init(), "initial states")
+        self._list(self._defaults(), "default parameters", every_tick=False)
+        self._list(self._prepare(), "derived parameters", every_tick=False)
+        self._list(self._init(), "initial states", every_tick=False)
         for function in moving:
             self._list(function, "integration")
         self._list(step, "one step")
@@ -165,10 +165,10 @@ class _Emitter:
             self.listing.add(self._step_and_run(), Mark("run", "", "many steps"))
             self.listing.add(self._tables() + self._sizes())
 
-    def _list(self, function: Function, role: str) -> None:
+    def _list(self, function: Function, role: str, every_tick: bool = True) -> None:
         elements = sum(s.size or 0 for s in every(function.body) if isinstance(s, Assign))
         # With edges, times stand in variables that cannot be handed on.
-        struct, functions, handed = ("", [function], 0) if self.program.edged else in_pieces(function)
+        struct, functions, handed = ("", [function], 0) if self.program.edged else in_pieces(function, every_tick)
         self.apart |= len(functions) > 1
         if elements + handed + 6 * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
             raise DiagramError(

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from twodof.compile.c.functions import Function
 from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, Statement, every, without_unread, written
 
-LONGEST = 1200  # statements of a function that stays whole
+LONGEST = 1200  # statements of a function that stays whole, if it runs at every tick
+LONGEST_SETUP = 300  # the same for one that runs at the start, or when a parameter changes
 PIECE = 100  # statements of a piece, about
 APART = """/* Not put in place, so that a compiler sees less at once. */
 #if defined(__GNUC__)
@@ -20,9 +21,9 @@ APART = """/* Not put in place, so that a compiler sees less at once. */
 WORK = frozenset(("work",))
 
 
-def in_pieces(function: Function) -> tuple[str, list[Function], int]:
+def in_pieces(function: Function, every_tick: bool) -> tuple[str, list[Function], int]:
     """Return the text of the struct, the pieces with the function itself as the last one, and the struct's elements."""
-    if _length(function.body) <= LONGEST:
+    if _length(function.body) <= (LONGEST if every_tick else LONGEST_SETUP):
         return "", [function], 0
     without_unread(function.body)
     return _Pieces(function).made()
