@@ -57,6 +57,29 @@ def test_every_cause_that_the_failsafe_has_refuses_arming_by_its_name(cause: str
     assert cockpit.failsafe.state == DISARMED
 
 
+def test_arming_is_refused_by_safety_switch_rings_and_before_any_sensor_was_heard() -> None:
+    cockpit = Cockpit()
+    assert "no sensor" in cockpit.commander.arming.arm(ME).text
+    cockpit.run(2)
+    cockpit.rig.safety_off = False
+    assert "safety switch" in cockpit.commander.arming.arm(ME).text
+    cockpit.rig.safety_off = True
+    cockpit.commander.set_mode(ME, modes.POSITION)
+    cockpit.rig.rings = True
+    assert "rings_wrong" in cockpit.commander.arming.arm(ME).text
+    cockpit.rig.rings = False
+    assert cockpit.arm().accepted
+
+
+def test_a_forced_arming_skips_nothing() -> None:
+    cockpit = Cockpit()
+    cockpit.failsafe.causes = BIT["tilted"]
+    cockpit.run(2)
+    verdict = cockpit.commander.arming.arm(ME)
+    assert verdict.result == MavResult.TEMPORARILY_REJECTED
+    assert "tilted" in verdict.text
+
+
 @pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE, modes.POSITION])
 def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     cockpit = Cockpit()
@@ -67,6 +90,24 @@ def test_arming_is_refused_while_sticks_ask_for_something(mode: int) -> None:
     assert "not_idle" in commander.arming.arm(ME).text
     commander.sticks(ME, 0.0, 0.0)
     assert cockpit.arm().accepted == (mode != modes.POSITION)  # which holds it even with the stick centred
+
+
+@pytest.mark.parametrize(("ago", "arms"), [(FRESH, False), (FRESH + 1, True)])
+def test_sticks_count_for_half_a_second(ago: int, arms: bool) -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.sticks(ME, 0.1, 0.4)
+    cockpit.run(ago)
+    assert cockpit.arm().accepted == arms
+
+
+def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.arm().accepted
 
 
 @pytest.mark.parametrize("kind", [OPENLOOP, STICKS])
@@ -116,6 +157,63 @@ def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
     cockpit.run(FRESH + 1)
     assert cockpit.arm().accepted
     assert cockpit.run(20).mode == OFF
+
+
+def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+    cockpit.failsafe.causes = BIT["tilted"]
+    cockpit.run(2)
+    assert "tilted" in cockpit.commander.arming.answer.text
+    cockpit.failsafe.causes = 0
+    cockpit.run()
+    assert cockpit.arm().accepted
+
+
+def test_a_failsafe_that_does_not_answer_ends_the_arming() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+    for tick in range(2, 60):
+        asked = cockpit.commander.control_input(tick)
+        step = cockpit.failsafe.step(tick, ControlInput())  # deaf
+        cockpit.commander.seen(step)
+        if not asked.arm:
+            break
+    assert tick < 30
+    assert cockpit.commander.arming.answer.result == MavResult.FAILED
+
+
+def test_asking_again_and_again_does_not_wait_for_longer() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    for tick in range(2, 60):
+        if cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS:
+            cockpit.commander.control_input(tick)
+            cockpit.commander.seen(cockpit.failsafe.step(tick, ControlInput()))  # deaf
+        if cockpit.commander.arming.answer.result == MavResult.FAILED:
+            break
+    assert tick < 30
+
+
+@pytest.mark.parametrize("mode", [modes.MANUAL, modes.RATE, modes.ATTITUDE])
+def test_thrust_alone_keeps_from_arming(mode: int) -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.set_mode(ME, mode)
+    cockpit.commander.sticks(ME, 0.0, 0.1)
+    assert "not_idle" in cockpit.commander.arming.arm(ME).text
+
+
+def test_what_is_streamed_in_another_mode_than_offboard_does_not_fly_when_it_arms() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
+    assert cockpit.arm().accepted
+    assert cockpit.run(5).mode == OFF
 
 
 def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on() -> None:
@@ -191,6 +289,14 @@ def test_it_is_waited_for_a_tenth_of_a_second() -> None:
 
 
 @pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
+def test_disarming_is_obeyed_whoever_asks_in_the_next_tick(source: tuple[int, int]) -> None:
+    cockpit = offboard()
+    assert cockpit.commander.arming.disarm(source).accepted
+    assert cockpit.run() == ControlInput(link_new=True)
+    assert not cockpit.commander.armed
+
+
+@pytest.mark.parametrize("source", [ME, OTHER, COMPANION])
 def test_a_kill_is_obeyed_whoever_asks_and_holds_until_it_is_released(source: tuple[int, int]) -> None:
     cockpit = offboard()
     assert cockpit.commander.arming.kill(source).accepted
@@ -237,6 +343,24 @@ def test_who_may_not_command_may_not_release_and_what_was_not_killed_needs_none(
     assert verdict == rejected("release refused: system 250, component 190 holds the lease", RefusalReason.LEASE)
     assert cockpit.commander.arming.killed_by is not None
     assert len(cockpit.commander.remarks) == said + 1
+
+
+def test_a_kill_holds_over_a_reset() -> None:
+    cockpit = offboard()
+    assert cockpit.commander.arming.kill(OTHER).accepted
+    cockpit.run()
+    cockpit.commander.restart()
+    cockpit.failsafe.state = DISARMED
+    assert cockpit.commander.arming.killed_by is not None
+    cockpit.tick = 0
+    cockpit.run()
+    assert "killed" in cockpit.commander.arming.arm(ME).text
+    assert cockpit.commander.system_status == modes.TERMINATED
+    assert cockpit.commander.arming.release(ME).accepted
+    assert cockpit.arm().accepted
+    cockpit.commander.arming.disarm(ME)
+    cockpit.commander.restart()
+    assert not cockpit.commander.arming.killed_by, "nor does a reset kill"
 
 
 def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:

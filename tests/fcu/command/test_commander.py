@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, armed, offboard
+from tests.fcu.command.cockpit import LEVEL_FLIGHT, ME, OTHER, Cockpit, Rig, armed, offboard
 from twodof.errors import RefusalReason
+from twodof.fcu.command.command_lease import MOST_REMARKS
 from twodof.fcu.command.setpoints import (
     CAPACITY,
     FRESH,
@@ -82,6 +83,15 @@ def test_from_a_hold_into_offboard_what_is_left_open_stays_as_it_flies() -> None
     assert (asked.mode, asked.M_open, asked.thrust) == (OPEN_LOOP, 0.1, 0.375)
 
 
+def test_offboard_entered_again_before_a_new_set_point_flies_on_what_flew() -> None:
+    cockpit = offboard(LEVEL_FLIGHT._replace(theta0=0.3))
+    cockpit.commander.set_mode(ME, modes.HOLD)
+    cockpit.run()
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    asked = cockpit.run(2)
+    assert (asked.mode, asked.theta0, asked.thrust, asked.setpoint_new) == (ATTITUDE, 0.0, 0.375, False)
+
+
 def test_a_stream_that_ends_leaves_the_mode_and_goes_on_when_it_comes_back() -> None:
     cockpit = offboard()
     quiet = cockpit.run(400)
@@ -99,6 +109,17 @@ def test_targets_act_in_offboard_only(mode: int) -> None:
     before = cockpit.run(2)
     assert cockpit.commander.setpoint(ME, SetPoint(RATE, q0=1.0, thrust=0.7)).accepted
     assert cockpit.run() == before
+
+
+def test_no_set_point_moves_a_locked_cart() -> None:
+    cockpit = offboard(rig=Rig(rings=True))
+    for setpoint in (SetPoint(VELOCITY, v0=0.1), SetPoint(POSITION, x0=0.1)):
+        verdict = cockpit.commander.setpoint(ME, setpoint)
+        assert verdict.result == MavResult.DENIED
+        assert "rings" in verdict.text
+        assert cockpit.run().mode == ATTITUDE
+    assert cockpit.commander.set_mode(ME, modes.POSITION).result == MavResult.DENIED
+    assert cockpit.commander.refused[RefusalReason.RINGS] == 2
 
 
 def test_set_points_act_at_their_tick_in_the_order_in_which_they_came() -> None:
@@ -125,6 +146,15 @@ def test_what_waits_is_bounded_in_number_and_time() -> None:
     assert cockpit.run(CAPACITY).mode == OFF
 
 
+def test_what_waits_of_one_who_lost_the_lease_does_not_act() -> None:
+    cockpit = offboard()
+    cockpit.commander.setpoint(ME, SetPoint(ATTITUDE, theta0=0.3), cockpit.tick + 10)
+    assert cockpit.commander.lease.give_up(ME).accepted
+    assert cockpit.commander.lease.ask(OTHER).accepted
+    assert cockpit.run(20).theta0 == 0.0
+    assert cockpit.commander.refused[RefusalReason.LEASE] == 1
+
+
 # Modes.
 
 
@@ -146,6 +176,13 @@ def test_a_hold_chosen_before_arming_starts_nothing() -> None:
     assert cockpit.run(5).mode == OFF
     assert cockpit.commander.set_mode(ME, modes.HOLD).accepted
     assert cockpit.run().mode == ATTITUDE
+
+
+@given(number=st.integers(0, 2**32 - 1).filter(lambda number: number not in modes.BY_NUMBER))
+def test_a_mode_that_is_none_is_refused(number: int) -> None:
+    cockpit = armed()
+    assert cockpit.commander.set_mode(ME, number).result == MavResult.UNSUPPORTED
+    assert cockpit.commander.custom_mode == modes.MANUAL
 
 
 @pytest.mark.parametrize(
@@ -211,6 +248,31 @@ def test_the_end_of_an_open_loop_is_a_level_attitude_but_in_manual_mode() -> Non
     assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.0, 0.4)
 
 
+def test_an_open_loop_that_ends_levels_what_was_pitched_with_the_thrust_that_it_names() -> None:
+    cockpit = offboard(LEVEL_FLIGHT._replace(theta0=0.3))
+    assert cockpit.commander.open_loop(ME, 0.1, 0.5, False, False, True).accepted
+    asked = cockpit.run()
+    assert (asked.mode, asked.theta0, asked.thrust) == (ATTITUDE, 0.0, 0.5)
+
+
+def test_an_open_loop_that_is_streamed_while_it_arms_is_told_when_it_flies() -> None:
+    cockpit = Cockpit()
+    cockpit.run(2)
+    commander = cockpit.commander
+    commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    commander.set_mode(ME, modes.OFFBOARD)
+    commander.open_loop(ME, 0.1, 0.4, True, True, True)
+    assert cockpit.arm().accepted
+    assert not cockpit.steps[-1].asked.mode
+    assert commander.openloop == (cockpit.tick, 0.1, 0.4, True, True, True, 1)
+    assert cockpit.run().mode == OPEN_LOOP
+    commander.set_mode(ME, modes.HOLD)
+    commander.open_loop(ME, 0.2, 0.4, True, True, True)
+    assert not commander.openloop.openloop
+    commander.set_mode(ME, modes.OFFBOARD)
+    assert commander.openloop.M == 0.2
+
+
 def test_what_is_streamed_before_offboard_is_kept_in_one() -> None:
     cockpit = armed()
     commander = cockpit.commander
@@ -267,6 +329,17 @@ def test_the_open_loop_message_in_use_is_told_until_something_else_flies() -> No
 # What it says of itself.
 
 
+def test_it_starts_in_manual_mode() -> None:
+    assert Cockpit().commander.custom_mode == modes.MANUAL
+
+
+def test_what_nobody_drains_is_bounded() -> None:
+    cockpit = Cockpit()
+    for _ in range(2 * MOST_REMARKS):
+        cockpit.commander.arming.kill(ME)
+    assert len(cockpit.commander.remarks) == MOST_REMARKS == 64
+
+
 def test_heartbeats_numbers_follow_the_failsafe() -> None:
     cockpit = Cockpit()
     commander = cockpit.commander
@@ -302,6 +375,23 @@ def test_a_restart_forgets_all_but_the_lease() -> None:
     assert commander.system_status == modes.UNREADY
     assert commander.control_input(0) == ControlInput()
     assert commander.open_loop(OTHER, 0.1, 0.1, True, True, True).result == MavResult.TEMPORARILY_REJECTED
+
+
+def test_a_restart_is_a_change_of_the_open_loop_in_use() -> None:
+    cockpit = armed()
+    cockpit.commander.open_loop(ME, 0.1, 0.1, True, True, True)
+    seen = {cockpit.commander.openloop.revision}
+    cockpit.commander.restart()
+    assert cockpit.commander.openloop.revision > max(seen)
+    assert not cockpit.commander.openloop.openloop
+
+
+def test_the_same_tuple_is_given_while_nothing_changes() -> None:
+    """What lets 250 calls a second cost nothing: no new object is made."""
+    cockpit = offboard(talking=())
+    cockpit.run(2)
+    quiet = cockpit.commander.control_input(cockpit.tick)
+    assert all(cockpit.commander.control_input(cockpit.tick + 1 + later) is quiet for later in range(50))
 
 
 def test_what_the_failsafe_does_is_said_in_words() -> None:
@@ -347,3 +437,11 @@ def test_a_link_that_is_lost_speaks_against_arming_until_somebody_is_heard() -> 
     assert cockpit.commander.system_status == modes.STANDBY
     cockpit.run()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+
+
+def test_a_flight_that_was_asked_to_end_says_nothing_of_the_failsafe() -> None:
+    cockpit = offboard()
+    cockpit.commander.remarks.clear()
+    cockpit.commander.arming.disarm(ME)
+    cockpit.run(3)
+    assert not cockpit.commander.remarks

@@ -17,6 +17,7 @@ from twodof.experiment.experiments import EXPERIMENTS, script
 from twodof.fcu.command import excitation_player
 from twodof.fcu.command.excitation_player import (
     DONE,
+    LOOPS,
     MOST_EFFORT,
     PLAYING,
     READY,
@@ -150,6 +151,12 @@ def test_it_is_added_to_the_set_point_in_use_of_its_loop_and_else_to_nothing() -
     assert cockpit.run().theta0 == 0.1
 
 
+def test_without_any_thrust_in_use_it_flies_with_that_of_a_level_hold() -> None:
+    cockpit = ready()
+    assert cockpit.commander.excitation.start(ME, 7, M).accepted
+    assert cockpit.run().thrust == 0.375
+
+
 def test_an_impulse_at_no_thrust_is_flown_without_the_trim() -> None:
     cockpit = ready(Impulse(0.1, 0.02))
     assert cockpit.commander.excitation.start(ME, 7, M, 0.0).accepted
@@ -179,6 +186,41 @@ def test_a_start_that_comes_twice_is_done_once() -> None:
         asked.append(cockpit.run().M_open)
         cockpit.commander.excitation.start(ME, 7, M, 0.4)
     assert asked == [*VALUES, *[0.0] * 8]
+
+
+REFUSALS = {
+    "no definition": lambda c: c.commander.excitation.start(ME, 8, M, 0.4),
+    "no loop": lambda c: c.commander.excitation.start(ME, 7, 9, 0.4),
+    "it is in": lambda c: c.commander.excitation.start(ME, 7, Q, 0.4),
+    "within 0 to 1": lambda c: c.commander.excitation.start(ME, 7, M, 1.5),
+    "past": lambda c: c.commander.excitation.start(ME, 7, M, 0.4, 1),
+    "a minute ahead": lambda c: c.commander.excitation.start(ME, 7, M, 0.4, 2**32 - 1),
+    "holds the lease": lambda c: c.commander.excitation.start(OTHER, 7, M, 0.4),
+}
+
+
+@pytest.mark.parametrize("text", REFUSALS)
+def test_it_is_refused_with_the_reason(text: str) -> None:
+    cockpit = ready()
+    verdict = REFUSALS[text](cockpit)
+    assert not verdict.accepted
+    assert text in verdict.text
+    assert cockpit.run(3).mode == 0
+    assert cockpit.commander.excitation.player.state in (READY, REFUSED)
+
+
+@pytest.mark.parametrize(("unit", "loop"), [("m/s", V), ("m", X)])
+def test_the_rings_refuse_what_moves_the_cart(unit: str, loop: int) -> None:
+    cockpit = ready(Impulse(0.1, 0.02, unit=unit), armed(rig=Rig(rings=True)))
+    verdict = cockpit.commander.excitation.start(ME, 7, loop, 0.4)
+    assert "rings" in verdict.text
+    assert cockpit.commander.excitation.player.state == REFUSED
+    assert "rings" in cockpit.commander.excitation.player.reason
+
+
+def test_a_closed_loop_without_thrust_is_refused() -> None:
+    cockpit = ready(Impulse(0.1, 0.02, unit="rad"))
+    assert "without thrust" in cockpit.commander.excitation.start(ME, 7, THETA, 0.0).text
 
 
 def test_not_armed_nothing_plays() -> None:
@@ -231,6 +273,38 @@ def test_one_that_waits_is_forgotten_with_the_disarming() -> None:
     cockpit.commander.arming.disarm(ME)
     cockpit.arm()
     assert cockpit.run(40).mode == 0
+
+
+def test_one_that_waits_does_not_begin_in_the_flight_of_another() -> None:
+    cockpit = Cockpit(talking=(ME, OTHER))
+    cockpit.run(3)
+    ready(cockpit=cockpit)
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4, cockpit.tick + 100).accepted
+    assert cockpit.commander.lease.give_up(ME).accepted
+    assert cockpit.arm(OTHER).accepted
+    asked = [cockpit.run() for _ in range(200)]
+    assert {(one.mode, one.thrust, one.M_open) for one in asked} == {(0, 0.0, 0.0)}
+    assert (cockpit.commander.excitation.player.state, cockpit.commander.custom_mode) == (REFUSED, modes.MANUAL)
+    assert "lost the lease" in cockpit.commander.excitation.player.reason
+
+
+def test_no_other_is_taken_while_one_plays() -> None:
+    cockpit = ready(Impulse(0.1, 2.0))
+    cockpit.commander.excitation.start(ME, 7, M, 0.4)
+    cockpit.run()
+    verdict = cockpit.commander.excitation.define(ME, 8, written_out(PULSE))
+    assert "another plays" in verdict.text
+    assert cockpit.run().M_open == 0.1
+
+
+def test_loops_are_those_of_the_experiments() -> None:
+    assert [(one.name, one.unit) for one in LOOPS] == [
+        ("M_open", "-"),
+        ("q0", "rad/s"),
+        ("theta0", "rad"),
+        ("v0", "m/s"),
+        ("x0", "m"),
+    ]
 
 
 # Definitions from outside.
@@ -287,6 +361,21 @@ def test_numbers_beyond_all_bounds_are_refused_and_no_fault(name: str, number: f
         prepare(json.dumps(Multisine.schroeder(0.1, 4.0, range(1, 20)).to_dict() | {name: value}).encode())
 
 
+def test_a_new_definition_has_neither_start_nor_end_yet() -> None:
+    cockpit = ready()
+    assert cockpit.commander.excitation.start(ME, 7, M, 0.4).accepted
+    cockpit.run(20)
+    assert cockpit.commander.excitation.player.end > cockpit.commander.excitation.player.start > 0
+    ready(cockpit=cockpit, transfer=8)
+    assert (cockpit.commander.excitation.player.start, cockpit.commander.excitation.player.end) == (0, 0)
+
+
+def test_before_any_definition_there_is_none() -> None:
+    player = Cockpit().commander.excitation.player
+    assert (player.state, player.transfer, player.reason, player.start, player.end) == (0, 0, "", 0, 0)
+    assert (player.playing, player.waiting, player.unit, player.revision) == (False, False, "", 0)
+
+
 @pytest.mark.parametrize("fault", [ZeroDivisionError, KeyError, IndexError, MemoryError, TypeError, ValueError])
 def test_whatever_fails_in_writing_one_out_is_a_refusal(
     fault: type[Exception], monkeypatch: pytest.MonkeyPatch
@@ -327,7 +416,48 @@ def test_none_begins_between_a_disarming_and_its_tick_nor_in_the_tick_that_arms(
     assert (cockpit.commander.armed, cockpit.commander.excitation.player.reason) == (True, "not armed")
 
 
+LINES = list(range(1, 501))
+WITH_500_LINES = {"kind": "multisine", "harmonics": LINES, "period": 1.0, "repeat": 1}
 # 500 (64 500 + t / .004) cosines, 10^8 at t = 672 s.
+
+
+@pytest.mark.parametrize(
+    ("fields", "over"),
+    [
+        ({"period": 672.0}, "period"),
+        ({"lead": 671.0}, "lead"),
+        ({"settle": 671.0}, "settle"),
+        ({"pause": 671.0}, "pause"),
+        ({"repeat": 336, "pause": 1.0}, "pause"),
+        ({"repeat": 2, "period": 336.0}, "period"),
+    ],
+)
+def test_the_effort_of_a_multisine_is_its_cosines(
+    fields: dict[str, float], over: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(excitation_player, "from_dict", lambda values: values)
+    monkeypatch.setattr(excitation_player, "written_out", lambda values: "written out")
+    just = WITH_500_LINES | fields
+    assert prepare(json.dumps(just).encode()) == "written out"
+    with pytest.raises(ExperimentError) as refused:
+        prepare(json.dumps(just | {over: just[over] + 0.1}).encode())
+    assert str(refused.value) == (
+        "multisine: 1e+08 cosines are too many to be written out on board"
+        " (take fewer or lower harmonics, or less time: 1e+08 can be)"
+    )
+
+
+@pytest.mark.parametrize("lines", [[], 5, None, "1", {}, [True] * 3, [[1]], [1e9], [-1e9], LINES * 100])
+def test_harmonics_that_are_none_are_refused_by_who_reads_them(lines: object) -> None:
+    with pytest.raises(ExperimentError) as refused:
+        prepare(json.dumps(Multisine.schroeder(0.1, 4.0, range(1, 20)).to_dict() | {"harmonics": lines}).encode())
+    assert "cosines" not in str(refused.value)
+
+
+def test_values_that_are_not_finite_are_refused() -> None:
+    octaves = Sweep(0.1, 5e-324, 1.0, 5.0, law="logarithmic")
+    with pytest.raises(ExperimentError, match="not finite"):
+        prepare(octaves.to_json().encode())
 
 
 def test_what_would_take_too_long_is_refused_at_once() -> None:

@@ -213,6 +213,16 @@ def test_nor_does_it_arm_where_the_switch_is_set_in_the_very_tick() -> None:
     assert cockpit.commander.arming.answer.result == MavResult.FAILED
 
 
+def test_a_switch_that_is_set_on_the_ground_is_no_event() -> None:
+    rig = Rig(safety_off=False)
+    cockpit = Cockpit(rig)
+    assert cockpit.commander.excitation.define(ME, 7, PULSE).accepted
+    assert cockpit.commander.excitation.start(ME, 7, 0, 0.4, 10).accepted
+    cockpit.run(5)
+    assert cockpit.commander.remarks == []
+    assert cockpit.commander.excitation.player.waiting
+
+
 def test_a_stick_that_another_held_keeps_nobody_from_arming() -> None:
     cockpit = Cockpit()
     cockpit.run(2)
