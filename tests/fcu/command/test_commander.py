@@ -387,7 +387,7 @@ def test_a_restart_is_a_change_of_the_open_loop_in_use() -> None:
 
 
 def test_the_same_tuple_is_given_while_nothing_changes() -> None:
-    """What lets 250 calls a second cost nothing: no new object is made."""
+    """So 250 calls a second make no new object."""
     cockpit = offboard(talking=())
     cockpit.run(2)
     quiet = cockpit.commander.control_input(cockpit.tick)
