@@ -363,16 +363,27 @@ def test_a_kill_holds_over_a_reset() -> None:
     assert not cockpit.commander.arming.killed_by, "nor does a reset kill"
 
 
-def test_after_the_failsafe_has_stopped_the_motors_it_wants_to_be_disarmed() -> None:
+def test_arming_acknowledges_a_stop_by_the_failsafe() -> None:
     cockpit = offboard()
     cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
     cockpit.run(2)
     assert not cockpit.commander.armed
-    assert "disarm first" in cockpit.commander.arming.arm(ME).text
-    cockpit.failsafe.acts = None
-    assert cockpit.commander.arming.disarm(ME).accepted
+    cockpit.failsafe.causes = BIT["tilted"]
+    assert cockpit.arm().text == "not armed: tilted", "the cause is not gone"
+    assert not cockpit.run().arm
+    cockpit.failsafe.acts, cockpit.failsafe.causes = None, 0
+    cockpit.run()
     assert cockpit.arm().accepted
     assert cockpit.run().mode == OFF
+
+
+def test_the_failsafe_sees_a_disarming_before_it_arms_again() -> None:
+    cockpit = offboard()
+    cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
+    cockpit.run(2)
+    cockpit.failsafe.acts = None
+    assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
+    assert [cockpit.run().arm for _ in range(2)] == [False, True]
 
 
 @pytest.mark.parametrize("lockstep", [False, True])

@@ -66,7 +66,9 @@ class ArmingControl:
             return self.answer
         if self.flies:
             return DONE
-        if against := self.obstacles():
+        # Where the failsafe has stopped the motors this request acknowledges it: some causes last until it is disarmed.
+        causes = 0 if self.word else self.missing
+        if against := self._against_arming(causes) or self._unfit():
             return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
@@ -104,6 +106,7 @@ class ArmingControl:
     def pull(self, tick: int) -> CommandResult:
         """Ask the failsafe to arm at `tick`. It acts on an edge: until then the word is not given."""
         self._from = tick
+        self.word = False
         self.answer = CommandResult(MavResult.IN_PROGRESS)
         return self.answer
 
@@ -134,16 +137,13 @@ class ArmingControl:
 
     def obstacles(self) -> str:
         """Return what speaks against arming a drone that is not armed, "" if nothing does."""
-        return self._against_arming() or self._unfit()
+        return self._against_arming(self.missing) or self._unfit()
 
-    def _against_arming(self) -> str:
+    def _against_arming(self, causes: int | None) -> str:
         rig, mode = self._vehicle.rig, self._setpoints.custom_mode
         if self.killed_by is not None:
             system, component = self.killed_by
             return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
-        if self.word:  # it is asked to be armed, and is not
-            return "the failsafe has stopped the motors, disarm first"
-        causes = self.missing
         if causes is None:
             return "no sensor was heard yet"
         if not rig.safety_off:
