@@ -235,7 +235,7 @@ def test_a_parameter_is_set_before_the_states_begin() -> None:
 
 
 def test_a_mistake_names_its_scenario() -> None:
-    for parameters, where in (({"k": 2.0}, "fast, k"), ({"kp": 1.0}, "fast")):
+    for parameters, where in (({"k": 2.0}, "fast, k"), ({"k": "1"}, "fast, k"), ({"kp": 1.0}, "fast")):
         with pytest.raises(ParameterError) as caught:
             run_scenario(lag(), Scenario("fast", 1.0, {}, parameters, ["y never above 1"]), DT, target="reference")
         assert caught.value.where == where

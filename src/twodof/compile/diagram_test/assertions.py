@@ -13,7 +13,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,120 +111,95 @@ def first_violation(
     return Judgement(check, signal, False, text, tick, tick * dt, float(values[0]), float(limits[0]), float(by[0]))
 
 
-class Assertion(Protocol):
-    """Claim about a signal: `text` as the user wrote it, `signal` by name or path, perhaps with an index."""
-
-    @property
-    def text(self) -> str:
-        """The text."""
-
-    @property
-    def signal(self) -> str:
-        """The signal."""
-
-    def judge(self, values: NDArray[np.float64], dt: float) -> Judgement:
-        """Judge the signal's `values`, one for each tick of `dt` [s] from 0."""
-
-
 @dataclass(frozen=True)
-class Stays:
-    """Limits at each tick from `start` to `stop` [s]; by default at all ticks, with `last` at the last one only."""
+class Assertion:
+    """Claim about a signal: its values are within `low` and `high` from `start` to `stop` [s], by default always.
+
+    `verb` is the first word of the claim. A signal that "rises" or "falls" begins outside of the limits and is within
+    them at a tick before `stop`. The "final" value is the last one alone.
+    """
 
     text: str
     signal: str
+    verb: str
     low: float
     high: float
     start: float | None = None
     stop: float | None = None
-    last: bool = False
-    settles: bool = False  # the result says when the signal came into the band
 
     def judge(self, values: NDArray[np.float64], dt: float) -> Judgement:
-        """Judge `values`. Raises DiagramError for times outside the scenario."""
-        end = len(values) - 1
-        first = 0 if self.start is None else first_tick(self.start, dt)
-        final = end if self.stop is None else last_tick(self.stop, dt)
-        first = end if self.last else first
-        if first > final or final > end:
-            late = self.stop is not None and first <= end < final
-            what = "the scenario ends before," if late else "no tick lies there: the scenario ends"
-            raise DiagramError(f"{what} at {end * dt:g} s", self.text, "change the times, or give a longer duration")
+        """Judge the signal's `values`, one for each tick of `dt` [s] from 0. Raises DiagramError for other times."""
+        final = len(values) - 1
+        reaches = self.verb in ("rises", "falls")
+        first = final if self.verb == "final" else 0 if self.start is None else first_tick(self.start, dt)
+        last = final
+        if self.stop is not None:
+            last = first_tick(self.stop, dt) - 1 if reaches else last_tick(self.stop, dt)
+        if not first <= last <= final:
+            what = "no tick lies there" if last <= final else "it is about later times"
+            remedy = "change the times, or give a longer duration"
+            raise DiagramError(f"{what}: the scenario ends at {final * dt:g} s", self.text, remedy)
         within = (values >= self.low) & (values <= self.high)
-        part = values[first : final + 1]
-        wrong = np.flatnonzero(~within[first : final + 1])
+        if reaches:
+            return self._reached(values[: last + 1], within, dt)
+        part = values[first : last + 1]
+        wrong = np.flatnonzero(~within[first : last + 1])
         if len(wrong):
             low = self.low if math.isfinite(self.low) else self.high
             limits = np.where(part[wrong] > self.high, self.high, low)
             return first_violation(self.text, self.signal, part[wrong], limits, wrong + first, dt)
-        if self.settles:
-            outside = np.flatnonzero(~within)
-            return self._holds(f"settled at {(outside[-1] + 1 if len(outside) else 0) * dt:.6g} s")
-        if self.last:
+        if self.verb == "settles":
+            since = np.flatnonzero(np.append(True, ~within))[-1]
+            return self._holds(f"settled at {since * dt:.6g} s")
+        if self.verb == "final":
             return self._holds(f"{part[-1]:.6g}")
         with np.errstate(invalid="ignore", over="ignore"):  # infinity may be within infinite limits
             nearest = int(np.argmin(np.fmin(part - self.low, self.high - part)))
         return self._holds(f"nearest to a limit: {part[nearest]:.6g} at {(first + nearest) * dt:.6g} s")
 
+    def _reached(self, part: NDArray[np.float64], within: NDArray[np.bool_], dt: float) -> Judgement:
+        rises = self.verb == "rises"
+        aim = self.low if rises else self.high
+        last = len(part) - 1
+        there = np.flatnonzero(within[: last + 1])
+        if len(there) and there[0] == 0:
+            last, found = 0, float(part[0])
+            text = f"it begins at {found:.6g}, so it does not {'rise' if rises else 'fall'} to {aim:.6g}"
+        elif len(there) and not np.isnan(part[0]):
+            return self._holds(f"at {there[0] * dt:.6g} s")
+        else:
+            found = float(np.fmax.reduce(part) if rises else np.fmin.reduce(part))
+            text = f"it comes to {found:.6g}, {abs(aim - found):.3g} short of {aim:.6g}"
+        return Judgement(self.text, self.signal, False, text, last, last * dt, found, aim, abs(aim - found))
+
     def _holds(self, text: str) -> Judgement:
         return Judgement(self.text, self.signal, True, text)
 
 
-@dataclass(frozen=True)
-class Reaches:
-    """Rise from below `value` (fall from above it) to `value` at a tick before `before` [s]."""
-
-    text: str
-    signal: str
-    value: float
-    before: float
-    rising: bool = True
-
-    def judge(self, values: NDArray[np.float64], dt: float) -> Judgement:
-        """Judge `values`. Raises DiagramError if the scenario ends before the time."""
-        final = first_tick(self.before, dt) - 1
-        if not 0 <= final < len(values):
-            end = (len(values) - 1) * dt
-            raise DiagramError(f"the scenario ends at {end:g} s", self.text, "change the time or the duration")
-        part = values[: final + 1]
-        there = np.flatnonzero(part >= self.value if self.rising else part <= self.value)
-        if len(there) and there[0] > 0 and not np.isnan(part[0]):
-            return Judgement(self.text, self.signal, True, f"at {there[0] * dt:.6g} s")
-        if len(there) and there[0] == 0:
-            final, found = 0, float(part[0])
-            text = f"it begins at {found:.6g}, so it does not {'rise' if self.rising else 'fall'} to {self.value:.6g}"
-        else:
-            found = float(np.fmax.reduce(part) if self.rising else np.fmin.reduce(part))
-            text = f"it comes to {found:.6g}, {abs(self.value - found):.3g} short of {self.value:.6g}"
-        by = abs(self.value - found)
-        return Judgement(self.text, self.signal, False, text, final, final * dt, found, self.value, by)
-
-
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
-_WHEN = "(?: between T1 and T2| from T3| until T4)?"
+_TIMES = "(?: between <start> and <stop>| from <from>| until <until>)?"
 FORMS: Mapping[str, str] = {
-    "never above V": f"never above V{_WHEN}",
-    "never below V": f"never below V{_WHEN}",
-    "always within [A, B]": rf"always within ?\[ ?A ?, ?B ?\]{_WHEN}",
-    "always equals V": f"always equals V{_WHEN}",
-    "settles within B of V by T": "settles within B of V by T1",
-    "rises to V before T": "rises to V before T1",
-    "falls to V before T": "falls to V before T1",
-    "final value within B of V": "final value within B of V",
+    "never above V": f"never above <high>{_TIMES}",
+    "never below V": f"never below <low>{_TIMES}",
+    "always within [A, B]": rf"always within ?\[ ?<low> ?, ?<high> ?\]{_TIMES}",
+    "always equals V": f"always equals <value>{_TIMES}",
+    "settles within B of V by T": "settles within <band> of <value> by <start>",
+    "rises to V before T": "rises to <low> before <stop>",
+    "falls to V before T": "falls to <high> before <stop>",
+    "final value within B of V": "final value within <band> of <value>",
 }
-"""The forms of a claim, and their patterns; a word in capitals stands for a number."""
+"""The forms of a claim, and their patterns; a word in angle brackets stands for a number or the name of a value."""
 
 
 def _pattern(form: str) -> re.Pattern[str]:
     def number(found: re.Match[str]) -> str:
-        name = found[0].lower()
-        value = rf"{_NUMBER}|[A-Za-z]\w*" if name == "v" else _NUMBER
-        return f"(?P<{name}>{value})" + (r"(?: ?s\b)?" if name.startswith("t") else "")
+        time = found[1] in ("start", "stop", "from", "until")
+        return f"(?P<{found[1]}>{_NUMBER})(?: ?s\\b)?" if time else rf"(?P<{found[1]}>{_NUMBER}|[A-Za-z]\w*)"
 
-    text = re.sub(r"\b(?:[ABV]|T\d)\b", number, form)
-    return re.compile(rf"(?P<signal>{_SIGNAL}) {text}", re.ASCII)
+    return re.compile(rf"(?P<signal>{_SIGNAL}) {re.sub(r'<(.*?)>', number, form)}", re.ASCII)
 
 
-_PATTERNS = {name: _pattern(form) for name, form in FORMS.items()}
+_PATTERNS = [_pattern(form) for form in FORMS.values()]
 
 
 def assertion(text: str, member: Callable[[str, str], float] | None = None) -> Assertion:
@@ -233,47 +208,31 @@ def assertion(text: str, member: Callable[[str, str], float] | None = None) -> A
     `member` returns the number of a named value, such as the member of an enumeration, from the signal and the name.
     """
     plain = " ".join(text.split()) if isinstance(text, str) else ""
-    for form, pattern in _PATTERNS.items():
-        found = pattern.fullmatch(plain)
-        if found is not None:
-            words = {name: word for name, word in found.groupdict().items() if word is not None}
-            return _made(form, plain, words.pop("signal"), words, member)
-    raise _refused(text)
-
-
-def _refused(text: str) -> DiagramError:
-    remedy = f"write SIGNAL and one of: {'; '.join(FORMS)}; the first four may end with between T1 and T2"
-    return DiagramError("this is not an assertion", shown(text), remedy)
-
-
-def _made(
-    form: str, text: str, signal: str, words: Mapping[str, str], member: Callable[[str, str], float] | None
-) -> Assertion:
-    n: dict[str, float] = {}
-    for name, word in words.items():
-        if word in ("true", "false"):
-            n[name] = float(word == "true")
-        elif re.fullmatch(_NUMBER, word, re.ASCII):
-            n[name] = float(word)
-        elif member is not None:
-            n[name] = member(signal, word)
-        else:
-            raise _refused(text)
-    times = [n[name] for name in ("t1", "t2", "t3", "t4") if name in n]
-    if not all(map(math.isfinite, n.values())):
-        raise DiagramError("a number is too large", text, "write one that a float64 holds")
-    if times != sorted(times) or min(times, default=0.0) < 0.0:
-        raise DiagramError("these times are not in order, from 0 on", text, "write seconds, the earlier one first")
-    if form.startswith(("rises", "falls")):
-        return Reaches(text, signal, n["v"], n["t1"], form.startswith("rises"))
-    value, band = n.get("v", 0.0), n.get("b", 0.0)
-    low, high = {
-        "never above V": (-math.inf, value),
-        "never below V": (value, math.inf),
-        "always equals V": (value, value),
-        "always within [A, B]": (n.get("a", 0.0), band),
-    }.get(form, (value - band, value + band))
+    found = next(filter(None, (pattern.fullmatch(plain) for pattern in _PATTERNS)), None)
+    if found is None:
+        remedy = f"write SIGNAL and one of: {'; '.join(FORMS)}; the first four may end with between T1 and T2"
+        raise DiagramError("this is not an assertion", shown(text), remedy)
+    words = {name: word for name, word in found.groupdict().items() if word is not None}
+    signal = words.pop("signal")
+    n = {name: _number(word, plain, signal, member) for name, word in words.items()}
+    value, band = n.get("value"), n.get("band", 0.0)
+    low = n.get("low", -math.inf) if value is None else value - band
+    high = n.get("high", math.inf) if value is None else value + band
+    start, stop = n.get("start", n.get("from")), n.get("stop", n.get("until"))
+    if not 0.0 <= (start or 0.0) <= (math.inf if stop is None else stop):
+        raise DiagramError("these times are not in order, from 0 on", plain, "write seconds, the earlier one first")
     if low > high:
-        raise DiagramError("no value is within these limits", text, "exchange them; a band is not negative")
-    start, stop = n.get("t1", n.get("t3")), n.get("t2", n.get("t4"))
-    return Stays(text, signal, low, high, start, stop, form.startswith("final"), form.startswith("settles"))
+        raise DiagramError("no value is within these limits", plain, "exchange them; a band is not negative")
+    return Assertion(plain, signal, plain.removeprefix(signal).split()[0], low, high, start, stop)
+
+
+def _number(word: str, text: str, signal: str, member: Callable[[str, str], float] | None) -> float:
+    if word in ("true", "false"):
+        return float(word == "true")
+    if word[0].isalpha():
+        if member is None:
+            raise DiagramError("this is not an assertion", text, f"write a number for {word}")
+        return member(signal, word)
+    if not math.isfinite(float(word)):
+        raise DiagramError("a number is too large", text, "write one that a float64 holds")
+    return float(word)

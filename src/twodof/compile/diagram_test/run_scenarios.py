@@ -1,6 +1,5 @@
 """Run scenarios on the reference or a compiled target, and judge them."""
 
-import math
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,9 +29,8 @@ from twodof.compile.diagram_test.assertions import (
 from twodof.compile.diagram_test.scenario import (
     INPUT,
     OUTPUT,
-    ConstantInput,
     ExpectedColumn,
-    InputSignal,
+    ExpectedTable,
     Scenario,
     ScenarioResult,
     between_rows,
@@ -44,16 +42,13 @@ DT = 0.004
 """The control period [s], and the base tick of tests without another one."""
 MAX_TICKS = 1_000_000
 
-Elements = dict[str, dict[Index, NDArray[np.float64]]]
-"""Values of inputs by name and element, each of shape (steps,)."""
-
 
 @dataclass(frozen=True, eq=False)
 class Plan:
     """A scenario that fits a diagram.
 
-    `inputs` are arrays of `steps` rows in the ports' types. `expected` are the columns of its table that are expected,
-    with the signal's name (or path, perhaps with an index). `paths` are the signals to log, `enumerations` those of
+    `inputs` are arrays of `steps` rows in the ports' types. `expected` has the signal's name (or path, perhaps with an
+    index) for each column of its table that is expected. `paths` are the signals to log, `enumerations` those of
     claimed signals, by name.
     """
 
@@ -61,7 +56,7 @@ class Plan:
     steps: int
     inputs: dict[str, NDArray[Any]]
     checks: tuple[Assertion, ...]
-    expected: tuple[tuple[str, str], ...]
+    expected: Mapping[str, str]
     paths: frozenset[str]
     enumerations: Mapping[str, Enumeration]
 
@@ -110,7 +105,7 @@ def _judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scena
     """Judge the signals of a scenario. Raises DiagramError for a claim about a time outside it."""
     scenario, claims = planned.scenario, list[Assertion | ExpectedColumn](planned.checks)
     name = scenario.name
-    for column, signal in planned.expected:
+    for column, signal in planned.expected.items():
         assert scenario.table is not None
         whole = element_of(signals, signal, f"{name}, {column}").dtype.kind != "f"
         enumeration = planned.enumerations.get(parse_element(signal, name)[0])
@@ -129,12 +124,12 @@ def _judged(planned: Plan, signals: dict[str, NDArray[Any]], dt: float) -> Scena
 
 def _with_names(judgement: Judgement, enumeration: Enumeration | None) -> Judgement:
     """Return `judgement` with the names of an enumeration's members in its text."""
-    value, limit, time = judgement.value, judgement.limit, judgement.time
-    if enumeration is None or value is None or limit is None or time is None:
+    if enumeration is None or judgement.value is None or judgement.limit is None:
         return judgement
-    names = [enumeration.name_of(round(v) if math.isfinite(v) else v) for v in (value, limit)]
+    found, limit = (enumeration.name_of(round(v)) for v in (judgement.value, judgement.limit))
     _, more, count = judgement.text.partition("; ")
-    return replace(judgement, text=f"{names[0]} at {time:.6g} s is not {names[1]}{more}{count.partition(',')[0]}")
+    text = f"{found} at {judgement.time:.6g} s is not {limit}{more}{count.partition(',')[0]}"
+    return replace(judgement, text=text)
 
 
 def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
@@ -144,12 +139,37 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
     values that are not of an input's type.
     """
     steps = _steps(scenario, dt)
-    elements: Elements = {}
+    inputs: dict[str, NDArray[Any]] = {}
+    fed: set[tuple[str, Index]] = set()
+
+    def feed(name: str, index: Index, values: NDArray[np.float64], where: str) -> None:
+        if (name, index) in fed:
+            raise DiagramError("the input is fed twice", where, "keep one of the two")
+        fed.add((name, index))
+        element: tuple[Any, ...] = (slice(None), *index)
+        inputs.setdefault(name, np.zeros((steps, *axes(diagram.inputs[name]))))[element] = values
+
     for name, value in scenario.inputs.items():
         where = f"{scenario.name}, {name}"
         port = _input(diagram, name, where)
-        given = _signals(value, axes(port), where, port.enum)
-        elements[name] = {i: s.values(steps, dt, port.kind not in FLOATS) for i, s in given.items()}
+        for index, one in _elements(value, axes(port), where):
+            feed(name, index, _values(one, port, steps, dt, where), where)
+    expected: dict[str, str] = {}
+    for column in scenario.table.table.cells if scenario.table else ():
+        assert scenario.table is not None
+        where = f"{scenario.name}, {column}"
+        signal = column.removeprefix(INPUT).removeprefix(OUTPUT).strip()
+        name, index = parse_element(signal, where)
+        feeds = name in diagram.inputs and not column.startswith(OUTPUT)
+        if feeds and name in diagram.outputs and not column.startswith(INPUT):
+            remedy = f'write "{INPUT}{name}" or "{OUTPUT}{name}"'
+            raise DiagramError("an input and an output have this name", where, remedy)
+        if feeds or column.startswith(INPUT):
+            port = _input(diagram, name, where)
+            check_index(index, axes(port), name, where)
+            feed(name, index, _of_table(scenario.table, column, port, steps, dt, where), where)
+        else:
+            expected[column] = signal
 
     def member(signal: str, name: str) -> float:
         enumeration = _enumeration(diagram, parse_element(signal, scenario.name)[0])
@@ -159,28 +179,24 @@ def plan(diagram: Diagram, scenario: Scenario, dt: float) -> Plan:
         return float(enumeration.plain(name, f"{scenario.name}, {signal}"))
 
     checks = tuple(assertion(c, member) if isinstance(c, str) else c for c in scenario.checks)
-    expected = tuple(_read_table(diagram, scenario, steps, dt, elements))
-    if not (checks or expected):
+    claimed = {signal: what for what, signal in expected.items()} | {check.signal: check.text for check in checks}
+    if not claimed:
         raise DiagramError("it claims nothing", scenario.name, "add checks, or a table with a column of an output")
-    names = {parse_element(signal, scenario.name)[0]: what for what, signal in expected}
-    names |= {parse_element(check.signal, scenario.name)[0]: check.text for check in checks}
+    names = {parse_element(signal, scenario.name)[0]: what for signal, what in claimed.items()}
     for name, what in names.items():
         if name not in diagram.outputs and "." not in name:
             remedy = f"outputs: {nearest(name, diagram.outputs)}; the path of a signal inside is part.port"
             raise DiagramError(f"there is no output {shown(name)}", f"{scenario.name}, {what}", remedy)
-    inputs = {
-        name: _column(diagram.inputs[name], by_element, steps, f"{scenario.name}, {name}")
-        for name, by_element in elements.items()
-    }
+    typed = {name: _typed(diagram.inputs[name], data, f"{scenario.name}, {name}") for name, data in inputs.items()}
     enumerations = {name: e for name in names if (e := _enumeration(diagram, name)) is not None}
-    paths = frozenset(name for name in names if not diagram.gives(name))
-    return Plan(scenario, steps, inputs, checks, expected, paths, enumerations)
+    return Plan(
+        scenario, steps, typed, checks, expected, frozenset(n for n in names if not diagram.gives(n)), enumerations
+    )
 
 
 def _steps(scenario: Scenario, dt: float) -> int:
     if scenario.duration is not None:
-        duration = float(scenario.duration)
-        last = last_tick(duration, dt) if 0.0 <= duration < MAX_TICKS * dt else -1
+        last = last_tick(scenario.duration, dt) if 0.0 <= scenario.duration < MAX_TICKS * dt else -1
     elif scenario.table is not None:
         last = int(scenario.table.table.ticks_of(dt)[-1])
     else:
@@ -198,91 +214,63 @@ def _input(diagram: Diagram, name: str, where: str) -> Port:
 
 def _enumeration(diagram: Diagram, path: str) -> Enumeration | None:
     """Return the enumeration of the signal at `path`: an input, an output or part.port."""
-    found: Enumeration | None
-    if path in diagram.inputs:
-        found = diagram.inputs[path].enum
-        return found
     item: Block | Diagram = diagram
     while isinstance(item, Diagram) and "." in path and path.partition(".")[0] in item.parts:
         name, _, path = path.partition(".")
         item = item.parts[name].item
     try:
-        port = carried(item, path)
+        port = diagram.inputs[path] if path in diagram.inputs and item is diagram else carried(item, path)
     except DiagramError:  # the build says so, with the whole path
         return None
-    found = None if port is None else port.enum
+    found: Enumeration | None = None if port is None else port.enum
     return found
 
 
-def _signals(
-    value: Any, sizes: tuple[int, ...], where: str, enumeration: Enumeration | None
-) -> dict[Index, InputSignal]:
-    """Return a signal for each element of a port with these axes; a single signal feeds all elements."""
-    if isinstance(value, (list, tuple)):
-        if not sizes or len(value) != sizes[0]:
-            what = f"an array of {' x '.join(map(str, sizes))}" if sizes else "a number"
-            raise DiagramError(f"{len(value)} values for {what}", where, "give one for each row or element")
-        found: dict[Index, InputSignal] = {}
-        for i, one in enumerate(value):
-            found |= {(i, *below): s for below, s in _signals(one, sizes[1:], where, enumeration).items()}
-        return found
-    if isinstance(value, str) and enumeration is not None:
-        value = enumeration.plain(value, where)
+def _elements(value: Any, sizes: tuple[int, ...], where: str) -> Iterator[tuple[Index, Any]]:
+    """Yield what is given for each element of a port with these axes; a single signal feeds all elements."""
+    if not isinstance(value, (list, tuple)):
+        yield from ((index, value) for index in np.ndindex(*sizes))
+        return
+    if not sizes or len(value) != sizes[0]:
+        what = f"an array of {' x '.join(map(str, sizes))}" if sizes else "a number"
+        raise DiagramError(f"{len(value)} values for {what}", where, "give one for each row or element")
+    for i, one in enumerate(value):
+        yield from (((i, *below), found) for below, found in _elements(one, sizes[1:], where))
+
+
+def _values(value: Any, port: Port, steps: int, dt: float, where: str) -> NDArray[np.float64]:
+    """Return the values of one element: those of a signal, or a number (the name of a member) at each tick."""
+    if isinstance(value, str) and port.enum is not None:
+        value = port.enum.plain(value, where)
     if isinstance(value, (bool, int, float, np.number, np.bool_)):
-        value = ConstantInput(float(value))
+        return np.full(steps, float(value))
     if not hasattr(value, "values"):
         raise DiagramError(f"{shown(value)} is not a signal", where, "give a number or a signal such as StepInput")
-    return dict.fromkeys(np.ndindex(*sizes), value)
+    found: NDArray[np.float64] = value.values(steps, dt, port.kind not in FLOATS)
+    return found
 
 
-def _read_table(
-    diagram: Diagram, scenario: Scenario, steps: int, dt: float, elements: Elements
-) -> Iterator[tuple[str, str]]:
-    """Add the table's inputs to `elements`. Yields its other columns, each with the signal that it expects."""
-    given = scenario.table
-    for column in given.table.cells if given else ():
-        assert given is not None
-        where = f"{scenario.name}, {given.table.name}, {column}"
-        signal = column.removeprefix(INPUT).removeprefix(OUTPUT).strip()
-        name, index = parse_element(signal, where)
-        marked = column.startswith((INPUT, OUTPUT))
-        if not marked and name in diagram.inputs and name in diagram.outputs:
-            remedy = f'write "{INPUT}{name}" or "{OUTPUT}{name}"'
-            raise DiagramError("an input and an output have this name", where, remedy)
-        if not column.startswith(INPUT) and (marked or name not in diagram.inputs):
-            yield column, signal
-            continue
-        port = _input(diagram, name, where)
-        check_index(index, axes(port), name, where)
-        if index in elements.get(name, {}):
-            raise DiagramError("the input is fed twice", where, "keep one of the two")
-        rows, values = given.table.column(column, port.enum)
-        ticks = given.table.ticks_of(dt)
-        if len(rows) < len(ticks):
-            raise DiagramError("a cell of an input is empty", where, "fill it, or take the input out of the table")
-        if ticks[0] != 0:
-            raise DiagramError("the first row is not at 0", where, "say what the input is from the start on")
-        between = given.between if port.kind in FLOATS else "hold"
-        elements.setdefault(name, {})[index] = between_rows(ticks, values, steps, between)
+def _of_table(given: ExpectedTable, column: str, port: Port, steps: int, dt: float, where: str) -> NDArray[np.float64]:
+    """Return the values of an input that a table feeds."""
+    rows, values = given.table.column(column, port.enum)
+    ticks = given.table.ticks_of(dt)
+    if len(rows) < len(ticks):
+        raise DiagramError("a cell of an input is empty", where, "fill it, or take the input out of the table")
+    if ticks[0] != 0:
+        raise DiagramError("the first row is not at 0", where, "say what the input is from the start on")
+    return between_rows(ticks, values, steps, given.between if port.kind in FLOATS else "hold")
 
 
-def _column(port: Port, elements: dict[Index, NDArray[np.float64]], steps: int, where: str) -> NDArray[Any]:
-    """Return the values of an input in its type; elements that are not given are 0."""
-    data: NDArray[Any] = np.zeros((steps, *axes(port)))
-    for index, values in elements.items():
-        place: tuple[Any, ...] = (slice(None), *index)
-        data[place] = values
-    if port.kind not in FLOATS:
-        low, high = BY_NAME[port.kind].low, BY_NAME[port.kind].high
-        odd = data[~((data == np.rint(data)) & (data >= low) & (data <= high))]
-        if odd.size:
-            remedy = f"give whole numbers from {low} to {high}"
-            raise DiagramError(f"{odd[0]:g} does not fit {port.kind}", where, remedy)
-        data = data.astype(port.kind)
-    if port.enum is not None:
-        for value in np.unique(data).tolist():
-            port.enum.plain(value, where)
-    return data
+def _typed(port: Port, data: NDArray[np.float64], where: str) -> NDArray[Any]:
+    """Return an input's values in its type."""
+    if port.kind in FLOATS:
+        return data
+    low, high = BY_NAME[port.kind].low, BY_NAME[port.kind].high
+    odd = data[~((data == np.rint(data)) & (data >= low) & (data <= high))]
+    if odd.size:
+        remedy = f"give whole numbers from {low} to {high}"
+        raise DiagramError(f"{odd[0]:g} does not fit {port.kind}", where, remedy)
+    return data.astype(port.kind)
 
 
 def to_junit(results: Mapping[str, Sequence[ScenarioResult]]) -> str:

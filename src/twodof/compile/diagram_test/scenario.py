@@ -5,7 +5,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from math import inf, isfinite, pi
+from math import inf, pi
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -36,17 +36,6 @@ class InputSignal(Protocol):
 
 
 @dataclass(frozen=True)
-class ConstantInput:
-    """One value, which may be NaN or infinite."""
-
-    value: float
-
-    def values(self, steps: int, dt: float, whole: bool = False) -> Array:
-        """Return the values at the ticks 0 .. steps - 1."""
-        return np.full(steps, float(self.value))
-
-
-@dataclass(frozen=True)
 class StepInput:
     """`before`, and `to` from the first tick at or after `at` [s] on."""
 
@@ -55,7 +44,7 @@ class StepInput:
     before: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite("step", self.to, self.at, self.before)
+        _check_finite("step", self.to, self.at, self.before)
 
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""
@@ -72,7 +61,7 @@ class RampInput:
     before: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite("ramp", self.slope, self.start, self.before)
+        _check_finite("ramp", self.slope, self.start, self.before)
         if not self.stop >= self.start:
             raise DiagramError(f"it stops at {self.stop} s and starts at {self.start} s", "ramp", "start it before")
 
@@ -94,7 +83,7 @@ class SineInput:
     offset: float = 0.0
 
     def __post_init__(self) -> None:
-        _finite("sine", self.amplitude, self.hz, self.phase, self.offset)
+        _check_finite("sine", self.amplitude, self.hz, self.phase, self.offset)
 
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""
@@ -117,13 +106,10 @@ class PointsInput:
     between: Between
 
     def __post_init__(self) -> None:
-        if not self.points or any(len(p) != 2 for p in self.points):
-            raise DiagramError("it has no pairs of time and value", "points", "write [[0.0, 1.0], [0.5, 2.0]]")
-        times = [p[0] for p in self.points]
-        _finite("points", *times)
-        if any(b <= a for a, b in pairwise(times)) or max(map(abs, times)) > MAX_TIME:
+        times = [time for time, _ in self.points]
+        if not times or any(b <= a for a, b in pairwise(times)) or not max(map(abs, times)) <= MAX_TIME:
             raise DiagramError(f"the times do not increase to at most {MAX_TIME:g} s", "points", "sort them, each once")
-        check_between(self.between, "points")
+        check_choice("between", self.between, BETWEEN, "points")
 
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""
@@ -131,18 +117,16 @@ class PointsInput:
         return between_rows(rows[:, 0] / dt, rows[:, 1], steps, "hold" if whole else self.between)
 
 
-def _finite(what: str, *given: float) -> None:
+def _check_finite(what: str, *given: float) -> None:
     for number in given:
-        if not isfinite(number):
+        if not abs(number) < inf:
             raise DiagramError(f"{shown(number)} is not a finite number", what, "give a number")
 
 
-def check_between(between: Any, where: str) -> Between:
-    """Return `between` if it is "hold" or "interpolate"; else raise DiagramError."""
-    if between not in BETWEEN:
-        raise DiagramError(f"between = {shown(between)}", where, f"write one of {' or '.join(BETWEEN)}")
-    found: Between = between
-    return found
+def check_choice(name: str, value: object, choices: Sequence[str], where: str) -> None:
+    """Raise DiagramError unless `value` is one of `choices`."""
+    if value not in choices:
+        raise DiagramError(f"{name} = {shown(value)}", where, f"write one of {' or '.join(choices)}")
 
 
 def _whole_ticks(ticks: Array) -> Array:
@@ -187,53 +171,50 @@ class SignalTable:
         if name not in self.cells:
             there = f"there are: {nearest(name, self.cells)}"
             raise DiagramError(f"there is no column {shown(name)}", self.name, there)
-        rows, values = [], []
-        for row, cell in enumerate(self.cells[name]):
-            if cell is not None:
-                where = f"{self.name}, row {row + 1}, {name}"
-                if isinstance(cell, str) and enumeration is None:
-                    raise DiagramError(f"{shown(cell)} is not a number", where, "write a number")
-                named = enumeration is not None and isinstance(cell, str)
-                rows.append(row)
-                values.append(float(enumeration.plain(cell, where) if named and enumeration else cell))
-        return np.array(rows, dtype=np.int64), np.array(values, dtype=np.float64)
+        given = {row: cell for row, cell in enumerate(self.cells[name]) if cell is not None}
+        values = []
+        for row, cell in given.items():
+            where = f"{self.name}, row {row + 1}, {name}"
+            if isinstance(cell, float):
+                values.append(cell)
+            elif enumeration is None:
+                raise DiagramError(f"{shown(cell)} is not a number", where, "write a number")
+            else:
+                values.append(float(enumeration.plain(cell, where)))
+        return np.array(list(given), dtype=np.int64), np.array(values, dtype=np.float64)
 
 
 def table_of(columns: Mapping[str, Sequence[Any]], name: str = "table") -> SignalTable:
     """Return the table with these columns, the first of them "time" [s] or "tick"; a cell that is None is empty.
 
-    Raises DiagramError for columns of different lengths, and for times that do not increase.
+    A unit in a column's name, as in `theta [rad]`, is not read. Raises DiagramError for columns of different lengths,
+    and for times that do not increase.
     """
-    if len({len(cells) for cells in columns.values()}) > 1:
-        raise DiagramError("the columns have different lengths", name, "give each row all cells; None is an empty one")
-    return table_of_rows(list(columns), list(zip(*columns.values(), strict=True)), name)
+    cells = {re.sub(r"\s*\s\[[^\]]*\]$", "", head.strip()): list(map(_cell, one)) for head, one in columns.items()}
+    first = next(iter(cells), "")
+    if first not in ("time", "tick"):
+        raise DiagramError(f"the first column is {shown(first)}", name, 'name it "time" (seconds) or "tick"')
+    if len({len(one) for one in cells.values()}) > 1 or len(cells) < len(columns):
+        raise DiagramError("two columns share a name, or their lengths differ", name, "an empty cell may be None")
+    clock = cells.pop(first)
+    at = np.array([c if isinstance(c, float) else np.nan for c in clock])
+    ticks = first == "tick"
+    rising = len(at) and at[0] >= 0.0 and (np.diff(at) > 0.0).all() and at[-1] <= MAX_TIME
+    if not rising or (ticks and (at != np.rint(at)).any()):
+        what = f"the column {first} does not increase from 0 on to at most {MAX_TIME:g}"
+        raise DiagramError(what, name, "sort the rows, each time once; ticks are whole")
+    return SignalTable(name, at, ticks, cells)
 
 
 def table_of_rows(heads: Sequence[str], rows: Sequence[Sequence[Any]], name: str = "table") -> SignalTable:
-    """Return the table with these heads and rows; a unit in a head, as in `theta [rad]`, is not read.
-
-    Raises DiagramError as `table_of` does.
-    """
-    names = [re.sub(r"\s*\s\[[^\]]*\]$", "", str(head).strip()) for head in heads]
-    if not names or names[0] not in ("time", "tick"):
-        what = f"the first column is {shown(names[0]) if names else 'not there'}"
-        raise DiagramError(what, name, 'name it "time" (seconds) or "tick"')
-    if len(set(names)) < len(names):
-        raise DiagramError(f"{len(names)} columns, {len(set(names))} names", name, "give each its own name")
-    if not rows:
-        raise DiagramError("it has no rows", name, "give at least one")
-    for i, row in enumerate(rows):
-        if len(row) != len(names):
-            what = f"{len(row)} cells for {len(names)} columns"
-            raise DiagramError(what, f"{name}, row {i + 1}", "fill each column; empty is allowed")
-    cells = {n: [_cell(row[j]) for row in rows] for j, n in enumerate(names)}
-    clock = cells.pop(names[0])
-    at = np.array([c if isinstance(c, float) else np.nan for c in clock])
-    ticks = names[0] == "tick"
-    if not (at <= MAX_TIME).all() or at[0] < 0 or (np.diff(at) <= 0).any() or (ticks and (at != np.rint(at)).any()):
-        what = f"the column {names[0]} does not increase from 0 on to at most {MAX_TIME:g}"
-        raise DiagramError(what, name, "sort the rows, each time once; ticks are whole")
-    return SignalTable(name, at, ticks, cells)
+    """Return the table with these heads and rows. Raises DiagramError as `table_of` does."""
+    for i, row in enumerate(rows, 1):
+        if len(row) != len(heads):
+            what = f"{len(row)} cells for {len(heads)} columns"
+            raise DiagramError(what, f"{name}, row {i}", "fill each column; empty is allowed")
+    if len(set(heads)) < len(heads):
+        raise DiagramError(f"{len(heads)} columns, {len(set(heads))} names", name, "give each its own name")
+    return table_of({head: [row[j] for row in rows] for j, head in enumerate(heads)}, name)
 
 
 def _cell(cell: Any) -> float | str | None:
@@ -252,16 +233,12 @@ def read_table(path: str | Path) -> SignalTable:
 
     Raises DiagramError for a file that cannot be read or is not such a table.
     """
-    path = Path(path)
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
+        with Path(path).open(encoding="utf-8-sig", newline="") as file:
             rows = [row for row in csv.reader(file, strict=True) if row]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        why = "it is not text in UTF-8" if isinstance(error, UnicodeDecodeError) else error
-        raise DiagramError(f"cannot be read: {why}", str(path), "name a CSV file with commas between cells") from error
-    if not rows:
-        raise DiagramError("it is empty", str(path), 'begin with a line of names, "time,..."')
-    return table_of_rows(rows[0], rows[1:], path.name)
+        raise DiagramError(f"cannot be read: {error}", str(path), "name a CSV file in UTF-8, with commas") from error
+    return table_of_rows(rows[0] if rows else (), rows[1:], Path(path).name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -280,24 +257,23 @@ class ExpectedTable:
     at: str = "rows"
 
     def __post_init__(self) -> None:
-        check_between(self.between, self.table.name)
-        if self.at not in ("rows", "ticks"):
-            raise DiagramError(f"at = {shown(self.at)}", self.table.name, 'compare at "rows" or "ticks"')
+        check_choice("between", self.between, BETWEEN, self.table.name)
+        check_choice("at", self.at, ("rows", "ticks"), self.table.name)
         for given in (self.absolute, self.relative):
-            for column in given if isinstance(given, Mapping) else ():
-                if column not in self.table.cells:
+            for column, value in given.items() if isinstance(given, Mapping) else [("", given)]:
+                if column and column not in self.table.cells:
                     what = f"a tolerance of {shown(column)}, which is not a column"
                     raise DiagramError(what, self.table.name, f"columns: {listed(self.table.cells)}")
+                if not 0.0 <= value < inf:
+                    raise DiagramError(f"a tolerance of {shown(value)}", self.table.name, "give a number >= 0")
 
     def tolerance(self, column: str) -> tuple[float, float]:
-        """Return the absolute and relative tolerance of a column; DiagramError if one is not a number >= 0."""
-        found = []
-        for what, given in (("absolute", self.absolute), ("relative", self.relative)):
-            value = given.get(column, 0.0) if isinstance(given, Mapping) else given
-            if not 0.0 <= value < inf:
-                raise DiagramError(f"{what} = {shown(value)}", f"{self.table.name}, {column}", "give a number >= 0")
-            found.append(float(value))
-        return found[0], found[1]
+        """Return the absolute and relative tolerance of a column."""
+        absolute, relative = (
+            float(given.get(column, 0.0) if isinstance(given, Mapping) else given)
+            for given in (self.absolute, self.relative)
+        )
+        return absolute, relative
 
     def expected(
         self, column: str, signal: str, whole: bool, steps: int, dt: float, enumeration: Enumeration | None = None
@@ -308,24 +284,23 @@ class ExpectedTable:
         """
         rows, values = self.table.column(column, enumeration)
         ticks, where = self.table.ticks_of(dt)[rows], f"{self.table.name}, {column}"
-        if not len(ticks):
-            raise DiagramError("nothing is expected in this column", where, "fill a cell, or leave the column out")
-        absolute, relative = self.tolerance(column)
-        off = f"{absolute:g}" if not relative else f"{absolute:g} + {relative:g} |expected|"
-        text = f"{signal} as in {self.table.name}, within {off}"
+        if self.at == "ticks" and len(ticks):
+            every = between_rows(ticks, values, steps, "hold" if whole else self.between)
+            within = np.arange(np.ceil(ticks[0]), np.floor(ticks[-1]) + 1.0)
+            values = every[within[within < steps].astype(np.int64)]
+            ticks = within
         odd = ticks[ticks != np.rint(ticks)]
-        if self.at == "rows" and len(odd):
+        if len(odd):
             what = f"the row at {odd[0] * dt:g} s is between two ticks of {dt:g} s"
             raise DiagramError(what, where, 'move it, or compare at = "ticks"')
+        if not len(ticks):
+            raise DiagramError("nothing is expected in this column", where, "fill a cell, or leave the column out")
         if ticks[-1] > steps - 1:
             what = f"the scenario ends before the last row, at {(steps - 1) * dt:g} s"
             raise DiagramError(what, where, "give a longer duration")
-        if self.at == "ticks":
-            every = between_rows(ticks, values, steps, "hold" if whole else self.between)
-            ticks = np.arange(np.ceil(ticks[0]), np.floor(ticks[-1]) + 1.0)
-            if not len(ticks):
-                raise DiagramError("no tick lies between its rows", where, "add rows")
-            values = every[ticks.astype(np.int64)]
+        absolute, relative = self.tolerance(column)
+        off = f"{absolute:g}" if not relative else f"{absolute:g} + {relative:g} |expected|"
+        text = f"{signal} as in {self.table.name}, within {off}"
         return ExpectedColumn(text, signal, ticks.astype(np.int64), values, absolute, relative)
 
 
