@@ -79,14 +79,8 @@ class AppendOnlyFile(ABC):
         """Return the next bytes of the file. Called without the lock."""
 
     def _ending(self) -> bytes:
-        """Return the last bytes of the file."""
+        """Return the last bytes of the file, which follow what is acknowledged."""
         return b""
-
-    def _kept(self) -> None:  # noqa: B027
-        """Note that everything encoded so far is on the disk."""
-
-    def _undone(self) -> None:  # noqa: B027
-        """Forget the parts encoded since the last `_kept`: they are not in the file."""
 
     def flush(self, deadline_s: float = DEADLINE_S) -> Acknowledged:
         """Wait until everything accepted so far is on the disk. Raises RecordingError, also at the deadline."""
@@ -171,7 +165,6 @@ class AppendOnlyFile(ABC):
             why = refusal.strerror if isinstance(refusal, OSError) else refusal.what
             raise RecordingError(f"cannot be written: {why}", str(self.path), "nothing was recorded") from refusal
         self.acknowledged = Acknowledged(len(head), 0)
-        self._kept()
         self._thread.start()
 
     def _run(self) -> None:
@@ -217,7 +210,6 @@ class AppendOnlyFile(ABC):
         self._write(part)
         with self._changed:
             self.acknowledged = Acknowledged(self.acknowledged.position + len(part), samples)
-            self._kept()
             self._changed.notify_all()
 
     def _write(self, part: bytes) -> None:
@@ -234,7 +226,6 @@ class AppendOnlyFile(ABC):
             str(self.path),
             "make room and start another recording",
         )
-        self._undone()
         for part in (self._ending(), b""):
             try:
                 os.ftruncate(self._descriptor, there.position)

@@ -4,7 +4,9 @@ The library `mcap` has the records; its writer takes one message at a time, and 
 refused. Tables and channels carry the checksum of their own record, so that recovery can tell sound ones from damaged.
 """
 
+import struct
 import zlib
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
@@ -42,6 +44,8 @@ CODEC = "zstd"
 CHECK = "crc32"
 """The last row of a table or of a channel's metadata: the checksum of what stands before it in its record."""
 _LEVEL = 1
+_INDEX_HEAD = struct.Struct("<BQHI")
+_INDEXED = (Opcode.CHUNK_INDEX, Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX)
 Sealed = TypeVar("Sealed", Channel, Metadata)
 
 
@@ -74,12 +78,13 @@ class Attachment:
 
 @dataclass(frozen=True)
 class _Written:
-    """The state of a file so far: bytes, their checksum, messages of each channel, times."""
+    """The state of a file so far: bytes, their checksum, index records, messages by channel, times."""
 
     position: int = 0
     crc: int = 0
+    indexes: int = 0
     messages: Mapping[int, int] = field(default_factory=dict)
-    start: int = 0
+    start: int = 1 << 64
     end: int = 0
 
 
@@ -98,154 +103,122 @@ def sealed(record: Sealed) -> Sealed:
 
 
 class McapEncoder:
-    """Bytes of a file with these streams; each method returns the next part of the file.
-
-    `keep` says that everything returned so far is in the file; `undo` forgets what was returned since.
-    """
+    """Bytes of a file with these streams; each method returns the next part of the file."""
 
     def __init__(self, streams: Sequence[McapStream]) -> None:
         self._streams = tuple(streams)
-        self._dtypes = tuple(stream.row for stream in self._streams)
-        self._described = [self._description(k, stream) for k, stream in enumerate(self._streams)]
         self._deflate = zstandard.ZstdCompressor(level=_LEVEL).compress
-        self._now = _Written()
-        # Appended to in place, since a recording of hours has 10^5 of them; `keep` remembers how many hold.
-        self._indexes: dict[Opcode, list[bytes]] = {
-            Opcode.CHUNK_INDEX: [],
-            Opcode.ATTACHMENT_INDEX: [],
-            Opcode.METADATA_INDEX: [],
-        }
-        self.keep()
+        self._now = self._before = _Written()
+        self._indexes: list[tuple[Opcode, bytes]] = []
+        numbered = list(enumerate(self._streams, 1))
+        self._schemas = b"".join(
+            encoded(Schema(k, stream.definition.encode(), "ros2msg", stream.schema)) for k, stream in numbered
+        )
+        self._channels = b"".join(
+            encoded(sealed(Channel(k, stream.topic, "cdr", stream.metadata, k))) for k, stream in numbered
+        )
 
-    def keep(self) -> None:
-        """Take everything returned so far as written."""
-        self._sure = self._now, {op: len(made) for op, made in self._indexes.items()}
-
-    def undo(self) -> None:
-        """Forget what was returned since `keep`: it is not in the file."""
-        self._now, counts = self._sure
-        for op, count in counts.items():
-            del self._indexes[op][count:]
+    def cut(self, position: int) -> None:
+        """Forget the last part if the file ends at `position`, before it."""
+        if self._now.position > position:
+            self._now = self._before
+            del self._indexes[self._now.indexes :]
 
     def head(self, metadata: Mapping[str, Mapping[str, str]], attachments: Sequence[Attachment] = ()) -> bytes:
         """Return everything before the first sample."""
-        begin = MAGIC + encoded(Header(PROFILE, f"twodof {twodof.__version__}"))
-        made = self._made(begin + b"".join(schema + channel for schema, channel in self._described))
+        header = encoded(Header(PROFILE, f"twodof {twodof.__version__}"))
+        made = self._made(MAGIC + header + self._schemas + self._channels)
         made += b"".join(self.metadata(name, rows) for name, rows in metadata.items())
         return made + b"".join(map(self._attachment, attachments))
 
     def metadata(self, name: str, rows: Mapping[str, str]) -> bytes:
         """Return a table of texts."""
         made = encoded(sealed(Metadata(name=name, metadata=dict(rows))))
-        self._index(Opcode.METADATA_INDEX, MetadataIndex(self._now.position, len(made), name))
-        return self._made(made)
+        return self._made(made, Opcode.METADATA_INDEX, MetadataIndex(self._now.position, len(made), name))
 
     def chunk(self, samples: Mapping[int, McapSamples]) -> bytes:
         """Return one chunk of samples, by the number of their stream, and its indexes; nothing for no samples."""
-        filled = {stream: some for stream, some in samples.items() if len(some)}
+        now, plain, indexes, offsets = self._now, bytearray(), bytearray(), {}
+        counts = Counter(now.messages)
+        filled = {stream + 1: some for stream, some in samples.items() if len(some)}
         if not filled:
             return b""
-        bodies, indexes, at = [], {}, 0
-        totals = dict(self._now.messages)
-        for stream, some in filled.items():
-            rows = self._rows(stream, some, totals.get(stream, 0))
-            bodies.append(rows.tobytes())
+        for channel, some in filled.items():
+            rows = self._rows(channel, some, counts[channel])
             entries = np.empty((len(some), 2), dtype="<u8")
             entries[:, 0] = some.time_ns
-            entries[:, 1] = at + np.arange(len(some), dtype=np.uint64) * np.uint64(rows.itemsize)
-            indexes[stream] = entries
-            at += len(bodies[-1])
-            totals[stream] = totals.get(stream, 0) + len(some)
+            entries[:, 1] = len(plain) + rows.itemsize * np.arange(len(some))
+            offsets[channel] = len(indexes)
+            indexes += _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + entries.nbytes, channel, entries.nbytes)
+            indexes += entries.tobytes()
+            plain += rows.tobytes()
+            counts[channel] += len(some)
         start = min(int(some.time_ns.min()) for some in filled.values())
         end = max(int(some.time_ns.max()) for some in filled.values())
-        made = self._chunk(b"".join(bodies), indexes, start, end)
-        first = not self._now.messages
-        self._now = replace(
-            self._now,
-            messages=totals,
-            start=start if first else min(start, self._now.start),
-            end=end if first else max(end, self._now.end),
-        )
-        return self._made(made)
+        packed = self._deflate(plain)
+        made = encoded(Chunk(CODEC, packed, end, start, zlib.crc32(plain), len(plain)))
+        offsets = {channel: now.position + len(made) + at for channel, at in offsets.items()}
+        index = ChunkIndex(len(made), now.position, CODEC, len(packed), end, len(indexes), offsets, start, len(plain))
+        made = self._made(made + bytes(indexes), Opcode.CHUNK_INDEX, index)
+        self._now = replace(self._now, messages=counts, start=min(start, now.start), end=max(end, now.end))
+        return made
 
     def tail(self) -> bytes:
         """Return the end of the data and the summary, which readers that seek need."""
         now = self._now
-        data_end = encoded(DataEnd(now.crc))
-        start = now.position + len(data_end)
+        groups = {op: [one for of, one in self._indexes if of == op] for op in _INDEXED}
         statistics = Statistics(
-            attachment_count=len(self._indexes[Opcode.ATTACHMENT_INDEX]),
+            attachment_count=len(groups[Opcode.ATTACHMENT_INDEX]),
             channel_count=len(self._streams),
-            channel_message_counts={stream + 1: count for stream, count in now.messages.items()},
-            chunk_count=len(self._indexes[Opcode.CHUNK_INDEX]),
+            channel_message_counts=dict(now.messages),
+            chunk_count=len(groups[Opcode.CHUNK_INDEX]),
             message_count=sum(now.messages.values()),
             message_end_time=now.end,
-            message_start_time=now.start,
-            metadata_count=len(self._indexes[Opcode.METADATA_INDEX]),
+            message_start_time=now.start if now.messages else 0,
+            metadata_count=len(groups[Opcode.METADATA_INDEX]),
             schema_count=len(self._streams),
         )
-        groups = [
-            (Opcode.SCHEMA, b"".join(schema for schema, _ in self._described)),
-            (Opcode.CHANNEL, b"".join(channel for _, channel in self._described)),
-            (Opcode.STATISTICS, encoded(statistics)),
-            *((op, b"".join(made)) for op, made in self._indexes.items()),
-        ]
-        summary, offsets = b"", b""
-        for op, group in groups:
-            if group:
-                offsets += encoded(SummaryOffset(op, start + len(summary), len(group)))
-                summary += group
-        footer = encoded(Footer(start, start + len(summary), 0))
+        parts = {
+            Opcode.SCHEMA: self._schemas,
+            Opcode.CHANNEL: self._channels,
+            Opcode.STATISTICS: encoded(statistics),
+            **{op: b"".join(group) for op, group in groups.items()},
+        }
+        data_end, summary, offsets = encoded(DataEnd(now.crc)), b"", b""
+        start = now.position + len(data_end)
+        for op, part in parts.items():
+            if part:
+                offsets += encoded(SummaryOffset(op, start + len(summary), len(part)))
+                summary += part
+        footer = encoded(Footer(start, start + len(summary), 0))[:-4]
         # The checksum covers everything before it, the first parts of the footer too.
-        crc = zlib.crc32(summary + offsets + footer[:-4])
-        return self._made(data_end + summary + offsets + footer[:-4] + crc.to_bytes(4, "little") + MAGIC)
+        crc = zlib.crc32(summary + offsets + footer)
+        return data_end + summary + offsets + footer + crc.to_bytes(4, "little") + MAGIC
 
-    def _index(self, op: Opcode, record: McapRecord) -> None:
-        self._indexes[op].append(encoded(record))
-
-    def _made(self, part: bytes) -> bytes:
-        crc = zlib.crc32(part, self._now.crc)
-        self._now = replace(self._now, position=self._now.position + len(part), crc=crc)
+    def _made(self, part: bytes, op: Opcode | None = None, index: McapRecord | None = None) -> bytes:
+        """Return a part, once the state and the indexes have it."""
+        if op is not None and index is not None:
+            self._indexes.append((op, encoded(index)))
+        self._before = now = self._now
+        crc, position = zlib.crc32(part, now.crc), now.position + len(part)
+        self._now = replace(now, position=position, crc=crc, indexes=len(self._indexes))
         return part
 
-    def _rows(self, stream: int, some: McapSamples, sequence: int) -> NDArray[np.void]:
-        described = self._streams[stream]
-        rows = np.empty(len(some), dtype=self._dtypes[stream])
-        rows["op"], rows["length"], rows["channel"] = Opcode.MESSAGE, described.content_bytes, stream + 1
+    def _rows(self, channel: int, some: McapSamples, sequence: int) -> NDArray[np.void]:
+        stream = self._streams[channel - 1]
+        rows = np.empty(len(some), dtype=stream.row)
+        rows["op"], rows["length"], rows["channel"] = Opcode.MESSAGE, stream.content_bytes, channel
         # The specification's sequence number has 32 bits; it wraps after 198 days at 250 Hz.
         rows["sequence"] = (sequence + np.arange(len(some), dtype=np.uint64)).astype(np.uint32)
         rows["log_time"] = rows["publish_time"] = some.time_ns
         rows["cdr"] = CDR_LITTLE_ENDIAN
         rows["value"] = some.value
-        if described.stamped:
+        if stream.stamped:
             rows["stamp"] = some.stamp
         return rows
-
-    def _chunk(self, plain: bytes, indexes: Mapping[int, NDArray[np.uint64]], start: int, end: int) -> bytes:
-        packed = self._deflate(plain)
-        made = encoded(Chunk(CODEC, packed, end, start, zlib.crc32(plain), len(plain)))
-        where, chunk_length = self._now.position, len(made)
-        offsets = {}
-        for stream, entries in indexes.items():
-            offsets[stream + 1] = where + len(made)
-            content = (stream + 1).to_bytes(2, "little") + entries.nbytes.to_bytes(4, "little") + entries.tobytes()
-            made += bytes((Opcode.MESSAGE_INDEX,)) + len(content).to_bytes(8, "little") + content
-        index = ChunkIndex(
-            chunk_length, where, CODEC, len(packed), end, len(made) - chunk_length, offsets, start, len(plain)
-        )
-        self._index(Opcode.CHUNK_INDEX, index)
-        return made
 
     def _attachment(self, kept: Attachment) -> bytes:
         time, size = kept.time_ns, len(kept.data)
         made = encoded(AttachmentRecord(time, time, kept.name, kept.media_type, kept.data))
         index = AttachmentIndex(self._now.position, len(made), time, time, size, kept.name, kept.media_type)
-        self._index(Opcode.ATTACHMENT_INDEX, index)
-        return self._made(made)
-
-    @staticmethod
-    def _description(k: int, stream: McapStream) -> tuple[bytes, bytes]:
-        """Return the records of a stream's schema and channel."""
-        schema = Schema(id=k + 1, data=stream.definition.encode(), encoding="ros2msg", name=stream.schema)
-        channel = Channel(k + 1, stream.topic, "cdr", stream.metadata, k + 1)
-        return encoded(schema), encoded(sealed(channel))
+        return self._made(made, Opcode.ATTACHMENT_INDEX, index)

@@ -4,11 +4,11 @@
 `recovery.recover` reads a recording that was cut off.
 """
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog import provenance
@@ -22,9 +22,8 @@ from twodof.flightlog.provenance import noted
 NOTE = "twodof"
 END_NOTE = "twodof.end"
 RECOVERED_NOTE = "twodof.recovered"
-# A reader that seeks inflates one chunk: about a second of every topic at full rate.
 CHUNK_SAMPLES = 8192
-CHUNK_BYTES = 1 << 22
+"""Samples of a chunk, which a reader that seeks inflates: about a second of every topic at full rate."""
 
 
 def decode_mcap(data: bytes, where: str) -> FlightLog:
@@ -38,37 +37,33 @@ def decode_mcap(data: bytes, where: str) -> FlightLog:
 
 def write_mcap(log: FlightLog, path: str | Path) -> None:
     """Write a log, atomically, so that it reads back bit for bit. Raises LogError for stamps before 0."""
-    described = streams_of(log)
-    contents = McapContents(dict(enumerate(described.values())))
-    for k, (name, stream) in enumerate(described.items()):
-        channel = log[name]
+    contents = McapContents(dict(enumerate(streams_of(log).values())))
+    for k, (name, channel) in enumerate(log.channels.items()):
         value = channel.value if channel.value.ndim == 2 else channel.value[:, None]
-        stamp = channel.time if stream.stamped else None
+        stamp = channel.time if contents.streams[k].stamped else None
         contents.samples[k] = [McapSamples(nanoseconds(channel.time, f"{path}: {name}"), value, stamp)]
     contents.metadata.append((NOTE, {"provenance": provenance.to_json(log), "empty": "kept"}))
     with atomic_write(path) as file:
-        write_contents(contents, file)
+        file.writelines(parts_of(contents))
 
 
-def write_contents(contents: McapContents, file: IO[bytes]) -> None:
-    """Write streams, samples, tables and attachments as a complete file, in chunks ordered by time."""
-    numbers = list(contents.streams)
-    encoder = McapEncoder([contents.streams[number] for number in numbers])
-    file.write(encoder.head({}, contents.attachments))
+def parts_of(contents: McapContents) -> Iterator[bytes]:
+    """Yield the parts of a complete file with these streams, samples, tables and attachments.
+
+    Chunks are in the order of time.
+    """
+    encoder = McapEncoder([*contents.streams.values()])
+    yield encoder.head({}, contents.attachments)
     for name, rows in contents.metadata:
-        file.write(encoder.metadata(name, rows))
-    sorted_by_time = {}
-    for k, number in enumerate(numbers):
-        some = contents.joined(number)
-        sorted_by_time[k] = some.part(np.argsort(some.time_ns, kind="stable"))
-    widest = max((contents.streams[number].record_bytes for number in numbers), default=1)
-    # Of many streams each is to have some samples in a chunk.
-    each = max(1, min(max(CHUNK_SAMPLES, 100 * len(numbers)), CHUNK_BYTES // widest))
-    bounds = _bounds([some.time_ns for some in sorted_by_time.values()], each)
-    edges = {k: np.searchsorted(some.time_ns, bounds).tolist() for k, some in sorted_by_time.items()}
+        yield encoder.metadata(name, rows)
+    samples = [contents.joined(number) for number in contents.streams]
+    samples = [some.part(np.argsort(some.time_ns, kind="stable")) for some in samples]
+    every = np.sort(np.concatenate([np.empty(0, np.uint64), *(some.time_ns for some in samples)]))
+    bounds = np.append(np.unique(every[::CHUNK_SAMPLES]), every[-1:] + np.uint64(1))
+    edges = [np.searchsorted(some.time_ns, bounds).tolist() for some in samples]
     for n in range(len(bounds) - 1):
-        file.write(encoder.chunk({k: some.part(slice(*edges[k][n : n + 2])) for k, some in sorted_by_time.items()}))
-    file.write(encoder.tail())
+        yield encoder.chunk({k: some.part(slice(*edges[k][n : n + 2])) for k, some in enumerate(samples)})
+    yield encoder.tail()
 
 
 def to_log(contents: McapContents, file: dict[str, Any], where: str) -> FlightLog:
@@ -106,9 +101,3 @@ def _provenance(contents: McapContents, where: str) -> dict[str, Any]:
         elif name == UNVERIFIED_NOTE:
             kept.setdefault("unverified", []).append(rows)
     return kept
-
-
-def _bounds(times: list[NDArray[np.uint64]], each: int) -> NDArray[np.uint64]:
-    """Return times [ns] that cut all samples into stretches of about `each`; the last is after the last sample."""
-    every = np.sort(np.concatenate(times)) if times else np.empty(0, np.uint64)
-    return np.append(np.unique(every[::each]), every[-1:] + np.uint64(1))

@@ -13,13 +13,14 @@ import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
+from mcap.records import Channel as ChannelRecord
 from numpy.typing import NDArray
 
 from twodof.errors import LogError, listed, shown
 from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
-from twodof.flightlog.provenance import RECOVER
 from twodof.signals import BY_MAT, Topic, topic
 
 PACKAGE = "twodof_msgs/msg"
@@ -27,7 +28,6 @@ KEY = "twodof"
 CDR_LITTLE_ENDIAN = 0x0100  # bytes 00 01 00 00: representation CDR_LE, no options
 RECORD_HEAD_BYTES = 9
 """Opcode and length, with which each record begins."""
-_MESSAGE_HEAD_BYTES = 22
 MAX_WIDTH = 1000
 MAX_CHANNELS = 1000
 
@@ -53,7 +53,7 @@ class McapStream:
         """Return True if its messages can be read again."""
         return 1 <= self.width <= MAX_WIDTH and len(self.fields) in (0, self.width) and 0 < len(self.mat) <= MAX_NAME
 
-    @property
+    @cached_property
     def row(self) -> np.dtype[np.void]:
         """Return the layout of a message record: its head, the CDR head, the stamp if there is one, the values."""
         stamp = [("stamp", "<f8")] if self.stamped else []
@@ -64,12 +64,7 @@ class McapStream:
     @property
     def content_bytes(self) -> int:
         """Return the length of a message record's content."""
-        return _MESSAGE_HEAD_BYTES + 4 + 8 * (self.width + self.stamped)
-
-    @property
-    def record_bytes(self) -> int:
-        """Return the length of a message record."""
-        return RECORD_HEAD_BYTES + self.content_bytes
+        return self.row.itemsize - RECORD_HEAD_BYTES
 
     @property
     def definition(self) -> str:
@@ -145,25 +140,20 @@ def streams_of(log: FlightLog) -> dict[str, McapStream]:
     return found
 
 
-def parse(topic_name: str, schema: str, encoding: str, metadata: dict[str, str], where: str) -> McapStream | None:
-    """Return the stream that a channel's record describes; None for a foreign topic. Raises LogError.
+def parse(channel: ChannelRecord, schema: str) -> McapStream | None:
+    """Return the stream that a channel's record describes; None for a foreign topic. Raises for a damaged one.
 
     `schema` is the name of its schema for files of earlier versions, which do not have it in the description.
     """
-    if KEY not in metadata or encoding != "cdr":
+    if KEY not in channel.metadata or channel.message_encoding != "cdr":
         return None
-    damaged = LogError(f"the description of topic {shown(topic_name)} is damaged", where, RECOVER)
-    try:
-        kept = json.loads(metadata[KEY])
-        name, unit, fields, width = (kept[key] for key in ("name", "unit", "fields", "width"))
-        stamped, about, schema = kept["stamped"], kept["about"], kept.get("schema", schema)
-        sound = type(fields) is list and type(width) is int and type(stamped) is bool
-        sound = sound and all(isinstance(one, str) for one in (name, unit, about, schema, *fields))
-        stream = McapStream(topic_name, schema, name, unit, tuple(fields), width, stamped, about)
-    except (ValueError, KeyError, TypeError, RecursionError) as reason:
-        raise damaged from reason
-    if not sound or not stream.fits:
-        raise damaged
+    kept = {"schema": schema, **json.loads(channel.metadata[KEY])}
+    texts = schema, name, unit, about = [kept[key] for key in ("schema", "name", "unit", "about")]
+    stream = McapStream(
+        channel.topic, schema, name, unit, tuple(kept["fields"]), kept["width"], kept["stamped"] is True, about
+    )
+    if not stream.fits or not all(isinstance(one, str) for one in (*texts, *stream.fields)):
+        raise ValueError(f"the description of topic {shown(channel.topic)}")
     return stream
 
 

@@ -153,12 +153,7 @@ class Recorder(AppendOnlyFile):
         return self._encoder.chunk(taken) if isinstance(taken, dict) else b""
 
     def _ending(self) -> bytes:
+        self._encoder.cut(self.acknowledged.position)
         notes = {**self._notes, **({"dropped": dropped} if (dropped := self.dropped) else {})}
         rows = {"noted": json.dumps(notes)}
         return (self._encoder.metadata(END_NOTE, rows) if notes else b"") + self._encoder.tail()
-
-    def _kept(self) -> None:
-        self._encoder.keep()
-
-    def _undone(self) -> None:
-        self._encoder.undo()
