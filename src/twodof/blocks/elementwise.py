@@ -36,15 +36,33 @@ def width_of(value: Any) -> int | None:
     return value.width if isinstance(value, Expr) else len(value) if isinstance(value, Vector) else None
 
 
-class Pointwise(Block):
+class OneOutput(Block):
+    """Block with the output y alone."""
+
+    def ports(
+        self,
+        names: Iterable[str],
+        kind: Kind = "real",
+        width: int | None = None,
+        unit: str = "",
+        input_unit: str | None = None,
+    ) -> None:
+        """Declare the inputs and the output y, all of one type and, without an `input_unit`, of one unit."""
+        self.inputs = [Port(name, kind, width, unit if input_unit is None else input_unit) for name in names]
+        self.outputs = [Port("y", kind, width, unit)]
+
+
+class Recurrent(OneOutput):
+    """Block whose output is its next state."""
+
+    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return self.output(u, x, p, t)
+
+
+class Pointwise(OneOutput):
     """y = of(p, inputs): a function of numbers, element by element where the ports are arrays."""
 
     of: Callable[..., Any]
-
-    def ports(self, names: Iterable[str], kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        """Declare the inputs and the output y, all of one type and unit."""
-        self.inputs = [Port(name, kind, width, unit) for name in names]
-        self.outputs = [Port("y", kind, width, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return elementwise(partial(self.of, p), *(u[port.name] for port in self.inputs))

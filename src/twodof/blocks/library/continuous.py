@@ -5,7 +5,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, dot, elementwise, limit_params
+from twodof.blocks.elementwise import OneOutput, clamp, dot, elementwise, limit_params
 from twodof.blocks.expressions.arrays import vector
 from twodof.blocks.expressions.expr import where
 from twodof.blocks.library.discrete import LinearStateSpace, ResetRule, quotient
@@ -22,7 +22,7 @@ __all__ = [
 
 
 @library_block("integrator")
-class Integrator(Block):
+class Integrator(OneOutput):
     """x' = u, y = x, from `initial`.
 
     With `limits` [low, high]: y is x clamped to them, and after each step x itself is put back within them.
@@ -37,8 +37,7 @@ class Integrator(Block):
     ) -> None:
         bounds = limit_params(limits, "Integrator", unit)
         self.limited = bool(bounds)
-        self.inputs = [Port("u", width=width)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", width=width, unit=unit, input_unit="")
         self.params = [Param("initial", initial, width=width, unit=unit), *bounds]
         self.states = [State("x", "initial", width=width, unit=unit, continuous=True)]
 
@@ -123,12 +122,11 @@ class ResetIntegrator(Block):
 
 
 @library_block("first_order")
-class FirstOrder(Block):
+class FirstOrder(OneOutput):
     """First-order lag G(s) = gain / (time_constant s + 1): x' = (u - x) / time_constant, y = gain x."""
 
     def __init__(self, gain: float = 1.0, time_constant: float = 1.0, initial: float = 0.0, unit: str = "") -> None:
-        self.inputs = [Port("u")]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit, input_unit="")
         self.params = [
             Param("gain", gain),
             Param("time_constant", time_constant, unit="s", low=0.0),
@@ -179,7 +177,7 @@ class SecondOrder(Block):
 
 
 @library_block("transfer_function")
-class TransferFunction(Block):
+class TransferFunction(OneOutput):
     """G(s) = numerator / denominator in descending powers of s; proper. Strictly proper: no feed-through.
 
     All coefficients are divided by the denominator's first, which leaves s^n + a1 s^(n-1) + ... + an. The states have
@@ -198,8 +196,7 @@ class TransferFunction(Block):
         self.order = len(bottom) - 1
         self.top = len(top)
         self.direct = self.top == self.order + 1
-        self.inputs = [Port("u")]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit, input_unit="")
         self.params = [
             Param("numerator", top, width=self.top),
             Param("denominator", bottom, width=self.order + 1),

@@ -4,10 +4,10 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.block import Clock, library_block
 from twodof.blocks.bus import Bus, leaves_of
 from twodof.blocks.declarations import Param, Port, State, check_name
-from twodof.blocks.elementwise import count, elementwise, width_of
+from twodof.blocks.elementwise import OneOutput, count, elementwise, width_of
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import Matrix, array_of, flat_of, shaped, store
 from twodof.blocks.expressions.expr import int32, maximum, minimum, to_int32, to_real, where
@@ -29,12 +29,11 @@ MAX_SAMPLES = 100_000
 
 
 @library_block("unit_delay")
-class UnitDelay(Block):
+class UnitDelay(OneOutput):
     """Delay by one sample of the block's own rate: y[k] = u[k-1], y[0] = initial. Breaks algebraic loops."""
 
     def __init__(self, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("u", kind, width, unit)
         self.params = [Param("initial", initial, kind, width, unit)]
         self.states = [State("x", "initial", kind, width, unit)]
 
@@ -45,7 +44,7 @@ class UnitDelay(Block):
         return u.u
 
 
-class _RingBuffer(Block):
+class _RingBuffer(OneOutput):
     """The last `bound` inputs, read before one is written; what was before them is `initial`. Of a bus each field."""
 
     def _declare(self, bound: int, initial: Any, kind: Kind, width: int | None, unit: str) -> None:
@@ -56,8 +55,7 @@ class _RingBuffer(Block):
             ring = Bus(kind.name, [replace(leaf, width=bound * (leaf.width or 1), shape=None) for leaf in leaves])
         else:
             size = bound * (width or 1)
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("u", kind, width, unit)
         self.params = [Param("initial", initial, kind, width, unit)]
         self.states = [
             State("buffer", 0 if kind != "bool" else False, ring, size, unit),
@@ -165,7 +163,7 @@ class VariableDelay(_RingBuffer):
 
 
 @library_block("fractional_delay")
-class FractionalDelay(Block):
+class FractionalDelay(_RingBuffer):
     """Delay of a held signal by `delay` seconds, which need not be a multiple of the tick: y(t) = u(t - delay).
 
     Let delay / dt = n + f with 0 <= f < 1. In the step from tick k on, y is u[k-n-1] before the fraction f of the step
@@ -185,55 +183,41 @@ class FractionalDelay(Block):
         direct: bool = True,
         unit: str = "",
     ) -> None:
-        self.samples = count(samples, 1, MAX_SAMPLES, "FractionalDelay", "samples")
+        self._declare(count(samples, 1, MAX_SAMPLES, "FractionalDelay", "samples"), initial, "real", None, unit)
         self.direct = direct
-        self.inputs = [Port("u", unit=unit)]
-        self.outputs = [Port("y", unit=unit)]
-        self.params = [
-            Param("delay", delay, unit="s", low=0.0),
-            Param("initial", initial, unit=unit),
-        ]
+        self.params = [Param("delay", delay, unit="s", low=0.0), *self.params]
         self.derived = [Port("whole", "int32"), Port("fraction"), Port("fits", "bool")]
-        self.states = [
-            State("buffer", 0.0, width=self.samples, unit=unit),
-            State("before", "initial", unit=unit),
-            State("position", 0, "int32"),
-            State("age", 0, "int32"),
-        ]
 
     def prepare(self, p: Any, t: Clock) -> Any:
         ratio = p.delay / t.dt
         if not self.direct:
             ratio = where(ratio < 1.0, 1.0, ratio)
         whole = to_int32(ratio)
-        return {"whole": whole, "fraction": ratio - to_real(whole), "fits": ratio <= float(self.samples)}
+        return {"whole": whole, "fraction": ratio - to_real(whole), "fits": ratio <= float(self.bound)}
 
-    def _past(self, back: Any, u: Any, x: Any, p: Any) -> Any:
-        """u[k - back] for 0 <= back <= samples."""
-        place = x.position - back
-        kept = x.buffer[where(place < 0, place + self.samples, place)]
-        past = where(back <= x.age, kept, x.before)
+    def _delayed(self, samples: Any, u: Any, x: Any, p: Any) -> Any:
+        """u[k - samples] for 0 <= samples <= bound."""
+        past = self._past(samples, x)
         if self.direct:
-            past = where(back < 1, u.u, past)
+            past = where(samples < 1, u.u, past)
         return where(p.fits, past, math.nan)
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self._past(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x, p)
+        return self._delayed(where(p.fraction > 0.0, p.whole + 1, p.whole), u, x, p)
 
     def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return {"y": (p.fraction, self._past(p.whole, u, x, p))}
+        return {"y": (p.fraction, self._delayed(p.whole, u, x, p))}
 
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        after = x.position + 1
-        return {
-            "buffer": store(x.buffer, x.position, u.u),
-            "position": where(after < self.samples, after, int32(0)),
-            "age": where(x.age < self.samples, x.age + 1, x.age),
-        }
+
+class _Passes(OneOutput):
+    """y = u."""
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return u.u
 
 
 @library_block("zero_order_hold")
-class ZeroOrderHold(Block):
+class ZeroOrderHold(_Passes):
     """Sample and hold: at the block's own ticks y = u, held in between. May read a signal of another rate.
 
     Before the first of them y is 0, or what `Diagram.add` is given as `initial={"y": value}`.
@@ -242,11 +226,7 @@ class ZeroOrderHold(Block):
     crossing = True
 
     def __init__(self, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return u.u
+        self.ports("u", kind, width, unit)
 
 
 @library_block("rate_transition")
@@ -262,7 +242,7 @@ class RateTransition(UnitDelay):
 
 
 @library_block("data_store")
-class DataStore(Block):
+class DataStore(UnitDelay):
     """A value that one place writes and others read, without wires: y is what stood in it after its previous tick.
 
     Its input is fed by the one StoreWrite of its name, or by a connection. It is read by StoreReads, or by
@@ -274,40 +254,25 @@ class DataStore(Block):
     crossing = True
 
     def __init__(self, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("u", kind, width, unit)
         self.states = [State("x", initial, kind, width, unit)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return x.x
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return u.u
 
 
 @library_block("store_write")
-class StoreWrite(Block):
+class StoreWrite(_Passes):
     """Writes u into the DataStore named `store` as its only writer; y = u."""
 
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreWrite")
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return u.u
+        self.ports("u", kind, width, unit)
 
 
 @library_block("store_read")
-class StoreRead(Block):
+class StoreRead(_Passes):
     """y is what stands in the DataStore named `store`, which feeds the input u if nothing is connected to it."""
 
     crossing = True
 
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreRead")
-        self.inputs = [Port("u", kind, width, unit)]
-        self.outputs = [Port("y", kind, width, unit)]
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return u.u
+        self.ports("u", kind, width, unit)

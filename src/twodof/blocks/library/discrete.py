@@ -5,7 +5,7 @@ from typing import Any
 
 from twodof.blocks.block import EDGES, Block, Clock, edge_of, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
+from twodof.blocks.elementwise import OneOutput, clamp, count, dot, elementwise, limit_params, matrix, one_of, reals
 from twodof.blocks.expressions.arrays import array_of, fold, store, vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.errors import DiagramError
@@ -119,12 +119,11 @@ class DiscreteIntegrator(Block):
 
 
 @library_block("discrete_derivative")
-class DiscreteDerivative(Block):
+class DiscreteDerivative(OneOutput):
     """Backward difference: y[k] = gain (u[k] - u[k-1]) / T, T the block's period, u[-1] = initial."""
 
     def __init__(self, gain: float = 1.0, initial: Any = 0.0, width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("u", width=width)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", width=width, unit=unit, input_unit="")
         self.params = [Param("gain", gain), Param("initial", initial, width=width)]
         self.derived = [Port("slope", unit="1/s")]
         self.states = [State("x", "initial", width=width)]
@@ -156,15 +155,14 @@ def quotient(
     return top, bottom
 
 
-class _Rational(Block):
+class _Rational(OneOutput):
     """A quotient of polynomials in z^-1, in transposed direct form II; `lead` is how many zeros b begins with."""
 
     def _declare(self, numerator: list[float], denominator: list[float], lead: int, initial: Any, unit: str) -> None:
         self.lead = lead
         self.order = max(len(denominator) - 1, len(numerator) - 1 + lead, 1)
         self.lengths = len(numerator), len(denominator)
-        self.inputs = [Port("u")]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit, input_unit="")
         self.params = [
             Param("numerator", numerator, width=len(numerator)),
             Param("denominator", denominator, width=len(denominator)),
@@ -304,13 +302,12 @@ class DiscreteStateSpace(LinearStateSpace):
 
 
 @library_block("moving_average")
-class MovingAverage(Block):
+class MovingAverage(OneOutput):
     """Mean of the last n = `samples` inputs: y[k] = (u[k] + u[k-1] + ... + u[k-n+1]) / n, u[k < 0] = initial."""
 
     def __init__(self, samples: int = 2, initial: float = 0.0, unit: str = "") -> None:
         self.samples = count(samples, 2, 10_000, "MovingAverage", "samples")
-        self.inputs = [Port("u", unit=unit)]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit)
         self.params = [Param("initial", initial, unit=unit)]
         self.derived = [Port("fill", width=self.samples - 1, unit=unit)]
         self.states = [State("buffer", "fill", width=self.samples - 1, unit=unit), State("position", 0, "int32")]

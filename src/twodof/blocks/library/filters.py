@@ -8,10 +8,10 @@ Source: Oppenheim, Schafer, Discrete-Time Signal Processing, section 7.2 (biline
 import math
 from typing import Any
 
-from twodof.blocks.block import Block, Clock, library_block
+from twodof.blocks.block import Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import exp, tan
-from twodof.blocks.elementwise import one_of
+from twodof.blocks.elementwise import OneOutput, one_of
 from twodof.blocks.expressions.expr import minimum
 
 __all__ = ["HighPass", "LeadLag", "LowPass", "LowPass2", "Notch"]
@@ -24,15 +24,21 @@ def _warped(frequency: Any, dt: Any) -> Any:
     return tan(math.pi * minimum(0.499, frequency * dt))
 
 
-class _FirstOrder(Block):
+class _Filter(OneOutput):
+    """Filter whose states start from `rest`, where the input `initial` leaves it."""
+
+    def _declare(self, params: list[Param], initial: float, unit: str) -> None:
+        self.ports("u", unit=unit)
+        self.params = [*params, Param("initial", initial, unit=unit, text="the input before the start")]
+
+
+class _FirstOrder(_Filter):
     """y = b0 u + s, s' = b1 u - a1 y; at the start the filter rests at u = `initial`."""
 
     direct = True  # b0 is there
 
     def _declare(self, params: list[Param], initial: float, unit: str) -> None:
-        self.inputs = [Port("u", unit=unit)]
-        self.outputs = [Port("y", unit=unit)]
-        self.params = [*params, Param("initial", initial, unit=unit, text="the input before the start")]
+        super()._declare(params, initial, unit)
         self.derived = [Port("b0"), Port("b1"), Port("a1"), Port("rest", unit=unit)]
         self.states = [State("s", "rest", unit=unit)]
 
@@ -43,15 +49,11 @@ class _FirstOrder(Block):
         return p.b1 * u.u - p.a1 * self.output(u, x, p, t)
 
 
-class _SecondOrder(Block):
+class _SecondOrder(_Filter):
     """y = b0 u + s1, s1' = b1 u - a1 y + s2, s2' = b2 u - a2 y; at the start the filter rests at u = y = `initial`."""
 
-    def _declare(self, params: list[Param], initial: float, unit: str) -> None:
-        self.inputs = [Port("u", unit=unit)]
-        self.outputs = [Port("y", unit=unit)]
-        self.params = [*params, Param("initial", initial, unit=unit, text="the input before the start")]
-        self.derived = [Port(name) for name in ("b0", "b1", "b2", "a1", "a2", "rest1", "rest2")]
-        self.states = [State("s1", "rest1"), State("s2", "rest2")]
+    derived = tuple(Port(name) for name in ("b0", "b1", "b2", "a1", "a2", "rest1", "rest2"))
+    states = (State("s1", "rest1"), State("s2", "rest2"))
 
     @staticmethod
     def _coefficients(top: tuple[Any, Any, Any], bottom: tuple[Any, Any, Any], initial: Any) -> dict[str, Any]:

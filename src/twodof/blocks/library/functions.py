@@ -68,8 +68,7 @@ class _Function(Pointwise):
 
     def _declare(self, function: str, width: int | None, input_unit: str, unit: str) -> None:
         self.function = one_of(function, list(self.functions), type(self).__name__, "function")
-        self.inputs = [Port("u", width=width, unit=input_unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit, input_unit)
 
     def of(self, p: Any, u: Any) -> Any:
         return self.functions[self.function](u)
@@ -110,8 +109,7 @@ class Atan2(Pointwise):
     """y = atan2(a, b) [rad]: the angle of the point (b, a), within -pi .. pi; C99's signs of zero and infinities."""
 
     def __init__(self, width: int | None = None, input_unit: str = "") -> None:
-        self.inputs = [Port("a", width=width, unit=input_unit), Port("b", width=width, unit=input_unit)]
-        self.outputs = [Port("y", width=width, unit="rad")]
+        self.ports("ab", "real", width, "rad", input_unit)
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
         return atan2(a, b)
@@ -133,8 +131,7 @@ class Power(Pointwise):
     """y = a^b as C99's pow."""
 
     def __init__(self, width: int | None = None, unit: str = "") -> None:
-        self.inputs = [Port("a", width=width), Port("b", width=width)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("ab", "real", width, unit, "")
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
         return pow(a, b)

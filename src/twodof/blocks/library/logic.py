@@ -7,7 +7,7 @@ from typing import Any
 
 from twodof.blocks.block import EDGES, Block, Clock, edge_of, library_block
 from twodof.blocks.declarations import Param, Port, State
-from twodof.blocks.elementwise import Pointwise, comparable, one_of, port_series
+from twodof.blocks.elementwise import OneOutput, Pointwise, Recurrent, comparable, one_of, port_series
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.expr import to_real, to_uint32, where
 from twodof.blocks.expressions.numbers import INTEGERS, WORDS
@@ -101,7 +101,7 @@ class Bitwise(Pointwise):
 
 
 @library_block("edge_detector")
-class EdgeDetector(Block):
+class EdgeDetector(OneOutput):
     """y is true in the sample in which u becomes true ("rising"), false ("falling") or changes ("either").
 
     `initial` is u before the start.
@@ -109,8 +109,7 @@ class EdgeDetector(Block):
 
     def __init__(self, edge: str = "rising", initial: bool = False) -> None:
         self.edge = one_of(edge, EDGES, "EdgeDetector", "edge")
-        self.inputs = [Port("u", "bool")]
-        self.outputs = [Port("y", "bool")]
+        self.ports("u", "bool")
         self.params = [Param("initial", initial, "bool")]
         self.states = [State("x", "initial", "bool")]
 
@@ -122,7 +121,7 @@ class EdgeDetector(Block):
 
 
 @library_block("counter")
-class Counter(Block):
+class Counter(Recurrent):
     """y = how many samples u was true in, this one included, since the start or the last `clear`; modulo `modulus`.
 
     A sample with `clear` true starts anew from 0 (and counts itself). modulus 0: modulo 2^32. For events rather than
@@ -139,18 +138,14 @@ class Counter(Block):
         raised = where(u.clear, 0, x.x) + to_uint32(u.u)
         return where(p.modulus == 0, raised, raised % p.modulus)
 
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self.output(u, x, p, t)
-
 
 @library_block("flip_flop")
-class FlipFlop(Block):
+class FlipFlop(Recurrent):
     """Set-reset flip-flop: `set` makes y true, `clear` false, else it stays; with both the `dominant` one counts."""
 
     def __init__(self, dominant: str = "clear", initial: bool = False) -> None:
         self.dominant = one_of(dominant, ("set", "clear"), "FlipFlop", "dominant")
-        self.inputs = [Port("set", "bool"), Port("clear", "bool")]
-        self.outputs = [Port("y", "bool")]
+        self.ports(("set", "clear"), "bool")
         self.params = [Param("initial", initial, "bool")]
         self.states = [State("x", "initial", "bool")]
 
@@ -158,9 +153,6 @@ class FlipFlop(Block):
         if self.dominant == "set":
             return u.set | (x.x & ~u.clear)
         return (u.set | x.x) & ~u.clear
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self.output(u, x, p, t)
 
 
 @library_block("timer")

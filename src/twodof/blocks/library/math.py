@@ -6,7 +6,18 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port
-from twodof.blocks.elementwise import ORDERED, Pointwise, count, dot, matrix, one_of, port_series, reals, sized
+from twodof.blocks.elementwise import (
+    ORDERED,
+    OneOutput,
+    Pointwise,
+    count,
+    dot,
+    matrix,
+    one_of,
+    port_series,
+    reals,
+    sized,
+)
 from twodof.blocks.expressions.arrays import array_of, fold, norm
 from twodof.blocks.expressions.expr import maximum, minimum, where
 from twodof.blocks.expressions.numbers import FLOATS, NUMERIC
@@ -75,8 +86,7 @@ class Gain(Pointwise):
         input_unit: str = "",
         unit: str = "",
     ) -> None:
-        self.inputs = [Port("u", width=width, unit=input_unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit, input_unit)
         self.params = [Param("k", k, unit=gain_unit)]
 
     def of(self, p: Any, u: Any) -> Any:
@@ -126,8 +136,7 @@ class Product(Pointwise):
         if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
             raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
         self.operations = operations
-        self.inputs = [Port(name, width=width) for name in port_series(len(operations), "Product")]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports(port_series(len(operations), "Product"), "real", width, unit, "")
 
     def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.operations[0] == "*" else 1.0 / terms[0]
@@ -142,8 +151,7 @@ class Divide(Pointwise):
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
         self.kind = one_of(kind, NUMERIC, "Divide", "kind")
-        self.inputs = [Port("a", kind, width), Port("b", kind, width)]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports("ab", kind, width, unit, "")
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
         return a / b if self.kind in FLOATS else a // b
@@ -205,14 +213,13 @@ class Norm(Block):
 
 
 @library_block("polynomial")
-class Polynomial(Block):
+class Polynomial(OneOutput):
     """y = c[0] u^n + c[1] u^(n-1) + ... + c[n] by Horner's rule, `coefficients` c."""
 
     def __init__(self, coefficients: Sequence[float] = (1.0, 0.0), unit: str = "") -> None:
         c = reals(coefficients, "Polynomial", "coefficients")
         self.length = len(c)
-        self.inputs = [Port("u")]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit, input_unit="")
         self.params = [Param("coefficients", c, width=self.length)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

@@ -5,7 +5,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.elementary.functions import floor
-from twodof.blocks.elementwise import ORDERED, Pointwise, clamp, elementwise, one_of
+from twodof.blocks.elementwise import ORDERED, Pointwise, Recurrent, clamp, elementwise, one_of
 from twodof.blocks.expressions.expr import maximum, minimum, where
 
 __all__ = ["Backlash", "DeadZone", "DynamicSaturation", "Quantiser", "RateLimit", "Relay", "Saturation"]
@@ -67,7 +67,7 @@ class Quantiser(Pointwise):
 
 
 @library_block("rate_limit")
-class RateLimit(Block):
+class RateLimit(Recurrent):
     """y[k] = u[k], put within y[k-1] - falling T .. y[k-1] + rising T; y[-1] = initial.
 
     `rising` and `falling` are per second and >= 0, T is the block's period.
@@ -81,8 +81,7 @@ class RateLimit(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.inputs = [Port("u", width=width, unit=unit)]
-        self.outputs = [Port("y", width=width, unit=unit)]
+        self.ports("u", "real", width, unit)
         self.params = [
             Param("rising", rising, low=0.0),
             Param("falling", falling, low=0.0),
@@ -96,9 +95,6 @@ class RateLimit(Block):
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return elementwise(lambda v, before: clamp(before - p.down, before + p.up, v), u.u, x.x)
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self.output(u, x, p, t)
 
 
 @library_block("relay")
@@ -141,18 +137,14 @@ class Relay(Block):
 
 
 @library_block("backlash")
-class Backlash(Block):
+class Backlash(Recurrent):
     """Play of `width`: y moves only when pushed; y[k] is y[k-1], put within u - width/2 .. u + width/2."""
 
     def __init__(self, width: float = 1.0, initial: float = 0.0, unit: str = "") -> None:
-        self.inputs = [Port("u", unit=unit)]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit)
         self.params = [Param("width", width, unit=unit, low=0.0), Param("initial", initial, unit=unit)]
         self.states = [State("x", "initial", unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         half = 0.5 * p.width
         return minimum(maximum(x.x, u.u - half), u.u + half)
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self.output(u, x, p, t)

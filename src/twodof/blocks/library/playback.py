@@ -5,7 +5,7 @@ from typing import Any
 
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.declarations import Param, Port
-from twodof.blocks.elementwise import clamp, matrix, one_of, reals, search
+from twodof.blocks.elementwise import OneOutput, clamp, matrix, one_of, reals, search
 from twodof.blocks.expressions.arrays import array_of
 from twodof.blocks.expressions.expr import to_real, uint32, where
 from twodof.blocks.library.sources import start_param, ticks
@@ -111,7 +111,7 @@ class Table(Block):
 
 
 @library_block("lookup")
-class Lookup(Block):
+class Lookup(OneOutput):
     """Look-up with linear interpolation: y = v_i + (u - b_i) (v_(i+1) - v_i) / (b_(i+1) - b_i).
 
     b are the `breakpoints`, which increase, v the `values`; b_i <= u < b_(i+1), found by bisection in a loop with a
@@ -129,8 +129,7 @@ class Lookup(Block):
         self.outside = one_of(outside, OUTSIDE, "Lookup", "outside")
         b, v = _points("Lookup", "breakpoints", breakpoints, "values", values)
         self.length = len(b)
-        self.inputs = [Port("u", unit=input_unit)]
-        self.outputs = [Port("y", unit=unit)]
+        self.ports("u", unit=unit, input_unit=input_unit)
         self.params = [
             Param("breakpoints", b, width=self.length, unit=input_unit),
             Param("values", v, width=self.length, unit=unit),

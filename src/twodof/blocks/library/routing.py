@@ -9,7 +9,7 @@ from typing import Any
 from twodof.blocks.block import Block, Clock, library_block
 from twodof.blocks.bus import Bus, expanded
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
-from twodof.blocks.elementwise import count, counts, elementwise, port_series, sized
+from twodof.blocks.elementwise import Recurrent, count, counts, elementwise, port_series, sized
 from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import flat_of, shaped, vector
 from twodof.blocks.expressions.expr import int32, where
@@ -268,7 +268,7 @@ class CaseChoice(Block):
 
 
 @library_block("merge")
-class Merge(Block):
+class Merge(Recurrent):
     """y is the input whose part acts: a where `a_acts`, else b where `b_acts`, ...; where none acts the last y stays.
 
     Before the first y is `initial`. For the outputs of parts of which at most one acts at a time.
@@ -278,9 +278,8 @@ class Merge(Block):
         self, inputs: int = 2, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = ""
     ) -> None:
         self.names = port_series(inputs, "Merge")
-        self.inputs = [Port(name, kind, width, unit) for name in self.names]
-        self.inputs += [Port(f"{name}_acts", "bool") for name in self.names]
-        self.outputs = [Port("y", kind, width, unit)]
+        self.ports(self.names, kind, width, unit)
+        self.inputs = [*self.inputs, *(Port(f"{name}_acts", "bool") for name in self.names)]
         self.params = [Param("initial", initial, kind, width, unit)]
         self.states = [State("x", "initial", kind, width, unit)]
 
@@ -292,6 +291,3 @@ class Merge(Block):
             return y
 
         return elementwise(of, x.x, *(u[name] for name in self.names))
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self.output(u, x, p, t)
