@@ -97,7 +97,7 @@ def shapes_of(diagram: Diagram) -> list[tuple[str, dict[str, Any]]]:
         item = diagram.parts[part["name"]].item
         if part["block"]["type"] not in ("custom", "state_machine"):
             assert not isinstance(item, Diagram)
-            found.append((part["name"], block_shape(item).to_json()))
+            found.append((part["name"], block_shape(item)))
     return found
 
 

@@ -185,11 +185,13 @@ class Diagram:
         if isinstance(disabled, Mapping):
             disabled = _of_outputs(item, disabled, path, "reset")
         known = {p.name for p in item.params} if isinstance(item, Block) else set(item.params)
-        for inner in params or {}:
+        for inner, outer in (params or {}).items():
             if inner not in known:
                 raise DiagramError(
                     f"there is no parameter {shown(inner)} to bind", path, f"there are: {nearest(inner, sorted(known))}"
                 )
+            if not isinstance(outer, str):
+                raise DiagramError(f"{inner!r} is bound to {shown(outer)}", path, "name a parameter of the diagram")
         divider, offset = _pair(rate, path, "rate")
         checked = Rate(divider, offset).check(path)
         place = None if position is None else _pair(position, path, "position")

@@ -39,7 +39,7 @@ def catalogue() -> dict[str, Any]:
     """
     return {
         "not_simulated": _no_compiler(),
-        "blocks": [entry.to_json() for entry in library_catalogue()],
+        "blocks": list(library_catalogue()),
         "starters": {name: {"name": d.name, "text": d.text} for name in STARTERS for d in (starter(name),)},
         "templates": {
             t.name: {
@@ -72,7 +72,7 @@ def shapes(blocks: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _shape(form: dict[str, Any]) -> dict[str, Any]:
     try:
-        return block_shape(Loader().block(form, str(form.get("type", ""))[:80])).to_json()
+        return block_shape(Loader().block(form, str(form.get("type", ""))[:80]))
     except TwodofError as error:
         return _told(error)
 

@@ -419,7 +419,7 @@ MALFORMED: dict[str, tuple[bytes, str]] = {
     ),
     "a rate of 2^31": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [2**31, 0]}]), "is impossible"),
     "a negative offset": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [2, -1]}]), "is impossible"),
-    "a rate of a half": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [0.5, 0]}]), "write .divider"),
+    "a rate of a half": (file(parts=[{"name": "g", "block": {"type": "gain"}, "rate": [0.5, 0]}]), "is impossible"),
     "the argument self": (library("gain", self=1), "cannot be made"),
     "an argument that is no argument": (library("gain", __class__=1), "unexpected keyword argument '__class__'"),
     "a matrix with NaN": (library("matrix_gain", K=[[{"float": "nan"}]]), r"K\[0\]\[0\] = nan is not finite"),

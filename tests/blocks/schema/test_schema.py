@@ -100,7 +100,7 @@ HOSTILE = {
         form(parts=[{"name": "g", "block": {"type": "os.system", "config": {}}}]),
         "unknown block type",
     ),
-    "an unknown field": (form(inputs=[{"name": "a", "__class__": "x"}]), "is no port"),
+    "an unknown field": (form(inputs=[{"name": "a", "__class__": "x"}]), "unknown key .__class__."),
     "a node that looks ahead": (custom(nodes=[["neg", [0]]]), "does not stand above"),
     "an operation of another type": (custom(nodes=[["input", [], "u"], ["and", [0, 0]]]), "not defined on real"),
     "a foreign operation": (custom(nodes=[["__import__", []]]), "not well formed"),

@@ -9,19 +9,19 @@ import inspect
 import json
 import math
 from collections import Counter
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block, steady_trace
 from twodof.blocks.declarations import Param, Port, State, numeric
-from twodof.blocks.diagram import CONDITIONS, Diagram, Part
+from twodof.blocks.diagram import Diagram, Part
 from twodof.blocks.enumeration import Enumeration
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.numbers import Integer
-from twodof.blocks.schema.loader import MACHINE, MACHINE_SECTIONS, POSITIONS, Loader, member, only
-from twodof.blocks.schema.traced_block import TracedBlock, graph_to_json, machine_to_json
+from twodof.blocks.schema.loader import DECLARED, MACHINE, POSITIONS, SETTINGS, Loader
+from twodof.blocks.schema.traced_block import Fields, TracedBlock, graph_to_json, machine_to_json, read
 from twodof.blocks.state_machine import StateMachine
 from twodof.errors import DiagramError, shown
 
@@ -29,6 +29,7 @@ SCHEMA = "twodof/diagram"
 VERSION = 1
 MAX_BYTES = 8 * 2**20
 MAX_DIGITS = 40  # of an integer
+_FILE: Fields = {"schema": (str, None), "version": (int, None), "diagram": (dict, None)}
 
 
 def to_json(diagram: Diagram) -> str:
@@ -68,8 +69,7 @@ def from_json(text: str | bytes) -> Diagram:
         raise DiagramError(
             f"schema version {shown(data.get('version'))} is unknown", "file", f"this twodof reads version {VERSION}"
         )
-    only(data, {"schema", "version", "diagram"}, "file")
-    return Loader().diagram(member(data, "diagram", dict, "file"))
+    return Loader().diagram(read(data, "a diagram", _FILE, "file")["diagram"])
 
 
 def read_diagram(path: str | Path) -> Diagram:
@@ -130,24 +130,8 @@ def _diagram_to(d: Diagram) -> dict[str, Any]:
 
 
 def _part_to(part: Part) -> dict[str, Any]:
-    form: dict[str, Any] = {"name": part.name}
-    if tuple(part.rate) != (1, 0):
-        form["rate"] = list(part.rate)
-    for key in ("params", *CONDITIONS):
-        if getattr(part, key):
-            form[key] = getattr(part, key)
-    if part.disabled != "hold":
-        told = part.disabled
-        form["disabled"] = encoded(told, part.name) if isinstance(told, dict) else told
-    for key, default in (("edge", "rising"), ("enabling", "keep")):
-        if getattr(part, key) != default:
-            form[key] = getattr(part, key)
-    if part.initial:
-        form["initial"] = encoded(part.initial, part.name)
-    if part.position is not None:
-        form["position"] = list(part.position)
-    if part.flipped:
-        form["flipped"] = True
+    settings = {key: encoded(getattr(part, key), part.name) for key in SETTINGS}
+    form = {"name": part.name} | {key: v for key, v in settings.items() if v != SETTINGS[key][1]}
     if isinstance(part.item, Diagram):
         return form | {"diagram": _diagram_to(part.item)}
     return form | {"block": _block_to(part.item, part.name)}
@@ -158,23 +142,14 @@ def _block_to(block: Block, name: str) -> dict[str, Any]:
     if REGISTRY.get(kind) is type(block):  # a class made from one of the library is another block
         return {"type": kind, "config": encoded(getattr(block, "config", {}), name)}
     trace = steady_trace(block, name)
-    if isinstance(block, StateMachine):
-        return {
-            "type": MACHINE,
-            "name": block.label or type(block).__name__,
-            **{key: [declared_form(d) for d in getattr(block, key)] for key in MACHINE_SECTIONS},
-            "crossing": block.crossing,
-            **machine_to_json(block),
-        }
+    kind = MACHINE if isinstance(block, StateMachine) else "custom"
+    label = block.label if isinstance(block, (StateMachine, TracedBlock)) else ""
     return {
-        "type": "custom",
-        "name": block.label if isinstance(block, TracedBlock) else type(block).__name__,
-        **{
-            k: [declared_form(d) for d in getattr(block, k)]
-            for k in ("inputs", "outputs", "states", "params", "derived")
-        },
+        "type": kind,
+        "name": label or type(block).__name__,
+        **{key: [declared_form(d) for d in getattr(block, key)] for key in DECLARED[kind]},
         "crossing": block.crossing,
-        **graph_to_json(trace),
+        **(machine_to_json(block) if isinstance(block, StateMachine) else graph_to_json(trace)),
     }
 
 
@@ -222,62 +197,12 @@ _CHOICES = "use one of "
 _NO_CHOICE = "?"  # what no argument takes that has choices
 
 
-@dataclass(frozen=True)
-class BlockShape:
-    """Interface of a block: its ports and parameters.
+def block_shape(block: Block) -> dict[str, Any]:
+    """Return the ports and parameters of `block` as plain data.
 
     `structure` is equal for two blocks that differ only in the values of their parameters, so that one program serves
-    both.
-    """
-
-    inputs: tuple[Port, ...]
-    outputs: tuple[Port, ...]
-    params: tuple[Param, ...]
-    structure: str
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data; a bound that is infinite is None, the values of an array stand as in memory."""
-        return {
-            "inputs": [_port(p) for p in self.inputs],
-            "outputs": [_port(p) for p in self.outputs],
-            "params": [_parameter(p) for p in self.params],
-            "structure": self.structure,
-        }
-
-
-@dataclass(frozen=True)
-class CatalogueEntry:
-    """A block of the library: its type in JSON, its name in Python, its room, what it says of itself.
-
-    `config` are the arguments that it is made with by default, as JSON keeps them. `choices` are those of the arguments
-    that take one of a few words.
-    """
-
-    type: str
-    name: str
-    group: str
-    text: str
-    config: dict[str, Any]
-    choices: dict[str, tuple[str, ...]]
-    shape: BlockShape
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {
-            "type": self.type,
-            "name": self.name,
-            "group": self.group,
-            "text": self.text,
-            "config": encoded(self.config, self.type),
-            "choices": {name: list(words) for name, words in self.choices.items()},
-            "shape": self.shape.to_json(),
-        }
-
-
-def block_shape(block: Block) -> BlockShape:
-    """Return the ports and parameters of `block`, and its parts that a program is made of.
-
-    Raises DiagramError for a block that cannot be traced.
+    both. A bound that is infinite is None, the values of an array stand as in memory. Raises DiagramError for a block
+    that cannot be traced.
     """
     plain = [
         *(["input", declared_form(p)] for p in block.inputs),
@@ -290,12 +215,21 @@ def block_shape(block: Block) -> BlockShape:
     ]
     text = json.dumps(plain, sort_keys=True, default=str)
     digest = hashlib.sha256(f"{type(block).__qualname__} {text}".encode()).hexdigest()[:16]
-    return BlockShape(tuple(block.inputs), tuple(block.outputs), tuple(block.params), digest)
+    return {
+        "inputs": [_port(p) for p in block.inputs],
+        "outputs": [_port(p) for p in block.outputs],
+        "params": [_parameter(p) for p in block.params],
+        "structure": digest,
+    }
 
 
 @functools.cache
-def catalogue() -> tuple[CatalogueEntry, ...]:
-    """Return the blocks of the library, the most used rooms first, in the order of their declaration."""
+def catalogue() -> tuple[dict[str, Any], ...]:
+    """Return the blocks of the library as plain data, the most used rooms first, in the order of their declaration.
+
+    `type` is a block's type in JSON, `name` its name in Python, `group` its room, `text` its docstring, `config` the
+    arguments by default. `choices` are the words of the arguments that take one of a few. `shape` is its `block_shape`.
+    """
     prefix = f"{library.__name__}."
     classes = [cls for cls in REGISTRY.values() if cls.__module__.startswith(prefix)]
     rooms = [*_FIRST, *dict.fromkeys(cls.__module__.removeprefix(prefix) for cls in classes)]
@@ -303,13 +237,19 @@ def catalogue() -> tuple[CatalogueEntry, ...]:
     return tuple(_entry(cls, cls.__module__.removeprefix(prefix)) for cls in classes)
 
 
-def _entry(cls: type[Block], group: str) -> CatalogueEntry:
+def _entry(cls: type[Block], group: str) -> dict[str, Any]:
     block = cls()
     config = dict(getattr(block, "config", {}))
     words = {name: _choices(cls, name) for name, value in config.items() if _is_word(value)}
-    choices = {name: found for name, found in words.items() if found}
-    text = inspect.cleandoc(cls.__doc__ or "")
-    return CatalogueEntry(cls.type_name, cls.__name__, group, text, config, choices, block_shape(block))
+    return {
+        "type": cls.type_name,
+        "name": cls.__name__,
+        "group": group,
+        "text": inspect.cleandoc(cls.__doc__ or ""),
+        "config": encoded(config, cls.type_name),
+        "choices": {name: found for name, found in words.items() if found},
+        "shape": block_shape(block),
+    }
 
 
 def _is_word(value: Any) -> bool:
@@ -317,18 +257,18 @@ def _is_word(value: Any) -> bool:
     return value is None or isinstance(value, bool) or (isinstance(value, str) and bool(value))
 
 
-def _choices(cls: type[Block], argument: str) -> tuple[str, ...]:
+def _choices(cls: type[Block], argument: str) -> list[str]:
     """Return the words that an argument may be, by the block's error for another word; empty if any is taken."""
     make: Any = cls
     try:
         make(**{argument: _NO_CHOICE})
     except DiagramError as error:
         if error.remedy.startswith(_CHOICES):
-            return tuple(error.remedy.removeprefix(_CHOICES).split(", "))
-    return ()
+            return error.remedy.removeprefix(_CHOICES).split(", ")
+    return []
 
 
-def _port(port: Port | State) -> dict[str, Any]:
+def _port(port: Port | Param) -> dict[str, Any]:
     return {"name": port.name, "kind": port.kind, "width": port.width, "unit": port.unit}
 
 
@@ -336,10 +276,7 @@ def _parameter(param: Param) -> dict[str, Any]:
     with numbers.precision("float64"):
         value = numbers.plain(numeric(param.value, param.kind, param.width, param.name, param.shape))
     return {
-        "name": param.name,
-        "kind": param.kind,
-        "width": param.width,
-        "unit": param.unit,
+        **_port(param),
         "value": encoded(value, param.name),
         "low": param.low if math.isfinite(param.low) else None,
         "high": param.high if math.isfinite(param.high) else None,

@@ -1,17 +1,28 @@
 """Builds a diagram from its JSON form and refuses, at the door, what would cost too much or is not what it says."""
 
+import math
 import unicodedata
 from collections.abc import Container, Mapping
 from dataclasses import fields
+from types import NoneType
 from typing import Any
 
 from twodof.blocks import library
 from twodof.blocks.block import REGISTRY, Block
-from twodof.blocks.declarations import NAME, Param, Port, State, check_shape, located
+from twodof.blocks.declarations import NAME, Param, Port, State, located
 from twodof.blocks.diagram import CONDITIONS, Diagram
 from twodof.blocks.expressions.expr import at_most
 from twodof.blocks.expressions.graph import COPIED, MAX_OPERATIONS, MAX_SIZE, CostMeter, too_large
-from twodof.blocks.schema.traced_block import TracedBlock, TracedMachine, graph_from_json, machine_from_json
+from twodof.blocks.schema.traced_block import (
+    Fields,
+    TracedBlock,
+    TracedMachine,
+    graph_from_json,
+    machine_from_json,
+    member,
+    read,
+)
+from twodof.blocks.trace import SECTIONS
 from twodof.errors import DiagramError, TwodofError, nearest, shown
 
 MAX_DEPTH = 64  # of sub-diagrams
@@ -27,43 +38,44 @@ MAX_STRING = 1000  # an argument of a block
 STAGES = 4  # evaluations of a derivative in a step of RK4
 
 POSITIONS = ("input_positions", "output_positions")
-_DIAGRAM = {"name", "text", "inputs", "params", "parts", "connections", "outputs", *POSITIONS}
-_PART = {
-    "name",
-    "rate",
-    "params",
-    *CONDITIONS,
-    "edge",
-    "disabled",
-    "enabling",
-    "initial",
-    "position",
-    "flipped",
-    "diagram",
-    "block",
+_NAME = (str, None)
+_DIAGRAM: Fields = {
+    "name": _NAME,
+    "text": (str, ""),
+    **dict.fromkeys(("inputs", "params", "parts", "connections", "outputs"), (list, [])),
+    **dict.fromkeys(POSITIONS, (dict, {})),
 }
-_SECTIONS = {"inputs", "outputs", "states", "params", "derived"}
-_FIELDS = {cls: {field.name for field in fields(cls)} for cls in (Port, State, Param)}
+SETTINGS: Fields = {
+    "rate": (list, [1, 0]),
+    "params": (dict, {}),
+    **dict.fromkeys(CONDITIONS, ((str, NoneType), None)),
+    "disabled": ((str, dict), "hold"),
+    "edge": (str, "rising"),
+    "enabling": (str, "keep"),
+    "initial": (dict, {}),
+    "position": ((list, NoneType), None),
+    "flipped": (bool, False),
+}
+"""How a part runs and where it is drawn, in the order of a file."""
+_PART: Fields = {"name": _NAME, **SETTINGS, **dict.fromkeys(("diagram", "block"), ((dict, NoneType), None))}
+_LIBRARY: Fields = {"type": _NAME, "config": (dict, {})}
+_TRACED: Fields = {"type": _NAME, "name": _NAME, "crossing": (bool, False), "nodes": (list, None)}
 MACHINE = "state_machine"
-MACHINE_SECTIONS = ("inputs", "outputs", "variables", "params", "derived")
-_MACHINE = {"type", "name", "crossing", "nodes", "prepare", "modes", "transitions", *MACHINE_SECTIONS}
-_CUSTOM = {"type", "name", "crossing", "nodes", "prepare", "output", "edges", "update", "derivative", "project"}
-
-
-def member(data: Mapping[str, Any], key: str, kind: type | tuple[type, ...], where: str, default: Any = None) -> Any:
-    """`data[key]` (or `default`) if it is of the type `kind`; else DiagramError."""
-    value = data.get(key, default)
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is int):
-        remedy = "see docs/reference/diagram-files.md"
-        raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
-    return value
-
-
-def only(data: Mapping[str, Any], known: set[str], where: str) -> None:
-    """Raise DiagramError if `data` has a key that is not `known`: a slip of the pen would change a diagram silently."""
-    for key in data:
-        if key not in known:
-            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {nearest(key, sorted(known))}")
+DECLARED: Mapping[str, Mapping[str, type[Any]]] = {
+    "custom": {"inputs": Port, "outputs": Port, "states": State, "params": Param, "derived": Port},
+    MACHINE: {"inputs": Port, "outputs": Port, "variables": State, "params": Param, "derived": Port},
+}
+"""What a traced block declares, by its type and section."""
+_GRAPHS: Mapping[str, Fields] = {
+    "custom": dict.fromkeys(SECTIONS, (dict, {})),
+    MACHINE: {"prepare": (dict, {}), "modes": (list, []), "transitions": (list, [])},
+}
+_WORDS: Fields = {"name": _NAME, **dict.fromkeys(("unit", "text"), (str, "")), "tunable": (bool, True)}
+_PLAIN_FIELDS: Fields = {**_WORDS, "continuous": (bool, False)}
+_FIELDS: Mapping[type, Fields] = {
+    cls: {f.name: _PLAIN_FIELDS.get(f.name, (object, f.default)) for f in fields(cls)} for cls in (Port, State, Param)
+}
+_NUMBERS = ("initial", "value", "low", "high", "enum")
 
 
 def text(value: str, most: int, where: str, lines: bool = False) -> str:
@@ -93,105 +105,62 @@ class Loader:
         """Return the diagram that `data` describes, at `path` and `depth` within another one. Raises DiagramError."""
         if depth > MAX_DEPTH:
             raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
-        only(data, _DIAGRAM, path or "diagram")
-        name = member(data, "name", str, path or "diagram")
-        d = Diagram(name, text(member(data, "text", str, path, ""), MAX_TEXT, path or "diagram", lines=True))
+        given = read(data, "a diagram", _DIAGRAM, path or "diagram")
+        d = Diagram(given["name"], text(given["text"], MAX_TEXT, path or "diagram", lines=True))
         path = path or d.name
-        for port in self._declarations(Port, data, "inputs", path):
+        for port in self._declarations(Port, given["inputs"], path):
             d.declare(port)
-        for param in self._declarations(Param, data, "params", path):
+        for param in self._declarations(Param, given["params"], path):
             d.param(**vars(param))
-        parts = member(data, "parts", list, path, [])
-        self.parts += len(parts)
+        self.parts += len(given["parts"])
         if self.parts > MAX_PARTS:  # counted before the first is made, which costs more than reading them
             raise DiagramError(f"more than {MAX_PARTS} parts", path, "make the diagram smaller")
-        for form in parts:
+        for form in given["parts"]:
             self._part(d, form, path, depth)
-        for pair in member(data, "connections", list, path, []):
+        for pair in given["connections"]:
             if not (isinstance(pair, list) and len(pair) == 2 and all(isinstance(s, str) for s in pair)):
                 raise DiagramError(f"{shown(pair)} is not a connection", path, 'write ["source", "part.port"]')
             d.connect(*pair)
-        for pair in member(data, "outputs", list, path, []):
+        for pair in given["outputs"]:
             named = isinstance(pair, list) and len(pair) == 2 and isinstance(pair[0], str)
             if not named or not isinstance(pair[1], (str, type(None))):
                 raise DiagramError(f"{shown(pair)} is not an output", path, 'write ["name", "source"]')
             self._count(1, 0, path)
             d.output(*pair)
         inputs = {name.partition(".")[0] for name in d.inputs}  # a bus has one place
-        d.input_positions = _positions(data, "input_positions", inputs, path)
-        d.output_positions = _positions(data, "output_positions", d.outputs, path)
+        d.input_positions = _positions(given, "input_positions", inputs, path)
+        d.output_positions = _positions(given, "output_positions", d.outputs, path)
         return d
 
     def _part(self, d: Diagram, form: Any, path: str, depth: int) -> None:
-        if not isinstance(form, dict):
-            raise DiagramError(f"{shown(form)} is not a part", path, "a part is an object with a name")
-        name = member(form, "name", str, path)
-        where = f"{path}.{name:.80}"
-        only(form, _PART, where)
+        named = isinstance(form, dict) and isinstance(form.get("name"), str)
+        where = f"{path}.{form['name']:.80}" if named else path
+        given = read(form, "a part", _PART, where)
         item: Block | Diagram
-        if "diagram" in form:
+        if given["diagram"] is not None:
             before = self.declared
-            item = self.diagram(member(form, "diagram", dict, where), where, depth + 1)
-            if form.get("enabling") == "restart":  # each such diagram sets the states of all that is inside
+            item = self.diagram(given["diagram"], where, depth + 1)
+            if given["enabling"] == "restart":  # each such diagram sets the states of all that is inside
                 self.restarting += self.declared - before
                 if self.restarting > MAX_DECLARED:
                     what = f"more than {MAX_DECLARED} ports and states in diagrams that restart, counted for each such"
                     raise DiagramError(what, where, "let fewer of the diagrams within one another restart")
         else:
             item = self.block(member(form, "block", dict, where), where)
-        rate = member(form, "rate", list, where, [1, 0])
-        if len(rate) != 2 or not all(type(r) is int for r in rate):
-            raise DiagramError(f"rate {shown(rate)}", where, "write [divider, offset]")
-        bound = member(form, "params", dict, where, {})
-        if not all(isinstance(v, str) for v in bound.values()):
-            raise DiagramError("params binds something that is not a name", where, 'write {"inner": "outer"}')
-        position = form.get("position")
-        d.add(
-            name,
-            item,
-            rate=(rate[0], rate[1]),
-            params=bound,
-            enable=member(form, "enable", (str, type(None)), where),
-            reset=member(form, "reset", (str, type(None)), where),
-            trigger=member(form, "trigger", (str, type(None)), where),
-            edge=member(form, "edge", str, where, "rising"),
-            disabled=self._disabled(form, where),
-            enabling=member(form, "enabling", str, where, "keep"),
-            initial={n: self._plain(v, where) for n, v in member(form, "initial", dict, where, {}).items()},
-            position=None if position is None else _position(position, where),
-            inputs={},
-        )
-        d.parts[name].flipped = member(form, "flipped", bool, where, False)
-
-    def _disabled(self, form: dict[str, Any], where: str) -> str | dict[str, Any]:
-        told = member(form, "disabled", (str, dict), where, "hold")
-        return {n: self._plain(v, where) for n, v in told.items()} if isinstance(told, dict) else told
+        settings = {key: given[key] for key in SETTINGS if key != "flipped"}
+        settings |= {key: self._plain(given[key], where) for key in ("initial", "disabled")}
+        if given["position"] is not None:
+            settings["position"] = _position(given["position"], where)
+        d.add(given["name"], item, inputs={}, **settings)
+        d.parts[given["name"]].flipped = given["flipped"]
 
     def block(self, form: dict[str, Any], where: str) -> Block:
         """Return the block that `form` describes, of the part at the path `where`. Raises DiagramError."""
         kind = member(form, "type", str, where)
-        if kind == "custom":
-            block: Block = self._custom(form, where)
-        elif kind == MACHINE:
-            block = self._machine(form, where)
+        if kind in DECLARED:
+            block = self._traced(kind, form, where)
         elif kind in REGISTRY:
-            only(form, {"type", "config"}, where)
-            config = self._plain(member(form, "config", dict, where, {}), where)
-            try:
-                block = REGISTRY[kind](**config)
-                declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
-                self._count(len(declared), sum(item.width or 1 for item in declared), where)
-                with at_most(2 * MAX_SIZE):
-                    _ = block.trace
-            except TwodofError as error:
-                argument = error.where.partition(".")[2]
-                place = f"{where}.{argument}" if argument in config else where
-                raise DiagramError(error.what, place, error.remedy) from error
-            except (TypeError, ValueError, ArithmeticError, LookupError) as error:
-                problem = f"{kind} cannot be made: {error!s:.200}"
-                raise DiagramError(problem, where, "see docs/reference/blocks.md") from error
-            for item in declared:
-                _visible(item.unit, getattr(item, "text", ""), where)
+            block = self._library(kind, form, where)
         else:
             known = nearest(kind, REGISTRY, most=5)
             remedy = f"there are those of {library.__name__}: {known}"
@@ -200,22 +169,35 @@ class Loader:
             self._measure(block)
         return block
 
-    def _custom(self, form: dict[str, Any], where: str) -> TracedBlock:
-        only(form, _CUSTOM | _SECTIONS, where)
-        kinds: dict[str, type] = {"inputs": Port, "outputs": Port, "states": State, "params": Param, "derived": Port}
-        declared = {k: self._declarations(cls, form, k, where) for k, cls in kinds.items()}
-        crossing = member(form, "crossing", bool, where, False)
-        block = TracedBlock(member(form, "name", str, where), declared, crossing)
-        graph_from_json(block, form, where)
+    def _library(self, kind: str, form: dict[str, Any], where: str) -> Block:
+        config = self._plain(read(form, "a block", _LIBRARY, where)["config"], where)
+        try:
+            block = REGISTRY[kind](**config)
+            declared: list[Any] = [*block.inputs, *block.outputs, *block.states, *block.params, *block.derived]
+            self._count(len(declared), sum(item.width or 1 for item in declared), where)
+            with at_most(2 * MAX_SIZE):
+                _ = block.trace
+        except TwodofError as error:
+            argument = error.where.partition(".")[2]
+            place = f"{where}.{argument}" if argument in config else where
+            raise DiagramError(error.what, place, error.remedy) from error
+        except (TypeError, ValueError, ArithmeticError, LookupError) as error:
+            problem = f"{kind} cannot be made: {error!s:.200}"
+            raise DiagramError(problem, where, "see docs/reference/blocks.md") from error
+        for item in declared:
+            _visible(item.unit, getattr(item, "text", ""), where)
         return block
 
-    def _machine(self, form: dict[str, Any], where: str) -> TracedMachine:
-        only(form, _MACHINE, where)
-        kinds = dict(zip(MACHINE_SECTIONS, (Port, Port, State, Param, Port), strict=True))
-        declared = {k: self._declarations(cls, form, k, where) for k, cls in kinds.items()}
-        crossing = member(form, "crossing", bool, where, False)
-        machine = TracedMachine(member(form, "name", str, where), declared, crossing)
-        machine_from_json(machine, form, where)
+    def _traced(self, kind: str, form: dict[str, Any], where: str) -> Block:
+        sections = DECLARED[kind]
+        given = read(form, "a block", {**_TRACED, **dict.fromkeys(sections, (list, [])), **_GRAPHS[kind]}, where)
+        declared = {key: self._declarations(cls, given[key], where) for key, cls in sections.items()}
+        if kind != MACHINE:
+            block = TracedBlock(given["name"], declared, given["crossing"])
+            graph_from_json(block, given, where)
+            return block
+        machine = TracedMachine(given["name"], declared, given["crossing"])
+        machine_from_json(machine, given, where)
         try:
             with at_most(2 * MAX_SIZE):
                 _ = machine.trace
@@ -255,26 +237,20 @@ class Loader:
                 "make loops and arrays shorter",
             )
 
-    def _declarations(self, cls: type[Any], data: dict[str, Any], key: str, where: str) -> list[Any]:
-        forms = member(data, key, list, where, [])
+    def _declarations(self, cls: type[Any], forms: list[Any], where: str) -> list[Any]:
         if self.declared + len(forms) > MAX_DECLARED:  # before the first is made, which costs more than reading them
             self._count(len(forms), 0, where)
         return [self._declaration(cls, form, where) for form in forms]
 
     def _declaration(self, cls: type[Any], form: Any, where: str) -> Any:
-        if not isinstance(form, dict) or not set(form) <= _FIELDS[cls]:
-            known = ", ".join(sorted(_FIELDS[cls]))
-            raise DiagramError(f"{shown(form)} is no {cls.__name__.lower()}", where, f"it may have {known}")
-        width = form.get("width")
-        if width is not None and (type(width) is not int or width < 1):
-            raise DiagramError(f"width {shown(width)}", where, "give an integer from 1, or leave it out")
-        elements = width or 1
-        if form.get("shape") is not None:
-            rows, columns = check_shape(form["shape"], where)
-            elements = rows * columns
-        self._count(1, elements, where)
-        values = {k: self._plain(v, where) if k in _NUMBERS else v for k, v in form.items()}
-        return _typed(cls, values, where)
+        given = read(form, f"a {cls.__name__.lower()}", _FIELDS[cls], where)
+        size = given["shape"] if isinstance(given["shape"], list) else [given["width"]]
+        self._count(1, math.prod(n for n in size if type(n) is int), where)
+        given |= {key: self._plain(given[key], where) for key in _NUMBERS if key in given}
+        _visible(given["unit"], given.get("text", ""), where)
+        name = given["name"] if NAME.fullmatch(given["name"]) else ""
+        with located(f"{where}.{name}".rstrip(".")):
+            return cls(**given)
 
     def _count(self, declared: int, elements: int, where: str) -> None:
         self.declared += declared
@@ -310,27 +286,10 @@ def _position(given: Any, where: str) -> tuple[float, float]:
 
 def _positions(data: Mapping[str, Any], key: str, known: Container[str], where: str) -> dict[str, tuple[float, float]]:
     """Return the places of inputs or outputs, by name. Raises DiagramError for a name that is not there."""
-    given = member(data, key, dict, where, {})
-    for name in given:
+    for name in data[key]:
         if name not in known:
             raise DiagramError(f"{key!r} has {shown(name)}, which is not there", where, "take it out of the file")
-    return {name: _position(at, f"{where}.{name}") for name, at in given.items()}
-
-
-_NUMBERS = ("initial", "value", "low", "high", "enum")
-_PLAIN_FIELDS: dict[str, type] = {"name": str, "unit": str, "text": str, "tunable": bool, "continuous": bool}
-
-
-def _typed(cls: type, given: Mapping[str, Any], where: str) -> Any:
-    if "name" not in given:
-        raise DiagramError("a declaration has no name", where, "name it")
-    for key, kind in _PLAIN_FIELDS.items():  # the declaration itself checks its type, width, bounds and numbers
-        if key in given and not isinstance(given[key], kind):
-            raise DiagramError(f"{key!r} is {shown(given[key])}", where, "see docs/reference/diagram-files.md")
-    _visible(given.get("unit", ""), given.get("text", ""), where)
-    name = given["name"] if NAME.fullmatch(given["name"]) else ""
-    with located(f"{where}.{name}".rstrip(".")):
-        return cls(**given)
+    return {name: _position(at, f"{where}.{name}") for name, at in data[key].items()}
 
 
 def _visible(unit: str, remark: str, where: str) -> None:

@@ -1,6 +1,7 @@
 """TracedBlock: a block that is its recorded expressions, as it travels in JSON."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from types import NoneType
 from typing import Any
 
 from twodof.blocks.block import Block, Clock
@@ -20,7 +21,7 @@ from twodof.blocks.expressions.graph import (
 from twodof.blocks.expressions.numbers import FLOATS, KINDS, fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
-from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED, MAX_MODES, MAX_TRANSITIONS
+from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED
 from twodof.blocks.trace import (
     SECTIONS,
     MethodGraphs,
@@ -37,44 +38,58 @@ from twodof.errors import DiagramError, nearest, shown
 MAX_LENGTH = 1_000_000
 MAX_CARRIED = 32  # values that a fold carries from one round to the next
 
+Fields = Mapping[str, tuple[Any, Any]]
+"""The keys of an object in a file, each with the type of its value and the value where it is left out.
+
+A default of another type than its own, such as None for a list, means that the key must be there.
+"""
+
+
+def read(form: Any, what: str, fields: Fields, where: str) -> dict[str, Any]:
+    """Return all `fields` of an object. Raises DiagramError for another key, or a value of another type."""
+    if not isinstance(form, dict):
+        raise DiagramError(f"{shown(form)} is not {what}", where, "save the diagram again")
+    for key in form:  # a slip of the pen would change a diagram silently
+        if key not in fields:
+            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {nearest(key, sorted(fields))}")
+    return {key: member(form, key, kind, where, default) for key, (kind, default) in fields.items()}
+
+
+def member(data: Mapping[str, Any], key: str, kind: Any, where: str, default: Any = None) -> Any:
+    """`data[key]` (or `default`) if it is of the type `kind`; else DiagramError."""
+    value = data.get(key, default)
+    if not isinstance(value, kind):
+        remedy = "see docs/reference/diagram-files.md"
+        raise DiagramError(f"{key!r} is missing or of the wrong kind", where, remedy)
+    return value
+
+
+def _recorded(method: str) -> Any:
+    """Return a method that recomputes a block's recorded expressions."""
+
+    def compute(self: "TracedBlock", *seen: Any) -> dict[str, Any]:
+        u, x, p, t = seen if len(seen) == 4 else (None, None, *seen)
+        found = computed_graphs(self.graphs[method], u, x, p, t)
+        if method == "edges":
+            return found
+        return {name: shaped(value, self.shapes[method].get(name)) for name, (value,) in found.items()}
+
+    return compute
+
 
 class TracedBlock(Block):
     """A block whose methods recompute recorded expressions. `label` is the name of the class it was traced from."""
 
     def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
         self.label = check_name(label, "custom block")
-        self.inputs = declared["inputs"]
-        self.outputs = declared["outputs"]
-        self.states = declared["states"]
-        self.params = declared["params"]
-        self.derived = declared["derived"]
         self.crossing = crossing
         self.graphs: MethodGraphs = {method: {} for method in SECTIONS}
-        states = matrices(self.states)
-        self._matrices = {"prepare": matrices(self.derived), "output": matrices(self.outputs)}
-        self._matrices |= dict.fromkeys(("update", "derivative", "project"), states)
+        for section, given in declared.items():
+            setattr(self, section, given)
+        self.shapes = dict.fromkeys(SECTIONS, matrices(self.states))
+        self.shapes |= {"prepare": matrices(self.derived), "output": matrices(self.outputs)}
 
-    def _section(self, method: str, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        found = computed_graphs(self.graphs[method], u, x, p, t)
-        return {name: shaped(value, self._matrices[method].get(name)) for name, (value,) in found.items()}
-
-    def prepare(self, p: Any, t: Clock) -> Any:
-        return self._section("prepare", None, None, p, t)
-
-    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self._section("output", u, x, p, t)
-
-    def edges(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return computed_graphs(self.graphs["edges"], u, x, p, t)
-
-    def update(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self._section("update", u, x, p, t)
-
-    def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self._section("derivative", u, x, p, t)
-
-    def project(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return self._section("project", u, x, p, t)
+    prepare, output, edges, update, derivative, project = map(_recorded, SECTIONS)
 
 
 def graph_to_json(trace: Trace) -> dict[str, Any]:
@@ -116,16 +131,9 @@ def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
 
 def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> None:
     """Fill `block` with the expressions in `form`. Raises DiagramError for a node that is not well formed."""
-    made = nodes_from_json(form, block, block.states, where)
-
-    def section(name: str) -> dict[str, Any]:
-        found = form.get(name, {})
-        if not isinstance(found, dict):
-            raise DiagramError(f"{name!r} is not an object", where, "save the diagram again")
-        return found
-
+    made = nodes_from_json(form["nodes"], block, block.states, where)
     for method, exprs in block.graphs.items():
-        for key, given in section(method).items():
+        for key, given in form[method].items():
             indices = given if method == "edges" else [given]
             if method == "edges" and not (isinstance(given, list) and len(given) == 2):
                 raise DiagramError(f"edges.{key} is not a pair of nodes", where, "save the diagram again")
@@ -138,14 +146,13 @@ def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> 
         _ = block.trace  # checks the types, and that each declared name is given
 
 
-def nodes_from_json(form: Mapping[str, Any], block: Block, states: Sequence[State], where: str) -> list[Expr]:
-    """Return the expressions that the rows in `form` describe, over what `block` declares and over `states`.
+def nodes_from_json(rows: Sequence[Any], block: Block, states: Sequence[State], where: str) -> list[Expr]:
+    """Return the expressions that `rows` describe, over what `block` declares and over `states`.
 
     Raises DiagramError for a row that is not well formed.
     """
-    rows = form.get("nodes")
-    if not isinstance(rows, list) or len(rows) > MAX_SIZE:
-        raise DiagramError(f"nodes are missing or more than {MAX_SIZE}", where, "save the diagram again")
+    if len(rows) > MAX_SIZE:
+        raise DiagramError(f"more than {MAX_SIZE} nodes", where, "make the block smaller")
     leaves = {
         "input": leaves_of("input", block.inputs),
         "state": leaves_of("state", states),
@@ -167,7 +174,7 @@ def nodes_from_json(form: Mapping[str, Any], block: Block, states: Sequence[Stat
 def picked(made: Sequence[Expr], index: Any, name: str, where: str) -> Expr:
     """Return the expression at the row that `name` gives. Raises DiagramError without such a row."""
     if type(index) is not int or not 0 <= index < len(made):
-        raise DiagramError(f"{name} names node {shown(index)}, which is not there", where, "save the diagram again")
+        raise DiagramError(f"{name:.80} names node {shown(index)}, which is not there", where, "save the diagram again")
     return made[index]
 
 
@@ -241,8 +248,9 @@ def _in_range(value: Any, end: int) -> None:
         raise ValueError(f"{shown(value)} is not in 0..{end - 1}")
 
 
-_MODE = {"name", "history", "inner", *ACTIONS}
-_TRANSITION = {"from", "to", "when", "do"}
+_ACTIONS: Fields = dict.fromkeys(ACTIONS, ((dict, NoneType), None))
+_MODE: Fields = {"name": (str, None), "history": (bool, False), "inner": (list, []), **_ACTIONS}
+_TRANSITION: Fields = {"from": (str, None), "to": (str, None), "when": (int, None), "do": ((dict, NoneType), None)}
 
 
 class TracedMachine(StateMachine):
@@ -250,12 +258,9 @@ class TracedMachine(StateMachine):
 
     def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
         self.label = check_name(label, "state machine")
-        self.inputs = declared["inputs"]
-        self.outputs = declared["outputs"]
-        self.variables = declared["variables"]
-        self.params = declared["params"]
-        self.derived = declared["derived"]
         self.crossing = crossing
+        for section, given in declared.items():
+            setattr(self, section, given)
         self.prepared: dict[str, Expr] = {}
 
     def prepare(self, p: Any, t: Clock) -> Any:
@@ -308,54 +313,34 @@ def machine_to_json(machine: StateMachine) -> dict[str, Any]:
 def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: str) -> None:
     """Fill `machine` with the modes and transitions in `form`. Raises DiagramError for what is not well formed."""
     elapsed = State(ELAPSED, 0, "uint32")
-    made = nodes_from_json(form, machine, [*machine.variables, elapsed], where)
+    made = nodes_from_json(form["nodes"], machine, [*machine.variables, elapsed], where)
     shapes = matrices(machine.variables, machine.outputs)
 
-    def values(given: Any, name: str) -> dict[str, Expr]:
-        if not isinstance(given, dict):
-            raise DiagramError(f"{name} is not an object", where, "save the diagram again")
-        return {key: picked(made, index, f"{name}.{key:.80}", where) for key, index in given.items()}
+    def values(given: Mapping[str, Any], name: str) -> dict[str, Expr]:
+        return {key: picked(made, index, f"{name}.{key}", where) for key, index in given.items()}
 
-    def action(given: Any, name: str) -> RecordedFunction | None:
+    def action(given: Mapping[str, Any] | None, name: str) -> RecordedFunction | None:
         return None if given is None else RecordedFunction(values(given, name), shapes)
 
     def mode(given: Any, depth: int = 0) -> Mode:
-        _only(given, _MODE, "a mode", where)
-        name, inner, history = given.get("name"), given.get("inner", []), given.get("history", False)
-        if depth > 2 or not isinstance(inner, list) or len(inner) > MAX_MODES or type(history) is not bool:
-            raise DiagramError(f"the mode {shown(given)} is not well formed", where, "save the diagram again")
-        check_name(name, where)
-        acts = {a: action(given.get(a), f"{a} of {name}") for a in ACTIONS}
-        return Mode(name, inner=[mode(one, depth + 1) for one in inner], history=history, **acts)
+        if depth > 2:
+            raise DiagramError("modes are nested more than two levels deep", where, "make several machines")
+        m = read(given, "a mode", _MODE, where)
+        name, inner = m["name"], [mode(one, depth + 1) for one in m["inner"]]
+        acts = {a: action(m[a], f"{a} of {name}") for a in ACTIONS}
+        return Mode(name, inner=inner, history=m["history"], **acts)
 
     def transition(given: Any) -> Transition:
-        _only(given, _TRANSITION, "a transition", where)
-        for end in ("from", "to"):
-            check_name(given.get(end), where)
-        text = f"{given['from']} -> {given['to']}"
-        guard = RecordedFunction({"": picked(made, given.get("when"), f"when of {text}", where)}, {})
-        return Transition(given["from"], given["to"], guard, action(given.get("do"), f"do of {text}"))
+        t = read(given, "a transition", _TRANSITION, where)
+        text = f"{t['from']} -> {t['to']}"
+        guard = RecordedFunction({"": picked(made, t["when"], f"when of {text}", where)}, {})
+        return Transition(t["from"], t["to"], guard, action(t["do"], f"do of {text}"))
 
-    machine.prepared = values(form.get("prepare", {}), "prepare")
-    machine.modes = [mode(one) for one in _rows(form, "modes", MAX_MODES, where)]
-    machine.transitions = [transition(one) for one in _rows(form, "transitions", MAX_TRANSITIONS, where)]
+    machine.prepared = values(form["prepare"], "prepare")
     with located(where):
+        machine.modes = [mode(one) for one in form["modes"]]
+        machine.transitions = [transition(one) for one in form["transitions"]]
         _check_size(machine)
-
-
-def _rows(form: Mapping[str, Any], key: str, most: int, where: str) -> list[Any]:
-    found = form.get(key, [])
-    if not isinstance(found, list) or len(found) > most:
-        raise DiagramError(f"{key} is not a list of at most {most}", where, "save the diagram again")
-    return found
-
-
-def _only(given: Any, known: set[str], what: str, where: str) -> None:
-    if not isinstance(given, dict):
-        raise DiagramError(f"{shown(given)} is not {what}", where, "save the diagram again")
-    for key in given:
-        if key not in known:
-            raise DiagramError(f"unknown key {shown(key)}", where, f"there may be: {nearest(key, sorted(known))}")
 
 
 def _check_size(machine: TracedMachine) -> None:
