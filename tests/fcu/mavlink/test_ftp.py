@@ -418,11 +418,11 @@ def test_in_real_time_another_thread_reads_and_the_order_stays(tmp_path: Path) -
     server = Server(tmp_path, lockstep=False)
     content = ALL[:2000]
     # pymavlink's client does not wait for the answer to CREATE before it writes.
-    server.ask(FtpOperation.CREATE, b"/controllers/a.json", session=3)
+    answers = server.ask(FtpOperation.CREATE, b"/controllers/a.json", session=3)
     for at in range(0, len(content), 200):
-        server.ask(FtpOperation.WRITE, content[at : at + 200], session=3, offset=at)
-    server.ask(FtpOperation.TERMINATE, session=3)
-    answers: list[FtpPacket] = []
+        answers += server.ask(FtpOperation.WRITE, content[at : at + 200], session=3, offset=at)
+    answers += server.ask(FtpOperation.TERMINATE, session=3)
+    assert len(answers) == 11, "the upload is written by another thread"
     for _ in patiently():
         server.run(1)
         answers += [read_packet(bytes(one.payload)) for one in server.taken("FILE_TRANSFER_PROTOCOL")]

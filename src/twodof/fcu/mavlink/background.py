@@ -1,20 +1,19 @@
 """Work beside the control loop: on the disk by a thread of its own, and much sending in small portions."""
 
 import asyncio
-import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
-from queue import SimpleQueue
-from typing import TypeVar
+from typing import Any
 
 from twodof.errors import TwodofError
 
 MOST_WAITING = 64
 
 Work = Callable[[], object]
-Done = Callable[[object], None]
+Done = Callable[[Any], None]
 
 
 def read_block(path: Path, at: int, size: int) -> bytes:
@@ -22,32 +21,6 @@ def read_block(path: Path, at: int, size: int) -> bytes:
     with path.open("rb") as file:
         file.seek(at)
         return file.read(size)
-
-
-class _Attempt:
-    """Work done once: what it returned, or raised, for another thread to take; but not what ends a program."""
-
-    def __init__(self, work: Work, done: Done) -> None:
-        self._done = done
-        self._result: object = None
-        self._fault: Exception | None = None
-        with self:
-            self._result = work()
-
-    def __enter__(self) -> None:
-        """Begin the attempt."""
-
-    def __exit__(self, _kind: object, raised: object, _trace: object) -> bool:
-        self._fault = raised if isinstance(raised, Exception) else None
-        return self._fault is not None
-
-    def hand_over(self) -> None:
-        fault = self._fault
-        if fault is None or isinstance(fault, (OSError, TwodofError)):
-            self._done(self._result if fault is None else fault)
-            return
-        self._done(OSError(f"the program itself has a fault: {fault!r}"))
-        raise fault
 
 
 class BackgroundWorker:
@@ -62,77 +35,89 @@ class BackgroundWorker:
 
     def __init__(self, inline: bool = False) -> None:
         self._inline = inline
-        self._wanted: SimpleQueue[tuple[Work, Done]] = SimpleQueue()
-        self._finished: deque[_Attempt] = deque()
-        self._waiting = 0
-        self._thread: threading.Thread | None = None
+        self._pool = ThreadPoolExecutor(1, "files")
+        self._jobs: deque[tuple[Future[object], Done]] = deque()
 
     def submit(self, work: Work, done: Done) -> bool:
         """Queue `work`; return False where too much waits already."""
         if self._inline:
-            _Attempt(work, done).hand_over()
+            _hand_over(self._pool.submit(work), done)
             return True
-        if self._waiting >= MOST_WAITING:
+        if len(self._jobs) >= MOST_WAITING:
             return False
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._run, name="files", daemon=True)
-            self._thread.start()
-        self._waiting += 1
-        self._wanted.put((work, done))
+        self._jobs.append((self._pool.submit(work), done))
         return True
 
     def poll(self) -> None:
         """Hand over finished work."""
-        while self._finished:
-            self._waiting -= 1
-            self._finished.popleft().hand_over()
+        while self._jobs and self._jobs[0][0].done():
+            _hand_over(*self._jobs.popleft())
 
-    def _run(self) -> None:
-        while True:
-            self._finished.append(_Attempt(*self._wanted.get()))
+
+def _hand_over(job: Future[object], done: Done) -> None:
+    fault = job.exception()
+    if fault is None or isinstance(fault, (OSError, TwodofError)):
+        done(job.result() if fault is None else fault)
+        return
+    done(OSError(f"the program itself has a fault: {fault!r}"))
+    raise fault
 
 
 PORTION_S = 0.002
 
-T = TypeVar("T")
-
-
-def shares(most: int, wanting: Sequence[T], turn: int) -> list[tuple[T, int]]:
-    """Divide a portion of `most` messages among those that want to send; where they are more, they take turns."""
-    count = len(wanting)
-    if count <= most:
-        return [(one, most // count) for one in wanting]
-    return [(wanting[(turn + k) % count], 1) for k in range(most)]
-
 
 class PacedSender:
-    """Calls `portion` until it returns False: nothing more to send.
+    """Sends the messages of iterators in portions of at most `most`, which the clients share and take turns in.
 
-    In real time `tick`, called after each control period, does; in lockstep the event loop every two milliseconds.
+    `send` is called with the client's key and a message. An iterator yields None while it waits for something. In real
+    time `tick`, called after each control period, sends a portion; in lockstep the event loop every two milliseconds.
     """
 
-    def __init__(self, portion: Callable[[], bool], lockstep: bool) -> None:
-        self._portion = portion
+    def __init__(self, send: Callable[[Any, Any], None], lockstep: bool, most: int) -> None:
+        self.most = most
+        self._send = send
         self._lockstep = lockstep
-        self._busy = False
+        self._running = False
+        self._turn = 0
+        self._messages: dict[Hashable, Iterator[Any]] = {}
 
-    def start(self) -> None:
-        """Begin to send; in lockstep the first portion goes now."""
-        if self._lockstep:
-            if not self._busy:
-                self._by_clock()
-        else:
-            self._busy = True
+    def start(self, key: Hashable, messages: Iterator[Any]) -> None:
+        """Send `messages` to a client, in place of what it still had to get; in lockstep the first portion goes now."""
+        self._messages[key] = messages
+        if self._lockstep and not self._running:
+            self._by_clock()
+
+    def stop(self, key: Hashable) -> None:
+        """Send a client nothing more."""
+        self._messages.pop(key, None)
 
     def tick(self) -> None:
         """Send a portion, as a control period has ended."""
-        if self._busy and not self._lockstep:
-            self._busy = self._portion()
+        if not self._lockstep:
+            self.portion()
+
+    def portion(self) -> bool:
+        """Send a portion; return whether there is more."""
+        keys = [*self._messages]
+        self._turn += self.most
+        for number in range(min(self.most, len(keys))):
+            key = keys[(self._turn + number) % len(keys)]
+            for _ in range(max(1, self.most // len(keys))):
+                messages = self._messages.get(key)
+                if messages is None:
+                    break
+                sent = next(messages, self)
+                if sent is self and self._messages.get(key) is messages:
+                    del self._messages[key]
+                if sent is self or sent is None:
+                    break
+                self._send(key, sent)
+        return bool(self._messages)
 
     def _by_clock(self) -> None:
-        self._busy = self._portion()
-        if self._busy:
+        self._running = self.portion()
+        if self._running:
             with suppress(RuntimeError):  # outside an event loop `start` is called for each portion
                 asyncio.get_running_loop().call_later(PORTION_S, self._by_clock)
                 return
-            self._busy = False
+            self._running = False

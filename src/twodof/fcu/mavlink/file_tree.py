@@ -35,8 +35,8 @@ _UPLOADED = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,58}\.json")
 class FileFault(LogError):
     """A file cannot be had or written; `code` is the error of MAVLink FTP."""
 
-    def __init__(self, code: FtpError, what: str, where: str = "") -> None:
-        super().__init__(what, where)
+    def __init__(self, code: FtpError) -> None:
+        super().__init__(code.name)
         self.code = code
 
 
@@ -56,13 +56,6 @@ class OpenFile(NamedTuple):
         return self.content[offset : offset + count]
 
 
-class FolderEntry(NamedTuple):
-    """A line of a listing; `size` of a file, None for a folder."""
-
-    name: str
-    size: int | None
-
-
 class FileTree:
     """Tree of files; `made` gives those in /etc/extras by name, `controllers` is the folder of uploads (None: none)."""
 
@@ -70,22 +63,23 @@ class FileTree:
         self._made = made
         self._controllers = controllers
 
-    def entries(self, path: str) -> list[FolderEntry]:
-        """List a folder, sorted by name. Raises FileFault."""
-        place = _normal(path)
-        folders = [EXTRAS, *((CONTROLLERS,) if self._controllers else ())]
-        inside = {folder[len(place) :].lstrip("/").split("/")[0] for folder in folders if _below(folder, place)}
-        if inside:
-            return [FolderEntry(name, None) for name in sorted(inside)]
-        if place not in folders:
-            raise FileFault(FtpError.NOT_FOUND, "no such folder", place)
-        if place == EXTRAS:
-            return [FolderEntry(name, len(content)) for name, content in sorted(self._made().items())]
-        return [FolderEntry(path.name, path.lstat().st_size) for path in self._uploads()]
+    def entries(self, path: str) -> list[tuple[str, int | None]]:
+        """List names and sizes in a folder, sorted by name; the size of a folder is None. Raises FileFault."""
+        folders: dict[str, list[tuple[str, int | None]]] = {
+            "/": [("controllers", None), ("etc", None)] if self._controllers else [("etc", None)],
+            "/etc": [("extras", None)],
+            EXTRAS: [(name, len(content)) for name, content in sorted(self._made().items())],
+        }
+        if self._controllers:
+            folders[CONTROLLERS] = [(path.name, path.lstat().st_size) for path in self._uploads()]
+        found = folders.get("/".join(_split(path)))
+        if found is None:
+            raise FileFault(FtpError.NOT_FOUND)
+        return found
 
     def open(self, path: str) -> OpenFile:
         """Open a file to read. Raises FileFault, OSError."""
-        folder, _, name = _normal(path).rpartition("/")
+        folder, name = _split(path)
         content = self._made().get(name) if folder == EXTRAS else None
         if content is not None:
             return OpenFile(content, len(content))
@@ -97,47 +91,38 @@ class FileTree:
         file = self.open(path)
         return mavlink_crc32(file.read(0, file.size))
 
-    def check_upload(self, path: str) -> Path:
+    def target(self, path: str) -> Path:
         """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed."""
-        folder, _, name = _normal(path).rpartition("/")
-        if folder != CONTROLLERS or self._controllers is None:
-            raise FileFault(FtpError.PROTECTED, "diagrams are sent to /controllers, nothing else is written", path)
-        if not _UPLOADED.fullmatch(name):
-            raise FileFault(FtpError.PROTECTED, "a diagram is called NAME.json, of letters, digits, _ and -", path)
-        there = {one.name for one in self._uploads()}
-        if name not in there and len(there) >= MOST_UPLOADS:
-            raise FileFault(FtpError.FAIL, f"{MOST_UPLOADS} diagrams are there, remove one", path)
+        folder, name = _split(path)
+        if folder != CONTROLLERS or self._controllers is None or not _UPLOADED.fullmatch(name):
+            raise FileFault(FtpError.PROTECTED)
         return self._controllers / name
 
     def upload(self, path: str, content: bytes) -> None:
-        """Write an upload, whole or not at all. Raises FileFault, LogError."""
-        target = self.check_upload(path)
-        try:
-            make_folder(target.parent)
-        except OSError as refusal:
-            raise FileFault(FtpError.FAIL, f"cannot be written: {refusal.strerror}", path) from refusal
+        """Write an upload, whole or not at all. Raises FileFault, OSError, LogError."""
+        target, there = self.target(path), self._uploads()
         if target.is_symlink():
-            raise FileFault(FtpError.PROTECTED, "is a link", path)
+            raise FileFault(FtpError.PROTECTED)
+        if target not in there and len(there) >= MOST_UPLOADS:
+            raise FileFault(FtpError.FAIL)
+        make_folder(target.parent)
         with atomic_write(target) as file:
             file.write(content)
 
     def remove(self, path: str) -> None:
-        """Delete an upload, on the disk too when it returns. Raises FileFault, LogError."""
-        folder, _, name = _normal(path).rpartition("/")
+        """Delete an upload, on the disk too when it returns. Raises FileFault, OSError, LogError."""
+        folder, name = _split(path)
         if folder != CONTROLLERS:
-            raise FileFault(FtpError.PROTECTED, "only diagrams in /controllers are removed", path)
+            raise FileFault(FtpError.PROTECTED)
         found = self._upload(folder, name)
-        try:
-            found.unlink()
-        except OSError as refusal:
-            raise FileFault(FtpError.FAIL, f"cannot be removed: {refusal.strerror}", path) from refusal
+        found.unlink()
         sync_folder(found.parent)
 
     def _upload(self, folder: str, name: str) -> Path:
-        for path in self._uploads() if folder == CONTROLLERS else ():
-            if path.name == name:
-                return path
-        raise FileFault(FtpError.NOT_FOUND, "no such file", f"{folder}/{name}")
+        found = next((path for path in self._uploads() if path.name == name), None)
+        if folder != CONTROLLERS or found is None:
+            raise FileFault(FtpError.NOT_FOUND)
+        return found
 
     def _uploads(self) -> list[Path]:
         if self._controllers is None or not self._controllers.is_dir():
@@ -151,16 +136,12 @@ def mavlink_crc32(data: bytes) -> int:
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
-def _below(folder: str, place: str) -> bool:
-    return folder != place and folder.startswith(place if place.endswith("/") else f"{place}/")
-
-
-def _normal(path: str) -> str:
-    """Normalise a path from the root: no slash at its end, no empty names, `..` is refused. Raises FileFault."""
+def _split(path: str) -> tuple[str, str]:
+    """Return folder and name of a path from the root; a slash at its end says nothing. Raises FileFault for `..`."""
     names = [name for name in path.split("/") if name not in ("", ".")]
     if ".." in names or "\0" in path:
-        raise FileFault(FtpError.NOT_FOUND, "no such file", path[:100])
-    return "/" + "/".join(names)
+        raise FileFault(FtpError.NOT_FOUND)
+    return "".join(f"/{name}" for name in names[:-1]), "".join(names[-1:])
 
 
 GENERAL, PARAMETERS = "component_general.json", "parameters.json"
@@ -177,41 +158,34 @@ class Metadata:
     """
 
     def __init__(self, store: ParameterStore, time_boot_ms: Callable[[], int] = lambda: 0) -> None:
-        self.files = self._made(store)
+        self._store = store
         self._time_boot_ms = time_boot_ms
-        store.bus.subscribe(ParametersRelisted, lambda _: self._renew(store))
+        self._make()
+        store.bus.subscribe(ParametersRelisted, lambda _: self._make())
 
-    def _renew(self, store: ParameterStore) -> None:
-        self.files = self._made(store)
-
-    @staticmethod
-    def _made(store: ParameterStore) -> Mapping[str, bytes]:
-        diagrams = {f"{one.kind}.json": one.text.encode() for one in store.carried}
-        return MappingProxyType({**metadata_files(store.rows), **diagrams})
+    def _make(self) -> None:
+        diagrams = {f"{one.kind}.json": one.text.encode() for one in self._store.carried}
+        self.files: Mapping[str, bytes] = metadata_files(self._store.rows) | diagrams
 
     def message(self, _command: object = None) -> Iterable[Any]:
         """Return COMPONENT_METADATA."""
-        crc = mavlink_crc32(self.files[GENERAL])
-        return [
-            message(
-                "COMPONENT_METADATA",
-                time_boot_ms=self._time_boot_ms() & MASK_32,
-                file_crc=crc,
-                uri=_uri(GENERAL).encode(),
-            )
-        ]
+        made = {"file_crc": mavlink_crc32(self.files[GENERAL]), "uri": _uri(GENERAL)}
+        return [message("COMPONENT_METADATA", time_boot_ms=self._time_boot_ms() & MASK_32, **made)]
 
 
-def metadata_files(rows: Sequence[VehicleParameter]) -> Mapping[str, bytes]:
+def metadata_files(rows: Sequence[VehicleParameter]) -> dict[str, bytes]:
     """Return the files by name, made of the parameters `rows`."""
     parameters = _json({"version": 1, "parameters": [_parameter(row) for row in rows]})
     described = {"type": _PARAMETER_TYPE, "uri": _uri(PARAMETERS), "fileCrc": mavlink_crc32(parameters)}
-    return MappingProxyType({GENERAL: _json({"version": 1, "metadataTypes": [described]}), PARAMETERS: parameters})
+    return {GENERAL: _json({"version": 1, "metadataTypes": [described]}), PARAMETERS: parameters}
 
 
 def _parameter(row: VehicleParameter) -> dict[str, Any]:
     text = row.text if row.user_path else row.text[0].upper() + row.text[1:] if row.text else row.name
-    made: dict[str, Any] = {
+    conditions = [f"Another name of {row.of}."] if row.of else []
+    if row.fixed or row.disarmed:
+        conditions.append("Fixed." if row.fixed else "Changed only while disarmed.")
+    made = {
         "name": row.name,
         "type": _KINDS[row.kind],
         "shortDesc": text,
@@ -221,25 +195,13 @@ def _parameter(row: VehicleParameter) -> dict[str, Any]:
         "category": "Standard" if row.acts else "Developer",
         "rebootRequired": row.reboot,
         "readOnly": row.fixed,
+        "min": row.kept(row.low) if row.bounded else None,
+        "max": row.kept(row.high) if row.bounded else None,
+        "path": row.user_path or None,  # no key of the schema's, which allows others: by this our own clients find it
+        "longDesc": " ".join(conditions) or None,
+        "decimalPlaces": 6 if row.kind == "float" else None,
     }
-    if row.bounded:
-        made |= {"min": row.kept(row.low), "max": row.kept(row.high)}
-    if row.user_path:
-        made["path"] = row.user_path  # no key of the schema's, which allows others: by this our own clients find it
-    if said := _conditions(row):
-        made["longDesc"] = said
-    if row.kind == "float":
-        made["decimalPlaces"] = 6
-    return made
-
-
-def _conditions(row: VehicleParameter) -> str:
-    said = [f"Another name of {row.of}."] if row.of else []
-    if row.fixed:
-        said.append("Fixed.")
-    elif row.disarmed:
-        said.append("Changed only while disarmed.")
-    return " ".join(said)
+    return {name: value for name, value in made.items() if value is not None}
 
 
 def _uri(name: str) -> str:

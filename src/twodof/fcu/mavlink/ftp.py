@@ -10,11 +10,10 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
-from itertools import islice
 
 from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, shares
+from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
 from twodof.fcu.mavlink.service import Explain, Link, Service, Take, VehicleAddress, source
 from twodof.link.connection import Received
@@ -60,28 +59,39 @@ def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Ite
 class FtpClient:
     """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order.
 
-    `burst` is what is still to be sent of a burst from the session `burst_session`, None: there is none.
+    `bursts` is the session whose burst is sent, -1: none.
     """
 
     peer: Hashable
     source: Source
     sessions: dict[int, FtpSession] = field(default_factory=dict)
-    burst: Iterator[FtpPacket] | None = None
-    burst_session: int = 0
+    bursts: int = -1
     request: FtpPacket | None = None
     answer: FtpPacket | None = None
     busy: bool = False
     waiting: deque[FtpPacket] = field(default_factory=deque)
 
-    def open(self, session: FtpSession, wanted: int) -> int | None:
-        """Open a session, with the number `wanted` if that is free; None if only uploads are open already."""
+    def file(self, request: FtpPacket) -> OpenFile:
+        """Return the file that the session of a request reads. Raises FileFault."""
+        session = self.sessions.get(request.session)
+        if session is None or session.file is None:
+            raise FileFault(FtpError.SESSION)
+        return session.file
+
+    def upload(self, request: FtpPacket) -> FtpSession:
+        """Return the session of a request, which is an upload. Raises FileFault."""
+        session = self.sessions.get(request.session)
+        if session is None or session.file is not None:
+            raise FileFault(FtpError.SESSION)
+        return session
+
+    def open(self, session: FtpSession, wanted: int) -> int:
+        """Open a session, with the number `wanted` if that is free. Raises FileFault if all are uploads already."""
         if len(self.sessions) >= MOST_SESSIONS:
-            for number, oldest in self.sessions.items():
-                if oldest.file is not None:
-                    del self.sessions[number]
-                    break
-            else:
-                return None
+            oldest = next((number for number, one in self.sessions.items() if one.file is not None), None)
+            if oldest is None:
+                raise FileFault(FtpError.NO_SESSIONS)
+            del self.sessions[oldest]
         number = wanted if wanted not in self.sessions else min({*range(256)} - self.sessions.keys())
         self.sessions[number] = session
         return number
@@ -115,6 +125,11 @@ MOST_UPLOADING = 2
 UPLOAD_S = 30.0
 """An upload of which nothing came for so long makes room for another: who sent it may be gone without a word."""
 
+Answer = FtpPacket | Iterator[FtpPacket]
+"""An answer, or a burst."""
+Work = Callable[[], Answer]
+"""What makes the answer in the background, where the disk is read or written."""
+
 
 class FileTransfer(Service):
     """The server of MAVLink FTP over `tree`; `take` says whether a source may command, `explain` tells why not."""
@@ -133,21 +148,20 @@ class FileTransfer(Service):
         self._clock = clock
         self._link, self._us, self._take, self._explain = link, us, take, explain
         self._background = BackgroundWorker(inline=lockstep)
-        self._pump = PacedSender(self.send_bursts, lockstep)
+        self._bursts = PacedSender(self._send, lockstep, A_TICK)
+        self.send_bursts = self._bursts.portion
         self._clients: OrderedDict[Hashable, FtpClient] = OrderedDict()
-        self._armed = False
-        self._turn = 0
-        self._does: dict[int, Callable[[FtpClient, FtpPacket], None]] = {
-            FtpOperation.NONE: lambda client, request: self._answer(client, request, request.ack()),
+        self._does: dict[int, Callable[[FtpClient, FtpPacket], Answer | Work]] = {
+            FtpOperation.NONE: lambda _, request: request.ack(),
             FtpOperation.TERMINATE: self._terminate,
             FtpOperation.RESET: self._reset,
-            FtpOperation.LIST: self._list,
-            FtpOperation.OPEN_RO: self._open,
+            FtpOperation.LIST: lambda _, request: lambda: self._listed(request),
+            FtpOperation.OPEN_RO: lambda client, request: lambda: self._opened(client, request),
             FtpOperation.READ: self._read,
             FtpOperation.CREATE: self._create,
             FtpOperation.WRITE: self._write,
             FtpOperation.REMOVE: self._remove,
-            FtpOperation.CRC32: self._checksum,
+            FtpOperation.CRC32: lambda _, request: lambda: self._checksum(request),
             FtpOperation.BURST: self._burst,
         }
 
@@ -162,9 +176,9 @@ class FileTransfer(Service):
         return True
 
     def after(self, step: ControlStep) -> None:
-        self._armed = step.armed
+        self._bursts.most = A_TICK_ARMED if step.armed else A_TICK
         self._background.poll()
-        self._pump.tick()
+        self._bursts.tick()
 
     def gone(self, peer: Hashable) -> None:
         for key in [key for key, client in self._clients.items() if client.peer == peer]:
@@ -189,214 +203,151 @@ class FileTransfer(Service):
             if len(client.waiting) < MOST_WAITING and request != client.request and request not in client.waiting:
                 client.waiting.append(request)
             return
-        if request == client.request and request.op in _ONCE:  # its answer got lost
-            if client.answer is not None:
-                self._send(client, client.answer)
+        if request == client.request and request.op in _ONCE and client.answer is not None:  # its answer got lost
+            self._send((client.peer, client.source), client.answer)
             return
         client.request, client.answer = request, None
+        try:
+            found = self._carried_out(client, request)
+        except FileFault as fault:
+            found = request.nak(fault.code)
+        if not callable(found):
+            self._answer(client, request, found)
+            return
+        client.busy = True
+        if not self._background.submit(found, lambda result: self._done(client, request, result)):
+            client.busy, client.request = False, None  # too much waits: it may ask again
+            client.waiting.clear()
+
+    def _carried_out(self, client: FtpClient, request: FtpPacket) -> Answer | Work:
         does = self._does.get(request.op)
         if request.size > MOST_DATA:
-            self._answer(client, request, request.nak(FtpError.DATA_SIZE))
-        elif does is not None:
-            does(client, request)
-        else:
-            self._answer(
-                client, request, request.nak(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
-            )
+            raise FileFault(FtpError.DATA_SIZE)
+        if does is None:
+            raise FileFault(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
+        return does(client, request)
 
-    def _list(self, client: FtpClient, request: FtpPacket) -> None:
-        def listed() -> FtpPacket:
-            data = b""
-            for name, size in self.tree.entries(request.text)[request.offset :]:
-                line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
-                if len(data) + len(line) > MOST_DATA:
-                    break
-                data += line
-            return request.ack(data) if data else request.nak(FtpError.END)
+    def _done(self, client: FtpClient, request: FtpPacket, result: Answer | Exception) -> None:
+        client.busy = False
+        if isinstance(result, FileFault):
+            result = request.nak(result.code)
+        elif isinstance(result, OSError):
+            result = request.nak(FtpError.ERRNO, result.errno or 0)
+        elif isinstance(result, Exception):
+            result = request.nak(FtpError.FAIL)
+        self._answer(client, request, result)
+        while client.waiting and not client.busy:
+            self._take_in(client, client.waiting.popleft())
 
-        self._later(client, request, listed)
+    def _answer(self, client: FtpClient, request: FtpPacket, answer: Answer) -> None:
+        key = (client.peer, client.source)
+        if isinstance(answer, FtpPacket):
+            client.answer = answer
+            self._send(key, answer)
+        elif key in self._clients:
+            client.bursts = request.session
+            self._bursts.start(key, answer)
 
-    def _open(self, client: FtpClient, request: FtpPacket) -> None:
-        def opened(found: object) -> FtpPacket:
-            if not isinstance(found, OpenFile):
-                return _refused(request, found)
-            number = client.open(FtpSession(found), request.session)
-            if number is None:
-                return request.nak(FtpError.NO_SESSIONS)
-            return request.ack(struct.pack("<I", found.size), session=number)
+    def _send(self, key: tuple[Hashable, Source], packet: FtpPacket) -> None:
+        self._link.send(packed(packet, *key[1]), key[0])
 
-        self._work(client, request, lambda: self.tree.open(request.text), opened)
+    def _listed(self, request: FtpPacket) -> FtpPacket:
+        data = b""
+        for name, size in self.tree.entries(request.text)[request.offset :]:
+            line = (f"D{name}" if size is None else f"F{name}\t{size}").encode() + b"\0"
+            if len(data) + len(line) > MOST_DATA:
+                break
+            data += line
+        return request.ack(data) if data else request.nak(FtpError.END)
 
-    def _file(self, client: FtpClient, request: FtpPacket) -> OpenFile | None:
-        """Return the file that the request's session reads; without one the client is told."""
-        session = client.sessions.get(request.session)
-        if session is None or session.file is None:
-            self._answer(client, request, request.nak(FtpError.SESSION))
-            return None
-        return session.file
+    def _opened(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
+        file = self.tree.open(request.text)
+        number = client.open(FtpSession(file), request.session)
+        return request.ack(struct.pack("<I", file.size), session=number)
 
-    def _read(self, client: FtpClient, request: FtpPacket) -> None:
-        file = self._file(client, request)
-        if file is None:
-            return
+    def _checksum(self, request: FtpPacket) -> FtpPacket:
+        return request.ack(struct.pack("<I", self.tree.checksum(request.text)))
+
+    def _read(self, client: FtpClient, request: FtpPacket) -> Work:
+        file = client.file(request)
 
         def read() -> FtpPacket:
             data = file.read(request.offset, request.size or MOST_DATA)
             return request.ack(data) if data else request.nak(FtpError.END)
 
-        self._later(client, request, read)
+        return read
 
-    def _burst(self, client: FtpClient, request: FtpPacket) -> None:
-        file = self._file(client, request)
-        if file is None:
-            return
-        most = request.size or MOST_DATA
+    def _burst(self, client: FtpClient, request: FtpPacket) -> Work:
+        file, most = client.file(request), request.size or MOST_DATA
 
-        def ready(data: object) -> FtpPacket | None:
-            if not isinstance(data, bytes):
-                return _refused(request, data)
-            client.burst = burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
-            client.burst_session = request.session
-            self._pump.start()
-            return None
+        def read() -> Iterator[FtpPacket]:
+            data = file.read(request.offset, BURST_BYTES // most * most)
+            return burst_packets(request, data, most, ends=request.offset + len(data) >= file.size)
 
-        self._work(client, request, lambda: file.read(request.offset, BURST_BYTES // most * most), ready)
+        return read
 
-    def _create(self, client: FtpClient, request: FtpPacket) -> None:
-        if not self._may_write(client, request):
-            return
+    def _create(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
+        self._check_lease(client)
+        self.tree.target(request.text)
+        self._make_room_for_upload()
+        return request.ack(session=client.open(FtpSession(None, request.text, self._clock()), request.session))
 
-        def created(found: object) -> FtpPacket:
-            if isinstance(found, Exception):
-                return _refused(request, found)
-            if not self._room_for_upload():
-                return request.nak(FtpError.NO_SESSIONS)
-            number = client.open(FtpSession(None, request.text, self._clock()), request.session)
-            return request.nak(FtpError.NO_SESSIONS) if number is None else request.ack(session=number)
-
-        self._work(client, request, lambda: self.tree.check_upload(request.text), created)
-
-    def _write(self, client: FtpClient, request: FtpPacket) -> None:
-        session = client.sessions.get(request.session)
-        if session is None or session.file is not None:
-            answer = request.nak(FtpError.SESSION)
-        elif request.offset > len(session.upload) or request.offset + request.size > MAX_UPLOAD:
-            answer = request.nak(FtpError.FAIL)
+    def _write(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
+        session = client.upload(request)
+        if request.offset > len(session.upload) or request.offset + request.size > MAX_UPLOAD:
             session.failed = True
-        else:
-            session.used = self._clock()
-            session.upload[request.offset : request.offset + request.size] = request.data[: request.size]
-            answer = request.ack()
-        self._answer(client, request, answer)
+            raise FileFault(FtpError.FAIL)
+        session.used = self._clock()
+        session.upload[request.offset : request.offset + request.size] = request.data[: request.size]
+        return request.ack()
 
-    def _terminate(self, client: FtpClient, request: FtpPacket) -> None:
+    def _terminate(self, client: FtpClient, request: FtpPacket) -> FtpPacket | Work:
+        if client.bursts == request.session:
+            self._bursts.stop((client.peer, client.source))
         session = client.sessions.pop(request.session, None)
-        if client.burst_session == request.session:
-            client.burst = None
-        if session is None:
-            self._answer(client, request, request.nak(FtpError.SESSION))
-        elif session.file is not None:
-            self._answer(client, request, request.ack())
-        elif session.failed:
-            self._answer(client, request, request.nak(FtpError.FAIL))
-        elif self._may_write(client, request):
-            path, content = session.path, bytes(session.upload)
+        if session is None or session.failed:
+            raise FileFault(FtpError.SESSION if session is None else FtpError.FAIL)
+        if session.file is not None:
+            return request.ack()
+        self._check_lease(client)
+        path, content = session.path, bytes(session.upload)
 
-            def written() -> FtpPacket:
-                self.tree.upload(path, content)
-                return request.ack()
+        def written() -> FtpPacket:
+            self.tree.upload(path, content)
+            return request.ack()
 
-            self._later(client, request, written)
+        return written
 
-    def _reset(self, client: FtpClient, request: FtpPacket) -> None:
+    def _reset(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
         self._dismiss(client)
-        self._answer(client, request, request.ack())
+        return request.ack()
 
-    def _remove(self, client: FtpClient, request: FtpPacket) -> None:
+    def _remove(self, client: FtpClient, request: FtpPacket) -> Work:
+        self._check_lease(client)
+
         def removed() -> FtpPacket:
             self.tree.remove(request.text)
             return request.ack()
 
-        if self._may_write(client, request):
-            self._later(client, request, removed)
+        return removed
 
-    def _checksum(self, client: FtpClient, request: FtpPacket) -> None:
-        self._later(client, request, lambda: request.ack(struct.pack("<I", self.tree.checksum(request.text))))
-
-    def _may_write(self, client: FtpClient, request: FtpPacket) -> bool:
-        """Return whether the client has the lease, or gets it; else it is told."""
+    def _check_lease(self, client: FtpClient) -> None:
+        """Take the lease for the client. Raises FileFault where another has it; then the client is told."""
         taken = self._take(client.source, "upload")
         if not taken.accepted:
-            self._answer(client, request, request.nak(FtpError.PROTECTED))
             self._explain(client.peer, taken.text)
-        return taken.accepted
+            raise FileFault(FtpError.PROTECTED)
 
-    def _later(self, client: FtpClient, request: FtpPacket, work: Callable[[], FtpPacket]) -> None:
-        """Answer with the result of `work`, done in the background."""
-
-        def answer(made: object) -> FtpPacket:
-            return made if isinstance(made, FtpPacket) else _refused(request, made)
-
-        self._work(client, request, work, answer)
-
-    def _work(
-        self,
-        client: FtpClient,
-        request: FtpPacket,
-        work: Callable[[], object],
-        answer: Callable[[object], FtpPacket | None],
-    ) -> None:
-        def done(result: object) -> None:
-            client.busy = False
-            made = answer(result)
-            if made is not None:
-                self._answer(client, request, made)
-            while client.waiting and not client.busy:
-                self._take_in(client, client.waiting.popleft())
-
-        client.busy = True
-        if not self._background.submit(work, done):
-            client.busy, client.request = False, None  # too much waits: it may ask again
-            client.waiting.clear()
-
-    def _answer(self, client: FtpClient, request: FtpPacket, answer: FtpPacket) -> None:
-        if client.request == request:
-            client.answer = answer
-        self._send(client, answer)
-
-    def _send(self, client: FtpClient, packet: FtpPacket) -> None:
-        self._link.send(packed(packet, *client.source), client.peer)
-
-    def send_bursts(self) -> bool:
-        """Send some packets of bursts; return whether there are more. `PacedSender` calls it."""
-        most = A_TICK_ARMED if self._armed else A_TICK
-        bursting = [client for client in self._clients.values() if client.burst is not None]
-        self._turn += most
-        for client, share in shares(most, bursting, self._turn):
-            packets = [*islice(client.burst or (), share)]
-            for packet in packets:
-                self._send(client, packet)
-            if len(packets) < share:
-                client.burst = None
-        return any(client.burst is not None for client in bursting)
-
-    def _room_for_upload(self) -> bool:
-        """End abandoned uploads; return whether another may wait."""
+    def _make_room_for_upload(self) -> None:
+        """End abandoned uploads. Raises FileFault if no other may wait."""
         since, waiting = self._clock() - UPLOAD_S, 0
         for client in self._clients.values():
             for number in [n for n, one in client.sessions.items() if one.file is None and one.used < since]:
                 del client.sessions[number]
             waiting += sum(one.file is None for one in client.sessions.values())
-        return waiting < MOST_UPLOADING
+        if waiting >= MOST_UPLOADING:
+            raise FileFault(FtpError.NO_SESSIONS)
 
     def _dismiss(self, client: FtpClient) -> None:
-        client.burst = None
+        self._bursts.stop((client.peer, client.source))
         client.sessions.clear()
-
-
-def _refused(request: FtpPacket, fault: object) -> FtpPacket:
-    if isinstance(fault, FileFault):
-        return request.nak(fault.code)
-    if isinstance(fault, OSError):
-        return request.nak(FtpError.ERRNO, fault.errno or 0)
-    return request.nak(FtpError.FAIL)

@@ -6,8 +6,11 @@ One client at a time, for as long as it is heard of, from a log that begins with
 messages; PX4, mavlink_ulog.cpp.
 """
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
+from functools import partial
+from itertools import count, islice
 from pathlib import Path
+from typing import Any
 
 from twodof.fcu.command.command_lease import DONE, CommandResult, Source, denied, rejected
 from twodof.fcu.control.flight_code import ControlStep
@@ -15,7 +18,7 @@ from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, read_bl
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.service import Link, Service, Take, VehicleAddress, source, target, whole
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.flightlog.ulog_writer import MOST, ULogFragment, ULogFragments
+from twodof.flightlog.ulog_writer import MOST, ULogFragments
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import MavCmd
 from twodof.link.mavlink.messages import message
@@ -25,7 +28,7 @@ A_TICK = 8
 """LOGGING_DATA in a control period: .5 MB/s, where the log is .2 MB/s."""
 AGAIN_PORTIONS, MOST_AGAIN = 25, 50
 """An answer is waited for 100 ms, 50 times."""
-BLOCK = 1 << 15
+BLOCK = 1 << 16
 SILENT_PORTIONS = 2500
 """10 s (5 s in lockstep) without any frame of the client: over UDP a client that is gone says nothing."""
 LOOK_PORTIONS = 12
@@ -37,13 +40,8 @@ class LogStreamClient:
 
     def __init__(self, peer: Hashable, client: Source, before: Path | None) -> None:
         self.peer, self.client, self.before = peer, client, before
-        self.path: Path | None = None
-        self.pieces = ULogFragments()
-        self.read = 0  # bytes of the file handed to `pieces`
-        self.reading = False
         self.sequence = 0
-        self.unanswered: ULogFragment | None = None
-        self.waited = self.again = 0
+        self.answered = False
         self.silent = 0  # portions since it was heard
 
 
@@ -62,11 +60,10 @@ class LogStreamService(Service):
         take: Take,
         lockstep: bool = False,
     ) -> None:
-        self._link, self._us, self._commands, self._log, self._take = link, us, commands, log, take
+        self._us, self._commands, self._log, self._take = us, commands, log, take
         self._background = BackgroundWorker(inline=lockstep)
-        self._pump = PacedSender(self._send, lockstep)
+        self._sender = PacedSender(lambda peer, sent: link.send(sent, peer), lockstep, A_TICK + 1)
         self._stream: LogStreamClient | None = None
-        self._portions = 0
         commands.on(MavCmd.LOGGING_START, self._start)
         commands.on(MavCmd.LOGGING_STOP, self._stop)
 
@@ -76,14 +73,13 @@ class LogStreamService(Service):
         answer = got.get_type() == "LOGGING_ACK"
         if stream is not None and source(received) == stream.client:
             stream.silent = 0
-            if answer and self._us.addressed(got) and stream.unanswered and got.sequence == stream.sequence:
-                self._sent(stream)
-                self._pump.start()
+            if answer and self._us.addressed(got) and got.sequence == stream.sequence:
+                stream.answered = True
         return bool(answer)
 
     def after(self, step: ControlStep) -> None:
         self._background.poll()
-        self._pump.tick()
+        self._sender.tick()
 
     def gone(self, peer: Hashable) -> None:
         if self._stream is not None and self._stream.peer == peer:
@@ -98,10 +94,12 @@ class LogStreamService(Service):
         taken = self._take(command.source, "log stream")
         if not taken.accepted:
             return taken
-        self._stream = LogStreamClient(command.peer, command.source, self._log.path)
+        if stream is not None:
+            self._sender.stop(stream.peer)
+        self._stream = stream = LogStreamClient(command.peer, command.source, self._log.path)
         self._log.begin_anew()
         self._log.start()
-        self._pump.start()
+        self._sender.start(stream.peer, self._messages(stream))
         return DONE
 
     def _stop(self, command: ReceivedCommand) -> CommandResult:
@@ -112,76 +110,67 @@ class LogStreamService(Service):
     def _end(self, why: str = "") -> None:
         stream, self._stream = self._stream, None
         self._log.stop()
-        if why and stream is not None:
+        if stream is not None:
+            self._sender.stop(stream.peer)
             self._commands.explain(stream.peer, why)
 
-    def _send(self) -> bool:
-        stream = self._stream
-        if stream is None:
-            return False
-        self._portions += 1
-        stream.silent += 1
-        if stream.silent > SILENT_PORTIONS:
-            self._end("the log is not streamed any more: who asked for it is silent")
-            return False
-        if stream.path is None:
-            found = self._log.path
-            if found is not None and found != stream.before:
-                stream.path = found
-        if stream.path is not None and self._portions % LOOK_PORTIONS == 0:
-            self._read(stream, stream.path)
-        if stream.unanswered is not None:
-            self._wait(stream)
-        else:
-            for _ in range(A_TICK):
-                piece = stream.pieces.next()
-                if piece is None:
+    def _messages(self, stream: LogStreamClient) -> Iterator[Any]:
+        """Yield the messages of a stream, None at the end of each portion, until it is given up."""
+        pieces = ULogFragments()
+        ready, reading = self._ready(stream, pieces), self._read(stream, pieces)
+        for portion in count(1):
+            stream.silent += 1
+            if stream.silent > SILENT_PORTIONS:
+                self._end("the log is not streamed any more: who asked for it is silent")
+                return
+            if portion % LOOK_PORTIONS == 0:
+                next(reading)
+            for sent in islice(ready, A_TICK):
+                if sent is None:
                     break
-                self._tell(stream, piece)
-                if piece.described:
-                    stream.unanswered = piece
-                    break
-                self._sent(stream)
-        return self._stream is not None
+                yield sent
+            yield None
 
-    def _wait(self, stream: LogStreamClient) -> None:
-        stream.waited += 1
-        if stream.waited >= AGAIN_PORTIONS and stream.unanswered is not None:
-            stream.waited, stream.again = 0, stream.again + 1
-            if stream.again > MOST_AGAIN:
+    def _ready(self, stream: LogStreamClient, pieces: ULogFragments) -> Iterator[Any]:
+        """Yield the messages of `pieces`, None while there is none or an answer is waited for."""
+        while True:
+            piece = pieces.next()
+            if piece is None:
+                yield None
+                continue
+            stream.answered = False
+            sent = message(
+                "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA",
+                **target(stream.client),
+                sequence=stream.sequence,
+                length=len(piece.data),
+                first_message_offset=piece.first,
+                data=piece.data,
+            )
+            yield sent
+            for waited in range(AGAIN_PORTIONS * (MOST_AGAIN + 1) if piece.described else 0):
+                if stream.answered:
+                    break
+                yield sent if waited and waited % AGAIN_PORTIONS == 0 else None
+            if piece.described and not stream.answered:
                 self._end("the log is not streamed any more: no LOGGING_ACK came")
-            else:
-                self._tell(stream, stream.unanswered)
+                return
+            stream.sequence = (stream.sequence + 1) & 0xFFFF
 
-    def _sent(self, stream: LogStreamClient) -> None:
-        stream.sequence = (stream.sequence + 1) & 0xFFFF
-        stream.unanswered, stream.waited, stream.again = None, 0, 0
-
-    def _tell(self, stream: LogStreamClient, piece: ULogFragment) -> None:
-        sent = message(
-            "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA",
-            **target(stream.client),
-            sequence=stream.sequence,
-            length=len(piece.data),
-            first_message_offset=piece.first,
-            data=piece.data,
-        )
-        self._link.send(sent, stream.peer)
-
-    def _read(self, stream: LogStreamClient, path: Path) -> None:
-        """Read more of the file; the stream ends where the log goes on in another file."""
-        if stream.reading or stream.pieces.waiting > BLOCK:
-            return
-        over = self._log.path != path
-        stream.reading = True
-
-        def ready(found: object) -> None:
-            stream.reading = False
-            if isinstance(found, bytes):
-                stream.read += len(found)
-                stream.pieces.feed(found)
-            if over and not found and stream is self._stream and stream.pieces.waiting < MOST:
-                self._end("the log that was streamed has ended")
-
-        if not self._background.submit(lambda: read_block(path, stream.read, BLOCK), ready):
-            stream.reading = False
+    def _read(self, stream: LogStreamClient, pieces: ULogFragments) -> Iterator[None]:
+        """Read more of the file at each look; the stream ends where the log goes on in another file."""
+        while (path := self._log.path) is None or path == stream.before:
+            yield
+        read = 0
+        while True:
+            over, found = self._log.path != path, list[object]()
+            full = pieces.waiting > BLOCK
+            if not full and self._background.submit(partial(read_block, path, read, BLOCK), found.append):
+                while not found:
+                    yield
+                if isinstance(found[0], bytes):
+                    read += len(found[0])
+                    pieces.feed(found[0])
+                if over and not found[0] and pieces.waiting < MOST:
+                    self._end("the log that was streamed has ended")
+            yield
