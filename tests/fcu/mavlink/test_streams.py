@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tests.fcu.mavlink.world import World
 from twodof.fcu.mavlink.clients import SILENT_TICKS
-from twodof.fcu.mavlink.streams import next_due
+from twodof.fcu.mavlink.streams import due_ticks
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import PROFILES
 from twodof.link.mavlink.messages import message
@@ -28,16 +28,13 @@ def names(profile: dict[int, float]) -> dict[str, float]:
 
 
 @given(interval=st.integers(TICK_NS, 10**12), offset=st.integers(0, 249), tick=st.integers(0, 2**32))
-def test_the_next_due_tick_is_the_first_in_which_the_number_of_intervals_has_risen(
-    interval: int, offset: int, tick: int
-) -> None:
+def test_a_stream_is_due_where_the_number_of_intervals_has_risen(interval: int, offset: int, tick: int) -> None:
     def intervals(at: int) -> int:
         return (at + offset) * TICK_NS // interval
 
-    due = next_due(tick, interval, offset)
-    assert due > tick
-    assert intervals(due) > intervals(tick)
-    assert intervals(due - 1) == intervals(tick)
+    last, due = due_ticks(tick, interval, offset)
+    assert last <= tick < due
+    assert intervals(last) == intervals(due - 1) == intervals(tick) == intervals(last - 1) + 1 == intervals(due) - 1
 
 
 @pytest.mark.parametrize("profile", PROFILES)

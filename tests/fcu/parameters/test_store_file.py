@@ -112,7 +112,7 @@ def test_what_changes_while_the_file_is_written_is_waited_for_too(
         if not begun.is_set():
             begun.set()
             for _ in patiently():  # until somebody waits for the file
-                if store._file is not None and store._file._asked:
+                if store._file is not None and not store._file._at:
                     break
         else:
             time.sleep(0.05)  # in which one who waited for the writing before only would be gone

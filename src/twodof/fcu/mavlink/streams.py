@@ -6,7 +6,9 @@ also when clients come at other times. What several clients get in one tick is e
 service of its own.
 """
 
+from collections import defaultdict
 from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
@@ -26,27 +28,26 @@ from twodof.signals import TICK_NS
 
 STOPPED, WITH_NEWS = -1, 0
 """Intervals that are none: not sent; sent with each news and at no other time."""
-LONGEST_NS = 2**31 * 1000
+LONGEST_US = 2.0**31
 MOST_OFFSET = 250
 
 
-def next_due(tick: int, interval_ns: int, offset: int) -> int:
-    """Return the first tick after `tick` in which a stream of that interval [ns] is due."""
-    intervals = (tick + offset) * TICK_NS // interval_ns + 1
-    return -(-intervals * interval_ns // TICK_NS) - offset
+def due_ticks(tick: int, interval_ns: int, offset: int) -> tuple[int, int]:
+    """Return the last tick up to `tick` in which a stream of that interval [ns] is due, and the first after it."""
+    intervals = (tick + offset) * TICK_NS // interval_ns
+    last, following = (-(-count * interval_ns // TICK_NS) - offset for count in (intervals, intervals + 1))
+    return last, following
 
 
+@dataclass(slots=True)
 class MessageStream:
-    """One message to one client: its interval [ns], the tick in which it is due, the one in which it was sent last."""
+    """One message at one interval [ns] to `peers`: the tick in which it was due last, and the one in which it is."""
 
-    __slots__ = ("due", "interval", "message_id", "peer", "sent")
-
-    def __init__(self, peer: Hashable, message_id: int, interval: int) -> None:
-        self.peer = peer
-        self.message_id = message_id
-        self.interval = interval
-        self.due = -1
-        self.sent = -1
+    number: int
+    interval: int
+    peers: list[Hashable]
+    last: int
+    due: int
 
 
 FLAG_TICKS = 25
@@ -87,8 +88,8 @@ class StreamService(Service):
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
     `profile` gives the rates of a client that says nothing (`link.mavlink.rates.PROFILES`); twodof's own messages
-    go to those only that know them. A sensor's message is left out where the sensor has given nothing since the last
-    one. Messages in `changes` come at each change, too.
+    go to those only that know them. A sensor's message is left out where the sensor has given nothing since the stream
+    was due last. Messages in `changes` come at each change, too.
     """
 
     def __init__(
@@ -105,12 +106,16 @@ class StreamService(Service):
         self._telemetry = telemetry
         self._changes = changes
         self._batches = batches
-        self._profile = profile
-        self._streams: dict[Hashable, dict[int, MessageStream]] = {}
-        self._calendar: dict[int, list[MessageStream]] = {}
+        self._defaults = {
+            number: round(1e9 / rate) if rate > 0.0 else WITH_NEWS
+            for number, rate in profile.items()
+            if number in telemetry.messages
+        }
+        self._intervals: dict[Hashable, dict[int, int]] = {}  # of each client's messages
+        self._streams: list[MessageStream] | None = None  # None: to be planned
         self._tick = -1
-        bus.subscribe(ClientJoined, self._join)
-        bus.subscribe(ClientRecognised, self._recognise)
+        bus.subscribe(ClientJoined, lambda joined: self._begin(joined.client.peer, ours=False))
+        bus.subscribe(ClientRecognised, lambda known: self._begin(known.client.peer, ours=True))
         bus.subscribe(ClientLeft, self._leave)
         commands.on(MavCmd.SET_MESSAGE_INTERVAL, self._set)
         commands.on(MavCmd.GET_MESSAGE_INTERVAL, self._get)
@@ -123,113 +128,79 @@ class StreamService(Service):
         tick = step.tick
         if tick <= self._tick:
             self.restart()
-        if tick != self._tick + 1:
-            self._plan_all(tick - 1)
+        if self._streams is None or tick != self._tick + 1:
+            self._streams = self._planned(tick - 1)
         self._tick = tick
-        telemetry = self._telemetry
+        telemetry, packed = self._telemetry, dict[int, Any]()
         telemetry.observe(step)
-        due = self._calendar.pop(tick, None)
-        changed = self._changes.seen(step)
-        if due is None and not changed:
-            return
-        packed: dict[int, Any] = {}
-        for number in changed:
-            sensor = number in telemetry.news
-            for streams in self._streams.values():
-                stream = streams.get(number)
-                if stream is None or stream.interval == STOPPED or stream.due == tick:
-                    continue
-                if stream.interval == WITH_NEWS or not sensor:
-                    self._send(stream, tick, packed)
-        for stream in due or ():
-            if stream.due == tick:
-                self._send(stream, tick, packed)
-                self._plan(stream, tick)
+        due = [stream for stream in self._streams if stream.due == tick]
+        for number in self._changes.seen(step):
+            served = {peer for stream in due if stream.number == number for peer in stream.peers}
+            for peer, intervals in self._intervals.items():
+                interval = intervals.get(number, STOPPED)
+                if peer not in served and (interval == WITH_NEWS or (interval > 0 and number not in telemetry.news)):
+                    self._send(number, peer, packed)
+        for stream in due:
+            news = telemetry.news.get(stream.number)
+            if news is None or news > stream.last:
+                for peer in stream.peers:
+                    self._send(stream.number, peer, packed)
+            stream.last, stream.due = due_ticks(tick, stream.interval, stream.number % MOST_OFFSET)
 
     def restart(self) -> None:
-        self._tick = -1
+        self._tick, self._streams = -1, None
         self._telemetry.restart()
-        for streams in self._streams.values():
-            for stream in streams.values():
-                stream.sent = -1
-        self._plan_all(-1)
 
-    def _change(self, peer: Hashable, message_id: int, interval: int | None) -> bool:
-        """Set a client's interval [ns] of a message, None: the profile's; return False if the client is unknown."""
-        streams = self._streams.get(peer)
-        if streams is None:
-            return False
-        if interval is None:
-            interval = self._default(message_id)
-        elif interval > 0:
-            interval = min(max(interval, TICK_NS), LONGEST_NS)
-        stream = streams.get(message_id)
-        if stream is None:
-            stream = streams[message_id] = MessageStream(peer, message_id, interval)
-        stream.interval, stream.due = interval, -1
-        self._plan(stream, self._tick)
-        return True
-
-    def _default(self, message_id: int) -> int:
-        rate = self._profile.get(message_id)
-        return STOPPED if rate is None else round(1e9 / rate) if rate > 0.0 else WITH_NEWS
-
-    def _join(self, joined: ClientJoined) -> None:
-        self._streams[joined.client.peer] = {}
-        self._begin(joined.client.peer, [number for number in self._profile if number < FIRST_OWN_ID])
-
-    def _recognise(self, recognised: ClientRecognised) -> None:
-        self._begin(recognised.client.peer, [number for number in self._profile if number >= FIRST_OWN_ID])
-
-    def _begin(self, peer: Hashable, numbers: list[int]) -> None:
-        streams = self._streams[peer]
-        for number in numbers:
-            if number in self._telemetry.messages:
-                stream = streams[number] = MessageStream(peer, number, self._default(number))
-                self._plan(stream, self._tick)
+    def _begin(self, peer: Hashable, ours: bool) -> None:
+        """Send a client twodof's own messages, or the others, at their default rates."""
+        defaults = {number: one for number, one in self._defaults.items() if (number >= FIRST_OWN_ID) is ours}
+        self._intervals.setdefault(peer, {}).update(defaults)
+        self._streams = None
 
     def _leave(self, left: ClientLeft) -> None:
-        for stream in self._streams.pop(left.client.peer, {}).values():
-            stream.due = -1
+        self._intervals.pop(left.client.peer, None)
+        self._streams = None
 
-    def _plan(self, stream: MessageStream, tick: int) -> None:
-        if stream.interval > 0:
-            stream.due = next_due(tick, stream.interval, stream.message_id % MOST_OFFSET)
-            self._calendar.setdefault(stream.due, []).append(stream)
+    def _planned(self, tick: int) -> list[MessageStream]:
+        """Return the streams, with the first ticks after `tick` in which they are due."""
+        peers: defaultdict[tuple[int, int], list[Hashable]] = defaultdict(list)
+        for peer, intervals in self._intervals.items():
+            for key in intervals.items():
+                peers[key].append(peer)
+        return [
+            MessageStream(number, interval, them, *due_ticks(tick, interval, number % MOST_OFFSET))
+            for (number, interval), them in peers.items()
+            if interval > 0
+        ]
 
-    def _send(self, stream: MessageStream, tick: int, packed: dict[int, Any]) -> None:
-        number = stream.message_id
-        news = self._telemetry.news.get(number)
-        if news is not None and news <= stream.sent:
-            return
-        message = packed.get(number)
-        if message is None:
-            found = self._telemetry.message(number)
-            if found is None:
-                return
-            message = packed[number] = found
-        stream.sent = tick
-        self._link.send(message, stream.peer)
-
-    def _plan_all(self, tick: int) -> None:
-        """Plan all streams from `tick` on."""
-        self._calendar.clear()
-        for streams in self._streams.values():
-            for stream in streams.values():
-                self._plan(stream, tick)
+    def _send(self, number: int, peer: Hashable, packed: dict[int, Any]) -> None:
+        if number not in packed:
+            packed[number] = self._telemetry.message(number)
+        if packed[number] is not None:
+            self._link.send(packed[number], peer)
 
     def _set(self, command: ReceivedCommand) -> CommandResult:
-        message_id, interval = whole(command.params[0], -1), command.params[1]
-        if message_id == HEARTBEAT:
+        number, interval = whole(command.params[0], -1), command.params[1]
+        if number == HEARTBEAT:
             return failed("HEARTBEAT comes once a second")
-        if message_id == BATCH:
+        if number == BATCH:
             return self._batches.subscribe(command)
-        if message_id not in self._telemetry.messages:
+        if number not in self._telemetry.messages:
             return unsupported()
         if not isfinite(interval):
             return denied("an interval is a number of microseconds, 0 or -1")
-        wanted = STOPPED if interval < 0.0 else round(min(interval, 2.0**31) * 1000.0) or None
-        return DONE if self._change(command.peer, message_id, wanted) else failed()
+        if command.peer not in self._intervals:
+            return failed()
+        wanted = round(min(interval, LONGEST_US) * 1000.0)
+        if interval < 0.0:
+            wanted = STOPPED
+        elif wanted == 0:
+            wanted = self._defaults.get(number, STOPPED)
+        else:
+            wanted = max(wanted, TICK_NS)
+        self._intervals[command.peer][number] = wanted
+        self._streams = None
+        return DONE
 
     def _get(self, command: ReceivedCommand) -> CommandResult:
         message_id = whole(command.params[0], -1)
@@ -239,16 +210,16 @@ class StreamService(Service):
         self._link.send(message("MESSAGE_INTERVAL", message_id=message_id, interval_us=interval_us), command.peer)
         return DONE
 
-    def _interval_us(self, peer: Hashable, message_id: int) -> int:
+    def _interval_us(self, peer: Hashable, number: int) -> int:
         """Return MESSAGE_INTERVAL's number [us]: -1 for a message that is not streamed, 0 for an unknown one."""
-        if message_id == HEARTBEAT:
+        if number == HEARTBEAT:
             return 10**6
-        if message_id == BATCH:
+        if number == BATCH:
             return self._batches.interval(peer)
-        if message_id not in self._telemetry.messages:
+        if number not in self._telemetry.messages:
             return 0
-        stream = self._streams.get(peer, {}).get(message_id)
-        return max(1, round(stream.interval / 1000)) if stream is not None and stream.interval > 0 else -1
+        interval = self._intervals.get(peer, {}).get(number, STOPPED)
+        return max(1, round(interval / 1000)) if interval > 0 else -1
 
 
 PERIOD_TICKS = 250

@@ -1,6 +1,7 @@
 """The file of the vehicle's parameters: whole or not there, written by a thread of its own, checked when it is read."""
 
 import json
+import math
 import threading
 import time
 import zlib
@@ -47,8 +48,8 @@ class StoreFile:
         self.failure: TwodofError | None = None
         self._changed = threading.Condition()
         self._wanted: StoredParameters | None = None
-        self._first = self._last = 0.0
-        self._asked = self._closing = False
+        self._at, self._latest, self._retry = math.inf, 0.0, 0.0  # when it is written; 0: now
+        self._closing = False
         self._begun = self._tries = 0  # how often writing was begun, and ended
         self._thread: threading.Thread | None = None
 
@@ -56,15 +57,11 @@ class StoreFile:
         """Read it; return its content and its fault, "" if there is none. A damaged file is kept as NAME.damaged."""
         try:
             if self.path.stat().st_size > MAX_BYTES:
-                return StoredParameters(), self._set_aside(f"is larger than {MAX_BYTES} bytes")
-            text = self.path.read_text(encoding="utf-8")
+                raise ValueError(f"is larger than {MAX_BYTES} bytes")
+            return _kept(json.loads(self.path.read_text(encoding="utf-8"))), ""
         except FileNotFoundError:
             return StoredParameters(), ""
-        except (OSError, ValueError) as reason:
-            return StoredParameters(), self._set_aside(str(reason))
-        try:
-            return _kept(json.loads(text)), ""
-        except (ValueError, RecursionError, TypeError) as reason:
+        except (OSError, ValueError, RecursionError, TypeError) as reason:
             return StoredParameters(), self._set_aside(str(reason))
 
     def write(self, kept: StoredParameters) -> None:
@@ -72,9 +69,10 @@ class StoreFile:
         with self._changed:
             now = time.monotonic()
             if self._wanted is None:
-                self._first = now
-            self._last = now
+                self._latest = now + LATEST_S
             self._wanted = kept
+            if self._at:
+                self._at = max(self._retry, min(now + QUIET_S, self._latest))
             if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name=f"store {self.path.name}", daemon=True)
                 self._thread.start()
@@ -86,7 +84,8 @@ class StoreFile:
         The question raises ParameterError where the disk has refused since, or was silent for the deadline.
         """
         with self._changed:
-            self._asked = self._wanted is not None
+            if self._wanted is not None:
+                self._at = 0.0
             number = self._begun + 1  # one that is under way may be writing what was given before
             self._changed.notify_all()
         end = time.monotonic() + deadline_s
@@ -126,32 +125,25 @@ class StoreFile:
             thread.join(deadline_s)
 
     def _run(self) -> None:
-        retry = 0.0
         while True:
             with self._changed:
-                while not self._closing and not self._is_due(retry):
-                    self._changed.wait(self._pause(retry))
-                if self._wanted is None or self._closing:
+                while not self._closing and (left := self._at - time.monotonic()) > 0.0:
+                    self._changed.wait(None if left == math.inf else left)
+                kept = self._wanted
+                if kept is None or self._closing:
                     return
-                kept, self._asked = self._wanted, False
+                self._at = math.inf
                 self._begun += 1
             failure = self._store(kept)
             with self._changed:
                 self.failure = failure
                 self._tries += 1
-                retry = time.monotonic() + RETRY_S if failure is not None else 0.0
-                if failure is None and self._wanted is kept:
-                    self._wanted, self._asked = None, False
+                if failure is not None:
+                    self._retry = time.monotonic() + RETRY_S
+                    self._at = min(self._at, self._retry)
+                elif self._wanted is kept:
+                    self._wanted, self._at = None, math.inf
                 self._changed.notify_all()
-
-    def _due(self, retry: float) -> float:
-        return max(retry, min(self._last + QUIET_S, self._first + LATEST_S))
-
-    def _is_due(self, retry: float) -> bool:
-        return self._wanted is not None and (self._asked or time.monotonic() >= self._due(retry))
-
-    def _pause(self, retry: float) -> float | None:
-        return None if self._wanted is None else max(0.0, self._due(retry) - time.monotonic())
 
     def _store(self, kept: StoredParameters) -> TwodofError | None:
         try:
