@@ -19,7 +19,7 @@ from twodof.sim.closed_loop import closed_loop
 
 pytestmark = pytest.mark.slow
 
-BODIES = ("step", "derivative")
+BODIES = ("step",)
 STATED = {*COMMENTS, "condition", "head", "one step", "unused argument"}
 
 

@@ -17,7 +17,7 @@ from twodof.compile.c.expressions import Leaves, Renderer, Used
 from twodof.compile.c.functions import Function, Listing, Mark
 from twodof.compile.c.graph import in_doubles
 from twodof.compile.c.helpers import HELPERS
-from twodof.compile.c.integration import IntegrationEmitter
+from twodof.compile.c.integration import Integration
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.pieces import APART, in_pieces
 from twodof.compile.c.scope import Scope
@@ -40,11 +40,13 @@ GUARDS = """#if defined(__FAST_MATH__)
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
 #endif
-/* In place, so that the states of an integration stay in registers; but not where size counts. */
+/* In place, and stage by stage, so that states stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
 #define td_inline static inline __attribute__((always_inline))
+#define td_unrolled _Pragma("GCC unroll 4")
 #else
 #define td_inline static inline
+#define td_unrolled
 #endif
 """
 INSTRUCTIONS = ("floor",)
@@ -144,31 +146,21 @@ class _Emitter:
         self.scope = Scope(program, layout, precision, lean)
         self.listing = Listing()
         self.apart = False
-        stage = IntegrationEmitter(self.scope) if program.integrated else None
-        moving = [stage.derivative(), *stage.integrate()] if stage else []
-        step = self._step(stage)
         remark = f" {comment(program.text)}" if program.text else ""
         self.listing.add(f"/* {p}: one step is {program.dt:.9g} s.{remark} */")
         if whole:
             CInterface(program, layout, not lean, not lean).list(self.listing)
-        if stage:
-            declared = indented(stage.declarations())
-            text = f"typedef struct {{ /* what does not change inside a step */\n{declared}}} {p}_Held;\n\n"
-            self.listing.add(text, Mark("Held", "", "declaration"))
         self._list(self._defaults(), "default parameters", every_tick=False)
         self._list(self._prepare(), "derived parameters", every_tick=False)
         self._list(self._init(), "initial states", every_tick=False)
-        for function in moving:
-            self._list(function, "integration")
-        self._list(step, "one step")
+        self._list(self._step(), "one step")
         if not lean:
             self.listing.add(self._step_and_run(), Mark("run", "", "many steps"))
             self.listing.add(self._tables() + self._sizes())
 
     def _list(self, function: Function, role: str, every_tick: bool = True) -> None:
         elements = sum(s.size or 0 for s in every(function.body) if isinstance(s, Assign))
-        # With edges, times stand in variables that cannot be handed on.
-        struct, functions, handed = ("", [function], 0) if self.program.edged else in_pieces(function, every_tick)
+        struct, functions, handed = in_pieces(function, every_tick)
         self.apart |= len(functions) > 1
         if elements + handed + 6 * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
             raise DiagramError(
@@ -209,15 +201,16 @@ class _Emitter:
         p = self.prefix
         return Function("void", f"{p}_init", (f"const {p}_P *p", f"{p}_S *s"), body, "init")
 
-    def _step(self, stage: IntegrationEmitter | None) -> Function:
-        step = StepEmitter(self.scope, self.scope.names("p", "s", "u", "y", "ahead"))
+    def _step(self) -> Function:
+        step = StepEmitter(self.scope, self.scope.names("p", "s", "u", "y"))
+        integration = Integration(step) if self.program.integrated else None
         step.outputs()
         step.returned()
-        if stage:
-            stage.within_step(step)
+        if integration:
+            integration.write()
         step.updates()
-        if stage:
-            stage.commit(step)
+        if integration:
+            integration.commit()
         out = step.renderer.out
         out.append(Call("s->tick += 1u;", role="next tick", reads=frozenset(("s",))))
         name = f"{self.prefix}_step" if self.lean else f"{self.prefix}_advance"

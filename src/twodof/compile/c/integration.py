@@ -1,356 +1,209 @@
-"""The integration: what is held, one `derivative` function, Runge-Kutta or Euler, edges and projections."""
+"""The integration within the step function: a loop over the method's stages, edges, and projections."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable
+from typing import NamedTuple
 
-from twodof.blocks.expressions.expr import LEAVES, Expr
-from twodof.blocks.expressions.graph import ordered
+from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.c.commit import Commit
-from twodof.compile.c.expressions import Leaves
-from twodof.compile.c.functions import Function
-from twodof.compile.c.graph import leaf
+from twodof.compile.c.expressions import Leaves, Renderer
 from twodof.compile.c.operators import C_TYPES
-from twodof.compile.c.scope import Scope
-from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, LoopStatement, Statement, Text, every, name_of
+from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, LoopStatement, Statement, every, name_of
 from twodof.compile.c.step import StepEmitter, all_of
-from twodof.compile.program.flat_program import FlatSignal, Guard, Node
-from twodof.compile.program.layout import Member, Struct
+from twodof.compile.program.flat_program import FlatSignal, Group, Node
 
-ONE_SIXTH = 1 / 6
 ROLE = "integration"
-LONGEST_INLINE = 300  # statements of a derivative that may appear four times in the machine code
-HELD = frozenset(("held",))
-MOVING = frozenset(("p", "held", "x", "to", "from", "slope"))
+LONGEST_UNROLLED = 300  # statements of a stage that may appear four times in the machine code
 
 
-class IntegrationEmitter:
-    """Writes the functions `derivative` and `integrate`, and the integration within the step function.
+class Method(NamedTuple):
+    """Butcher table of an explicit method in which each stage starts from the slopes of the one before.
 
-    What does not change inside a step is computed once, in the step, and passed in the struct Held.
+    A stage looks for its slopes `ahead` of the last one's, in parts of the step. The step takes `share` of the sum
+    of the slopes, each with its weight.
     """
 
-    def __init__(self, scope: Scope) -> None:
-        self.scope = scope
-        self.layout = scope.layout
-        self.program = scope.program
-        self.graph = scope.graph
-        self.prefix = scope.program.name
-        self.held = Struct()
-        self.values: dict[Expr, Member] = {}
-        self.active: dict[Guard, Member] = {}
-        self._local: dict[FlatSignal, str] = {}  # of blocks that may be disabled
-        self._inside = {s for group in self.program.stage for action in group.actions for s in action.signals}
-        self._qualifier = "td_inline"
+    ahead: tuple[float, ...]
+    weights: tuple[float, ...]
+    share: float
 
-    def derivative(self) -> Function:
-        """Return the function that gives the derivatives of the continuous states."""
-        p = self.prefix
-        names = self.scope.names("p", "held", "x", "slope")
-        text = self.scope.leaf(self._signal, self._state, "held->tick")
-        self.renderer = self.scope.renderer(names, Leaves(text, self._driver, owner=self.graph.owner))
-        always = [n for n in self.program.integrated if n.guard.always]
-        slopes = {
-            n: [self.graph.of(n, n.trace.derivative[s.name]) for s in n.continuous] for n in self.program.integrated
-        }
+
+METHODS = {
+    "euler": Method((0.0,), (1.0,), 1.0),
+    "rk4": Method((0.5, 0.5, 1.0, 0.0), (1.0, 2.0, 2.0, 1.0), 1 / 6),
+}
+
+
+class Integration:
+    """Writes the integration into the step function, on local copies of the continuous states."""
+
+    def __init__(self, step: StepEmitter) -> None:
+        self.step = step
+        self.scope = step.scope
+        self.layout, self.graph, self.program = step.layout, step.graph, step.program
+        self.names = step.renderer.names
+        self.nodes = self.program.integrated
+        self.x, self.at, self.sum, self.slope = map(self.names.new, ("x", "at", "sum", "slope"))
+        self.real = C_TYPES["real"]
+        self.struct = f"{self.program.name}_X"
+        self._given: dict[FlatSignal, str] = {}  # signals with a variable of their own inside the loop
+        self._inside = {s for g in self.program.stage if g.guard.always for a in g.actions for s in a.signals}
+
+    def write(self) -> None:
+        """Add the statements that move the states over a step, from edge to edge, and project them."""
+        step, out = self.step, self.step.renderer.out
+        out.append(Assign(self.x, "s->x", self.struct, role=ROLE, reads=frozenset("s")))
+        if step.fractions:
+            self._parts()
+        else:
+            self._stages(self.scope.constant(self.program.dt, "real"))
+        for node in self.nodes:
+            if node.trace.project:
+                with step.renderer.within() as body:
+                    self._project(node)
+                step.guarded(step.tests(node.guard), body)
+
+    def _assign(self, target: str, value: str, declared: str = "", *reads: str) -> Statement:
+        return Assign(target, value, declared, role=ROLE, reads=frozenset(map(name_of, reads)))
+
+    def _parts(self) -> None:
+        """Add the integration from edge to edge of a step."""
+        step, out = self.step, self.step.renderer.out
+        start, end, h = map(self.names.new, ("from", "to", "h"))
+        zero, one = self.scope.constant(0.0, "real"), self.scope.constant(1.0, "real")
+        out.append(self._assign(start, zero, self.real))
+        with step.renderer.within() as body:
+            body.append(self._assign(end, one, self.real))
+            for s, (fraction, after) in step.fractions.items():
+                text = step.signal(s)
+                changed = f"{text} != {after}"
+                if self.scope.lean and s.kind in FLOATS:
+                    self.scope.used.helpers.add(f"{s.kind}_equal")
+                    changed = f"!{s.kind}_equal({text}, {after})"
+                test = f"{changed} && {fraction} > {start} && {fraction} < {end}"
+                reads = frozenset((fraction, after, name_of(text), start, end))
+                body.append(IfStatement(test, [self._assign(end, fraction, "", fraction)], role=ROLE, reads=reads))
+                name = self._given[s] = self.names.new(f"{s.path}.now")
+                now = f"{start} >= {fraction} ? {after} : {text}"
+                body.append(self._assign(name, now, f"const {self.real}", start, fraction, after, text))
+            dt = self.scope.constant(self.program.dt, "real")
+            body.append(self._assign(h, f"({end} - {start}) * {dt}", f"const {self.real}", start, end))
+            self._stages(h)
+            body.append(self._assign(start, end, "", end))
+        out.append(LoopStatement("do", body, f"while ({start} < {one});", role=ROLE, reads=frozenset((start,))))
+
+    def _stages(self, h: str) -> None:
+        """Add a step of the method over `h`."""
+        method = METHODS[self.program.integrator]
+        renderer, constant = self.step.renderer, self.scope.constant
+        tables = {}
+        for name, row in (("ahead", method.ahead), ("weight", method.weights)):
+            values = ", ".join(constant(value, "real") for value in row)
+            table = tables[name] = self.names.new(name)
+            declared = f"static const {self.real}"
+            renderer.out.append(Assign(table, f"{{{values}}}", declared, len(row), role=ROLE))
+        ahead, weight = tables["ahead"], tables["weight"]
+        renderer.out.append(self._assign(self.at, self.x, self.struct, self.x))
+        renderer.out.append(self._assign(self.sum, "", self.struct))
+        # The one number that added to any other gives that, 0 and -0 included.
+        renderer.out += self._each(self.sum, constant(-0.0, "real"))
+        stage = self.names.new("stage")
+        with renderer.within() as body:
+            body.append(self._assign(self.slope, "", self.struct))
+            self._slopes()
+            more = f"{self.sum}.{{m}} + {weight}[{stage}] * {self.slope}.{{m}}"
+            body += self._each(self.sum, more, self.sum, weight, self.slope)
+            ahead_of = f"{self.x}.{{m}} + {h} * {ahead}[{stage}] * {self.slope}.{{m}}"
+            body += self._each(self.at, ahead_of, self.x, h, ahead, self.slope)
+        head = f"for (int32_t {stage} = 0; {stage} < {len(method.weights)}; {stage}++)"
+        if sum(1 for _ in every(body)) <= LONGEST_UNROLLED:
+            renderer.out.append(Call("td_unrolled", role=ROLE))
+        renderer.out.append(LoopStatement(head, body, role=ROLE))
+        share = constant(method.share, "real")
+        renderer.out += self._each(self.x, f"{self.x}.{{m}} + {h} * {share} * {self.sum}.{{m}}", self.x, h, self.sum)
+
+    def _each(self, target: str, value: str, *reads: str) -> list[Statement]:
+        """Return a statement on each continuous state `{m}`, in a loop if that is an array."""
+        made: list[Statement] = []
+        for m in self.layout.x.members:
+            name = m.name if m.width is None else f"{m.name}[i]"
+            statement = self._assign(f"{target}.{name}", value.format(m=name), "", *reads)
+            if m.width is not None:
+                statement = LoopStatement(f"for (int32_t i = 0; i < {m.width}; i++)", [statement], role=ROLE)
+            made.append(statement)
+        return made
+
+    def _slopes(self) -> None:
+        """Add the derivatives of all states at the states `at`; those of disabled blocks too, which are not used."""
+        renderer = self._renderer(
+            self.at,
+            lambda s: self._given.get(s) or self.step.signal(s),
+            lambda item: self.graph.output(item.data) if item.data in self._inside else None,
+        )
         for group in self.program.stage:
             if not group.guard.always:
-                self._guarded_outputs(group.guard, [s for action in group.actions for s in action.signals])
-        for node in self.program.integrated:
-            if not node.guard.always:
-                self._zero(node)
-                self._steady(slopes[node])
-                with self.renderer.within() as body:
-                    self._slopes(node, slopes[node])
-                self.renderer.out.append(self._branch(node.guard, body))
-        self._steady(e for n in always for e in slopes[n])
-        numbers = [e for n in always for e in slopes[n] if e.width is None]
-        texts = iter(self.renderer.texts(numbers))
-        for node in always:
-            self._slopes(node, slopes[node], texts)
-        body = self.renderer.out
-        if sum(1 for _ in every(body)) > LONGEST_INLINE:
-            self._qualifier = "static"
-        parameters: tuple[str, ...] = (f"const {p}_P *restrict p", f"const {p}_Held *restrict held")
-        parameters += (f"const {p}_X *restrict x", f"{p}_X *restrict slope")
-        return Function(f"{self._qualifier} void", f"{p}_derivative", parameters, body, "derivative")
-
-    def _guarded_outputs(self, guard: Guard, signals: Sequence[FlatSignal]) -> None:
-        """Add the outputs of blocks that may be disabled, which start with their held values."""
-        out = self.renderer.out
-        for s in signals:
-            held = f"held->{self._member(leaf(s)).name}"
-            name = self._local[s] = self.renderer.names.new(s.path)
-            value = held if s.width is None else ""
-            out.append(Assign(name, value, C_TYPES[s.kind], s.width, owner=s.node, reads=HELD))
-            if s.width is not None:
-                out.append(Copy(name, held, s.width, C_TYPES[s.kind], owner=s.node, reads=HELD))
-        roots = {s: self.graph.output(s) for s in signals}
-        self._steady(roots.values())
-        with self.renderer.within() as body:
-            for s, root in roots.items():
-                self.renderer.owner = s.node
-                self.renderer.assign([(self._local[s], root)])
-                self.renderer.owner = None
-        self.renderer.out.append(self._branch(guard, body))
-        self._inside.difference_update(signals)
-
-    def _branch(self, guard: Guard, body: list[Statement]) -> IfStatement:
-        if guard not in self.active:
-            stem = "_".join(e.path for e in guard.enables)
-            self.active[guard] = self.held.add(Member(f"{stem[:60]}_active", "bool", None))
-        return IfStatement(f"held->{self.active[guard].name}", body, role="condition", reads=HELD)
-
-    def _zero(self, node: Node) -> None:
-        """Add derivatives of 0, for a node that is disabled."""
-        for state in node.continuous:
-            target = self._slope(node, state.name)
+                self._guarded(renderer, group)
+        rows = [(n, s, self.graph.of(n, n.trace.derivative[s.name])) for n in self.nodes for s in n.continuous]
+        texts = iter(renderer.texts(e for _, s, e in rows if s.width is None))
+        for node, state, e in rows:
+            renderer.owner = node
+            target = f"{self.slope}.{self.layout.states[node, state.name].name}"
             if state.width is None:
-                self.renderer.out.append(Assign(target, self.scope.constant(0.0, "real"), owner=node))
+                renderer.put(target, next(texts))
             else:
-                self.renderer.out.append(
-                    Call(f"(void)memset({target}, 0, sizeof {target});", owner=node, reads=frozenset(("slope",)))
-                )
+                renderer.assign([(target, e)])
 
-    def _slope(self, node: Node, name: str) -> str:
-        return f"slope->{self.layout.states[node, name].name}"
+    def _guarded(self, renderer: Renderer, group: Group) -> None:
+        """Add the outputs of blocks that may be disabled, which start with their values of the tick."""
+        signals = [s for a in group.actions for s in a.signals]
+        for s in signals:
+            name, held = self.names.new(s.path), self.step.signal(s)
+            reads = frozenset((name_of(held),))
+            value = held if s.width is None else ""
+            renderer.out.append(Assign(name, value, C_TYPES[s.kind], s.width, owner=s.node, reads=reads))
+            if s.width is not None:
+                renderer.out.append(Copy(name, held, s.width, C_TYPES[s.kind], owner=s.node, reads=reads))
+            self._given[s] = name
+        with renderer.within() as body:
+            for s in signals:
+                renderer.owner = s.node
+                renderer.assign([(self._given[s], self.graph.output(s))])
+        renderer.owner = None
+        self.step.guarded(self.step.tests(group.guard), body)
 
-    def _slopes(self, node: Node, roots: Sequence[Expr], texts: Iterable[Text] | None = None) -> None:
-        """Add the derivatives of a node's states."""
-        self.renderer.owner = node
-        given = iter(self.renderer.texts(e for e in roots if e.width is None) if texts is None else texts)
-        for state, root in zip(node.continuous, roots, strict=True):
-            target = self._slope(node, state.name)
-            if root.width is None:
-                self.renderer.put(target, next(given))
-            else:
-                self.renderer.assign([(target, root)])
-        self.renderer.owner = None
+    def _renderer(
+        self, states: str, signal: Callable[[FlatSignal], str], driver: Callable[[Expr], Expr | None]
+    ) -> Renderer:
+        """Return a renderer that reads the continuous states from the struct `states`."""
 
-    def _signal(self, signal: FlatSignal) -> str:
-        return self._local[signal] if signal in self._local else f"held->{self._member(leaf(signal)).name}"
+        def state(node: Node, name: str) -> str:
+            continuous = any(s.name == name for s in node.continuous)
+            return f"{states}.{self.layout.states[node, name].name}" if continuous else self.scope.state(node, name)
 
-    def _state(self, node: Node, name: str) -> str:
-        """Return the C of a state within `derivative`: a continuous one is integrated, a discrete one held."""
-        if not any(s.name == name for s in node.continuous):
-            raise ValueError(f"{node.path}.{name} is not held")
-        return f"x->{self.layout.states[node, name].name}"
+        made = self.scope.renderer(self.names, Leaves(self.scope.leaf(signal, state), driver, owner=self.graph.owner))
+        made.out = self.step.renderer.out
+        return made
 
-    def _driver(self, item: Expr) -> Expr | None:
-        signal: FlatSignal = item.data
-        return self.graph.output(signal) if signal in self._inside else None
-
-    def _below(self, item: Expr) -> tuple[Expr, ...]:
-        driver = self._driver(item) if item.op == "input" else None
-        return item.args if driver is None else (driver,)
-
-    def _hold(self, item: Expr) -> None:
-        """Read a value of the tick from Held."""
-        self.renderer.know(item, Text(f"held->{self._member(item).name}", reads=HELD))
-
-    def _member(self, item: Expr) -> Member:
-        """Return the member of Held that has a value of the tick."""
-        if item not in self.values:
-            owner = self.graph.owner(item)
-            name = f"{owner.path if owner is not None else 'tick'}.held"
-            if item.op == "input":
-                name = item.data.path
-            elif item.op == "state":
-                name = self.layout.states[item.data].name
-            elif item.op == "tick":
-                name = "tick"
-            self.values[item] = self.held.add(Member(name, item.kind, item.width))
-        return self.values[item]
-
-    def _steady(self, roots: Iterable[Expr]) -> None:
-        """Hold the largest expressions below `roots` worth computing once a step: they do not change inside it."""
-        roots = list(roots)
-        moves: dict[int, bool] = {}
-        worth: dict[int, bool] = {}
-        for e in ordered(roots, self._below):
-            below = self._below(e)
-            continuous = e.op == "state" and any(s.name == e.data[1] for s in e.data[0].continuous)
-            moving = e.op == "input" and (e.data in self.program.moving or e.data in self._local)
-            moves[id(e)] = continuous or moving or any(moves[id(a)] for a in below)
-            worth[id(e)] = e.op in ("input", "state", "param", "tick", "call") or any(worth[id(a)] for a in below)
-        seen: set[int] = set()
-        stack = list(reversed(roots))
-        while stack:
-            e = stack.pop()
-            if id(e) in seen:
-                continue
-            seen.add(id(e))
-            if e.op in ("const", "param", "bound"):
-                continue
-            edged = e.op == "input" and e.data in self.program.moving and self._driver(e) is None
-            if e.op in LEAVES and e.op != "input":
-                if not moves[id(e)]:
-                    self._hold(e)
-            elif moves[id(e)] or e.loops or not worth[id(e)]:
-                if edged and e.data not in self._local:
-                    self._hold(e)
-                stack.extend(reversed(self._below(e)))
-            else:
-                self._hold(e)
-
-    def integrate(self) -> list[Function]:
-        """Return the functions that move the continuous states by a step h."""
-        p = self.prefix
-        arguments = (f"const {p}_P *restrict p", f"const {p}_Held *restrict held", f"{p}_X *restrict x", "real h")
-        head = f"{self._qualifier} void"
-        if self.program.integrator == "euler":
-            return [Function(head, f"{p}_integrate", arguments, self._euler(), "integrate")]
-        remark = f"Runge and Kutta's method of order 4 over h; {len(self.layout.x.members)} continuous states."
-        return [self._along(head), Function(head, f"{p}_integrate", arguments, self._rk4(), "integrate", remark)]
-
-    def _each(self, line: str) -> list[Statement]:
-        """Return a statement on each continuous state `{m}`."""
-        return [_member(line, m) for m in self.layout.x.members]
-
-    def _derive(self, x: str, slope: str) -> Statement:
-        return Call(f"{self.prefix}_derivative(p, held, {x}, &{slope});", role=ROLE, reads=MOVING)
-
-    def _euler(self) -> list[Statement]:
-        declared = Call(f"{self.prefix}_X k1;", role=ROLE)
-        return [declared, self._derive("x", "k1"), *self._each("x->{m} = x->{m} + h * k1.{m};")]
-
-    def _along(self, head: str) -> Function:
-        p = self.prefix
-        arguments = (f"{p}_X *restrict to", f"const {p}_X *restrict from", "real h", f"const {p}_X *restrict slope")
-        body = self._each("to->{m} = from->{m} + h * slope->{m};")
-        return Function(head, f"{p}_along", arguments, body, "along", "to = from + h * slope")
-
-    def _rk4(self) -> list[Statement]:
-        p, constant = self.prefix, self.scope.constant
-        numbers = [m for m in self.layout.x.members if m.width is None]
-        arrays = [m for m in self.layout.x.members if m.width is not None]
-        two = constant(2.0, "real")
-        lines = [f"{p}_X {name};" for name in ("k1", "k2", "k3", "k4", "at")]
-        lines += [f"const real half = h * {constant(0.5, 'real')};"]
-        lines += [f"const real sixth = h * {constant(ONE_SIXTH, 'real')};"]
-        body: list[Statement] = [Call(line, role=ROLE) for line in lines]
-        body.append(self._derive("x", "k1"))
-        for k, step in ((2, "half"), (3, "half"), (4, "h")):
-            body.append(Call(f"{p}_along(&at, x, {step}, &k{k - 1});", role=ROLE))
-            if k > 2:  # the sum of the numbers' slopes is gathered in k1: k2 and k3 need no registers until the end
-                body += [_member(f"k1.{{m}} = k1.{{m}} + {two} * k{k - 1}.{{m}};", m) for m in numbers]
-            body.append(self._derive("&at", f"k{k}"))
-        body += [_member("x->{m} = x->{m} + sixth * (k1.{m} + k4.{m});", m) for m in numbers]
-        weighted = f"x->{{m}} = x->{{m}} + sixth * (((k1.{{m}} + {two} * k2.{{m}}) + {two} * k3.{{m}}) + k4.{{m}});"
-        return [*body, *(_member(weighted, m) for m in arrays)]
-
-    def within_step(self, step: StepEmitter) -> None:
-        """Add the statements of the step function that integrate the states into the local x, and project them."""
-        renderer, p = step.renderer, self.prefix
-        roots = list(self.values)
-        projected = [s for n in self.program.integrated for s in _read(n)]
-        texts = renderer.texts([*roots, *(leaf(s) for s in projected)])
-        out = renderer.out
-        names = renderer.names
-        x, held = names.new("x"), names.new("held")
-        out.append(Call(f"{p}_Held {held};", role=ROLE))
-        if not self.held.members:
-            out.append(Call(f"{held}.none = 0;", role=ROLE))
-        for (item, member), text in zip(self.values.items(), texts, strict=False):
-            if not (item.op == "input" and item.data in step.fractions):
-                owner = self.graph.owner(item) if item.op not in LEAVES else None
-                out.append(Assign(f"{held}.{member.name}", text.text, owner=owner, role=ROLE, reads=text.reads))
-        for guard, member in self.active.items():
-            test = all_of(step.tests(guard))
-            out.append(Assign(f"{held}.{member.name}", test.text, role=ROLE, reads=test.reads))
-        out.append(Assign(x, "s->x", f"{p}_X", role=ROLE, reads=frozenset(("s",))))
-        dt = self.scope.constant(self.program.dt, "real")
-        if step.fractions:
-            self._parts(step, x, held, dt)
-        else:
-            out.append(Call(f"{p}_integrate(p, &{held}, &{x}, {dt});", role=ROLE, reads=frozenset(("p", x))))
-        for node in self.program.integrated:
-            if node.trace.project:
-                with renderer.within() as body:
-                    self._project(step, node, x)
-                if node.guard.always:
-                    renderer.out += body
-                else:
-                    step.guarded(step.tests(node.guard), body)
-        self.integrated = x
-
-    def _parts(self, step: StepEmitter, x: str, held: str, dt: str) -> None:
-        """Add the integration from edge to edge of a step."""
-        renderer = step.renderer
-        start, end = renderer.names.new("from"), renderer.names.new("to")
-        one, zero = self.scope.constant(1.0, "real"), self.scope.constant(0.0, "real")
-        renderer.out.append(Call(f"real {start} = {zero};", role=ROLE))
-        renderer.out.append(Call(f"real {end};", role=ROLE))
-        body: list[Statement] = [Call(f"{end} = {one};", role=ROLE)]
-        for s, (fraction, after) in step.fractions.items():
-            text = step.signal(s)
-            changed = f"{text} != {after}"
-            if self.scope.lean and s.kind in FLOATS:
-                self.scope.used.helpers.add(f"{s.kind}_equal")
-                changed = f"!{s.kind}_equal({text}, {after})"
-            reads = frozenset((fraction, after, name_of(text)))
-            test = f"{changed} && {fraction} > {start} && {fraction} < {end}"
-            body.append(IfStatement(test, [Call(f"{end} = {fraction};", role=ROLE)], role=ROLE, reads=reads))
-        for s, (fraction, after) in step.fractions.items():
-            member = self.values.get(leaf(s))
-            if member is not None:
-                text = step.signal(s)
-                reads = frozenset((fraction, after, name_of(text)))
-                chosen = f"{start} >= {fraction} ? {after} : {text}"
-                body.append(Call(f"{held}.{member.name} = {chosen};", role=ROLE, reads=reads))
-        move = f"{self.prefix}_integrate(p, &{held}, &{x}, ({end} - {start}) * {dt});"
-        body += [Call(move, role=ROLE, reads=frozenset(("p", x))), Call(f"{start} = {end};", role=ROLE)]
-        renderer.out.append(LoopStatement("do", body, f"while ({start} < {one});", role=ROLE))
-
-    def _project(self, step: StepEmitter, node: Node, x: str) -> None:
-        def state(owner: Node, name: str) -> str:
-            continuous = any(s.name == name for s in owner.continuous)
-            return f"{x}.{self.layout.states[owner, name].name}" if continuous else self.scope.state(owner, name)
-
-        text = self.scope.leaf(step.signal, state)
-        renderer = self.scope.renderer(step.renderer.names, Leaves(text, owner=self.graph.owner))
-        renderer.out = step.renderer.out
+    def _project(self, node: Node) -> None:
+        renderer = self._renderer(self.x, self.step.signal, lambda item: None)
         values = {name: self.graph.of(node, e) for name, e in node.trace.project.items()}
-        commit = Commit(node, values, lambda name: state(node, name))
+        commit = Commit(node, values, lambda name: f"{self.x}.{self.layout.states[node, name].name}")
         commit.write(renderer, renderer.texts(commit.roots))
 
-    def commit(self, step: StepEmitter) -> None:
+    def commit(self) -> None:
         """Add the continuous states of the next tick; those of disabled blocks keep theirs."""
-        x, reads = self.integrated, frozenset(("s",))
-        for node in self.program.integrated:
+        out, reads = self.step.renderer.out, frozenset("s")
+        for node in self.nodes:
             if node.guard.always:
                 continue
             body: list[Statement] = []
             for s in node.continuous:
                 name = self.layout.states[node, s.name].name
-                target, source = f"{x}.{name}", f"s->x.{name}"
+                target, source = f"{self.x}.{name}", f"s->x.{name}"
                 if s.width is None:
                     body.append(Assign(target, source, role="disabled states", reads=reads))
                 else:
                     body.append(Copy(target, source, s.width, C_TYPES[s.kind], role="disabled states", reads=reads))
-            tests = " && ".join(step.signal(e) for e in node.guard.enables)
-            enables = frozenset(name_of(step.signal(e)) for e in node.guard.enables)
-            step.renderer.out.append(IfStatement(f"!({tests})", body, role="disabled states", reads=enables))
-        step.renderer.out.append(Call(f"s->x = {x};", role="next states", reads=reads | {x}))
-
-    def declarations(self) -> list[str]:
-        """Return the members of the struct Held; an array is held by its address."""
-        made = [
-            m.declaration() if m.width is None else f"const {C_TYPES[m.kind]} *{m.name};" for m in self.held.members
-        ]
-        return made or ["unsigned char none;"]
-
-
-def _read(node: Node) -> list[FlatSignal]:
-    """Return the signals that the projections of a node read."""
-    names = {
-        e.data for root in node.trace.project.values() for e in ordered([root], lambda e: e.args) if e.op == "input"
-    }
-    return [node.drivers[name] for name in sorted(names)]
-
-
-def _member(line: str, m: Member) -> Statement:
-    """Return a statement on a member, in a loop if it is an array."""
-    if m.width is None:
-        return Call(line.format(m=m.name), role=ROLE, reads=MOVING)
-    head = f"for (int32_t i = 0; i < {m.width}; i++)"
-    return LoopStatement(head, [Call(line.format(m=f"{m.name}[i]"), role=ROLE, reads=MOVING)], role=ROLE)
+            enabled = all_of(self.step.tests(node.guard))
+            out.append(IfStatement(f"!({enabled.text})", body, role="disabled states", reads=enabled.reads))
+        out.append(Assign("s->x", self.x, role="next states", reads=frozenset(("s", self.x))))

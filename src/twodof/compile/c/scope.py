@@ -12,7 +12,7 @@ from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
 from twodof.compile.program.layout import MemoryLayout
 
 # Names that the file of a program defines behind its prefix.
-OWN = ("P", "S", "U", "Y", "X", "Held", "derivative", "integrate", "along", "advance", "step", "run")
+OWN = ("P", "S", "U", "Y", "X", "advance", "step", "run")
 
 
 class Scope:
@@ -38,13 +38,11 @@ class Scope:
         """Return what writes expressions into a function."""
         return Renderer(names, self.precision, self.lean, self.used, leaves)
 
-    def leaf(
-        self, signal: Callable[[FlatSignal], str], state: Callable[[Node, str], str], tick: str = "s->tick"
-    ) -> Callable[[Expr], Text]:
+    def leaf(self, signal: Callable[[FlatSignal], str], state: Callable[[Node, str], str]) -> Callable[[Expr], Text]:
         """Return the C of leaves, given that of signals and states; the text of a state reads its lvalue as well."""
 
         def text(item: Expr) -> Text:
-            found = tick
+            found = "s->tick"
             if item.op == "input":
                 found = signal(item.data)
             elif item.op == "state":

@@ -92,8 +92,10 @@ class StepEmitter:
         return Text(text, reads=frozenset((name_of(text),)))
 
     def guarded(self, tests: Sequence[Text], body: list[Statement]) -> None:
-        """Add statements under conditions."""
-        if body:
+        """Add statements under conditions, if there are any."""
+        if not tests:
+            self.renderer.out += body
+        elif body:
             condition = all_of(tests)
             self.renderer.out.append(IfStatement(condition.text, body, role="condition", reads=condition.reads))
 
@@ -228,12 +230,9 @@ class StepEmitter:
         for node in self.schedule.last:
             by_guard.setdefault(node.guard, []).append(node)
         for guard in sorted(by_guard, key=lambda g: not g.always):
-            if guard.always:
+            with self.renderer.within() as body:
                 self._updates(by_guard[guard])
-            else:
-                with self.renderer.within() as body:
-                    self._updates(by_guard[guard])
-                self.guarded(self.tests(guard), body)
+            self.guarded(self.tests(guard), body)
 
     def _updates(self, nodes: Sequence[Node]) -> None:
         commits = []
