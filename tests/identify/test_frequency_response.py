@@ -146,7 +146,7 @@ def test_the_reference_removes_closed_loop_bias() -> None:
         ({"given": "a"}, "named twice"),
         ({"reference": "r"}, "does not hold 'r'"),
         ({"reference": ["b", "y"]}, "2 references for 1 inputs"),
-        ({"segment": float("nan")}, "segment is nan"),
+        ({"segment": float("nan")}, "segments of nan samples"),
         ({"segment": 1e300}, "do not fit"),
         ({"window": "nothing"}, "no window is called"),
         ({"given": "twin"}, "move alike"),

@@ -7,20 +7,18 @@ residual has a colour, a noise model takes it out of residual and sensitivities 
 """
 
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import IdentificationError
-from twodof.flightlog.log import FlightLog
-from twodof.identify.covariance import ResidualRows, check_identifiable, covariance, doubted, robust_covariance
-from twodof.identify.disturbance.autoregression import Autoregression
+from twodof.identify.covariance import check_identifiable, covariance, doubted, robust_covariance
 from twodof.identify.disturbance.disturbance_model import Disturbance
-from twodof.identify.disturbance.noise_search import check_disturbance, search
+from twodof.identify.disturbance.noise_search import Disturbed, check_disturbance, search
 from twodof.identify.estimate import Estimate
-from twodof.identify.least_squares import LeastSquaresMinimum, minimise
+from twodof.identify.least_squares import LeastSquaresMinimum
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, check_record
 from twodof.identify.validate import Comparison, compare
@@ -71,18 +69,15 @@ def fit(
     tell (apart), naming them.
     """
     check_structure(structure)
+    several = _several(records)
     wanted = structure.estimate if estimate is None else _names(estimate)
-    twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
-    if twice:
-        raise IdentificationError(
-            f"'{twice[0]}' is named twice in `estimate`", f"structure '{structure.name}'", "name each unknown once"
-        )
-    if not wanted:
-        raise IdentificationError("`estimate` names no unknown", f"structure '{structure.name}'", "name an unknown")
-    given = dict(values or {})
     where = f"structure '{structure.name}'"
+    if not wanted or len(set(wanted)) < len(wanted):
+        twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
+        what = f"'{twice[0]}' is named twice in `estimate`" if twice else "`estimate` names no unknown"
+        raise IdentificationError(what, where, "name each unknown once, and at least one")
     check_disturbance(disturbance, band is not None, bool(noise), where)
-    problem = Problem(structure, _several(records), wanted, given, dict(bounds or {}), _names(separate), band, prior)
+    problem = Problem(structure, several, wanted, values or {}, bounds, _names(separate), band, prior)
     found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
     minimum, jacobian = found.minimum, found.jacobian
     labels = [slot.label for slot in problem.slots]
@@ -98,12 +93,11 @@ def fit(
             raise
         check_identifiable(jacobian[:, left], problem.scale[left], [labels[i] for i in left], where)
         still = {name: 0.0 for name in wanted if name not in moving}
-        given = {name: value for name, value in given.items() if name.partition("[")[0] not in still} | still
         again = fit(
             structure,
             records,
             estimate=moving,
-            values=given,
+            values={n: value for n, value in (values or {}).items() if n.partition("[")[0] not in still} | still,
             bounds=bounds,
             separate=separate,
             noise=noise,
@@ -120,6 +114,7 @@ def fit(
     robust[np.ix_(known, known)] = robust_covariance(
         jacobian[:, known], found.prediction_error, problem.blocks, band is not None
     )
+    sigmas = dict(zip(problem.noise(), (problem.sigma * found.deviation).tolist(), strict=True))
     return Estimate(
         structure=structure.name,
         labels=tuple(labels),
@@ -128,21 +123,19 @@ def fit(
         values=minimum.x,
         covariance=white,
         robust=robust,
-        noise={label: s * float(d) for (label, s), d in zip(problem.noise().items(), found.deviation, strict=True)},
+        noise=sigmas,
         fixed={name: value for name, value in problem.values(minimum.x, 0).items() if name not in wanted},
         at_bound=tuple(label for label, held in zip(labels, minimum.at_bound, strict=True) if held),
         condition_number=condition,
-        identification=_comparisons(
-            problem, minimum.x, None if found.model.kind == "white" else found.prediction_error, found.model.noise
-        ),
-        validation=_validation(structure, problem, minimum.x, _several(validation), like),
+        identification=_comparisons(problem, minimum.x, found),
+        validation=_validation(problem, minimum.x, _several(validation), like),
         iterations=minimum.iterations,
         converged=minimum.converged,
         domain="time domain" if band is None else f"frequency domain, {band[0]:g} to {band[1]:g} Hz",
         sums=structure.sums,
         disturbance=found.model,
         prior=problem.known,
-        gaps=tuple(_gaps(structure, _several(records))),
+        gaps=tuple(_gaps(structure, several)),
     )
 
 
@@ -166,23 +159,19 @@ def _names(names: Collection[str]) -> tuple[str, ...]:
 
 
 def _several(records: Record | Sequence[Record]) -> tuple[Record, ...]:
-    if isinstance(records, Record):
-        return (records,)
-    # Iterating over a log or a mapping gives the names of what it holds.
-    many = isinstance(records, Iterable) and not isinstance(records, (FlightLog, Mapping))
-    several = tuple(records) if many else ()
-    if not many or not all(isinstance(one, Record) for one in several):
-        check_record(next((one for one in several if not isinstance(one, Record)), records))
+    several = tuple(records) if isinstance(records, Sequence) else (records,)
+    for one in several:
+        check_record(one)
     return several
 
 
 def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
     """Minimise; with several noises unknown re-weight by the residuals until the weights stand still."""
     fixed = problem.set_noise(noise)
-    open_weights = [block for block in problem.blocks if (block.record, block.output) not in fixed]
+    open_ = [blocks for noise_of in problem.noises if (blocks := [k for k in noise_of if k not in fixed])]
     x = problem.x0
     for _ in range(20):
-        minimum = minimise(problem.residual, problem.jacobian, x, problem.lower, problem.upper)
+        minimum = problem.minimise(x)
         x = minimum.x
         if not math.isfinite(minimum.cost):
             raise IdentificationError(
@@ -190,80 +179,62 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
                 f"structure '{problem.structure.name}'",
                 "choose other first guesses, or a smaller step (substeps)",
             )
-        change = _reweight(problem, minimum, open_weights)
+        change = _reweight(problem, minimum.residual, open_)
         # One weight alone does not move the minimum; of several, a per cent is far below what their estimated
         # spread is worth.
-        if change < 0.01 or (len(problem.blocks) == 1 and not len(problem.prior)):
+        if change < 0.01 or (len(problem.blocks) == 1 and not problem.known):
             break
     return minimum
 
 
-def _reweight(problem: Problem, minimum: LeastSquaresMinimum, blocks: Sequence[ResidualRows]) -> float:
-    """Set the sigma of each block to that of its residuals (degrees of freedom shared by rows); the largest change."""
-    residual = minimum.residual
+def _reweight(problem: Problem, residual: Array, noises: Sequence[Sequence[int]]) -> float:
+    """Set the sigma of each noise to that of its residuals (degrees of freedom shared by rows); the largest change."""
     freedom = max(1, problem.size - len(problem.slots)) / problem.size
     change = 0.0
-    open_weights = {(block.record, block.output) for block in blocks}
-    for noise in problem.noises:
-        own = [one for one in (problem.blocks[k] for k in noise) if (one.record, one.output) in open_weights]
-        if not own:
-            continue
-        rows = np.concatenate([residual[block.rows] for block in own])
-        factor = math.sqrt(float(rows @ rows) / (rows.size * freedom))
+    for blocks in noises:
+        rows = np.concatenate([residual[problem.blocks[k].rows] for k in blocks])
         # A perfect model of noise-free data leaves rounding errors: a weight far below them would be noise itself.
-        factor = max(factor, 1e-9)
-        for block in own:
-            problem.sigma[block.record, block.output] *= factor
+        factor = max(math.sqrt(float(rows @ rows) / (rows.size * freedom)), 1e-9)
+        problem.sigma[list(blocks)] *= factor
         change = max(change, abs(factor - 1.0))
     return change
 
 
-def _comparisons(
-    problem: Problem,
-    x: Array,
-    prediction_error: Array | None = None,
-    noise: Mapping[str, Autoregression] | None = None,
-) -> tuple[Comparison, ...]:
-    found: list[Comparison] = []
-    unpredicted: dict[tuple[int, str], float] = {}
-    for k, blocks in enumerate(problem.noises):
-        if model := (noise or {}).get(problem.noise_label(k)):
-            unpredicted |= {(problem.blocks[b].record, problem.blocks[b].output): model.sigma for b in blocks}
-    tested = {}
-    if prediction_error is not None:
-        tested = {(block.record, block.output): prediction_error[block.rows] for block in problem.blocks}
-    for r, record in enumerate(problem.records):
-        for output, simulated in problem.simulate(x, r).items():
-            samples = record.outputs[output]
-            step = np.floor(samples.position).astype(np.int64)
-            found.append(
-                compare(
-                    record.name,
-                    output,
-                    record.output_time(output),
-                    samples.value,
-                    np.array(simulated),
-                    {name: record.inputs[name][step] for name in problem.structure.inputs},
-                    prediction_error=tested.get((r, output)),
-                    unpredicted=unpredicted.get((r, output)),
-                )
+def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> tuple[Comparison, ...]:
+    """Compare each output of each record with the model; the tests are those of the noise model's prediction errors."""
+    tested = None if found is None or found.model.kind == "white" else found.prediction_error
+    noise = {} if found is None else found.model.noise
+    ahead = {k: noise.get(problem.noise_label(i)) for i, blocks in enumerate(problem.noises) for k in blocks}
+    compared = []
+    for k, block in enumerate(problem.blocks):
+        record, model = problem.records[block.record], ahead[k]
+        step = np.floor(record.outputs[block.output].position).astype(np.int64)
+        compared.append(
+            compare(
+                record.name,
+                block.output,
+                record.output_time(block.output),
+                problem.measured(k),
+                np.array(problem.simulate(x, block.record)[block.output]),
+                {name: record.inputs[name][step] for name in problem.structure.inputs},
+                prediction_error=None if tested is None else tested[block.rows],
+                unpredicted=None if model is None else model.sigma,
             )
-    return tuple(found)
+        )
+    return tuple(compared)
 
 
-def _validation(
-    structure: Structure, problem: Problem, x: Array, records: Sequence[Record], like: str
-) -> tuple[Comparison, ...]:
+def _validation(problem: Problem, x: Array, records: Sequence[Record], like: str) -> tuple[Comparison, ...]:
     """Simulate records that the fit did not use, with the values of record `like`; local unknowns are fitted."""
     names = [record.name for record in problem.records]
     if like and like not in names:
         raise IdentificationError(f"no record is called '{like}'", "validation", f"there are: {', '.join(names)}")
     found: list[Comparison] = []
-    unknowns = structure.unknowns
+    unknowns = problem.structure.unknowns
     values = problem.values(x, names.index(like) if like else len(names) - 1)
     shared = {name: value for name, value in values.items() if not unknowns[name].local}
     local = {slot.unknown.name for slot in problem.slots if slot.unknown.local}
     for record in records:
-        own = Problem(structure, [record], local, shared, {})
+        own = Problem(problem.structure, [record], local, shared)
         found.extend(_comparisons(own, _solve(own, {}).x if local else own.x0))
     return tuple(found)

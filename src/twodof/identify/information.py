@@ -113,7 +113,7 @@ def predict(
             )
     record = _blank(structure, inputs, dt, tuple(noise), sampled)
     wanted = structure.estimate if estimate is None else tuple(estimate)
-    problem = Problem(structure, [record], wanted, dict(values or {}), {}, prior=prior)
+    problem = Problem(structure, [record], wanted, values or {}, prior=prior)
     problem.set_noise(noise)
     x = problem.x0
     jacobian = problem.central_jacobian(x)

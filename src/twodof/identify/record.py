@@ -64,12 +64,11 @@ class Record:
 
     def __post_init__(self) -> None:
         for name, hold in self.hold.items():
-            _check_hold(hold, f"record '{self.name}', input '{name}'")
-            if name not in self.inputs:
+            if hold not in HOLDS or name not in self.inputs:
                 raise IdentificationError(
-                    f"a hold is given for '{name}', which is not an input",
+                    f"there is no hold {hold!r:.40} of an input '{name}'",
                     f"record '{self.name}'",
-                    f"the inputs are: {', '.join(self.inputs)}",
+                    f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}",
                 )
 
     def hold_of(self, input: str) -> str:
@@ -146,40 +145,19 @@ class Record:
         """
         if not inputs or not outputs:
             raise IdentificationError("no input or no output named", f"record '{name}'", "name at least one of each")
-        for channel in (*inputs, *outputs):
-            if channel not in channels:
-                raise _missing(channel, channels)
+        holds = dict(hold) if isinstance(hold, Mapping) else dict.fromkeys(inputs, hold)
         for channel in smooth:
-            if channel not in inputs:
+            if channel not in inputs or holds.get(channel, "zoh") != "zoh":
                 raise IdentificationError(
-                    f"'{channel}' is named in `smooth`, but it is not an input",
+                    f"'{channel}' is named in `smooth`, but it is not an input that is held",
                     f"record '{name}'",
-                    "name it in `inputs` too",
+                    "name it in `inputs` too, or use `hold` alone",
                 )
-        if not isinstance(hold, str | Mapping):
-            raise IdentificationError(
-                f"the hold {hold!r:.40} is neither a name nor a mapping",
-                f"record '{name}'",
-                f"use {', '.join(HOLDS)}, or a mapping from input to one of them",
-            )
-        holds = dict.fromkeys(inputs, hold) if isinstance(hold, str) else dict(hold)
-        for channel, kind in holds.items():
-            _check_hold(kind, f"record '{name}', input '{channel}'")
-            if channel in smooth and kind != "zoh":
-                raise IdentificationError(
-                    f"'{channel}' is named in `smooth` and has the hold {kind}",
-                    f"record '{name}'",
-                    "use `hold` alone: it does what `smooth` does, and more exactly",
-                )
-        checked = {channel: _checked(channel, *channels[channel]) for channel in (*inputs, *outputs)}
+        checked = {channel: _checked(channel, channels) for channel in (*inputs, *outputs)}
         clock = checked[inputs[0]][0]
-        clock = clock[(clock >= start) & (clock <= stop)]
-        if clock.size < 2:
-            raise IdentificationError(
-                f"the window {start:g} to {stop:g} s holds {clock.size} samples of the input",
-                f"record '{name}', channel '{inputs[0]}'",
-                _span_of(checked[inputs[0]][0]),
-            )
+        inside = (clock >= start) & (clock <= stop)
+        _check_window(inside, 2, (start, stop), f"record '{name}', channel '{inputs[0]}'", clock)
+        clock = clock[inside]
         step, origin = _grid(clock, dt)
         steps = round((clock[-1] - origin) / step) + 1
         if steps > MAX_STEPS:
@@ -191,17 +169,17 @@ class Record:
             time, value = checked[channel]
             if found := _gaps(time, float(clock[0]), float(clock[-1])):
                 gaps[channel] = found
+            middle = origin + step * (np.arange(steps) + 0.5)
+            latest = np.searchsorted(time, middle, side="left") - 1
             if channel in smooth:
-                held[channel] = np.interp(origin + step * (np.arange(steps) + 0.5), time, value)
-                continue
-            latest = np.searchsorted(time, origin + step * (np.arange(steps) + 0.5), side="left") - 1
-            if latest[0] < 0:
+                held[channel] = np.interp(middle, time, value)
+            elif latest[0] < 0:
                 raise IdentificationError(
                     f"no sample at or before the window's start {origin:g} s",
                     f"record '{name}', channel '{channel}'",
                     "start the window later",
                 )
-            if holds.get(channel, "zoh") == "zoh":
+            elif holds.get(channel, "zoh") == "zoh":
                 held[channel] = value[latest]
             else:
                 held[channel] = np.interp(origin + step * np.arange(steps), time, value)
@@ -213,7 +191,7 @@ class Record:
             # A stamp that is on the grid but for rounding is on the grid; real jitter is thousands of times larger.
             position = np.where(np.abs(position - near) < 1e-6, near, position)
             keep = (position >= 0.0) & (position <= steps - 1)
-            _check_any(keep, start, stop, f"record '{name}', channel '{channel}'", time)
+            _check_window(keep, 1, (start, stop), f"record '{name}', channel '{channel}'", time)
             measured[channel] = Samples(position[keep], value[keep])
         own = {n: kind for n, kind in holds.items() if kind != "zoh"}
         return cls(name, step, origin, held, measured, own, gaps)
@@ -252,18 +230,15 @@ class Record:
 
     def part(self, start: float, stop: float, name: str | None = None) -> Self:
         """Return the piece from `start` to `stop` [s] on the log's axis. Raises IdentificationError if it is empty."""
-        first = max(0, math.ceil((start - self.start) / self.dt - 1e-6))
-        last = min(self.steps - 1, math.floor((stop - self.start) / self.dt + 1e-6))
-        if last - first < 1:
-            raise IdentificationError(
-                f"the window {start:g} to {stop:g} s holds {max(0, last - first + 1)} steps",
-                f"record '{self.name}'",
-                _span_of(self.time),
-            )
+        slack = 1e-6 * self.dt
+        inside = (self.time >= start - slack) & (self.time <= stop + slack)
+        _check_window(inside, 2, (start, stop), f"record '{self.name}'", self.time)
+        first, last = (int(k) for k in np.flatnonzero(inside)[[0, -1]])
         outputs = {}
         for output, samples in self.outputs.items():
             keep = (samples.position >= first) & (samples.position <= last)
-            _check_any(keep, start, stop, f"record '{self.name}', channel '{output}'", self.output_time(output))
+            where = f"record '{self.name}', channel '{output}'"
+            _check_window(keep, 1, (start, stop), where, self.output_time(output))
             outputs[output] = Samples(samples.position[keep] - first, samples.value[keep])
         inputs = {channel: value[first : last + 1] for channel, value in self.inputs.items()}
         begin, end = self.start + first * self.dt, self.start + last * self.dt
@@ -300,39 +275,28 @@ def check_record(one: object) -> None:
         )
 
 
-def _check_hold(hold: object, where: str) -> None:
-    if hold not in HOLDS:
-        raise IdentificationError(f"there is no hold {hold!r:.40}", where, f"use one of {', '.join(HOLDS)}")
+def _check_window(keep: NDArray[np.bool_], least: int, window: tuple[float, float], where: str, time: Array) -> None:
+    """Raise IdentificationError if a window [s] keeps fewer than `least` of the samples at `time`."""
+    if np.count_nonzero(keep) < least:
+        raise IdentificationError(
+            f"the window {window[0]:g} to {window[1]:g} s holds {np.count_nonzero(keep)} samples",
+            where,
+            f"it spans {time[0]:g} to {time[-1]:g} s" if time.size else "it is empty",
+        )
 
 
-def _missing(channel: str, present: Mapping[str, object]) -> IdentificationError:
-    return IdentificationError(
-        f"there is no channel '{channel}'", "record", f"present are: {', '.join(sorted(present)) or 'none'}"
-    )
-
-
-def _check_any(keep: NDArray[np.bool_], start: float, stop: float, where: str, time: Array) -> None:
-    """Raise IdentificationError if the window `start` to `stop` [s] keeps none of the samples at `time`."""
-    if not keep.any():
-        what = f"the window {start:g} to {stop:g} s holds no sample of the output"
-        raise IdentificationError(what, where, _span_of(time))
-
-
-def _span_of(time: Array) -> str:
-    return f"the channel spans {time[0]:g} to {time[-1]:g} s" if time.size else "the channel is empty"
-
-
-def _checked(channel: str, time: ArrayLike, value: ArrayLike) -> tuple[Array, Array]:
-    t, y = np.asarray(time, dtype=float), np.asarray(value, dtype=float)
+def _checked(channel: str, channels: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> tuple[Array, Array]:
     where = f"channel '{channel}'"
+    if channel not in channels:
+        raise IdentificationError("it is not there", where, f"present are: {', '.join(sorted(channels)) or 'none'}")
+    t, y = (np.asarray(one, dtype=float) for one in channels[channel])
     if t.ndim != 1 or t.shape != y.shape:
         raise IdentificationError(f"time {t.shape} and value {y.shape} are not two equal columns", where)
-    if not np.isfinite(t).all():
-        raise IdentificationError(f"time stamp {int(np.argmin(np.isfinite(t)))} is not a finite number", where)
-    if not np.isfinite(y).all():
-        bad = int(np.argmin(np.isfinite(y)))
+    finite = np.isfinite(t) & np.isfinite(y)
+    if not finite.all():
+        bad = int(np.argmin(finite))
         raise IdentificationError(
-            f"the value at {t[bad]:g} s is not a finite number", where, "leave the sample out or choose another window"
+            f"sample {bad}, {y[bad]:g} at {t[bad]:g} s, is not finite", where, "leave it out or choose another window"
         )
     back = np.flatnonzero(np.diff(t) <= 0.0)
     if back.size:

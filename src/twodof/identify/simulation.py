@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from twodof.errors import IdentificationError
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression, pieces_of
 from twodof.identify.estimate import Estimate
-from twodof.identify.least_squares import minimise
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples, check_record
 from twodof.identify.record_simulator import RecordSimulator
@@ -63,7 +62,7 @@ def initial_state(
         )
     if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
         raise IdentificationError(f"{samples!r:.40} samples", where, "give a whole number of steps, at least 1")
-    problem = Problem(structure, [_start(record, samples, where)], names, given, {})
+    problem = Problem(structure, [_start(record, samples, where)], names, given)
     jacobian = problem.jacobian(problem.x0, problem.residual(problem.x0))
     if not np.isfinite(jacobian).all():
         raise IdentificationError("the model's outputs are not finite", where, "choose other values")
@@ -71,8 +70,8 @@ def initial_state(
     kept = [name for name, yes in zip(names, told, strict=True) if yes]
     if not kept:
         return {name: given.get(name, structure.unknowns[name].value) for name in names}
-    problem = Problem(structure, [_start(record, samples, where)], kept, given, {})
-    found = minimise(problem.residual, problem.jacobian, problem.x0, problem.lower, problem.upper)
+    problem = Problem(structure, [_start(record, samples, where)], kept, given)
+    found = problem.minimise(problem.x0)
     best = problem.values(found.x, 0)
     return {name: best[name] for name in names}
 

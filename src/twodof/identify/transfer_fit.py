@@ -77,12 +77,12 @@ class TransferFit:
     @property
     def numerator(self) -> Array:
         """Coefficients by falling powers of s, the free factors s included."""
-        return _numerator(self._all(self.values), self.orders[0], self.power)
+        return _polynomials(self._all(self.values), self.orders, self.power)[0]
 
     @property
     def denominator(self) -> Array:
         """Coefficients by falling powers of s, the first one 1, the integrators included."""
-        return _denominator(self._all(self.values), self.orders[1], self.power)
+        return _polynomials(self._all(self.values), self.orders, self.power)[1]
 
     @property
     def dead_time(self) -> float:
@@ -98,9 +98,9 @@ class TransferFit:
         """Return the gain of the highest powers, zeros and poles with their standard deviations (first order)."""
         highest = f"b{self.orders[0]}"
         found = [TransferFactor("gain", self[highest], self.sigma(highest))]
-        for kind, order, letter in (("zero", self.orders[0], "b"), ("pole", self.orders[1], "a")):
-            roots = _sorted_roots(self._all(self.values), letter, order)
-            found.extend(self._factor(kind, letter, order, k) for k in range(order) if roots[k].imag <= 0.0)
+        for row, kind in enumerate(("zero", "pole")):
+            roots = self._roots(self.values, row)
+            found += [self._factor(kind, row, k) for k in np.flatnonzero(roots.imag <= 0.0).tolist()]
         return tuple(found)
 
     def table(self) -> str:
@@ -151,19 +151,23 @@ class TransferFit:
             )
         return self.labels.index(label)
 
-    def _factor(self, kind: str, letter: str, order: int, k: int) -> TransferFactor:
+    def _roots(self, values: Array, row: int) -> Complex:
+        """Return the zeros (row 0) or poles (row 1), without the free factors s, by size, pairs beside each other."""
+        roots = np.roots(_polynomials(self._all(values), self.orders, 0)[row]).astype(np.complex128)
+        return roots[np.lexsort((roots.imag, np.round(abs(roots), 9)))]
+
+    def _factor(self, kind: str, row: int, k: int) -> TransferFactor:
         """Return the factor of root `k`, a pair if the root is complex."""
-        pair = _sorted_roots(self._all(self.values), letter, order)[k].imag != 0.0
+        pair = self._roots(self.values, row)[k].imag != 0.0
 
         def figures(x: Array) -> Array:
-            root = _sorted_roots(self._all(x), letter, order)[k]
+            root = self._roots(x, row)[k]
             size = abs(root)
             return np.array([size, -root.real / size]) if pair else np.array([-root.real])
 
         slope = _jacobian(figures, self.values)
         sigma = np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", slope, self.covariance, slope), 0.0))
-        both = zip(figures(self.values).tolist(), sigma.tolist(), strict=True)
-        return TransferFactor(kind, *(figure for value_and_sigma in both for figure in value_and_sigma))
+        return TransferFactor(kind, *np.column_stack([figures(self.values), sigma]).ravel().tolist())
 
 
 def fit_transfer(
@@ -175,7 +179,7 @@ def fit_transfer(
     dead_time: bool = True,
     values: Mapping[str, float] | None = None,
     held: bool = True,
-    band: tuple[float, float] | None = None,
+    band: tuple[float, float] = (0.0, math.inf),
     coherence: float = 0.6,
 ) -> TransferFit:
     """Fit s^power (b_m s^m + ... + b_0) / (s^k + a_k-1 s^k-1 + ... + a_0) exp(-tau s) of the orders m and k.
@@ -194,220 +198,129 @@ def fit_transfer(
     Raises IdentificationError for orders outside 0 to 10, fewer points than unknowns, an unknown name in `values`, and
     coefficients that the data cannot tell apart.
     """
-    if not isinstance(response, FrequencyResponse):
-        raise IdentificationError(
-            f"a {type(response).__name__} is not a frequency response", "fit_transfer", "call frequency_response first"
-        )
-    if band is not None and not (isinstance(band, Sequence) and len(band) == 2):
-        raise IdentificationError(f"the band is {shown(band)}", "fit_transfer", "give (from, to) in rad/s")
-    for name, order in (("numerator", numerator), ("denominator", denominator)):
-        if isinstance(order, bool) or not isinstance(order, int) or not 0 <= order <= MAX_ORDER:
-            raise IdentificationError(f"the {name}'s order is {shown(order)}", "fit_transfer", f"give 0 to {MAX_ORDER}")
-    if isinstance(power, bool) or not isinstance(power, int) or abs(power) > MAX_ORDER:
-        raise IdentificationError(f"power is {shown(power)}", "fit_transfer", f"give -{MAX_ORDER} to {MAX_ORDER}")
+    from scipy.optimize import least_squares  # imported late: most commands start without it
+
+    orders = (numerator, denominator)
+    for what, order, low in (
+        ("numerator's", numerator, 0),
+        ("denominator's", denominator, 0),
+        ("s's", power, -MAX_ORDER),
+    ):
+        if not low <= order <= MAX_ORDER:
+            raise IdentificationError(f"the {what} order is {order}", "fit_transfer", f"give {low} to {MAX_ORDER}")
     names = (*(f"b{i}" for i in range(numerator + 1)), *(f"a{i}" for i in range(denominator)), "tau")
-    fixed = {} if dead_time else {"tau": 0.0}
-    for name, value in (values or {}).items():
+    fixed = {**({} if dead_time else {"tau": 0.0}), **(values or {})}
+    for name in fixed:
         if name not in names:
             raise IdentificationError(f"there is no coefficient {shown(name)}", "values", f"of {nearest(name, names)}")
-        if not (isinstance(value, (int, float)) and math.isfinite(value)):
-            raise IdentificationError(f"{name} is {shown(value)}", "values", "give a finite number")
-        fixed[name] = float(value)
-    data = _Points.of(response, held, band, coherence, len(names) - len(fixed))
     labels = tuple(name for name in names if name not in fixed)
     if not labels:
         raise IdentificationError("every coefficient is held", "values", "leave one of them out")
-    search = _Search(data, labels, fixed, (numerator, denominator), power)
-    return search.fit()
-
-
-@dataclass(frozen=True, eq=False)
-class _Points:
-    """Points to fit: logarithms of gain and phase, their weights, and their standard deviations."""
-
-    omega: Array
-    measured: Complex
-    hold: Complex
-    weight: Array
-    relative: Array
-    spacing: Array
-
-    @classmethod
-    def of(
-        cls, response: FrequencyResponse, held: bool, band: tuple[float, float] | None, coherence: float, unknowns: int
-    ) -> "_Points":
-        low, high = (0.0, math.inf) if band is None else band
-        use = response.trusted(coherence) & (response.omega >= low) & (response.omega <= high)
-        use &= np.isfinite(response.sigma) & (abs(response.response) > 0.0)
-        if 2 * np.count_nonzero(use) <= unknowns:
-            raise IdentificationError(
-                f"{np.count_nonzero(use)} points with a coherence of {coherence:g} and more",
-                f"response {response.output} / {response.input}",
-                "widen the band, lower the coherence asked for, or take a longer record",
-            )
-        w, h, gamma = response.omega[use], response.response[use], response.coherence[use]
-        hold = -np.expm1(-1j * w * response.dt) / (1j * w * response.dt) if held else np.ones_like(h)
-        weight = 1.58 * -np.expm1(-gamma)
-        return cls(w, h, np.asarray(hold), weight, response.sigma[use] / abs(h), response.spacing[use])
-
-    def rows(self, model: Complex) -> Array:
-        """Residuals whose sum of squares is J: decibels, then degrees with their weight."""
-        ratio = self.measured / (model * self.hold)
-        factor = math.sqrt(20.0 / self.omega.size) * self.weight
-        decibel = 20.0 * np.log10(np.maximum(abs(ratio), 1e-300))
-        degrees = np.degrees(np.angle(ratio))
-        return np.concatenate([factor * decibel, factor * math.sqrt(_DEGREES_IN_DECIBEL) * degrees])
-
-    def deviation(self) -> Array:
-        """Return the standard deviations of `rows`, larger for points that are not independent."""
-        shared = np.sqrt(np.maximum(self.spacing, 1.0))
-        factor = math.sqrt(20.0 / self.omega.size) * self.weight * self.relative * shared
-        decibel = 20.0 / math.log(10.0)
-        return np.concatenate([factor * decibel, factor * math.sqrt(_DEGREES_IN_DECIBEL) * math.degrees(1.0)])
-
-
-@dataclass(frozen=True, eq=False)
-class _Search:
-    data: _Points
-    labels: tuple[str, ...]
-    fixed: dict[str, float]
-    orders: tuple[int, int]
-    power: int
-
-    def fit(self) -> TransferFit:
-        from scipy.optimize import least_squares  # imported late: most commands start without it
-
-        start = self._start()
-        # Coefficients of different powers differ by many decades: each is searched in units of its own size.
-        size = np.array([self._size(label) for label in self.labels])
-        found = least_squares(lambda z: self._rows(z * size), start / size, x_scale="jac", method="trf", max_nfev=400)
-        x = np.asarray(found.x * size)
-        slope = _jacobian(self._rows, x)
-        return TransferFit(
-            self.labels,
-            x,
-            self._covariance(slope),
-            self.fixed,
-            self.orders,
-            self.power,
-            float(found.fun @ found.fun),
-            self.data.omega,
-            bool(found.status > 0),
+    use = response.trusted(coherence) & (response.omega >= band[0]) & (response.omega <= band[1])
+    use &= np.isfinite(response.sigma) & (abs(response.response) > 0.0)
+    if 2 * np.count_nonzero(use) <= len(labels):
+        raise IdentificationError(
+            f"{np.count_nonzero(use)} points with a coherence of {coherence:g} and more",
+            f"response {response.output} / {response.input}",
+            "widen the band, lower the coherence asked for, or take a longer record",
         )
+    w, measured = response.omega[use], response.response[use]
+    turn = 1j * w * response.dt
+    free = np.asarray(measured * turn / -np.expm1(-turn) if held else measured, dtype=np.complex128)
+    trust = -1.58 * np.expm1(-response.coherence[use])
+    # Rows are decibels, then degrees with their weight, of the logarithm's real and imaginary part.
+    row = math.sqrt(20.0 / w.size) * trust
+    weight = np.concatenate([20.0 / math.log(10.0) * row, math.degrees(math.sqrt(_DEGREES_IN_DECIBEL)) * row])
 
-    def _rows(self, x: Array) -> Array:
+    def rows(x: Array) -> Array:
         with np.errstate(all="ignore"):
-            rows = self.data.rows(_transfer(self._all(x), self.orders, self.power, self.data.omega))
-        return np.where(np.isfinite(rows), rows, 1e6)
+            error = np.log(free / _transfer(fixed | dict(zip(labels, x.tolist(), strict=True)), orders, power, w))
+            found = weight * np.concatenate([error.real, error.imag])
+        return np.where(np.isfinite(found), found, 1e6)
 
-    def _all(self, x: Array) -> dict[str, float]:
-        return {**self.fixed, **dict(zip(self.labels, x.tolist(), strict=True))}
-
-    def _size(self, label: str) -> float:
-        middle = math.exp(float(np.log(self.data.omega).mean()))
-        if label == "tau":
-            return 1.0 / float(self.data.omega[-1])
-        k = self.orders[1]
-        if label[0] == "a":
-            return middle ** (k - int(label[1:]))
-        level = math.exp(float(np.log(abs(self.data.measured)).mean()))
-        return float(level * middle ** (k - self.power - int(label[1:])))
-
-    def _start(self) -> Array:
-        """Return the best of the linear solutions at several dead times."""
-        longest = 2.0 * math.pi / float(self.data.omega[-1])
-        delays = [self.fixed["tau"]] if "tau" in self.fixed else np.linspace(0.0, 2.0 * longest, _DELAYS).tolist()
-        best, lowest = np.array([self._size(label) for label in self.labels]), math.inf
-        for delay in delays:
-            x = self._linear(delay)
-            rows = self._rows(x)
-            cost = float(rows @ rows)
-            if cost < lowest:
-                best, lowest = x, cost
-        return best
-
-    def _linear(self, delay: float) -> Array:
-        """Solve B - H A = 0 for b and a by least squares at one dead time, re-weighted by the last 1 / A."""
-        s = 1j * self.data.omega
-        h = self.data.measured / (self.data.hold * np.exp(-s * delay) * s**self.power)
-        names = [label for label in self.labels if label != "tau"]
-        values = dict.fromkeys((f"a{i}" for i in range(self.orders[1])), 0.0) | self.fixed | {"tau": delay}
-        last = np.ones_like(h)
-        for _ in range(8):
-            scale = self.data.weight / np.maximum(abs(h * last), 1e-300)
-            target = h * s ** self.orders[1]
-            columns = []
-            for i in range(self.orders[0] + 1):
-                if f"b{i}" in self.fixed:
-                    target = target - self.fixed[f"b{i}"] * s**i
-                else:
-                    columns.append(s**i)
-            for i in range(self.orders[1]):
-                if f"a{i}" in self.fixed:
-                    target = target + self.fixed[f"a{i}"] * h * s**i
-                else:
-                    columns.append(-h * s**i)
-            if not columns:
-                break
-            matrix = np.array(columns).T * scale[:, None]
-            size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
-            both = np.concatenate([(matrix / size).real, (matrix / size).imag])
-            right = np.concatenate([(target * scale).real, (target * scale).imag])
-            solved = np.linalg.lstsq(both, right, rcond=None)[0] / size
-            values |= dict(zip(names, solved.tolist(), strict=True))
-            last = np.polyval(_denominator(values, self.orders[1], 0), s)
-        return np.array([values[label] for label in self.labels])
-
-    def _covariance(self, slope: Array) -> Array:
-        """(J'J)^-1 J' R J (J'J)^-1 with R of the error bars; neighbours that are not independent count as a share."""
-        length = np.linalg.norm(slope, axis=0)
-        if not (np.isfinite(length).all() and (length > 0.0).all()):
-            raise IdentificationError("the fit is not finite", "fit_transfer", "ask for a lower order or narrower band")
-        unit = slope / length
-        if np.linalg.svd(unit, compute_uv=False)[-1] < 1e-7:
-            raise IdentificationError(
-                "the response cannot tell the coefficients apart",
-                "fit_transfer",
-                "lower the order, or hold one of them",
-            )
-        bread = np.linalg.inv(unit.T @ unit)
-        spread = unit * self.data.deviation()[:, None]
-        inner = bread @ (spread.T @ spread) @ bread
-        return np.asarray(inner / np.outer(length, length))
+    # Coefficients of different powers differ by many decades: each is searched in units of its own size.
+    middle, level = (math.exp(float(np.log(one).mean())) for one in (w, abs(measured)))
+    sizes = {"tau": 1.0 / float(w[-1])}
+    sizes |= {f"a{i}": middle ** (denominator - i) for i in range(denominator)}
+    sizes |= {f"b{i}": level * middle ** (denominator - power - i) for i in range(numerator + 1)}
+    size = np.array([sizes[label] for label in labels])
+    longest = 4.0 * math.pi / float(w[-1])
+    delays = [fixed["tau"]] if "tau" in fixed else np.linspace(0.0, longest, _DELAYS).tolist()
+    starts = [
+        _linear(w, free * np.exp(1j * w * tau), trust, labels, fixed | {"tau": tau}, orders, power) for tau in delays
+    ]
+    costs = [float(one @ one) for one in map(rows, starts)]
+    start = starts[int(np.argmin(costs))] if np.isfinite(costs).any() else size
+    found = least_squares(lambda z: rows(z * size), start / size, x_scale="jac", method="trf", max_nfev=400)
+    x = np.asarray(found.x * size)
+    # Neighbours that are not independent count as a share.
+    deviation = weight * np.tile(
+        response.sigma[use] / abs(measured) * np.sqrt(np.maximum(response.spacing[use], 1.0)), 2
+    )
+    covariance, cost = _covariance(_jacobian(rows, x), deviation), float(found.fun @ found.fun)
+    return TransferFit(labels, x, covariance, fixed, orders, power, cost, w, bool(found.status > 0))
 
 
-def _numerator(values: Mapping[str, float], order: int, power: int) -> Array:
-    return np.array([values[f"b{i}"] for i in range(order, -1, -1)] + [0.0] * max(power, 0))
+def _linear(
+    omega: Array,
+    h: Complex,
+    trust: Array,
+    labels: Sequence[str],
+    fixed: Mapping[str, float],
+    orders: tuple[int, int],
+    power: int,
+) -> Array:
+    """Solve B - H A = 0 for b and a by least squares at the dead time in `fixed`, re-weighted by the last 1 / A."""
+    s = 1j * omega
+    h = np.asarray(h / s**power, dtype=np.complex128)
+    columns = {f"b{i}": s**i for i in range(orders[0] + 1)} | {f"a{i}": -h * s**i for i in range(orders[1])}
+    target = h * s ** orders[1] - sum(value * columns[name] for name, value in fixed.items() if name != "tau")
+    names = [label for label in labels if label != "tau"]
+    values, last = dict(fixed), np.ones_like(h)
+    for _ in range(8 if names else 0):
+        scale = trust / np.maximum(abs(h * last), 1e-300)
+        matrix = np.array([columns[name] for name in names]).T * scale[:, None]
+        size = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+        both = np.concatenate([(matrix / size).real, (matrix / size).imag])
+        right = np.concatenate([(target * scale).real, (target * scale).imag])
+        solved = np.linalg.lstsq(both, right, rcond=None)[0] / size
+        values |= dict(zip(names, solved.tolist(), strict=True))
+        last = np.asarray(np.polyval(_polynomials(values, orders, 0)[1], s), dtype=np.complex128)
+    return np.array([values[label] for label in labels])
 
 
-def _denominator(values: Mapping[str, float], order: int, power: int) -> Array:
-    return np.array([1.0, *(values[f"a{i}"] for i in range(order - 1, -1, -1))] + [0.0] * max(-power, 0))
+def _covariance(slope: Array, deviation: Array) -> Array:
+    """Return (J'J)^-1 J' R J (J'J)^-1 with R of the error bars, the `deviation` of each row."""
+    length = np.linalg.norm(slope, axis=0)
+    unit = slope / np.where(length > 0.0, length, 1.0)
+    if not np.isfinite(unit).all() or np.linalg.svd(unit, compute_uv=False)[-1] < 1e-7:
+        raise IdentificationError(
+            "the response cannot tell the coefficients apart",
+            "fit_transfer",
+            "lower the order, hold one of them, or narrow the band",
+        )
+    bread = np.linalg.inv(unit.T @ unit)
+    spread = unit * deviation[:, None]
+    return np.asarray(bread @ (spread.T @ spread) @ bread / np.outer(length, length))
+
+
+def _polynomials(values: Mapping[str, float], orders: tuple[int, int], power: int) -> tuple[Array, Array]:
+    """Return numerator and denominator by falling powers of s, the free factors s included."""
+    top = [values[f"b{i}"] for i in range(orders[0], -1, -1)]
+    bottom = [1.0, *(values[f"a{i}"] for i in range(orders[1] - 1, -1, -1))]
+    return np.array(top + [0.0] * max(power, 0)), np.array(bottom + [0.0] * max(-power, 0))
 
 
 def _transfer(values: Mapping[str, float], orders: tuple[int, int], power: int, omega: Array) -> Complex:
     s = 1j * omega
-    top, bottom = (
-        np.polyval(_numerator(values, orders[0], power), s),
-        np.polyval(_denominator(values, orders[1], power), s),
-    )
+    top, bottom = (np.polyval(row, s) for row in _polynomials(values, orders, power))
     return np.asarray(top / bottom * np.exp(-s * values["tau"]))
 
 
 def _jacobian(function: Callable[[Array], Array], x: Array) -> Array:
-    """Central differences, shape (rows, unknowns)."""
-    columns = []
-    for i in range(x.size):
-        step = np.zeros_like(x)
-        step[i] = _STEP * max(abs(float(x[i])), 1e-6)
-        columns.append((function(x + step) - function(x - step)) / (2.0 * step[i]))
-    return np.array(columns).T
-
-
-def _sorted_roots(values: Mapping[str, float], letter: str, order: int) -> Complex:
-    """Roots by size, pairs beside each other."""
-    row = _numerator(values, order, 0) if letter == "b" else _denominator(values, order, 0)
-    roots = np.roots(row).astype(np.complex128)
-    return roots[np.lexsort((roots.imag, np.round(abs(roots), 9)))]
+    """Return central differences, shape (rows, unknowns)."""
+    steps = np.diag(_STEP * np.maximum(np.abs(x), 1e-6))
+    return np.array([(function(x + step) - function(x - step)) / (2.0 * step.sum()) for step in steps]).T
 
 
 def _polynomial(letter: str, order: int) -> str:

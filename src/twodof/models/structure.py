@@ -1,7 +1,7 @@
 """A model structure: a diagram with parameters, and which of them an experiment is asked to tell."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -139,6 +139,15 @@ class Structure:
             for name, param in self.diagram.params.items()
             if param.kind == "real" and param.width is None
         }
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Raise IdentificationError for a name that no unknown has."""
+        known = self.unknowns
+        for name in names:
+            if name not in known:
+                raise IdentificationError(
+                    f"no unknown is called '{name}'", f"structure '{self.name}'", f"there are: {', '.join(known)}"
+                )
 
     def with_guess(self, **values: float) -> Self:
         """Return the structure with other first guesses. Raises IdentificationError for an unknown name."""

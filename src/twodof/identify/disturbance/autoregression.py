@@ -22,7 +22,7 @@ that has next to nothing at some frequency, such as vibration at 0 Hz, needs so 
 flights of attitude steps on the rig `paper` had 20 % more spread."""
 
 _CERTAIN = 1e-12
-"""Least share of the variance that is left to chance: rounding must not make it negative."""
+"""Share of the variance that is left to chance: rounding must not make it negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +125,7 @@ def autoregression(noise: Array, pieces: Sequence[slice], order: int | None = No
     forward = [noise[piece].copy() for piece in pieces]
     backward = [one.copy() for one in forward]
     variance = float(noise @ noise) / max(1, noise.size)
-    polynomial = np.ones(1)
-    predictors, variances = [polynomial], [variance]
+    predictors, variances = [np.ones(1)], [variance]
     for _ in range(most):
         pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True) if f.size > 1]
         power = sum(float(f @ f) + float(b @ b) for f, b in pairs)
@@ -135,16 +134,14 @@ def autoregression(noise: Array, pieces: Sequence[slice], order: int | None = No
         reflection = -2.0 * sum(float(f @ b) for f, b in pairs) / power
         forward = [f + reflection * b for f, b in pairs]
         backward = [b + reflection * f for f, b in pairs]
-        padded = np.append(polynomial, 0.0)
-        polynomial = padded + reflection * padded[::-1]
+        padded = np.append(predictors[-1], 0.0)
         variance *= 1.0 - reflection**2
-        predictors.append(polynomial)
+        predictors.append(padded + reflection * padded[::-1])
         variances.append(variance)
+    chosen = len(variances) - 1
     if order is None:
-        costs = [corrected_aic(noise.size, one, k + spent + 1) for k, one in enumerate(variances)]
+        costs = [_corrected_aic(noise.size, one, k + spent + 1) for k, one in enumerate(variances)]
         chosen = int(np.argmin(costs))
-    else:
-        chosen = len(variances) - 1
     scale = noise.size / max(1, noise.size - spent - chosen)
     deviations = np.sqrt(scale * np.maximum(variances[: chosen + 1], 1e-300))
     return Autoregression(tuple(predictors[: chosen + 1]), np.asarray(deviations))
@@ -157,31 +154,17 @@ def from_covariance(covariance: Array) -> Autoregression:
     earliest first, over the deviation of its error.
     """
     lag = np.arange(covariance.size)
+    matrix = covariance[np.abs(lag[:, None] - lag)]
     try:
-        factor = np.linalg.cholesky(covariance[np.abs(lag[:, None] - lag)])
+        factor = np.linalg.cholesky(matrix)
     except np.linalg.LinAlgError:
-        return _by_levinson(covariance)
+        # Rounding has made the matrix of an almost deterministic process indefinite.
+        factor = np.linalg.cholesky(matrix + _CERTAIN * covariance[0] * np.eye(covariance.size))
     deviations = np.diag(factor)
-    if deviations[-1] ** 2 < _CERTAIN * covariance[0]:
-        return _by_levinson(covariance)
     rows = np.linalg.inv(factor) * deviations[:, None]
     return Autoregression(tuple(row[k::-1] for k, row in enumerate(rows)), deviations)
 
 
-def _by_levinson(covariance: Array) -> Autoregression:
-    """Return it for an almost deterministic process, whose matrix rounding may make indefinite."""
-    polynomial, variance = np.ones(1), float(covariance[0])
-    predictors, variances = [polynomial], [variance]
-    for k in range(1, covariance.size):
-        reflection = -float(polynomial @ covariance[k:0:-1]) / variance
-        padded = np.append(polynomial, 0.0)
-        polynomial = padded + reflection * padded[::-1]
-        variance = max(variance * (1.0 - reflection**2), _CERTAIN * float(covariance[0]))
-        predictors.append(polynomial)
-        variances.append(variance)
-    return Autoregression(tuple(predictors), np.sqrt(variances))
-
-
-def corrected_aic(size: int, variance: float, unknowns: int) -> float:
+def _corrected_aic(size: int, variance: float, unknowns: int) -> float:
     """Akaike's criterion for `size` samples whose predictions err by `variance`, corrected for short records."""
     return size * math.log(max(variance, 1e-300)) + 2.0 * unknowns * size / max(1, size - unknowns - 1)

@@ -162,12 +162,14 @@ class ColouredProblem:
     ones. The cost is the likelihood that is left. It joins the sum of squares and the logarithms of the deviations:
     exp(2 mean log deviation) |prefiltered residual|^2. The Jacobian is that of Kaufman's variable projection (1975):
     the prefiltered sensitivities less what a change of the coefficients would do to the same rows. So it holds in
-    closed loop too, where input and earlier noise go together.
+    closed loop too, where input and earlier noise go together. With `given` autoregressions, one for each block, the
+    colour is known: the cost is the sum of squares, and the Jacobian is prefiltered only.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        self._noises = [NoiseRows(problem, noise) for noise in problem.noises]
+    def __init__(self, problem: Problem, given: Sequence[Autoregression] = ()) -> None:
+        self.problem, self._given = problem, tuple(given)
+        groups = [(k,) for k in range(len(given))] if given else problem.noises
+        self._noises = [NoiseRows(problem, noise) for noise in groups]
         self._orders: list[int | None] = [None] * len(self._noises)
         self._last: tuple[Array, Array, tuple[Autoregression, ...]] | None = None
 
@@ -216,12 +218,8 @@ class ColouredProblem:
 
     def residual(self, x: Array) -> Array:
         """Rows whose sum of squares falls as the likelihood rises."""
-        raw = self.problem.residual(x)
-        if not np.isfinite(raw).all():
-            return raw
-        models = self._models(raw)
-        self._last = (x.copy(), raw, models)
-        return self.whiten(raw, models) * self._spread(models)
+        raw, models = self.at(x)
+        return self._whiten(raw, models) * self._spread(models) if models else raw
 
     def jacobian(self, x: Array, residual: Array) -> Array:
         """Return the derivatives of `residual` by x."""
@@ -235,26 +233,25 @@ class ColouredProblem:
 
     def whitened(self, x: Array) -> Array:
         """Return the prediction errors at x, over their standard deviations."""
-        raw, models = self.at(x)
-        return self.whiten(raw, models)
+        return self._whiten(*self.at(x))
 
     def at(self, x: Array) -> tuple[Array, tuple[Autoregression, ...]]:
-        """Return the weighted residual at x and its noise models, in the order of `Problem.noises`."""
+        """Return the weighted residual at x and its noise models, by noise; no models if it is not finite."""
         if self._last is None or not np.array_equal(self._last[0], x):
             raw = self.problem.residual(x)
-            self._last = (x.copy(), raw, self._models(raw))
+            self._last = (x.copy(), raw, self._models(raw) if np.isfinite(raw).all() else ())
         return self._last[1], self._last[2]
 
     def cost(self, x: Array) -> float:
         """Return -2 log likelihood with Akaike's corrected penalty, to compare searches; the orders follow from x."""
         self.choose(x)
         raw, models = self.at(x)
-        white = self.whiten(raw, models)
+        white = self._whiten(raw, models)
         unknowns = sum(model.order + 1 for model in models) + x.size
         penalty = 2.0 * unknowns * self.problem.size / max(1, self.problem.size - unknowns - 1)
-        return float(white @ white) + 2.0 * self._log_deviations(models) + penalty
+        return float(white @ white) + 2.0 * self.log_deviations(models) + penalty
 
-    def whiten(self, rows: Array, models: Sequence[Autoregression]) -> Array:
+    def _whiten(self, rows: Array, models: Sequence[Autoregression]) -> Array:
         """Rows of all blocks, each prefiltered by its own model; those of the prior as they are."""
         white = rows.copy()
         for model, noise in zip(models, self._noises, strict=True):
@@ -278,27 +275,23 @@ class ColouredProblem:
         found = ((self.problem.noise_label(k), noise.loud) for k, noise in enumerate(self._noises))
         return {label: loud for label, loud in found if loud is not None}
 
-    def unit(self, noise: int) -> float:
-        """Return the weight of the rows of a noise, in the output's unit."""
-        block = self.problem.blocks[self.problem.noises[noise][0]]
-        return self.problem.sigma[block.record, block.output]
-
     def _models(self, raw: Array) -> tuple[Autoregression, ...]:
         parts = zip(self._noises, self._orders, strict=True)
         spent = len(self.problem.slots)
-        return tuple(autoregression(raw[noise.rows], noise.pieces, order, spent) for noise, order in parts)
+        return self._given or tuple(autoregression(raw[n.rows], n.pieces, order, spent) for n, order in parts)
 
-    def _log_deviations(self, models: Sequence[Autoregression]) -> float:
+    def log_deviations(self, models: Sequence[Autoregression]) -> float:
+        """Return half the logarithm of the determinant of the noises' covariance."""
         even = sum(model.log_deviations(noise.pieces) for model, noise in zip(models, self._noises, strict=True))
         return even + sum(float(np.log(noise.deviation).sum()) for noise in self._noises if noise.loud is not None)
 
     def _spread(self, models: Sequence[Autoregression]) -> float:
-        return math.exp(self._log_deviations(models) / self.problem.size)
+        return 1.0 if self._given else math.exp(self.log_deviations(models) / self.problem.size)
 
     def _projected(self, jacobian: Array, raw: Array, models: Sequence[Autoregression]) -> Array:
-        white = self.whiten(jacobian, models)
+        white = self._whiten(jacobian, models)
         for model, noise in zip(models, self._noises, strict=True):
-            if not model.order:
+            if not model.order or self._given:
                 continue
             own = raw[noise.rows]
             # Prediction errors change with coefficient k as the residual k samples earlier.

@@ -8,15 +8,12 @@ the most likely ones given that the structure's unknowns were fitted to the same
 """
 
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from twodof.identify.disturbance.autoregression import Autoregression, from_covariance, pieces_of
-from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
 from twodof.identify.record import Record, Samples
 from twodof.identify.record_simulator import RecordSimulator
@@ -60,7 +57,7 @@ class GustModel:
         rows = problem.blocks[block]
         record = problem.records[rows.record]
         self.input, self.dt = problem.structure.inputs[0], record.dt
-        self.unit = problem.sigma[rows.record, rows.output]
+        self.unit = float(problem.sigma[block])
         self.pieces = pieces_of(record.outputs[rows.output].position)
         response = impulse_response(problem, x, rows.record, rows.output)
         assert response is not None
@@ -184,22 +181,6 @@ def impulse_response(problem: Problem, x: Array, record: int, output: str) -> Ar
     return one[1:] if same and float(np.ptp(one)) > 0.0 else None
 
 
-_ROUNDS = 5
-_STANDS = 0.05
-
-
-@dataclass(frozen=True, eq=False)
-class Pushed:
-    """Where a search ended: `models` and `gusts` are in the order of the problem's blocks."""
-
-    minimum: LeastSquaresMinimum
-    models: tuple[Autoregression, ...]
-    gusts: tuple[Gust, ...]
-    jacobian: Array
-    prediction_error: Array
-    cost: float
-
-
 def can_be_pushed(problem: Problem, x: Array, sure: bool = False) -> bool:
     """Return True if a gust can be modelled: one input, one output sampled at each step, and a linear structure.
 
@@ -212,52 +193,3 @@ def can_be_pushed(problem: Problem, x: Array, sure: bool = False) -> bool:
         if response is None or (sure and answers_at_once(response)):
             return False
     return True
-
-
-def pushed(problem: Problem, x: Array) -> Pushed:
-    """Search the most likely unknowns under a gust, from the guess `x`."""
-    thetas: list[Array | None] = [None] * len(problem.blocks)
-    stands = False
-    for turn in range(_ROUNDS):
-        gusts = [GustModel(problem, x, k, theta) for k, theta in enumerate(thetas)]
-        models = tuple(gust.improve(15 if turn else 40) for gust in gusts)
-        thetas = [gust.theta for gust in gusts]
-
-        whiten = partial(_whiten, problem, models, [gust.pieces for gust in gusts])
-        minimum = minimise(
-            partial(_residual, problem, whiten),
-            partial(_jacobian, problem, whiten),
-            x,
-            problem.lower,
-            problem.upper,
-            tolerance=1e-6,
-        )
-        jacobian = whiten(problem.central_jacobian(minimum.x))
-        moved = float(np.linalg.norm(jacobian @ (minimum.x - x)))
-        x = minimum.x
-        if moved < _STANDS or not math.isfinite(minimum.cost):
-            stands = True
-            break
-    error = whiten(problem.residual(x))
-    logs = sum(model.log_deviations(gust.pieces) for model, gust in zip(models, gusts, strict=True))
-    # After the last turn the unknowns moved by less than a fifth of a standard deviation or so in all trials.
-    converged = minimum.converged and (stands or moved < 0.5)
-    ended = LeastSquaresMinimum(x, error, minimum.cost, minimum.iterations, converged, minimum.at_bound)
-    found = tuple(gust.gust for gust in gusts)
-    return Pushed(ended, models, found, jacobian, error, 0.5 * float(error @ error) + logs)
-
-
-def _whiten(
-    problem: Problem, models: Sequence[Autoregression], pieces: Sequence[Sequence[slice]], rows: Array
-) -> Array:
-    parts = zip(models, problem.blocks, pieces, strict=True)
-    white = [model.whiten(rows[block.rows], own) for model, block, own in parts]
-    return np.concatenate([*white, rows[problem.size :]])
-
-
-def _residual(problem: Problem, whiten: Callable[[Array], Array], x: Array) -> Array:
-    return whiten(problem.residual(x))
-
-
-def _jacobian(problem: Problem, whiten: Callable[[Array], Array], x: Array, _: Array) -> Array:
-    return whiten(problem.jacobian(x, problem.residual(x)))

@@ -10,7 +10,7 @@ from twodof.errors import IdentificationError
 from twodof.identify.covariance import check_identifiable, covariance, robust_covariance
 from twodof.identify.disturbance.coloured_problem import ColouredProblem
 from twodof.identify.disturbance.disturbance_model import KINDS, Disturbance, DisturbanceModel, inputs_that_answer
-from twodof.identify.disturbance.gust import can_be_pushed, pushed
+from twodof.identify.disturbance.gust import GustModel, can_be_pushed
 from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.identify.problem import Problem
 from twodof.identify.validate import whiteness
@@ -38,6 +38,10 @@ _POLISHES = 8
 _STANDS = 0.03
 """Gauss-Newton steps at the end of a fit under louder noise, and the length in standard deviations of the last."""
 
+_TURNS = 5
+_STILL = 0.05
+"""Turns of the search under a gust, and the move in standard deviations that ends it."""
+
 _MUCH = 5.0
 _LOWER = 0.01
 
@@ -46,7 +50,8 @@ _LOWER = 0.01
 class Disturbed:
     """The end of a search: x, its sensitivities and prediction errors over the noise, and the noise model.
 
-    `deviation` is the standard deviation of the residual of each block of rows, in units of its weight.
+    `deviation` is the standard deviation of the residual of each block of rows, in units of its weight. `cost` compares
+    searches of one kind.
     """
 
     minimum: LeastSquaresMinimum
@@ -54,26 +59,17 @@ class Disturbed:
     prediction_error: Array
     deviation: Array
     model: DisturbanceModel
+    cost: float = 0.0
 
 
 def check_disturbance(disturbance: Disturbance, banded: bool, noise_given: bool, where: str) -> None:
     """Raise IdentificationError for an unknown noise model, and for "ar" or "input" with a given band or noise."""
     if disturbance not in KINDS:
         raise IdentificationError(f"no disturbance {disturbance!r:.80}", where, f"there are: {', '.join(KINDS)}")
-    if disturbance in ("auto", "white"):
-        return
-    if banded:
-        raise IdentificationError(
-            f"disturbance='{disturbance}' with a band: a noise model needs all frequencies",
-            where,
-            "leave the band out, or the disturbance",
-        )
-    if noise_given:
-        raise IdentificationError(
-            f"disturbance='{disturbance}' with given standard deviations: the noise model finds its own",
-            where,
-            "leave `noise` out",
-        )
+    if disturbance in ("ar", "input") and (banded or noise_given):
+        what = "a band: a noise model needs all frequencies"
+        what = what if banded else "given standard deviations: the noise model finds its own"
+        raise IdentificationError(f"disturbance='{disturbance}' with {what}", where, "leave one of the two out")
 
 
 def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturbance, noise_given: bool) -> Disturbed:
@@ -88,7 +84,8 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     (Hausman, 1978), the structure is wrong, unless a gust explains the difference. Output error then stays, which at
     least reproduces the response.
     """
-    white = _white(problem, minimum)
+    residual, jacobian = problem.residual(minimum.x), problem.central_jacobian(minimum.x)
+    white = Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
     passed = problem.band is not None or _passes(problem, white.prediction_error)
     if passed:
         return white if disturbance in ("auto", "white") else _asked(problem, minimum, disturbance, ())
@@ -96,7 +93,7 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
     white = replace(white, model=DisturbanceModel(answering=answering))
     if disturbance == "white" or noise_given:
         return white
-    samples = _samples(problem)
+    samples = np.array([block.rows.stop - block.rows.start for block in problem.blocks])
     short = samples.min() < (LONG if answering else _SLOW * LONG)
     if disturbance == "auto" and short and can_be_pushed(problem, problem.x0, sure=True):
         return _settled(problem, white, _pushed(problem, minimum, answering))
@@ -106,10 +103,10 @@ def search(problem: Problem, minimum: LeastSquaresMinimum, disturbance: Disturba
         enough = answering and samples.sum() >= _FEWEST
         return _settled(problem, white, _coloured(problem, minimum, answering)) if enough else white
     if disturbance == "auto":
-        weights = dict(problem.sigma)
+        weights = problem.sigma.copy()
         settled = _settled(problem, white, _coloured(problem, minimum, answering))
         # With other weights the search began anew, and has asked this.
-        asked = problem.sigma != weights
+        asked = not np.array_equal(problem.sigma, weights)
         if settled.model.change > 0.0 and not asked and can_be_pushed(problem, problem.x0, sure=True):
             # A slow wander is too long for the flight's own covariance. A gust that explains it acquits the structure.
             pushed_too = _settled(problem, white, _pushed(problem, minimum, answering))
@@ -151,40 +148,46 @@ def _better(problem: Problem, minimum: LeastSquaresMinimum, x: Array) -> LeastSq
 
     Slow noise gives output error several minima, and one of them proves nothing against the structure.
     """
-    other = minimise(problem.residual, problem.jacobian, x, problem.lower, problem.upper)
+    other = problem.minimise(x)
     if not other.cost < (1.0 - _LOWER) * minimum.cost:
         return None
-    for block, deviation in zip(problem.blocks, _deviation(problem, other.residual), strict=True):
-        problem.sigma[block.record, block.output] *= max(float(deviation), 1e-9)
-    return minimise(problem.residual, problem.jacobian, other.x, problem.lower, problem.upper)
+    problem.sigma *= np.maximum(_deviation(problem, other.residual), 1e-9)
+    return problem.minimise(other.x)
 
 
 def _pushed(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[str, ...]) -> Disturbed:
-    tried = [pushed(problem, start) for start in (minimum.x, problem.x0)]
-    best = min(tried, key=lambda one: one.cost if math.isfinite(one.cost) else math.inf)
-    labels = problem.noise()
-    noise = {label: model.scaled(s) for (label, s), model in zip(labels.items(), best.models, strict=True)}
-    gusts = dict(zip(labels, best.gusts, strict=True))
-    raw = problem.residual(best.minimum.x)
-    return Disturbed(
-        best.minimum,
-        best.jacobian,
-        best.prediction_error,
-        _deviation(problem, raw),
-        DisturbanceModel("input", noise, answering, gusts=gusts, dt=problem.records[0].dt),
-    )
+    tried = [_pushed_from(problem, start, answering) for start in (minimum.x, problem.x0)]
+    return min(tried, key=lambda one: one.cost if math.isfinite(one.cost) else math.inf)
+
+
+def _pushed_from(problem: Problem, x: Array, answering: tuple[str, ...]) -> Disturbed:
+    """Search the most likely unknowns under a gust, from the guess `x`."""
+    thetas: list[Array | None] = [None] * len(problem.blocks)
+    for turn in range(_TURNS):
+        gusts = [GustModel(problem, x, k, theta) for k, theta in enumerate(thetas)]
+        models = [gust.improve(15 if turn else 40) for gust in gusts]
+        thetas = [gust.theta for gust in gusts]
+        filtered = ColouredProblem(problem, models)
+        minimum = minimise(filtered.residual, filtered.jacobian, x, problem.lower, problem.upper, tolerance=1e-6)
+        jacobian = filtered.sensitivities(minimum.x)
+        moved = float(np.linalg.norm(jacobian @ (minimum.x - x)))
+        x = minimum.x
+        if stands := moved < _STILL or not math.isfinite(minimum.cost):
+            break
+    error = filtered.whitened(x)
+    # After the last turn the unknowns moved by less than a fifth of a standard deviation or so in all trials.
+    ended = replace(minimum, residual=error, converged=minimum.converged and (stands or moved < 0.5))
+    noise = {label: model.scaled(s) for (label, s), model in zip(problem.noise().items(), models, strict=True)}
+    found = DisturbanceModel("input", noise, answering, dt=problem.records[0].dt)
+    found = replace(found, gusts={label: gust.gust for label, gust in zip(noise, gusts, strict=True)})
+    cost = 0.5 * float(error @ error) + filtered.log_deviations(models)
+    return Disturbed(ended, jacobian, error, _deviation(problem, problem.residual(x)), found, cost)
 
 
 def _deviation(problem: Problem, raw: Array) -> Array:
     """Root mean square of the residual of each block."""
     rows = [raw[block.rows] for block in problem.blocks]
     return np.array([math.sqrt(float(own @ own) / own.size) for own in rows])
-
-
-def _white(problem: Problem, minimum: LeastSquaresMinimum) -> Disturbed:
-    residual = problem.residual(minimum.x)
-    jacobian = problem.central_jacobian(minimum.x)
-    return Disturbed(minimum, jacobian, residual, np.ones(len(problem.blocks)), DisturbanceModel())
 
 
 def _identifiable(problem: Problem, found: Disturbed) -> bool:
@@ -265,14 +268,10 @@ def _coloured(problem: Problem, minimum: LeastSquaresMinimum, answering: tuple[s
     longer = coloured.sensitivities(best.x)
     if _doubt(longer) > _doubt(jacobian):
         (raw, models), jacobian, error = coloured.at(best.x), longer, coloured.whitened(best.x)
-    noise = {problem.noise_label(k): model.scaled(coloured.unit(k)) for k, model in enumerate(models)}
-    return Disturbed(
-        best,
-        jacobian,
-        error,
-        _deviation(problem, raw),
-        DisturbanceModel("ar", noise, answering, dt=problem.records[0].dt, louder=coloured.louder()),
-    )
+    units = [float(problem.sigma[blocks[0]]) for blocks in problem.noises]
+    noise = {problem.noise_label(k): model.scaled(units[k]) for k, model in enumerate(models)}
+    found_noise = DisturbanceModel("ar", noise, answering, dt=problem.records[0].dt, louder=coloured.louder())
+    return Disturbed(best, jacobian, error, _deviation(problem, raw), found_noise)
 
 
 def _polished(coloured: ColouredProblem, minimum: LeastSquaresMinimum) -> LeastSquaresMinimum:
@@ -323,8 +322,3 @@ def _passes(problem: Problem, residual: Array) -> bool:
     rows = [residual[block.rows] for block in problem.blocks]
     tested = [own for own in rows if own.size >= 4 * _LAGS and float(np.ptp(own)) > 0.0]
     return all(whiteness(own, _LAGS).passed for own in tested)
-
-
-def _samples(problem: Problem) -> NDArray[np.int64]:
-    """How many samples each block has."""
-    return np.array([block.rows.stop - block.rows.start for block in problem.blocks], dtype=np.int64)
