@@ -179,7 +179,7 @@ def under_a_pilot(count: int, seed: int, folder: Path) -> None:
             assert whole.drone.commander.lease.holder == PILOT
             heard = whole.companion.line.counts
             assert heard.bytes > 10 * count  # the companion passed them on
-            assert whole.drone.assembly.px4.commands.refused > count // 100
+            assert whole.drone.assembly.px4.vehicle.refused > count // 100
             await pilot.release()  # a kill needs no lease, and holds until it is released
             await pilot.arm()  # it could have been
             assert whole.steps[-1].step.armed

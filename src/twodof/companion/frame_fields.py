@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from fastcrc import crc16
 
 from twodof.link.mavlink import dialect
-from twodof.link.mavlink.framing import HEADER_1, HEADER_2, Frame, crc_extras
+from twodof.link.mavlink.framing import HEADER_1, HEADER_2, Frame, crc_extras, stops_motors
 
 HEARTBEAT, REQUEST_DATA_STREAM, COMMAND_INT, COMMAND_LONG = 0, 66, 75, 76
 BATCH, TRUTH, RIG, LEASE = 54203, 54205, 54206, 54209
-ARM_DISARM, FLIGHT_TERMINATION = 400, 185
+FLIGHT_TERMINATION = 185
 TERMINATED = 8  # MAV_STATE_FLIGHT_TERMINATION
 FORCE = 21196.0  # param2 of a disarm that is meant in flight too
 GET_MESSAGE_INTERVAL, SET_MESSAGE_INTERVAL, REQUEST_MESSAGE = 510, 511, 512
@@ -100,11 +100,9 @@ def stop(asked: CommandFields) -> tuple[int, bool] | None:
     A kind is the command and whether it is forced. Kills and disarms go before all other frames, and a disarm that the
     vehicle refuses in flight must not replace a forced one.
     """
-    if asked.command == ARM_DISARM and asked.params[0] == 0.0:
-        return ARM_DISARM, asked.params[1] == FORCE
-    if asked.command == FLIGHT_TERMINATION and asked.params[0] > 0.5:
-        return FLIGHT_TERMINATION, True
-    return None
+    if not stops_motors(asked.command, asked.params[0]):
+        return None
+    return asked.command, asked.command == FLIGHT_TERMINATION or asked.params[1] == FORCE
 
 
 def renumbered(frame: Frame, sequence: int) -> bytes:

@@ -12,18 +12,18 @@ from twodof.fcu.control.hardware import Hardware, VirtualHardware
 from twodof.fcu.control.loop import FlightController, OnboardEventBus
 from twodof.fcu.mavlink.batches import BatchService
 from twodof.fcu.mavlink.clients import Clients, LeaseService
-from twodof.fcu.mavlink.command_service import CommandService, StatusTextService, StorageMonitor, TextSent
+from twodof.fcu.mavlink.command_service import CommandService, StatusTextService, StorageMonitor
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.file_tree import FileTree, Metadata
 from twodof.fcu.mavlink.ftp import FileTransfer
 from twodof.fcu.mavlink.lockstep import LockstepService
 from twodof.fcu.mavlink.log_download import LogDownload
 from twodof.fcu.mavlink.log_stream import LogStreamService
-from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, VersionService
+from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, answer_versions
 from twodof.fcu.mavlink.parameter_service import ParameterService, TransactionService
-from twodof.fcu.mavlink.service import Link, Service, VehicleAddress
+from twodof.fcu.mavlink.service import Link, Service, TextSent, Vehicle
 from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
-from twodof.fcu.mavlink.streams import ChangeDetector, Heartbeat, StreamService
+from twodof.fcu.mavlink.streams import Heartbeat, StreamService
 from twodof.fcu.mavlink.vehicle_commands import ArmingCommands, ModeService, ReloadCommand, StorageCommand
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.fcu.parameters.parameter_store import ParametersChanged, ParameterStore
@@ -55,29 +55,28 @@ class MavlinkServices:
         truth: Callable[[], tuple[float, float, float, float]] | None = None,
         profile: Mapping[int, float] = ONBOARD,
     ) -> None:
-        us, bus = VehicleAddress(system), store.bus
-        self.commands = CommandService(link, us, bus, controller.lockstep)
-        self.telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
-        self.requests = MessageRequests(link, self.commands, self.telemetry)
-        VersionService(self.requests, system, controller.hardware.name)
-        ArmingCommands(self.commands, commander, restart)
-        StorageCommand(self.commands, commander, store, controller.lockstep)
-        heartbeat = Heartbeat(link, bus, self.telemetry, commander)
-        modes = ModeService(us, self.commands, self.requests, self.telemetry, commander)
-        batches = BatchService(link, bus, commander)
-        changes = ChangeDetector(controller, commander)
-        parameters = ParameterService(link, us, self.commands, controller, commander, store)
+        self.vehicle = vehicle = Vehicle(link, system, controller, commander, store)
+        self.commands = commands = CommandService(vehicle)
+        self.telemetry = telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
+        self.requests = MessageRequests(vehicle, commands, telemetry)
+        answer_versions(self.requests, system, controller.hardware.name)
+        ArmingCommands(vehicle, commands, restart)
+        StorageCommand(vehicle, commands)
+        heartbeat = Heartbeat(vehicle, telemetry)
+        modes = ModeService(vehicle, commands, self.requests, telemetry)
+        batches = BatchService(vehicle)
+        parameters = ParameterService(vehicle)
         self.services: list[Service] = [  # in the order in which a server asks them
-            Clients(bus, controller.lockstep),
-            self.commands,
-            TransactionService(link, us, self.commands, parameters),
+            Clients(vehicle),
+            commands,
+            TransactionService(vehicle, parameters),
             parameters,
             modes,
-            MissionService(link, us),
-            StreamService(link, bus, self.commands, self.telemetry, changes, batches, profile),
+            MissionService(vehicle),
+            StreamService(vehicle, commands, telemetry, batches, profile),
             batches,
             heartbeat,
-            StatusTextService(link, bus, commander.remarks),
+            StatusTextService(vehicle),
         ]
 
 
@@ -188,35 +187,29 @@ class Assembly:
             truth=(lambda: cast(VirtualHardware, hardware).truth) if hardware.virtual else None,
             profile=rates,
         )
-        self._reload = ReloadCommand(self.px4.commands, self.controller, commander, controllers, self._replaced)
+        self._reload = ReloadCommand(self.px4.vehicle, self.px4.commands, controllers, self._replaced)
         server.services += self._services(state)
         commander.unfit = self._unfit
         self._say(self.configuration.remarks)
 
     def _services(self, state: Path | None) -> list[Service]:
         """Return all services in their order: the lease hears every frame, lockstep ends a tick last."""
-        px4, server, commander, log = self.px4, self.server, self.commander, self.log
-        us, lockstep = VehicleAddress(server.system), self.controller.lockstep
-        explain, refuse = px4.commands.explain, px4.commands.refuse
+        px4, vehicle, log = self.px4, self.px4.vehicle, self.log
         metadata = Metadata(self.store, lambda: TICK_MS * self.controller.tick)
         px4.requests.on("COMPONENT_METADATA", metadata.message)
-        uploads = None if state is None else state / "controllers"
-        tree = FileTree(lambda: metadata.files, uploads)
-        streamed, downloaded = [], []
-        if log is not None:
-            streamed = [LogStreamService(server, us, px4.commands, log, commander.lease.take, lockstep)]
-            downloaded = [LogDownload(server, us, log, commander.lease.take, explain, lockstep)]
+        tree = FileTree(lambda: metadata.files, None if state is None else state / "controllers")
         return [
             px4.services[0],
-            LeaseService(server, us, commander, refuse),
-            *streamed,  # it hears every frame, and so knows whether its client is there
+            LeaseService(vehicle),
+            # It hears every frame, and so knows whether its client is there.
+            *([] if log is None else [LogStreamService(vehicle, px4.commands, log)]),
             *px4.services[1:],
-            SetpointService(us, commander, refuse),
-            ExcitationService(server, us, commander, refuse),
-            FileTransfer(server, us, tree, commander.lease.take, explain, lockstep),
-            StorageMonitor(self.store, log, commander.remarks),
-            *downloaded,
-            LockstepService(server, us, self.controller, commander, refuse, px4.telemetry.rig),
+            SetpointService(vehicle),
+            ExcitationService(vehicle),
+            FileTransfer(vehicle, tree),
+            StorageMonitor(vehicle, log),
+            *([] if log is None else [LogDownload(vehicle, log)]),
+            LockstepService(vehicle, px4.telemetry.rig),
         ]
 
     def close(self) -> None:

@@ -16,8 +16,9 @@ from twodof.fcu.control.loop import FlightController, TimeRestarted
 from twodof.fcu.mavlink.clients import LeaseService
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.lockstep import LockstepService
-from twodof.fcu.mavlink.service import VehicleAddress
+from twodof.fcu.mavlink.service import Vehicle
 from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import message
@@ -82,15 +83,16 @@ class Desk:
         self.sent: list[tuple[Any, Hashable]] = []
         self.told: list[str] = []
         self.reasons: list[RefusalReason] = []
-        us = VehicleAddress(SYSTEM)
-        given = us, self.commander, self._refuse
-        self.excite = ExcitationService(self, *given)
+        store = ParameterStore(bus=self.controller.bus)
+        vehicle = Vehicle(self, SYSTEM, self.controller, self.commander, store)
+        vehicle.refuse = self._refuse
+        self.excite = ExcitationService(vehicle)
         answer = TelemetryEncoders(self.controller, self.commander).rig
         self.services = [
-            LeaseService(self, *given),
-            SetpointService(*given),
+            LeaseService(vehicle),
+            SetpointService(vehicle),
             self.excite,
-            LockstepService(self, us, self.controller, self.commander, self._refuse, answer),
+            LockstepService(vehicle, answer),
         ]
         self.controller.bus.subscribe(TimeRestarted, lambda _: [one.restart() for one in self.services])
         self.sequence = 0

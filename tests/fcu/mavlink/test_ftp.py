@@ -16,7 +16,6 @@ from tests.patience import PATIENCE_S, patiently
 from twodof.fcu.command.command_lease import rejected
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, MOST_UPLOADS, FileTree, mavlink_crc32
 from twodof.fcu.mavlink.ftp import BURST_BYTES, MOST_CLIENTS, MOST_SESSIONS, UPLOAD_S, FileTransfer, burst_packets
-from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.link.mavlink.ftp import FtpError, FtpOperation, FtpPacket, read_packet
 from twodof.link.mavlink.messages import message
 
@@ -35,8 +34,7 @@ class Server(World):
         self.made = dict(MADE)
         tree = FileTree(lambda: self.made, self.controllers)
         self.now = 100.0
-        given = self, VehicleAddress(1), tree, self.commander.lease.take, self.px4.commands.explain, lockstep
-        self.ftp = FileTransfer(*given, clock=lambda: self.now)
+        self.ftp = FileTransfer(self.px4.vehicle, tree, clock=lambda: self.now)
         self.services.append(self.ftp)
         self.sequence = 0
 

@@ -15,7 +15,6 @@ from tests.fcu.steps import plain_step
 from tests.patience import patiently
 from twodof.fcu.command.command_lease import CommandResult, rejected
 from twodof.fcu.mavlink.log_download import A_TICK_ARMED, MOST_READERS, PART, LogDownload
-from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.mavlink.messages import message
 
@@ -28,9 +27,7 @@ MAVSDK_CHUNK = 512 * PART
 
 def world_of(log: OnboardLogger, lockstep: bool = True) -> World:
     world = World(lockstep=lockstep)
-    take, explain = world.commander.lease.take, world.px4.commands.explain
-    download = LogDownload(world, VehicleAddress(1), log, take, explain, lockstep)
-    world.services.append(download)
+    world.services.append(LogDownload(world.px4.vehicle, log))
     return world
 
 

@@ -12,7 +12,6 @@ from tests.fcu.mavlink.test_log_download import US, settled
 from tests.fcu.mavlink.world import World
 from tests.fcu.steps import plain_step
 from twodof.fcu.mavlink.log_stream import LogStreamService
-from twodof.fcu.mavlink.service import VehicleAddress
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog_file import scan_ulog
 from twodof.link.mavlink.messages import message
@@ -31,7 +30,7 @@ def world_of(folder: Path) -> tuple[World, OnboardLogger]:
     # Before those that take what they know: it is to hear every frame.
     world.services.insert(
         1,
-        LogStreamService(world, VehicleAddress(1), world.px4.commands, log, world.commander.lease.take, lockstep=True),
+        LogStreamService(world.px4.vehicle, world.px4.commands, log),
     )
     return world, log
 

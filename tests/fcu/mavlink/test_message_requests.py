@@ -3,7 +3,7 @@
 import pytest
 
 from tests.fcu.mavlink.world import World
-from twodof.fcu.mavlink.message_requests import VersionService
+from twodof.fcu.mavlink.message_requests import answer_versions
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import MavResult
 from twodof.link.mavlink.messages import message
@@ -56,7 +56,7 @@ def test_the_version_claims_what_there_is() -> None:
 def test_each_vehicle_has_a_number_of_its_own() -> None:
     def uid(name: str) -> tuple[int, bytes]:
         world = World()
-        VersionService(world.px4.requests, 1, name)
+        answer_versions(world.px4.requests, 1, name)
         world.command(512, AUTOPILOT_VERSION)
         (got,) = world.taken("AUTOPILOT_VERSION")
         return got.uid, bytes(got.uid2)

@@ -178,10 +178,11 @@ ERROR, WARNING = 3, 4
 
 def test_a_disk_that_refuses_is_told_once_for_each_trouble(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
-    remarks: list[tuple[int, str]] = []
     store = ParameterStore(tmp_path / "file" / "p.json")
     log = OnboardLogger(tmp_path / "logs", store, lockstep=True)
-    keeping = StorageMonitor(store, log, remarks)
+    world = World(store=store)
+    remarks = world.commander.remarks
+    keeping = StorageMonitor(world.px4.vehicle, log)
 
     def seconds(count: int) -> list[tuple[int, str]]:
         for tick in range(count * LOOK_TICKS):

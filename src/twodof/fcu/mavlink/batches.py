@@ -9,10 +9,9 @@ from twodof.fcu.command.command_lease import DONE, CommandResult, denied
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import SensorSample
-from twodof.fcu.control.loop import OnboardEventBus
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.command_service import ReceivedCommand
-from twodof.fcu.mavlink.service import MASK_32, Link, Service, whole
+from twodof.fcu.mavlink.service import MASK_32, Service, Vehicle, whole
 from twodof.link.mavlink.messages import BATCH_VALUES, Packer, channel_bits
 from twodof.signals import TICK_US, TOPICS, Topic
 
@@ -77,14 +76,14 @@ class BatchService(Service):
     bits of the mask of channels. Nothing is lost on this side: what a link does not take is seen as a gap in `tick`.
     """
 
-    def __init__(self, link: Link, bus: OnboardEventBus, commander: Commander) -> None:
-        self._link = link
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
         self._pack = Packer("TWODOF_BATCH")
-        read = channel_readers(commander)
+        read = channel_readers(vehicle.commander)
         self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
         self._all = sum(bit for bit, _ in self._readers)
         self._subscriptions: dict[Hashable, BatchSubscription] = {}
-        bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.client.peer, None))
+        vehicle.bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.client.peer, None))
 
     def after(self, step: ControlStep) -> None:
         for subscription in self._subscriptions.values():
@@ -132,4 +131,4 @@ class BatchService(Service):
         sent = self._pack(subscription.mask, subscription.begun, *values, subscription.rows, subscription.every)
         subscription.values = []
         subscription.rows = 0
-        self._link.send(sent, subscription.peer)
+        self._vehicle.send(sent, subscription.peer)

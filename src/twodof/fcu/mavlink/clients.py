@@ -5,11 +5,9 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from twodof.fcu.command.command_lease import CommandResult, Source
-from twodof.fcu.command.commander import Commander
+from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import OnboardEventBus
-from twodof.fcu.mavlink.service import Link, Refuse, Service, VehicleAddress, source
+from twodof.fcu.mavlink.service import Service, Vehicle, source
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, LAST_OWN_ID, NO_AUTOPILOT, MavCmd
 from twodof.link.mavlink.messages import message
@@ -24,11 +22,10 @@ _ABOUT_MESSAGES = (MavCmd.GET_MESSAGE_INTERVAL, MavCmd.SET_MESSAGE_INTERVAL, Mav
 
 @dataclass(slots=True)
 class ConnectedClient:
-    """A peer that has spoken, and the tick at which it did so last; `ours`: it knows twodof's own messages."""
+    """A peer that has spoken, and the tick at which it did so last."""
 
     peer: Hashable
     heard: int
-    ours: bool = False
 
 
 class ClientJoined(NamedTuple):
@@ -52,13 +49,12 @@ class ClientLeft(NamedTuple):
 class Clients(Service):
     """Connected clients. First among the services: it sees every message and takes none.
 
-    It publishes ClientJoined, ClientRecognised and ClientLeft. In `lockstep` nobody is forgotten for silence, as a
+    It publishes ClientJoined, ClientRecognised and ClientLeft. In lockstep nobody is forgotten for silence, as a
     minute may pass between two heartbeats of a bystander.
     """
 
-    def __init__(self, bus: OnboardEventBus, lockstep: bool = False) -> None:
-        self._bus = bus
-        self._lockstep = lockstep
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
         self.known: dict[Hashable, ConnectedClient] = {}
         self._tick = 0
 
@@ -67,14 +63,14 @@ class Clients(Service):
         if client is None:
             client = self._welcome(received.peer)
         client.heard = self._tick
-        if not client.ours and _knows(received):
-            client.ours = True
-            self._bus.publish(ClientRecognised(client))
+        if client.peer not in self._vehicle.know_ours and _knows(received):
+            self._vehicle.know_ours.add(client.peer)
+            self._vehicle.bus.publish(ClientRecognised(client))
         return False
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
-        if step.tick % _SWEEP_TICKS == 0 and not self._lockstep:
+        if step.tick % _SWEEP_TICKS == 0 and not self._vehicle.lockstep:
             for client in [*self.known.values()]:
                 if step.tick - client.heard > SILENT_TICKS:
                     self.gone(client.peer)
@@ -82,7 +78,8 @@ class Clients(Service):
     def gone(self, peer: Hashable) -> None:
         client = self.known.pop(peer, None)
         if client is not None:
-            self._bus.publish(ClientLeft(client))
+            self._vehicle.know_ours.discard(peer)
+            self._vehicle.bus.publish(ClientLeft(client))
 
     def restart(self) -> None:
         self._tick = 0
@@ -93,7 +90,7 @@ class Clients(Service):
         if len(self.known) >= MOST_CLIENTS:
             self.gone(min(self.known.values(), key=lambda one: one.heard).peer)
         client = self.known[peer] = ConnectedClient(peer, self._tick)
-        self._bus.publish(ClientJoined(client))
+        self._vehicle.bus.publish(ClientJoined(client))
         return client
 
 
@@ -117,52 +114,38 @@ IDLE_TICKS = 250
 class LeaseService(Service):
     """Service that tells the commander of every frame, and answers TWODOF_LEASE; the state is telemetry."""
 
-    def __init__(self, link: Link, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
-        self._link = link
-        self._us = us
-        self._lease = commander.lease
-        self._refuse = refuse
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle, {"TWODOF_LEASE": self._act})
+        self._lease = vehicle.commander.lease
         self._vehicles: OrderedDict[Source, None] = OrderedDict()
 
     def handle(self, received: Received) -> bool:
         """Note the sender; take TWODOF_LEASE."""
         sender, got = source(received), received.message
-        if sender == tuple(self._us):
+        if sender == self._vehicle.address:
             return False  # our own, come round
-        name = got.get_type()
-        if name == "HEARTBEAT":
-            self._note(sender, vehicle=got.autopilot != NO_AUTOPILOT)
+        if got.get_type() == "HEARTBEAT":
+            self._vehicles.pop(sender, None)
+            if got.autopilot != NO_AUTOPILOT:
+                self._vehicles[sender] = None
+                if len(self._vehicles) > MOST_VEHICLES:
+                    self._vehicles.popitem(last=False)
         self._lease.hear(sender, sender not in self._vehicles)
-        if name != "TWODOF_LEASE":
-            return False
-        if self._us.addressed(got):
-            if got.action == ASK:
-                self._answer(received, self._lease.ask(sender, got.duration_ms, bool(got.tuning_withheld)))
-            elif got.action == GIVE_UP:
-                self._answer(received, self._lease.give_up(sender))
-        return True
+        return super().handle(received)
 
     def idle(self) -> None:
         self._lease.stands(IDLE_TICKS)
 
-    def _answer(self, received: Received, result: CommandResult) -> None:
+    def _act(self, received: Received) -> None:
+        got, sender, lease = received.message, source(received), self._lease
+        if got.action == ASK:
+            result = lease.ask(sender, got.duration_ms, bool(got.tuning_withheld))
+        elif got.action == GIVE_UP:
+            result = lease.give_up(sender)
+        else:
+            return
         if not result.accepted:
-            self._refuse(received, result)
-        system, component = self._lease.holder or (0, 0)
-        self._link.send(
-            message(
-                "TWODOF_LEASE",
-                duration_ms=self._lease.left * TICK_MS,
-                holder_system=system,
-                holder_component=component,
-                tuning_withheld=int(self._lease.tuning_withheld),
-            ),
-            received.peer,
-        )
-
-    def _note(self, sender: Source, vehicle: bool) -> None:
-        self._vehicles.pop(sender, None)
-        if vehicle:
-            self._vehicles[sender] = None
-            if len(self._vehicles) > MOST_VEHICLES:
-                self._vehicles.popitem(last=False)
+            self._vehicle.refuse(received, result)
+        system, component = lease.holder or (0, 0)
+        holder = {"holder_system": system, "holder_component": component, "tuning_withheld": int(lease.tuning_withheld)}
+        self._vehicle.send(message("TWODOF_LEASE", duration_ms=lease.left * TICK_MS, **holder), received.peer)

@@ -2,19 +2,17 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from twodof.errors import TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, Source, unsupported
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import OnboardEventBus
-from twodof.fcu.mavlink.clients import ClientLeft, ClientRecognised
-from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target
+from twodof.fcu.mavlink.service import Service, Vehicle, source, target
 from twodof.fcu.onboard_log.logger import OnboardLogger
-from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import MavCmd, MavResult, MavSeverity
-from twodof.link.mavlink.messages import message, statustext
+from twodof.link.mavlink.framing import stops_motors
+from twodof.link.mavlink.messages import message
 
 _QUESTIONS = frozenset(
     {
@@ -84,22 +82,14 @@ class CommandService(Service):
     """Dispatcher of commands to their handlers; it acknowledges every command.
 
     A command that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it
-    stops motors. It publishes CommandHandled after each command, and TextSent for each refusal in words.
+    stops motors. It publishes CommandHandled after each command.
     """
 
-    def __init__(self, link: Link, us: VehicleAddress, bus: OnboardEventBus, lockstep: bool = False) -> None:
-        self._link = link
-        self._bus = bus
-        self._us = us
-        self._lockstep = lockstep
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle)
         self._handlers: dict[int, Handler] = {}
         self._polls: dict[int, Handler] = {}
         self._slow: set[int] = set()
-        self._ours: set[Hashable] = set()  # peers that know twodof's own messages
-        bus.subscribe(ClientRecognised, lambda known: self._ours.add(known.client.peer))
-        bus.subscribe(ClientLeft, lambda left: self._ours.discard(left.client.peer))
-        self._tick = 0
-        self.refused = 0
         self.restart()
 
     def on(self, number: MavCmd, handler: Handler, poll: Handler | None = None, slow: bool = False) -> None:
@@ -125,17 +115,18 @@ class CommandService(Service):
         name = received.message.get_type()
         if name not in ("COMMAND_LONG", "COMMAND_INT"):
             return False
-        got, sender = received.message, source(received)
-        # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop.
-        from_others = sender != tuple(self._us) or _stops(got.command, got.param1)
-        if from_others and self._us.addressed(got, everybody=_for_everybody(got)):
+        got, sender, vehicle = received.message, source(received), self._vehicle
+        stops = stops_motors(got.command, got.param1)
+        # What comes under our own number is our own, come round, and ignored as in PX4. We send no stop. Of commands to
+        # system 0 questions and stops alone are for us: one careless client would arm a whole laboratory.
+        if (stops or sender != vehicle.address) and vehicle.addressed(got, stops or got.command in _QUESTIONS):
             last = (
                 (got.param5, got.param6, got.param7) if name == "COMMAND_LONG" else (float(got.x), float(got.y), got.z)
             )
             params = (got.param1, got.param2, got.param3, got.param4, *last)
             command = ReceivedCommand(got.command, params, sender, received.peer)
             self.acknowledge(command, self._carried_out(command, received))
-            self._bus.publish(CommandHandled())
+            vehicle.bus.publish(CommandHandled())
         return True
 
     def after(self, step: ControlStep) -> None:
@@ -155,12 +146,12 @@ class CommandService(Service):
 
     def restart(self) -> None:
         self._tick = 0
-        self._repetitions = DuplicateFilter(self._lockstep)
+        self._repetitions = DuplicateFilter(self._vehicle.lockstep)
         self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
 
     def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
         """Answer a command that was carried out, also one that came in another message."""
-        if command.what in self._pending and not self._lockstep and command.number not in self._slow:
+        if command.what in self._pending and not self._vehicle.lockstep and command.number not in self._slow:
             return
         answer = message(
             "COMMAND_ACK",
@@ -169,27 +160,11 @@ class CommandService(Service):
             result_param2=result.reason,
             **target(command.source),
         )
-        self._link.send(answer, command.peer)
+        self._vehicle.send(answer, command.peer)
         if not result.accepted and not result.in_progress:
             # QGroundControl opens a message box for an error or worse; the others it only lists.
             arms = command.number == MavCmd.COMPONENT_ARM_DISARM
-            self.explain(command.peer, result.text, MavSeverity.CRITICAL if arms else MavSeverity.WARNING)
-
-    def refuse(self, received: Received, result: CommandResult) -> None:
-        """Tell a sender, by code and in words, why its message was refused; for messages without an acknowledgement."""
-        if received.peer in self._ours:
-            code = {"message_id": received.frame.message_id, "reason": result.reason}
-            self._link.send(message("TWODOF_REFUSED", **code, **target(source(received))), received.peer)
-        self.explain(received.peer, result.text)
-
-    def explain(self, peer: Hashable, why: str, severity: MavSeverity = MavSeverity.WARNING) -> None:
-        """Tell a peer in words why something was refused."""
-        self.refused += 1
-        if not why:
-            return
-        self._bus.publish(TextSent(severity, why))
-        for piece in statustext(why, severity, self.refused % 0xFFFF + 1):
-            self._link.send(piece, peer)
+            self._vehicle.explain(command.peer, result.text, MavSeverity.CRITICAL if arms else MavSeverity.WARNING)
 
     def _carried_out(self, command: ReceivedCommand, received: Received) -> CommandResult:
         handler = self._handlers.get(command.number)
@@ -200,7 +175,7 @@ class CommandService(Service):
             return CommandResult(MavResult.IN_PROGRESS)
         confirmation = getattr(received.message, "confirmation", 0)
         # What stops motors is carried out as often as it comes: somebody may have armed in between.
-        if not _stops(command.number, command.params[0]) and self._repetitions.known(
+        if not stops_motors(command.number, command.params[0]) and self._repetitions.known(
             what, confirmation, sequence, self._tick
         ):
             return DONE
@@ -212,78 +187,48 @@ class CommandService(Service):
         return result
 
 
-def _for_everybody(got: Any) -> bool:
-    """Return whether a command to system 0 is for all vehicles: questions, and commands that stop motors.
-
-    As in PX4 nothing else: one careless client would arm a whole laboratory.
-    """
-    return got.command in _QUESTIONS or _stops(got.command, got.param1)
-
-
-def _stops(number: int, first: float) -> bool:
-    """Return whether a command stops motors: a kill, or a disarming."""
-    if number == MavCmd.DO_FLIGHTTERMINATION:
-        return first > 0.5
-    return number == MavCmd.COMPONENT_ARM_DISARM and first == 0.0
-
-
 LOOK_TICKS = 250
 
 
-class TextSent(NamedTuple):
-    """The vehicle has said something in words: MAV_SEVERITY and text."""
-
-    severity: int
-    text: str
-
-
 class StatusTextService(Service):
-    """Sends the (MAV_SEVERITY, text) pairs that others put into `remarks`, and publishes TextSent for each."""
+    """Sends the commander's remarks. It takes the texts of others, which are not for us."""
 
-    def __init__(self, link: Link, bus: OnboardEventBus, remarks: list[tuple[int, str]]) -> None:
-        self._link = link
-        self._bus = bus
-        self._remarks = remarks
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle, {"STATUSTEXT": None})
         self._number = 0
 
-    def handle(self, received: Received) -> bool:
-        """Take the texts of others, which are not for us."""
-        return bool(received.message.get_type() == "STATUSTEXT")
-
     def after(self, step: ControlStep) -> None:
-        if not self._remarks:
-            return
-        told = self._remarks[:]
-        self._remarks.clear()
-        for severity, text in told:
-            self._bus.publish(TextSent(severity, text))
-            self._number = self._number % 0xFFFF + 1
-            for piece in statustext(text, severity, self._number):
-                self._link.send(piece)
+        remarks = self._vehicle.commander.remarks
+        if remarks:
+            told = remarks[:]
+            remarks.clear()
+            for severity, text in told:
+                self._vehicle.say(text, severity, self._number)
+                self._number += 1
 
 
 class StorageMonitor(Service):
-    """Puts into `remarks` when parameters or logs cannot be written: looks once a second, tells each trouble once."""
+    """Remarks that parameters or logs cannot be written: looks once a second, tells each trouble once."""
 
-    def __init__(self, store: ParameterStore, log: OnboardLogger | None, remarks: list[tuple[int, str]]) -> None:
-        self._store, self._log, self._remarks = store, log, remarks
-        self._said: dict[str, TwodofError | None] = {}
+    def __init__(self, vehicle: Vehicle, log: OnboardLogger | None) -> None:
+        super().__init__(vehicle)
+        self._log = log
+        self._said: dict[str, str] = {}
         self._dropped = 0
 
     def after(self, step: ControlStep) -> None:
         if step.tick % LOOK_TICKS:
             return
-        self._look("parameters are not stored", self._store.failure)
+        self._look("parameters are not stored", self._vehicle.store.failure)
         if self._log is not None:
             self._look("no on-board log", self._log.failure)
-            if self._log.dropped != self._dropped:
-                count, self._dropped = self._log.dropped - self._dropped, self._log.dropped
-                self._remarks.append(
-                    (MavSeverity.WARNING, f"on-board log: the disk is too slow, {count} steps are missing")
-                )
+            count, self._dropped = self._log.dropped - self._dropped, self._log.dropped
+            if count:
+                slow = f"on-board log: the disk is too slow, {count} steps are missing"
+                self._vehicle.commander.remarks.append((MavSeverity.WARNING, slow))
 
     def _look(self, what: str, failure: TwodofError | None) -> None:
-        said = self._said.get(what)
-        if failure is not None and (said is None or str(said) != str(failure)):
-            self._remarks.append((MavSeverity.ERROR, f"{what}: {failure}"))
-        self._said[what] = failure
+        said, now = self._said.get(what), "" if failure is None else str(failure)
+        if now and now != said:
+            self._vehicle.commander.remarks.append((MavSeverity.ERROR, f"{what}: {now}"))
+        self._said[what] = now

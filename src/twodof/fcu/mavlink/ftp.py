@@ -15,7 +15,7 @@ from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender
 from twodof.fcu.mavlink.file_tree import MAX_UPLOAD, FileFault, FileTree, OpenFile
-from twodof.fcu.mavlink.service import Explain, Link, Service, Take, VehicleAddress, source
+from twodof.fcu.mavlink.service import Service, Vehicle, source
 from twodof.link.connection import Received
 from twodof.link.mavlink.ftp import MOST_DATA, FtpError, FtpOperation, FtpPacket, packed, read_packet
 
@@ -132,23 +132,14 @@ Work = Callable[[], Answer]
 
 
 class FileTransfer(Service):
-    """The server of MAVLink FTP over `tree`; `take` says whether a source may command, `explain` tells why not."""
+    """The server of MAVLink FTP over `tree`; to write needs the lease."""
 
-    def __init__(
-        self,
-        link: Link,
-        us: VehicleAddress,
-        tree: FileTree,
-        take: Take,
-        explain: Explain,
-        lockstep: bool = False,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, vehicle: Vehicle, tree: FileTree, clock: Callable[[], float] = time.monotonic) -> None:
+        super().__init__(vehicle, {"FILE_TRANSFER_PROTOCOL": self._receive}, everybody=True)
         self.tree = tree
         self._clock = clock
-        self._link, self._us, self._take, self._explain = link, us, take, explain
-        self._background = BackgroundWorker(inline=lockstep)
-        self._bursts = PacedSender(self._send, lockstep, A_TICK)
+        self._background = BackgroundWorker(inline=vehicle.lockstep)
+        self._bursts = PacedSender(self._send, vehicle.lockstep, A_TICK)
         self.send_bursts = self._bursts.portion
         self._clients: OrderedDict[Hashable, FtpClient] = OrderedDict()
         self._does: dict[int, Callable[[FtpClient, FtpPacket], Answer | Work]] = {
@@ -165,15 +156,10 @@ class FileTransfer(Service):
             FtpOperation.BURST: self._burst,
         }
 
-    def handle(self, received: Received) -> bool:
-        """Take a request."""
-        if received.message.get_type() != "FILE_TRANSFER_PROTOCOL":
-            return False
-        if self._us.addressed(received.message, everybody=True):
-            request = read_packet(bytes(received.message.payload))
-            if request.op not in (FtpOperation.ACK, FtpOperation.NAK):
-                self._take_in(self._client(received), request)
-        return True
+    def _receive(self, received: Received) -> None:
+        request = read_packet(bytes(received.message.payload))
+        if request.op not in (FtpOperation.ACK, FtpOperation.NAK):
+            self._take_in(self._client(received), request)
 
     def after(self, step: ControlStep) -> None:
         self._bursts.most = A_TICK_ARMED if step.armed else A_TICK
@@ -249,7 +235,7 @@ class FileTransfer(Service):
             self._bursts.start(key, answer)
 
     def _send(self, key: tuple[Hashable, Source], packet: FtpPacket) -> None:
-        self._link.send(packed(packet, *key[1]), key[0])
+        self._vehicle.send(packed(packet, *key[1]), key[0])
 
     def _listed(self, request: FtpPacket) -> FtpPacket:
         data = b""
@@ -333,9 +319,9 @@ class FileTransfer(Service):
 
     def _check_lease(self, client: FtpClient) -> None:
         """Take the lease for the client. Raises FileFault where another has it; then the client is told."""
-        taken = self._take(client.source, "upload")
+        taken = self._vehicle.take(client.source, "upload")
         if not taken.accepted:
-            self._explain(client.peer, taken.text)
+            self._vehicle.explain(client.peer, taken.text)
             raise FileFault(FtpError.PROTECTED)
 
     def _make_room_for_upload(self) -> None:

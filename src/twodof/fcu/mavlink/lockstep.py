@@ -6,10 +6,8 @@ from typing import Any, NamedTuple
 
 from twodof.errors import RefusalReason, TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, unsupported
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import FlightController
-from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, meant, source
+from twodof.fcu.mavlink.service import MASK_32, Service, Vehicle, meant, source
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import message
 
@@ -35,34 +33,11 @@ class LockstepService(Service):
     `rig` makes the TWODOF_RIG that answers a reset, with these flags added.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        us: VehicleAddress,
-        controller: FlightController,
-        commander: Commander,
-        refuse: Refuse,
-        rig: Callable[[int], Any],
-    ) -> None:
-        self._link = link
-        self._us = us
-        self._controller = controller
-        self._commander = commander
-        self._refuse = refuse
+    def __init__(self, vehicle: Vehicle, rig: Callable[[int], Any]) -> None:
+        super().__init__(vehicle, {"TWODOF_GRANT": self._grant, "TWODOF_RIG_RESET": self._reset})
+        self._controller = vehicle.controller
         self._rig = rig
         self._waiting: list[Grant] = []
-
-    def handle(self, received: Received) -> bool:
-        """Take grants and resets."""
-        got, name = received.message, received.message.get_type()
-        if name not in ("TWODOF_GRANT", "TWODOF_RIG_RESET"):
-            return False
-        if self._us.addressed(got) and source(received) != tuple(self._us):
-            if name == "TWODOF_GRANT":
-                self._grant(received)
-            else:
-                self._reset(received)
-        return True
 
     def after(self, step: ControlStep) -> None:
         while self._waiting and self._controller.tick >= self._waiting[0].until:
@@ -80,9 +55,9 @@ class LockstepService(Service):
     def _grant(self, received: Received) -> None:
         got, controller = received.message, self._controller
         if not controller.lockstep:
-            self._refuse(received, unsupported("grant refused: time runs by itself"))
+            self._vehicle.refuse(received, unsupported("grant refused: time runs by itself"))
             return
-        result = self._commander.lease.take(source(received), "grant")
+        result = self._vehicle.take(source(received), "grant")
         if result.accepted:
             until = meant(got.until, controller.tick)
             controller.grant(until)
@@ -92,21 +67,21 @@ class LockstepService(Service):
             elif len(self._waiting) < MOST_GRANTS:
                 insort(self._waiting, grant, key=lambda one: one.until)
         else:
-            self._refuse(received, result)
+            self._vehicle.refuse(received, result)
             self._answer(got.number, received.peer)
 
     def _answer(self, number: int, peer: Hashable) -> None:
         controller = self._controller
         until = max(controller.granted, controller.tick) & MASK_32
-        self._link.send(message("TWODOF_TICK", tick=controller.tick & MASK_32, until=until, number=number), peer)
+        self._vehicle.send(message("TWODOF_TICK", tick=controller.tick & MASK_32, until=until, number=number), peer)
 
     def _reset(self, received: Received) -> None:
-        result = self._commander.lease.take(source(received), "reset")
+        result = self._vehicle.take(source(received), "reset")
         if result.accepted:
             result = self._begin_again(received.message)
         if not result.accepted:
-            self._refuse(received, result)
-        self._link.send(self._rig(0 if result.accepted else REFUSED_FLAG), received.peer)
+            self._vehicle.refuse(received, result)
+        self._vehicle.send(self._rig(0 if result.accepted else REFUSED_FLAG), received.peer)
 
     def _begin_again(self, got: Any) -> CommandResult:
         if got.seed >= MOST_SEEDS:
@@ -114,6 +89,6 @@ class LockstepService(Service):
         try:
             self._controller.reset(got.seed, got.x, got.noise, got.rings != 0)
         except TwodofError as reason:
-            code = RefusalReason.ARMED if self._commander.armed else RefusalReason.INVALID
+            code = RefusalReason.ARMED if self._vehicle.commander.armed else RefusalReason.INVALID
             return denied(f"reset refused: {reason}", code)
         return DONE

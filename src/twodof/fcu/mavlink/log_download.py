@@ -13,7 +13,7 @@ from typing import Any
 
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, read_block
-from twodof.fcu.mavlink.service import Explain, Link, Service, Take, VehicleAddress, source
+from twodof.fcu.mavlink.service import Service, Vehicle, source
 from twodof.fcu.onboard_log.log_writer import StoredLog
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.link.connection import Received
@@ -29,33 +29,22 @@ A_TICK, A_TICK_ARMED = 32, 4
 
 
 class LogDownload(Service):
-    """Sends the logs of `log`; `take` says whether a source may command (erasing), `explain` tells why not."""
+    """Sends the logs of `log`; erasing them needs the lease."""
 
-    def __init__(
-        self, link: Link, us: VehicleAddress, log: OnboardLogger, take: Take, explain: Explain, lockstep: bool = False
-    ) -> None:
-        self._us, self._log = us, log
-        self._take_lease, self._explain = take, explain
-        self._background = BackgroundWorker(inline=lockstep)
-        self._sender = PacedSender(lambda peer, sent: link.send(sent, peer), lockstep, A_TICK)
-        self._lists: OrderedDict[Hashable, list[StoredLog]] = OrderedDict()
-        self._data: dict[Hashable, Iterator[Any]] = {}
-        self._pack = Packer("LOG_DATA")
-        self._takes = {
+    def __init__(self, vehicle: Vehicle, log: OnboardLogger) -> None:
+        takes = {
             "LOG_REQUEST_LIST": self._list,
             "LOG_REQUEST_DATA": self._read,
             "LOG_REQUEST_END": lambda received: self._end(received.peer),
             "LOG_ERASE": self._erase,
         }
-
-    def handle(self, received: Received) -> bool:
-        """Take a request."""
-        takes = self._takes.get(received.message.get_type())
-        if takes is None:
-            return False
-        if self._us.addressed(received.message, everybody=True):
-            takes(received)
-        return True
+        super().__init__(vehicle, takes, everybody=True)
+        self._log = log
+        self._background = BackgroundWorker(inline=vehicle.lockstep)
+        self._sender = PacedSender(lambda peer, sent: vehicle.send(sent, peer), vehicle.lockstep, A_TICK)
+        self._lists: OrderedDict[Hashable, list[StoredLog]] = OrderedDict()
+        self._data: dict[Hashable, Iterator[Any]] = {}
+        self._pack = Packer("LOG_DATA")
 
     def after(self, step: ControlStep) -> None:
         self._sender.most = A_TICK_ARMED if step.armed else A_TICK
@@ -75,7 +64,7 @@ class LogDownload(Service):
 
         def listed(found: object) -> None:
             if not isinstance(found, list):
-                self._explain(peer, str(found))
+                self._vehicle.explain(peer, str(found))
                 return
             self._keep(peer, found)
             rows = [*enumerate(found)][got.start : got.end + 1]
@@ -99,7 +88,7 @@ class LogDownload(Service):
 
         def begin(logs: object) -> None:
             if not isinstance(logs, list) or got.id >= len(logs):
-                self._explain(peer, f"there is no log {got.id}")
+                self._vehicle.explain(peer, f"there is no log {got.id}")
                 return
             self._keep(peer, logs)
             self._data[peer] = self._parts(peer, logs[got.id], got.id, got.ofs, got.count)
@@ -124,7 +113,7 @@ class LogDownload(Service):
                 yield None
             block = found[0]
             if not isinstance(block, bytes) or not block:
-                self._explain(peer, f"log {number} cannot be read: {block or 'it is shorter now'}")
+                self._vehicle.explain(peer, f"log {number} cannot be read: {block or 'it is shorter now'}")
                 return
             if len(block) < BLOCK:  # shorter than it was: that is its end now
                 end = min(end, at + len(block))
@@ -137,15 +126,15 @@ class LogDownload(Service):
 
     def _erase(self, received: Received) -> None:
         peer = received.peer
-        taken = self._take_lease(source(received), "logs")
+        taken = self._vehicle.take(source(received), "logs")
         if not taken.accepted:
-            self._explain(peer, taken.text)
+            self._vehicle.explain(peer, taken.text)
             return
 
         def erased(result: object) -> None:
             for reader in [*self._lists]:
                 self.gone(reader)
             if isinstance(result, Exception):
-                self._explain(peer, str(result))
+                self._vehicle.explain(peer, str(result))
 
         self._background.submit(self._log.erase, erased)

@@ -16,7 +16,7 @@ from twodof.fcu.command.command_lease import DONE, CommandResult, Source, denied
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker, PacedSender, read_block
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
-from twodof.fcu.mavlink.service import Link, Service, Take, VehicleAddress, source, target, whole
+from twodof.fcu.mavlink.service import Service, Vehicle, source, target, whole
 from twodof.fcu.onboard_log.logger import OnboardLogger
 from twodof.flightlog.ulog_writer import MOST, ULogFragments
 from twodof.link.connection import Received
@@ -46,36 +46,30 @@ class LogStreamClient:
 
 
 class LogStreamService(Service):
-    """Streams the log of `log` to the client that asked for it; `take` says whether a source may command.
+    """Streams the log of `log` to the client that asked for it.
 
     To begin needs the lease: it ends the log that is being written, and a new one may push out the oldest.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        us: VehicleAddress,
-        commands: CommandService,
-        log: OnboardLogger,
-        take: Take,
-        lockstep: bool = False,
-    ) -> None:
-        self._us, self._commands, self._log, self._take = us, commands, log, take
-        self._background = BackgroundWorker(inline=lockstep)
-        self._sender = PacedSender(lambda peer, sent: link.send(sent, peer), lockstep, A_TICK + 1)
+    def __init__(self, vehicle: Vehicle, commands: CommandService, log: OnboardLogger) -> None:
+        super().__init__(vehicle, {"LOGGING_ACK": self._answered})
+        self._log = log
+        self._background = BackgroundWorker(inline=vehicle.lockstep)
+        self._sender = PacedSender(lambda peer, sent: vehicle.send(sent, peer), vehicle.lockstep, A_TICK + 1)
         self._stream: LogStreamClient | None = None
         commands.on(MavCmd.LOGGING_START, self._start)
         commands.on(MavCmd.LOGGING_STOP, self._stop)
 
     def handle(self, received: Received) -> bool:
-        """Take an answer, and note that the client is there."""
-        stream, got = self._stream, received.message
-        answer = got.get_type() == "LOGGING_ACK"
-        if stream is not None and source(received) == stream.client:
-            stream.silent = 0
-            if answer and self._us.addressed(got) and got.sequence == stream.sequence:
-                stream.answered = True
-        return bool(answer)
+        """Note that the client is there; take its answer."""
+        if self._stream is not None and source(received) == self._stream.client:
+            self._stream.silent = 0
+        return super().handle(received)
+
+    def _answered(self, received: Received) -> None:
+        stream = self._stream
+        if stream is not None and source(received) == stream.client and received.message.sequence == stream.sequence:
+            stream.answered = True
 
     def after(self, step: ControlStep) -> None:
         self._background.poll()
@@ -91,7 +85,7 @@ class LogStreamService(Service):
         stream = self._stream
         if stream is not None and stream.client != command.source:
             return rejected(f"the log is streamed to {stream.client[0]}/{stream.client[1]} already")
-        taken = self._take(command.source, "log stream")
+        taken = self._vehicle.take(command.source, "log stream")
         if not taken.accepted:
             return taken
         if stream is not None:
@@ -112,7 +106,7 @@ class LogStreamService(Service):
         self._log.stop()
         if stream is not None:
             self._sender.stop(stream.peer)
-            self._commands.explain(stream.peer, why)
+            self._vehicle.explain(stream.peer, why)
 
     def _messages(self, stream: LogStreamClient) -> Iterator[Any]:
         """Yield the messages of a stream, None at the end of each portion, until it is given up."""

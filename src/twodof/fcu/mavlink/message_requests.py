@@ -9,7 +9,7 @@ import twodof
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, rejected, unsupported
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
-from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target, whole
+from twodof.fcu.mavlink.service import Service, Vehicle, source, target, whole
 from twodof.link.connection import Received
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import MavCmd, message_id
@@ -27,8 +27,8 @@ Builder = Callable[[ReceivedCommand], Iterable[Any] | None]
 class MessageRequests:
     """Answers a request with what a builder registered for the message gives, or with a stream's message as of now."""
 
-    def __init__(self, link: Link, commands: CommandService, telemetry: TelemetryEncoders) -> None:
-        self._link = link
+    def __init__(self, vehicle: Vehicle, commands: CommandService, telemetry: TelemetryEncoders) -> None:
+        self._vehicle = vehicle
         self._telemetry = telemetry
         self._builders: dict[int, Builder] = {}
         commands.on(MavCmd.REQUEST_MESSAGE, lambda command: self._send(whole(command.params[0], -1), command))
@@ -63,7 +63,7 @@ class MessageRequests:
         if built is None:
             return denied()
         for one in built:
-            self._link.send(one, command.peer)
+            self._vehicle.send(one, command.peer)
         return DONE
 
 
@@ -83,31 +83,23 @@ def packed_version(major: int, minor: int, patch: int) -> int:
     return major << 24 | minor << 16 | patch << 8 | OFFICIAL
 
 
-class VersionService:
-    """Answers requests for the two messages; `system` and `name` make the unique number of this vehicle."""
-
-    def __init__(self, requests: MessageRequests, system: int, name: str) -> None:
-        digest = hashlib.sha256(f"twodof {system} {name}".encode()).digest()
-        self.uid2 = digest[:18]
-        self.uid = int.from_bytes(digest[:8], "little") | 1  # 0 means that there is none
-        requests.on("AUTOPILOT_VERSION", self._autopilot)
-        # MAVLink 2 alone is sent; of the specification and of the library there is no hash to give.
-        speaks = message("PROTOCOL_VERSION", version=200, min_version=200, max_version=200)
-        requests.on("PROTOCOL_VERSION", lambda _: [speaks])
-
-    def _autopilot(self, _command: object) -> Iterable[Any]:
-        own = (int(part) for part in twodof.__version__.split(".")[:3])
-        return [
-            message(
-                "AUTOPILOT_VERSION",
-                capabilities=sum(getattr(dialect.load(), f"MAV_PROTOCOL_CAPABILITY_{name}") for name in CAPABILITIES),
-                flight_sw_version=packed_version(*PX4_VERSION),
-                middleware_sw_version=packed_version(*own),
-                flight_custom_version=b"twodof\0\0",
-                uid=self.uid,
-                uid2=self.uid2,
-            )
-        ]
+def answer_versions(requests: MessageRequests, system: int, name: str) -> None:
+    """Answer requests for versions; `system` and `name` make the unique number of this vehicle."""
+    digest = hashlib.sha256(f"twodof {system} {name}".encode()).digest()
+    own = (int(part) for part in twodof.__version__.split(".")[:3])
+    version = message(
+        "AUTOPILOT_VERSION",
+        capabilities=sum(getattr(dialect.load(), f"MAV_PROTOCOL_CAPABILITY_{name}") for name in CAPABILITIES),
+        flight_sw_version=packed_version(*PX4_VERSION),
+        middleware_sw_version=packed_version(*own),
+        flight_custom_version=b"twodof\0\0",
+        uid=int.from_bytes(digest[:8], "little") | 1,  # 0 means that there is none
+        uid2=digest[:18],
+    )
+    requests.on("AUTOPILOT_VERSION", lambda _: [version])
+    # MAVLink 2 alone is sent; of the specification and of the library there is no hash to give.
+    speaks = message("PROTOCOL_VERSION", version=200, min_version=200, max_version=200)
+    requests.on("PROTOCOL_VERSION", lambda _: [speaks])
 
 
 UNSUPPORTED = 3
@@ -115,27 +107,21 @@ UNSUPPORTED = 3
 TYPES = (0, 1, 2)
 """MAV_MISSION_TYPE: mission, fence, rally points."""
 
-ANSWERED = frozenset(
-    {
-        *("MISSION_REQUEST_LIST", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"),
-        *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ITEM_INT"),
-    }
+ANSWERED = (
+    *("MISSION_REQUEST_LIST", "MISSION_COUNT", "MISSION_CLEAR_ALL", "MISSION_SET_CURRENT"),
+    *("MISSION_REQUEST", "MISSION_REQUEST_INT", "MISSION_ITEM_INT"),
 )
 
 
 class MissionService(Service):
     """No missions, fences and rally points: an empty list, and a refusal of all else, so that no client waits."""
 
-    def __init__(self, link: Link, us: VehicleAddress) -> None:
-        self._link = link
-        self._us = us
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle, dict.fromkeys(ANSWERED, self._answer) | {"MISSION_ACK": None})
 
-    def handle(self, received: Received) -> bool:
-        """Answer every message about missions, but the end of a transfer."""
-        got, name = received.message, received.message.get_type()
-        if name in ANSWERED and self._us.addressed(got):
-            there = {**target(source(received)), "mission_type": getattr(got, "mission_type", 0)}
-            listed = name == "MISSION_REQUEST_LIST" and got.mission_type in TYPES
-            answer = message("MISSION_COUNT", **there) if listed else message("MISSION_ACK", type=UNSUPPORTED, **there)
-            self._link.send(answer, received.peer)
-        return name in ANSWERED or name == "MISSION_ACK"
+    def _answer(self, received: Received) -> None:
+        got = received.message
+        there = {**target(source(received)), "mission_type": getattr(got, "mission_type", 0)}
+        listed = got.get_type() == "MISSION_REQUEST_LIST" and got.mission_type in TYPES
+        answer = message("MISSION_COUNT", **there) if listed else message("MISSION_ACK", type=UNSUPPORTED, **there)
+        self._vehicle.send(answer, received.peer)

@@ -15,13 +15,10 @@ from typing import NamedTuple
 
 from twodof.errors import ParameterError, listed
 from twodof.fcu.command.command_lease import Source
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.clients import ClientLeft
-from twodof.fcu.mavlink.command_service import CommandService
-from twodof.fcu.mavlink.service import Link, Service, VehicleAddress, source, target
-from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted, ParameterStore
+from twodof.fcu.mavlink.service import Service, Vehicle, source, target
+from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted
 from twodof.fcu.parameters.table import VehicleParameter
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import Packed, Packer, message
@@ -44,35 +41,16 @@ class ParameterService(Service):
     Anybody may change the rows for tuning, unless who holds the lease withholds it. The others need the lease.
     """
 
-    def __init__(
-        self,
-        link: Link,
-        us: VehicleAddress,
-        commands: CommandService,
-        controller: FlightController,
-        commander: Commander,
-        store: ParameterStore,
-    ) -> None:
-        self._link = link
-        self._us = us
-        self._commands = commands
-        self._controller = controller
-        self._commander = commander
-        self._store = store
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(
+            vehicle, {"PARAM_REQUEST_LIST": self._list, "PARAM_REQUEST_READ": self._read, "PARAM_SET": self._set}
+        )
+        self._commander, self._store = vehicle.commander, vehicle.store
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
         self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
-        self._takes = {"PARAM_REQUEST_LIST": self._list, "PARAM_REQUEST_READ": self._read, "PARAM_SET": self._set}
-        store.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.client.peer, None))
-        store.bus.subscribe(ParametersChanged, self._announce)
-        store.bus.subscribe(ParametersRelisted, self._relist)
-
-    def handle(self, received: Received) -> bool:
-        take = self._takes.get(received.message.get_type())
-        if take is None:
-            return False
-        if self._us.addressed(received.message):
-            take(received)
-        return True
+        vehicle.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.client.peer, None))
+        vehicle.bus.subscribe(ParametersChanged, self._announce)
+        vehicle.bus.subscribe(ParametersRelisted, self._relist)
 
     def after(self, step: ControlStep) -> None:
         for peer in [*self._lists]:
@@ -122,7 +100,7 @@ class ParameterService(Service):
     def _error(self, received: Received, name: str, error: int, index: int = -1) -> None:
         who = target(source(received))
         sent = message("PARAM_ERROR", param_id=name.encode()[:16], param_index=index, error=error, **who)
-        self._link.send(sent, received.peer)
+        self._vehicle.send(sent, received.peer)
 
     def _list(self, received: Received) -> None:
         # Asked again while it is being sent, it begins again without the hash, as PX4 does.
@@ -130,7 +108,7 @@ class ParameterService(Service):
         self._lists[received.peer] = self._listed(with_hash=not again)
         if len(self._lists) > MOST_LISTS:
             self._lists.popitem(last=False)
-        if self._controller.lockstep:  # time may stand still, and there is no radio to spare
+        if self._vehicle.lockstep:  # time may stand still, and there is no radio to spare
             self._go_on(received.peer, len(self._store.rows) + 1)
 
     def _listed(self, with_hash: bool) -> Iterator[Packed]:
@@ -146,20 +124,20 @@ class ParameterService(Service):
             if packed is None:
                 del self._lists[peer]
                 return
-            self._link.send(packed, peer)
+            self._vehicle.send(packed, peer)
 
     def _read(self, received: Received) -> None:
         got, rows = received.message, self._store.rows
         name = text(got.param_id)
         if got.param_index >= 0:
             if got.param_index < len(rows):
-                self._link.send(self._value(rows[got.param_index]), received.peer)
+                self._vehicle.send(self._value(rows[got.param_index]), received.peer)
             else:
                 self._error(received, "", DOES_NOT_EXIST, got.param_index)
         elif name == HASH_NAME:
-            self._link.send(self._hash(), received.peer)
+            self._vehicle.send(self._hash(), received.peer)
         elif name in self._store:
-            self._link.send(self._value(self._store.row(name)), received.peer)
+            self._vehicle.send(self._value(self._store.row(name)), received.peer)
         else:
             self._error(received, name, DOES_NOT_EXIST)
 
@@ -174,20 +152,20 @@ class ParameterService(Service):
         before = self._store.revision
         error, _, why = self.change({name: value}, source(received))
         if error != NO_ERROR:
-            self._commands.explain(received.peer, why)  # first: who hears of the error looks for the reason
+            self._vehicle.explain(received.peer, why)  # first: who hears of the error looks for the reason
             self._error(received, name, error)
         # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
         if self._store.revision == before:
-            self._link.send(self._value(self._store.row(name)), received.peer)
+            self._vehicle.send(self._value(self._store.row(name)), received.peer)
 
     def _announce(self, changed: ParametersChanged) -> None:
         for name in changed.values:
-            self._link.send(self._value(self._store.row(name)))
+            self._vehicle.send(self._value(self._store.row(name)))
 
     def _relist(self, _: ParametersRelisted) -> None:
         for peer in self._lists:
             self._lists[peer] = self._listed(with_hash=True)
-        self._link.send(self._hash())
+        self._vehicle.send(self._hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:
         """Return the value that the store refused, and its MAV_PARAM_ERROR."""
@@ -253,10 +231,8 @@ class TransactionService(Service):
     and the client sends it again.
     """
 
-    def __init__(self, link: Link, us: VehicleAddress, commands: CommandService, parameters: ParameterService) -> None:
-        self._link = link
-        self._us = us
-        self._commands = commands
+    def __init__(self, vehicle: Vehicle, parameters: ParameterService) -> None:
+        super().__init__(vehicle, {"TWODOF_PARAM_TRANSACTION": self._answer})
         self._parameters = parameters
         self._open: OrderedDict[Source, Transaction] = OrderedDict()
         self._answered: OrderedDict[tuple[Source, int, int], TransactionAnswer] = OrderedDict()
@@ -264,15 +240,7 @@ class TransactionService(Service):
         self._tick = 0
 
     def handle(self, received: Received) -> bool:
-        got = received.message
-        kind = got.get_type()
-        if kind == "PARAM_SET":
-            return self._keep(received)
-        if kind != "TWODOF_PARAM_TRANSACTION":
-            return False
-        if self._us.addressed(got) and got.action <= ROLL_BACK:
-            self._answer(received)
-        return True
+        return self._keep(received) if received.message.get_type() == "PARAM_SET" else super().handle(received)
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
@@ -290,7 +258,7 @@ class TransactionService(Service):
         transaction = self._open.get(source(received))
         if transaction is None or text(received.message.param_id) == HASH_NAME:
             return False
-        if not self._us.addressed(received.message):
+        if not self._vehicle.addressed(received.message):
             return False
         name, value, error = self._parameters.checked(received)
         if value is not None:
@@ -301,6 +269,8 @@ class TransactionService(Service):
 
     def _answer(self, received: Received) -> None:
         got, sender = received.message, source(received)
+        if got.action > ROLL_BACK:
+            return
         key = (sender, got.action, got.transaction)
         if got.action == BEGIN:
             # Begun again is begun anew; its old answers no longer count.
@@ -319,9 +289,9 @@ class TransactionService(Service):
                 self._answered[key] = answer
                 if len(self._answered) > MOST_ANSWERS:
                     self._answered.popitem(last=False)
-            self._commands.explain(received.peer, answer.why)
+            self._vehicle.explain(received.peer, answer.why)
         name = answer.name.encode()[:16]
-        self._link.send(self._pack(got.transaction, answer.have, got.action, answer.result, name), received.peer)
+        self._vehicle.send(self._pack(got.transaction, answer.have, got.action, answer.result, name), received.peer)
 
     def _end(self, received: Received, sender: Source) -> TransactionAnswer:
         got = received.message

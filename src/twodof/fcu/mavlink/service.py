@@ -1,26 +1,19 @@
 """A service: one MAVLink microservice of the flight controller, and what all of them share."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Mapping
 from math import isfinite
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 from twodof.fcu.command.command_lease import CommandResult, Source
+from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.control.loop import FlightController
+from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
-from twodof.link.mavlink.dialect import AUTOPILOT
+from twodof.link.mavlink.dialect import AUTOPILOT, MavSeverity
+from twodof.link.mavlink.messages import message, statustext
 from twodof.signals import TICK_MS
-
-
-class VehicleAddress(NamedTuple):
-    """Our own address."""
-
-    system: int
-    component: int = AUTOPILOT
-
-    def addressed(self, message: Any, everybody: bool = False) -> bool:
-        """Return whether a message is for us; with `everybody`, so is a message for all systems."""
-        systems = (self.system, 0) if everybody else (self.system,)
-        return message.target_system in systems and message.target_component in (self.component, 0)
 
 
 def source(received: Received) -> Source:
@@ -63,12 +56,11 @@ def acts_at_ms(time_boot_ms: int, now: int) -> int:
     return meant(-(-time_boot_ms // TICK_MS), now, RUN_OVER_MS) if time_boot_ms else 0
 
 
-Take = Callable[[Source, str], CommandResult]
-"""Says whether a source may command; what it wanted is named in a refusal."""
-Explain = Callable[[Hashable, str], None]
-"""Tells a peer in words why something was refused."""
-Refuse = Callable[[Received, CommandResult], None]
-"""Tells the sender of a message without an acknowledgement, by code and in words, why it was refused."""
+class TextSent(NamedTuple):
+    """The vehicle has said something in words: MAV_SEVERITY and text."""
+
+    severity: int
+    text: str
 
 
 class Link(Protocol):
@@ -78,18 +70,81 @@ class Link(Protocol):
         """Send a message, or drop and count it where the peer takes no more; never wait, never raise."""
 
 
+class Vehicle:
+    """The vehicle of all services: its address, control loop, commander and parameters, and the link to its clients.
+
+    `know_ours` are the peers that know twodof's own messages. `refused` counts what was refused in words. It publishes
+    TextSent for each refusal.
+    """
+
+    def __init__(
+        self, link: Link, system: int, controller: FlightController, commander: Commander, store: ParameterStore
+    ) -> None:
+        self.address = system, AUTOPILOT
+        self.send = link.send
+        self.controller = controller
+        self.commander = commander
+        self.store = store
+        self.bus = store.bus
+        self.take = commander.lease.take
+        self.lockstep = controller.lockstep
+        self.know_ours: set[Hashable] = set()
+        self.refused = 0
+
+    def addressed(self, message: Any, everybody: bool = False) -> bool:
+        """Return whether a message is for us; with `everybody`, so is a message for all systems."""
+        system = message.target if message.get_type() == "MANUAL_CONTROL" else message.target_system
+        component = getattr(message, "target_component", 0)
+        return (system == self.address[0] or (everybody and not system)) and component in (self.address[1], 0)
+
+    def refuse(self, received: Received, result: CommandResult) -> None:
+        """Tell a sender, by code and in words, why its message was refused; for messages without an acknowledgement."""
+        if received.peer in self.know_ours:
+            code = {"message_id": received.frame.message_id, "reason": result.reason}
+            self.send(message("TWODOF_REFUSED", **code, **target(source(received))), received.peer)
+        self.explain(received.peer, result.text)
+
+    def explain(self, peer: Hashable, why: str, severity: MavSeverity = MavSeverity.WARNING) -> None:
+        """Tell a peer in words why something was refused."""
+        self.refused += 1
+        if why:
+            self.say(why, severity, self.refused, peer)
+
+    def say(self, text: str, severity: int, number: int, peer: Hashable | None = None) -> None:
+        """Send STATUSTEXT, in pieces under a number where it is long."""
+        self.bus.publish(TextSent(severity, text))
+        for piece in statustext(text, severity, number % 0xFFFF + 1):
+            self.send(piece, peer)
+
+
 class Service:
     """Translates between MAVLink and the flight controller; called from one task only.
 
-    A service overrides what it needs of these methods; here each of them does nothing.
+    `takes` has a function for each message that it takes, None for one that needs no answer. A message is passed on if
+    it is for this vehicle, or, with `everybody`, for all. What comes under our own number is our own, come round.
     """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        takes: Mapping[str, Callable[[Received], object] | None] = MappingProxyType({}),
+        everybody: bool = False,
+    ) -> None:
+        self._vehicle = vehicle
+        self._takes = takes
+        self._everybody = everybody
 
     def handle(self, received: Received) -> bool:
         """Take a message; False leaves it to the next service. Answers go to `received.peer`.
 
         Any field of a message may hold any value. Never raises on them.
         """
-        return False
+        got, vehicle = received.message, self._vehicle
+        name = got.get_type()
+        take = self._takes.get(name)
+        if take is not None and source(received) != vehicle.address and vehicle.addressed(got, self._everybody):
+            take(received)
+        return name in self._takes
 
     def after(self, step: ControlStep) -> None:
         """Act after a control period; fast when nothing is due."""

@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 from twodof.errors import RefusalReason
 from twodof.fcu.command.command_lease import DONE as ACCEPTED
 from twodof.fcu.command.command_lease import CommandResult, Source, denied
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.command.excitation_player import DONE, RECEIVING, REFUSED, SampledExcitation, prepare
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.mavlink.background import BackgroundWorker
-from twodof.fcu.mavlink.service import MASK_32, Link, Refuse, Service, VehicleAddress, acts_at, acts_at_ms, source
+from twodof.fcu.mavlink.service import MASK_32, Service, Vehicle, acts_at, acts_at_ms, source
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import ExcitationReceiver, message
 from twodof.link.mavlink.setpoints import SetPoint, read_attitude, read_position
@@ -33,31 +32,23 @@ class SetpointService(Service):
     acts at once.
     """
 
-    def __init__(self, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
-        self._us = us
-        self._commander = commander
-        self._refuse = refuse
-        self._tick = 0
-        self._told: OrderedDict[Source, int] = OrderedDict()  # when each was told last, the oldest first
+    def __init__(self, vehicle: Vehicle) -> None:
         self._readers: dict[str, Callable[[Any, Source], CommandResult]] = {
             "SET_ATTITUDE_TARGET": lambda got, sender: self._target(read_attitude(got), got, sender),
             "SET_POSITION_TARGET_LOCAL_NED": lambda got, sender: self._target(read_position(got), got, sender),
             "TWODOF_OPENLOOP": self._open_loop,
             "MANUAL_CONTROL": self._sticks,
         }
+        super().__init__(vehicle, dict.fromkeys(self._readers, self._read), everybody=True)
+        self._commander = vehicle.commander
+        self._tick = 0
+        self._told: OrderedDict[Source, int] = OrderedDict()  # when each was told last, the oldest first
 
-    def handle(self, received: Received) -> bool:
-        """Take a set-point."""
+    def _read(self, received: Received) -> None:
         got, sender = received.message, source(received)
-        read = self._readers.get(got.get_type())
-        if read is None:
-            return False
-        ours = got.target in (self._us.system, 0) if read == self._sticks else self._us.addressed(got, everybody=True)
-        if ours and sender != tuple(self._us):
-            result = read(got, sender)
-            if not result.accepted and self._may_tell(sender):
-                self._refuse(received, result)
-        return True
+        result = self._readers[got.get_type()](got, sender)
+        if not result.accepted and self._may_tell(sender):
+            self._vehicle.refuse(received, result)
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
@@ -111,26 +102,22 @@ class ExcitationService(Service):
     Writing a definition out may take a second: it is done beside the control loop, but in lockstep, where time waits.
     """
 
-    def __init__(self, link: Link, us: VehicleAddress, commander: Commander, refuse: Refuse) -> None:
-        self._link = link
-        self._us = us
-        self._commander = commander
-        self._refuse_sender = refuse
-        self._background = BackgroundWorker(inline=commander.lockstep)
+    def __init__(self, vehicle: Vehicle) -> None:
+        super().__init__(vehicle, {"TWODOF_EXCITE": self._take, "TWODOF_EXCITE_STATUS": None})
+        self._commander = vehicle.commander
+        self._background = BackgroundWorker(inline=vehicle.lockstep)
         self._begin(None)
         self._tick = 0
         self._revision = 0
 
-    def handle(self, received: Received) -> bool:
+    def _take(self, received: Received) -> None:
         """Take pieces, starts and stops."""
-        got, name = received.message, received.message.get_type()
-        if name == "TWODOF_EXCITE" and self._us.addressed(got) and source(received) != tuple(self._us):
-            answer = self._act(got, source(received), received.peer)
-            if not answer.accepted:
-                self._refuse_sender(received, answer)
-                self._send(received.peer, got.transfer, REFUSED, answer.text)
-            self._tell_changes()
-        return bool(name in ("TWODOF_EXCITE", "TWODOF_EXCITE_STATUS"))
+        got = received.message
+        answer = self._act(got, source(received), received.peer)
+        if not answer.accepted:
+            self._vehicle.refuse(received, answer)
+            self._send(received.peer, got.transfer, REFUSED, answer.text)
+        self._tell_changes()
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
@@ -218,7 +205,7 @@ class ExcitationService(Service):
     def _send(
         self, peer: Hashable | None, transfer: int, state: int, reason: str = "", start: int = 0, end: int = 0
     ) -> None:
-        self._link.send(
+        self._vehicle.send(
             message(
                 "TWODOF_EXCITE_STATUS",
                 tick=self._tick & MASK_32,

@@ -13,15 +13,12 @@ from math import isfinite
 from typing import Any
 
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, unsupported
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.flight_code import ControlStep
-from twodof.fcu.control.loop import FlightController, OnboardEventBus
 from twodof.fcu.mavlink.batches import BATCH, BatchService
 from twodof.fcu.mavlink.clients import ClientJoined, ClientLeft, ClientRecognised
 from twodof.fcu.mavlink.command_service import CommandHandled, CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import HEARTBEAT, LEASE, OPENLOOP, RIG, SAFETY, TOF, TelemetryEncoders
-from twodof.fcu.mavlink.service import Link, Service, whole
-from twodof.link.connection import Received
+from twodof.fcu.mavlink.service import Service, Vehicle, whole
 from twodof.link.mavlink.dialect import FIRST_OWN_ID, ONBOARD, MavCmd
 from twodof.link.mavlink.messages import message
 from twodof.signals import TICK_NS
@@ -57,9 +54,9 @@ FLAG_TICKS = 25
 class ChangeDetector:
     """Compares each step with the one before."""
 
-    def __init__(self, controller: FlightController, commander: Commander) -> None:
-        self._controller = controller
-        self._commander = commander
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._controller = vehicle.controller
+        self._commander = vehicle.commander
         self._safety: tuple[Any, ...] = ()
         self._causes = 0
         self._told = -FLAG_TICKS
@@ -94,17 +91,16 @@ class StreamService(Service):
 
     def __init__(
         self,
-        link: Link,
-        bus: OnboardEventBus,
+        vehicle: Vehicle,
         commands: CommandService,
         telemetry: TelemetryEncoders,
-        changes: ChangeDetector,
         batches: BatchService,
         profile: Mapping[int, float] = ONBOARD,
     ) -> None:
-        self._link = link
+        # REQUEST_DATA_STREAM does nothing here as in PX4: its groups of messages are ArduPilot's.
+        super().__init__(vehicle, {"REQUEST_DATA_STREAM": None})
         self._telemetry = telemetry
-        self._changes = changes
+        self._changes = ChangeDetector(vehicle)
         self._batches = batches
         self._defaults = {
             number: round(1e9 / rate) if rate > 0.0 else WITH_NEWS
@@ -114,15 +110,11 @@ class StreamService(Service):
         self._intervals: dict[Hashable, dict[int, int]] = {}  # of each client's messages
         self._streams: list[MessageStream] | None = None  # None: to be planned
         self._tick = -1
-        bus.subscribe(ClientJoined, lambda joined: self._begin(joined.client.peer, ours=False))
-        bus.subscribe(ClientRecognised, lambda known: self._begin(known.client.peer, ours=True))
-        bus.subscribe(ClientLeft, self._leave)
+        vehicle.bus.subscribe(ClientJoined, lambda joined: self._begin(joined.client.peer, ours=False))
+        vehicle.bus.subscribe(ClientRecognised, lambda known: self._begin(known.client.peer, ours=True))
+        vehicle.bus.subscribe(ClientLeft, self._leave)
         commands.on(MavCmd.SET_MESSAGE_INTERVAL, self._set)
         commands.on(MavCmd.GET_MESSAGE_INTERVAL, self._get)
-
-    def handle(self, received: Received) -> bool:
-        """Take REQUEST_DATA_STREAM, which does nothing here as in PX4: its groups of messages are ArduPilot's."""
-        return bool(received.message.get_type() == "REQUEST_DATA_STREAM")
 
     def after(self, step: ControlStep) -> None:
         tick = step.tick
@@ -177,7 +169,7 @@ class StreamService(Service):
         if number not in packed:
             packed[number] = self._telemetry.message(number)
         if packed[number] is not None:
-            self._link.send(packed[number], peer)
+            self._vehicle.send(packed[number], peer)
 
     def _set(self, command: ReceivedCommand) -> CommandResult:
         number, interval = whole(command.params[0], -1), command.params[1]
@@ -207,7 +199,7 @@ class StreamService(Service):
         if not 0 <= message_id <= 0xFFFF:
             return denied()
         interval_us = self._interval_us(command.peer, message_id)
-        self._link.send(message("MESSAGE_INTERVAL", message_id=message_id, interval_us=interval_us), command.peer)
+        self._vehicle.send(message("MESSAGE_INTERVAL", message_id=message_id, interval_us=interval_us), command.peer)
         return DONE
 
     def _interval_us(self, peer: Hashable, number: int) -> int:
@@ -228,17 +220,12 @@ PERIOD_TICKS = 250
 class Heartbeat(Service):
     """Says that the vehicle is there, also to peers that were silent so far: many clients wait for it first."""
 
-    def __init__(self, link: Link, bus: OnboardEventBus, telemetry: TelemetryEncoders, commander: Commander) -> None:
-        self._link = link
+    def __init__(self, vehicle: Vehicle, telemetry: TelemetryEncoders) -> None:
+        super().__init__(vehicle, {"HEARTBEAT": None})
         self._telemetry = telemetry
-        self._commander = commander
         self._said: tuple[int, int, int] | None = None
-        bus.subscribe(ClientJoined, lambda joined: self._send(joined.client.peer))
-        bus.subscribe(CommandHandled, lambda _: self._send_if_changed())
-
-    def handle(self, received: Received) -> bool:
-        """Take other components' heartbeats, which need no answer."""
-        return bool(received.message.get_type() == "HEARTBEAT")
+        vehicle.bus.subscribe(ClientJoined, lambda joined: self._send(joined.client.peer))
+        vehicle.bus.subscribe(CommandHandled, lambda _: self._send_if_changed())
 
     def after(self, step: ControlStep) -> None:
         if step.tick % PERIOD_TICKS == 0:
@@ -249,11 +236,11 @@ class Heartbeat(Service):
         self._send()
 
     def _send_if_changed(self) -> None:
-        c = self._commander
+        c = self._vehicle.commander
         says = (c.base_mode, c.custom_mode, c.system_status)
         if says != self._said:
             self._said = says
             self._send()
 
     def _send(self, peer: Hashable | None = None) -> None:
-        self._link.send(self._telemetry.message(HEARTBEAT), peer)
+        self._vehicle.send(self._telemetry.message(HEARTBEAT), peer)

@@ -10,14 +10,12 @@ from twodof.blocks import Diagram
 from twodof.compile.wasm.target import check_ready
 from twodof.errors import CompileError, ParameterError, RefusalReason, TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, rejected, unsupported
-from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import Controllers
-from twodof.fcu.control.loop import FlightController
 from twodof.fcu.mavlink.command_service import CommandService, ReceivedCommand
 from twodof.fcu.mavlink.encoders import TelemetryEncoders
 from twodof.fcu.mavlink.message_requests import MessageRequests
-from twodof.fcu.mavlink.service import Service, VehicleAddress, source, whole
-from twodof.fcu.parameters.parameter_store import SAVE_S, ParameterStore
+from twodof.fcu.mavlink.service import Service, Vehicle, source, whole
+from twodof.fcu.parameters.parameter_store import SAVE_S
 from twodof.link.connection import Received
 from twodof.link.mavlink.dialect import MavCmd, MavResult
 from twodof.link.mavlink.messages import message
@@ -32,11 +30,9 @@ MOST_CODE, REBOOT_AUTOPILOT = 4, 1
 class ArmingCommands:
     """Hands arming and stopping to the commander, and a restart to `restart` (None: it cannot restart)."""
 
-    def __init__(
-        self, commands: CommandService, commander: Commander, restart: Callable[[], None] | None = None
-    ) -> None:
-        self._commands = commands
-        self._commander = commander
+    def __init__(self, vehicle: Vehicle, commands: CommandService, restart: Callable[[], None] | None = None) -> None:
+        self._vehicle = vehicle
+        self._commander = vehicle.commander
         self._restart = restart
         commands.on(MavCmd.COMPONENT_ARM_DISARM, self._arm_or_disarm, self._armed)
         commands.on(MavCmd.DO_FLIGHTTERMINATION, self._terminate)
@@ -59,7 +55,7 @@ class ArmingCommands:
     def _check(self, command: ReceivedCommand) -> CommandResult:
         """Tell the sender in words what the checks find, which the failsafe makes at every tick."""
         if not self._commander.armed and (against := self._commander.arming.obstacles()):
-            self._commands.explain(command.peer, f"arming is not possible: {against}")
+            self._vehicle.explain(command.peer, f"arming is not possible: {against}")
         return DONE
 
     def _terminate(self, command: ReceivedCommand) -> CommandResult:
@@ -93,16 +89,11 @@ class ModeService(Service):
     """SET_MODE and the commands 176 and 262; AVAILABLE_MODES on request; two messages for the streams."""
 
     def __init__(
-        self,
-        us: VehicleAddress,
-        commands: CommandService,
-        requests: MessageRequests,
-        telemetry: TelemetryEncoders,
-        commander: Commander,
+        self, vehicle: Vehicle, commands: CommandService, requests: MessageRequests, telemetry: TelemetryEncoders
     ) -> None:
-        self._us = us
+        super().__init__(vehicle, {"SET_MODE": self._set_by_message})
         self._commands = commands
-        self._commander = commander
+        self._commander = vehicle.commander
         commands.on(MavCmd.DO_SET_MODE, self._set)
         commands.on(MavCmd.DO_SET_STANDARD_MODE, self._set_standard)
         requests.on("AVAILABLE_MODES", self._available)
@@ -110,17 +101,14 @@ class ModeService(Service):
         # The list is the same for as long as the flight controller runs.
         telemetry.add("AVAILABLE_MODES_MONITOR", lambda: message("AVAILABLE_MODES_MONITOR", seq=0))
 
-    def handle(self, received: Received) -> bool:
+    def _set_by_message(self, received: Received) -> None:
         """Take SET_MODE, which is acknowledged as command 176, as in PX4."""
-        if received.message.get_type() != "SET_MODE":
-            return False
         got = received.message
-        if got.target_system == self._us.system and got.base_mode & _CUSTOM:
+        if got.base_mode & _CUSTOM:
             number = got.custom_mode
             params = (float(got.base_mode), float(number >> 16 & 0xFF), float(number >> 24), *(0.0,) * 4)
             command = ReceivedCommand(MavCmd.DO_SET_MODE, params, source(received), received.peer)
             self._commands.acknowledge(command, self._commander.set_mode(command.source, number))
-        return True
 
     def _current(self) -> Any:
         number = self._commander.custom_mode
@@ -172,12 +160,10 @@ class StorageCommand:
     stand still, the command itself waits.
     """
 
-    def __init__(
-        self, commands: CommandService, commander: Commander, store: ParameterStore, lockstep: bool = False
-    ) -> None:
-        self._commander = commander
-        self._store = store
-        self._lockstep = lockstep
+    def __init__(self, vehicle: Vehicle, commands: CommandService) -> None:
+        self._commander = vehicle.commander
+        self._store = vehicle.store
+        self._lockstep = vehicle.lockstep
         self._waiting: dict[Hashable, Callable[[], bool]] = {}
         commands.on(MavCmd.PREFLIGHT_STORAGE, self._act, self._stored)
 
@@ -208,16 +194,16 @@ class StorageCommand:
 
     def _stored(self, command: ReceivedCommand) -> CommandResult:
         """Return whether it is stored."""
+        result = DONE
         try:
             if self._lockstep:
                 self._store.flush(SAVE_S)
             elif not self._waiting[command.what]():
                 return CommandResult(MavResult.IN_PROGRESS)
         except ParameterError as reason:
-            del self._waiting[command.what]
-            return failed(f"parameters are not stored: {reason}")
+            result = failed(f"parameters are not stored: {reason}")
         del self._waiting[command.what]
-        return DONE
+        return result
 
 
 ASK = 1.0
@@ -237,14 +223,13 @@ class ReloadCommand:
 
     def __init__(
         self,
+        vehicle: Vehicle,
         commands: CommandService,
-        controller: FlightController,
-        commander: Commander,
         controllers: Controllers,
         flies: Callable[[], None] = lambda: None,
     ) -> None:
-        self._controller = controller
-        self._commander = commander
+        self._controller = vehicle.controller
+        self._commander = vehicle.commander
         self._controllers = controllers
         self._flies = flies
         self._task: asyncio.Task[None] | None = None

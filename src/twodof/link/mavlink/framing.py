@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
-from types import MappingProxyType, SimpleNamespace
-from typing import Any, NamedTuple
+from types import SimpleNamespace
+from typing import Any
 
 from fastcrc import crc16
 
@@ -260,8 +260,8 @@ def _culprit(message: Any) -> str:
     return "a value does not fit its type"
 
 
-# COMMAND_INT and COMMAND_LONG; the command stands behind their first 7 parameters.
-_COMMANDS, _COMMAND, _LOW_ARM_DISARM, _TERMINATE = (75, 76), 28, 400 & 0xFF, 185
+# Of COMMAND_INT and COMMAND_LONG: the first parameter, and the command behind all seven.
+_COMMANDS, _COMMAND = (75, 76), struct.Struct("<f24xH")
 _HEAD = re.compile(rb"\xfd.[\x00\x01]....[\x4b\x4c]\x00\x00|\xfe.{4}[\x4b\x4c]", re.DOTALL)
 LONGEST_STOP = HEADER_2 + 33 + CHECKSUM + SIGNATURE
 """Bytes of the longest of these frames: a signed one with all its 33 bytes of payload."""
@@ -269,25 +269,20 @@ LONGEST_STOP = HEADER_2 + 33 + CHECKSUM + SIGNATURE
 MOST_FALSE_STOPS = 4
 
 
-class _Layout(NamedTuple):
-    """Offsets of the message id and of the payload in a frame; the bytes between them belong to the id."""
-
-    message_id: int
-    payload: int
-
-
-_LAYOUTS = MappingProxyType({MARKER_2: _Layout(7, HEADER_2), MARKER_1: _Layout(5, HEADER_1)})
+def stops_motors(command: int, first: float) -> bool:
+    """Return True for a kill and for a disarming, by the command's number and first parameter."""
+    if command == dialect.MavCmd.DO_FLIGHTTERMINATION:
+        return first > 0.5
+    return command == dialect.MavCmd.COMPONENT_ARM_DISARM and first == 0.0
 
 
 def looks_like_a_stop(data: bytes) -> bool:
     """Return True if data begins like a kill or a disarm, in MAVLink 1 or 2; the checksum is not verified."""
-    layout = _LAYOUTS.get(data[0]) if data else None
-    if layout is None or len(data) <= layout.payload + _COMMAND or data[layout.message_id] not in _COMMANDS:
+    if not _HEAD.match(data):
         return False
-    if any(data[layout.message_id + 1 : layout.payload]):
-        return False
-    low = data[layout.payload + _COMMAND]
-    return low == (_TERMINATE if any(data[layout.payload : layout.payload + 4]) else _LOW_ARM_DISARM)
+    start = HEADER_2 if data[0] == MARKER_2 else HEADER_1
+    first, command = _COMMAND.unpack(data[start : start + min(data[1], _COMMAND.size)].ljust(_COMMAND.size, b"\0"))
+    return stops_motors(command, first)
 
 
 def find_stop_frames(data: bytes, since: int = 0) -> list[bytes]:
