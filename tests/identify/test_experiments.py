@@ -8,7 +8,7 @@ import pytest
 from twodof.errors import IdentificationError, LogError
 from twodof.experiment.flight import Laboratory
 from twodof.flightlog.files import read_log
-from twodof.identify.experiments import KINDS, cut, kind_of
+from twodof.identify.experiments import KINDS, around, cut, kind_of
 
 
 def test_the_impulse_ends_at_rest(flight_data: Path) -> None:
@@ -40,6 +40,14 @@ def test_a_kind_is_named() -> None:
     assert (named.start, named.steps) == (own.start, own.steps)
     with pytest.raises(IdentificationError, match=r"called 'dublet'.*there are: impulse, doublet, velocity"):
         cut(log, "dublet")
+
+
+def test_a_picture_shows_what_came_before_and_after() -> None:
+    log = Laboratory("paper").fly("doublet").log
+    record = cut(log, "doublet")
+    shown = around(log, record, before=0.5, after=1.0)
+    end = min(float(record.time[-1]) + 1.0, float(log["M"].time[-1]))
+    assert (shown.start, shown.time[-1]) == pytest.approx((record.start - 0.5, end), abs=0.005)  # of a period of 4 ms
 
 
 @pytest.mark.parametrize(

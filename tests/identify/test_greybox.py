@@ -49,6 +49,21 @@ def test_a_users_diagram_fits_columns_of_a_table() -> None:
     assert found.white
 
 
+def test_the_noise_of_short_records_is_not_underrated() -> None:
+    """The variance of the residuals counts the unknowns: over many records of twelve samples it is the true one."""
+    rng = np.random.default_rng(7)
+    u = np.tile([1.0, 1.0, -1.0, -1.0], 3)
+    t = 0.05 * np.arange(u.size)
+    a = np.exp(-0.5)
+    found = []
+    for _ in range(60):
+        clean = lfilter([0.0, 2.0 * (1.0 - a)], [1.0, -a], u)
+        record = Record.from_columns(t, {"u": u, "y": clean + 0.05 * rng.standard_normal(u.size)}, ["u"], ["y"])
+        found.append(fit(lag_structure(), record).noise["y"] ** 2)
+    # 60 estimates of 9 degrees of freedom each: a standard error of sqrt(2 / 540), 6 %; three of them.
+    assert np.mean(found) == pytest.approx(0.05**2, rel=0.18)
+
+
 def test_records_share_parameters_and_keep_initial_states() -> None:
     rng = np.random.default_rng(1)
     records = [

@@ -47,6 +47,22 @@ def test_the_criteria_are_those_of_the_book() -> None:
     assert sum(one.weight for one in found.candidates) == pytest.approx(1.0)
 
 
+def test_an_unknown_at_its_bound_is_not_counted() -> None:
+    """A drone without delay has tau at its bound of 0 in half of all flights."""
+    plant = PitchRate(3.437, 0.3, 358.5, 0.0)
+    for seed in range(10):
+        data = pitch_record(plant, APPLIED, 0.06, np.random.default_rng(seed))
+        fits = {
+            name: fit(pitch_rate(), data, estimate=unknowns, values=VALUES | {"tau": 0.0})
+            for name, unknowns in (("mu", ["mu"]), ("mu tau", ["mu", "tau"]))
+        }
+        if fits["mu tau"].at_bound:
+            break
+    assert fits["mu tau"].at_bound == ("tau",)
+    sizes = {one.name: one.unknowns for one in rank(fits).candidates}
+    assert sizes["mu tau"] == sizes["mu"]
+
+
 @pytest.mark.parametrize("coloured", [False, True])
 def test_superfluous_unknowns_gain_little(coloured: bool) -> None:
     """AIC gains 10 from a superfluous unknown once in two thousand, also under coloured noise that was whitened."""
