@@ -58,8 +58,8 @@ class Lab:
         flight = fly(name, self.drone, seed=SEED, laboratory=self.laboratory)
         self.drone.logs.list()  # which waits for what is being written
         (path,) = set(self.folder.rglob("*.ulg")) - before
-        rows = scan_ulog(path.read_bytes(), name).topic("twodof_step").rows
-        return flight, {field: rows[field] for field in rows.dtype.names}
+        rows = scan_ulog(path.read_bytes(), name).topic("twodof_step")
+        return flight, rows
 
     def simulate(self, name: str, x_start: float) -> tuple[Script, Signals]:
         """The same in the simulator."""

@@ -70,8 +70,7 @@ def flown(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         drone.logs.list()  # which waits for what is being written
         path = max((state / "logs").rglob("*.ulg"))
         log = scan_ulog(path.read_bytes(), NAME)
-        rows = log.topic("twodof_step").rows
-        yield Flown(at[0], log, {name: rows[name] for name in rows.dtype.names}, trusted, precision)
+        yield Flown(at[0], log, log.topic("twodof_step"), trusted, precision)
 
 
 @functools.cache

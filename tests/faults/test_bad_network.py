@@ -84,7 +84,7 @@ async def test_a_flight_over_a_bad_network_loses_nothing(
         flown = whole.since(0)
         whole.drone.assembly.log.flush()
     (log,) = (tmp_path / "drone" / "logs").glob("*.ulg")
-    rows = scan_ulog(log.read_bytes(), "log").topic("twodof_step").rows
+    rows = scan_ulog(log.read_bytes(), "log").topic("twodof_step")
     ticks = rows["tick"].tolist()
     assert ticks == [*range(ticks[0], ticks[-1] + 1)]  # each step of the flight, none missing
     assert {step.tick for step in flown if step.armed} <= set(ticks)

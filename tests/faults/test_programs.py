@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +98,7 @@ def until(true: Callable[[], bool]) -> None:
             break
 
 
-def made_safe(url: str, folder: Path) -> tuple[np.ndarray, bytes]:
+def made_safe(url: str, folder: Path) -> tuple[Mapping[str, np.ndarray], bytes]:
     """By another client, who reads the state, waits for the motors to be off, and fetches the log: its steps."""
     with Drone.connect(url, timeout=PATIENCE_S, system=251, take_lease=False) as other:
         # Two messages say it, at their own times.
@@ -107,13 +107,13 @@ def made_safe(url: str, folder: Path) -> tuple[np.ndarray, bytes]:
         other.run(1.5)  # the log ends a second after the motors were stopped for good
         entry = other.logs.list(PATIENCE_S)[-1]
         raw = other.logs.download(entry, folder / f"fetched-{entry.number}.ulg", PATIENCE_S).read_bytes()
-    rows = scan_ulog(raw, "log").topic("twodof_step").rows
+    rows = scan_ulog(raw, "log").topic("twodof_step")
     ticks = rows["tick"].tolist()
     assert ticks == [*range(ticks[0], ticks[-1] + 1)]  # whole
     return rows, raw
 
 
-def first(rows: np.ndarray, true: np.ndarray, after: int) -> float:
+def first(rows: Mapping[str, np.ndarray], true: np.ndarray, after: int) -> float:
     """How long after row `after` something is true first, that period included [ms]."""
     later = np.flatnonzero(true[after + 1 :])
     assert len(later), f"never; the failsafe's actions: {set(rows['action'])}, reasons: {set(rows['reason'])}"
@@ -124,9 +124,9 @@ def last(values: np.ndarray) -> int:
     return int(np.flatnonzero(values)[-1])
 
 
-def check_silence(name: str, rows: np.ndarray) -> None:
+def check_silence(name: str, rows: Mapping[str, np.ndarray]) -> None:
     """Level within a second of the last set-point, down 3 s after the last word, the motors off a second later."""
-    flown = rows[: last(rows["armed"] != 0) + 1]
+    flown = {name: column[: last(rows["armed"] != 0) + 1] for name, column in rows.items()}
     down = last(flown["action"] != DESCEND) + 1
     silent = last(flown["asked_setpoint_new"][:down] != 0)
     word = last(flown["asked_link_new"][:down] != 0)
@@ -185,7 +185,7 @@ def test_a_users_program_that_is_killed_in_mid_experiment(stack: Stack) -> None:
             said += [*lines]
         acknowledged = max(int(line.split()[-1]) for line in said if line.split()[-1].isdecimal())
         rows, raw = made_safe(url, stack.folder)
-        flown = rows[: last(rows["armed"] != 0) + 1]
+        flown = {name: column[: last(rows["armed"] != 0) + 1] for name, column in rows.items()}
         word = last(flown["asked_link_new"][: last(flown["action"] != DESCEND) + 1] != 0)
         stands = (rows["fore"] == 0.0) & (rows["aft"] == 0.0)
         tell("user's program killed", "down after the last word", first(rows, rows["action"] == DESCEND, word), 3004)

@@ -182,7 +182,7 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (
         ".ulg",
         px4_log(0)[:59] + message("F", b"a:a x;") + message("A", b"\0\x77\0a"),
-        "a description in it is damaged",
+        "is nested too deep",
     ),
     (".xlsx", b"x", r"no log format has the suffix '.xlsx' .use .mat, .mcap, .parquet, .csv"),
 ]

@@ -77,5 +77,5 @@ def test_the_log_that_is_streamed_to_it_is_a_log(saw: dict[str, list[Any]]) -> N
     # MAVSDK hands on what came, in order; on loopback nothing is lost.
     steps = scan_ulog(data, "streamed", salvage=True).topic(STEP_TOPIC)
     assert steps is not None
-    assert len(steps.rows) > 0
-    assert set(np.diff(steps.rows["tick"].astype(np.int64)).tolist()) <= {1}
+    assert len(steps["tick"]) > 0
+    assert set(np.diff(steps["tick"].astype(np.int64)).tolist()) <= {1}

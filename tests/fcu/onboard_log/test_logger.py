@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,10 +35,10 @@ PROJECT = Path(__file__).resolve().parents[3]
 ALWAYS = {"SDLOG_MODE": 2}
 
 
-def steps_in(path: Path) -> np.ndarray:
+def steps_in(path: Path) -> Mapping[str, np.ndarray]:
     topic = scan_ulog(path.read_bytes(), str(path)).topic(STEP_TOPIC)
     assert topic is not None
-    return topic.rows
+    return topic
 
 
 def logged(folder: Path, steps: list[ControlStep], **values: float) -> list[Path]:
@@ -279,11 +280,12 @@ def test_what_was_flushed_survives_kill_9(tmp_path: Path) -> None:
         said += [int(line) for line in child.stdout.read().split()]
         timer.cancel()
     (path,) = tmp_path.iterdir()
-    ticks = scan_ulog(path.read_bytes(), "log", salvage=True).topic(STEP_TOPIC)
-    assert ticks is not None
-    assert ticks.rows["tick"].tolist() == [*range(len(ticks.rows))]
-    assert len(ticks.rows) >= said[-1] >= 5 * FLUSHED_EACH
-    assert len(recover(path).log["M"]) == len(ticks.rows)
+    steps = scan_ulog(path.read_bytes(), "log", salvage=True).topic(STEP_TOPIC)
+    assert steps is not None
+    ticks = steps["tick"].tolist()
+    assert ticks == [*range(len(ticks))]
+    assert len(ticks) >= said[-1] >= 5 * FLUSHED_EACH
+    assert len(recover(path).log["M"]) == len(ticks)
 
 
 def test_a_full_disk_ends_the_log_and_not_the_flight(tmp_path: Path) -> None:
