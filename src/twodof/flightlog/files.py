@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,37 +17,26 @@ from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_encoder import Attachment
 from twodof.flightlog.provenance import naming_file
 
-
-class _Format(NamedTuple):
-    """A file format: the functions `module:name` that decode a log, write one, and decode a user's table.
-
-    The modules are imported when they are used: scipy.io and pyarrow take longer than all others together.
-    """
-
-    decode: str
-    write: str
-    decode_table: str = ""
-
-
-_HERE = "twodof.flightlog"
-_FORMATS: Mapping[str, _Format] = MappingProxyType(
+_MODULES: Mapping[str, str] = MappingProxyType(
     {
-        ".mat": _Format(*(f"{_HERE}.mat_file:{name}" for name in ("decode_mat", "write_mat", "decode_vectors"))),
-        ".mcap": _Format(f"{_HERE}.mcap_file:decode_mcap", f"{_HERE}.mcap_file:write_mcap"),
-        ".parquet": _Format(*(f"{_HERE}.table_file:{verb}_parquet" for verb in ("decode", "write", "decode"))),
-        ".csv": _Format(*(f"{_HERE}.table_file:{verb}_csv" for verb in ("decode", "write", "decode"))),
-        ".ulg": _Format(f"{_HERE}.ulog_file:decode_ulog", f"{_HERE}.ulog_writer:write_ulg"),
+        ".mat": "twodof.flightlog.mat_file",
+        ".mcap": "twodof.flightlog.mcap_file",
+        ".parquet": "twodof.flightlog.table_file",
+        ".csv": "twodof.flightlog.table_file",
+        ".ulg": "twodof.flightlog.ulog_file",
     }
 )
-_WIDE: Mapping[str, _Format] = MappingProxyType({suffix: _FORMATS[suffix] for suffix in (".parquet", ".csv")})
-_TABLES: Mapping[str, _Format] = MappingProxyType({suffix: one for suffix, one in _FORMATS.items() if one.decode_table})
+"""The modules of the formats by suffix, each with a function to decode logs and one to write them, such as `write_csv`.
+
+They are imported when they are used: scipy.io and pyarrow take longer than all others together.
+"""
+_WIDE = (".parquet", ".csv")
+_TABLES = (".mat", *_WIDE)
 
 
 def read_log(path: str | Path) -> FlightLog:
     """Read a log from a .mat, .mcap, .parquet, .csv or .ulg file. Raises LogError."""
-    kind = _check(path, _FORMATS)
-    with naming_file(path):
-        return log_of(*fence.read(_decoded, path, kind.decode, needs=_module(kind.decode)))
+    return _read(path, _check(path))
 
 
 def read_columns(path: str | Path, time: str) -> FlightLog:
@@ -59,14 +48,18 @@ def read_columns(path: str | Path, time: str) -> FlightLog:
     suffix = Path(path).suffix.lower()
     if suffix not in _TABLES:
         raise LogError(f"no table has the suffix {suffix!r:.40}", str(path), f"use {', '.join(_TABLES)}")
-    kind = _TABLES[suffix]
-    return log_of(*fence.read(_decoded, path, kind.decode_table, time, needs=_module(kind.decode_table)))
+    return _read(path, suffix, time)
+
+
+def _read(path: str | Path, suffix: str, *time: str) -> FlightLog:
+    with naming_file(path):
+        return log_of(*fence.read(_decoded, path, suffix, *time, needs=_MODULES[suffix]))
 
 
 def attachments(path: str | Path) -> list[Attachment]:
     """Return the files kept in an MCAP recording. Raises LogError."""
     with naming_file(path):
-        named, contents = fence.read(_attachments, path, needs="twodof.flightlog.mcap_file")
+        named, contents = fence.read(_attachments, path, needs=_MODULES[".mcap"])
     rows = zip(named, contents, strict=True)
     return [Attachment(name, media_type, data.tobytes(), time_ns) for (name, media_type, time_ns), data in rows]
 
@@ -87,14 +80,14 @@ def answer_of(log: FlightLog) -> fence.Answer:
     return {"channels": rows, "provenance": log.provenance}, arrays
 
 
-def _decoded(data: bytes, where: str, decode: str, *arguments: str) -> fence.Answer:
+def _decoded(data: bytes, where: str, suffix: str, *time: str) -> fence.Answer:
     """Decode a log. Runs behind the fence."""
-    return answer_of(_function(decode)(data, where, *arguments))
+    return answer_of(_function("decode", suffix)(data, where, *time))
 
 
 def _attachments(data: bytes, where: str) -> fence.Answer:
     """Return the attachments of a recording. Runs behind the fence."""
-    found = _function(f"{_HERE}.mcap_decoder:scan")(data, where).attachments
+    found = importlib.import_module("twodof.flightlog.mcap_decoder").scan(data, where).attachments
     return [[one.name, one.media_type, one.time_ns] for one in found], [np.frombuffer(one.data, "u1") for one in found]
 
 
@@ -106,30 +99,26 @@ def write_log(log: FlightLog, path: str | Path, wide: bool = False, overwrite: b
     `wide` writes a table (.parquet, .csv) with one row for each time stamp and a column for each signal, in place of
     one row for each number.
     """
-    kind = _check(path, _WIDE if wide else _FORMATS)
+    suffix = _check(path, wide)
     check_free(path, overwrite)
-    write = _function(kind.write)
+    write = _function("write", suffix)
     if wide:
         write(log, path, wide=True)
-    elif kind is _FORMATS[".ulg"]:
-        _write_beside(write, log, path)
-    else:
+    elif suffix != ".ulg":
         write(log, path)
-
-
-def _write_beside(write: Callable[[FlightLog, Path], object], log: FlightLog, path: str | Path) -> None:
-    """Write a log beside its place and move it there, with a writer that writes new files only, and as it goes."""
-    begun = partial_of(path)
-    try:
-        write(log, begun)
-        begun.replace(Path(path).resolve())
-    finally:
-        begun.unlink(missing_ok=True)
+    else:
+        # It writes new files only, and as it goes: beside its place.
+        begun = partial_of(path)
+        try:
+            write(log, begun)
+            begun.replace(Path(path).resolve())
+        finally:
+            begun.unlink(missing_ok=True)
 
 
 def check_place(path: str | Path, overwrite: bool = False) -> None:
     """Check that `write_log` can write there: a known suffix, a folder that may be written. Raises LogError."""
-    _check(path, _FORMATS)
+    _check(path)
     check_folder(path, overwrite)
 
 
@@ -150,7 +139,7 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
 
     Raises LogError before anything is written.
     """
-    _check(dst, _WIDE if wide else _FORMATS)
+    _check(dst, wide)
     if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
         raise LogError("would be written over itself", str(src), "name another file to write")
     check_free(dst, overwrite)
@@ -159,21 +148,17 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
     return log
 
 
-def _module(function: str) -> str:
-    return function.partition(":")[0]
-
-
-def _function(name: str) -> Callable[..., Any]:
-    function: Callable[..., Any] = getattr(importlib.import_module(_module(name)), name.partition(":")[2])
+def _function(verb: str, suffix: str) -> Callable[..., Any]:
+    function: Callable[..., Any] = getattr(importlib.import_module(_MODULES[suffix]), f"{verb}_{suffix[1:]}")
     return function
 
 
-def _check(path: str | Path, known: Mapping[str, _Format]) -> _Format:
-    """Return the format that the suffix of a name says. Raises LogError."""
+def _check(path: str | Path, wide: bool = False) -> str:
+    """Return the suffix of a name, which says the format. Raises LogError."""
     suffix = Path(path).suffix.lower()
-    if known is _WIDE and suffix in _FORMATS and suffix not in known:
+    if suffix not in _MODULES:
+        raise LogError(f"no log format has the suffix {suffix!r:.40}", str(path), f"use {', '.join(_MODULES)}")
+    if wide and suffix not in _WIDE:
         what = f"{suffix} logs are not tables"
-        raise LogError(what, str(path), f"write {', '.join(known)}, or leave the wide form out")
-    if suffix not in known:
-        raise LogError(f"no log format has the suffix {Path(path).suffix!r}", str(path), f"use {', '.join(known)}")
-    return known[suffix]
+        raise LogError(what, str(path), f"write {', '.join(_WIDE)}, or leave the wide form out")
+    return suffix

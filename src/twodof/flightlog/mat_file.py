@@ -2,7 +2,6 @@
 
 import re
 import warnings
-import zlib
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.io import loadmat, savemat
-from scipy.io.matlab import MatReadError, MatReadWarning
+from scipy.io.matlab import MatReadWarning
 
 from twodof.errors import LogError, nearest, shown
 from twodof.flightlog import provenance
@@ -24,16 +23,19 @@ _NOTE = "provenance"
 _SPREAD = frozenset({"lmnf"})
 _LOGICAL = frozenset({"openloop", "enableM", "enableT"})
 _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
-_HEADER_BYTES = 128
 
 
-def decode_mat(data: bytes, where: str) -> FlightLog:
+def decode_mat(data: bytes, where: str, time: str = "") -> FlightLog:
     """Return the log in the bytes of a .mat file. Channels that TOPICS does not know are kept, without a unit.
+
+    With `time` it is that of the vectors as long as this one, which holds their stamps [s].
 
     Raises LogError for a file that is truncated, foreign or damaged and for channels that Channel refuses. Variables
     that are not channels are named in provenance["ignored"].
     """
     held = _variables(data, where)
+    if time:
+        return FlightLog(_vectors(held, where, time), {"file": provenance.of_file(where, data, "mat")})
     channels = {}
     for name, value in held.items():
         fields = _struct(value)
@@ -57,28 +59,6 @@ def decode_mat(data: bytes, where: str) -> FlightLog:
     return FlightLog(channels, kept)
 
 
-def decode_vectors(data: bytes, where: str, time: str) -> FlightLog:
-    """Return the real vectors of a .mat file that are as long as the one called `time`, which holds their stamps [s].
-
-    Raises LogError.
-    """
-    held = _variables(data, where)
-    if time not in held:
-        raise LogError(f"variable {shown(time)} is missing", where, f"there are: {nearest(time, held)}")
-    vectors = {name: vector for name, value in held.items() if (vector := _vector(value)) is not None}
-    if time not in vectors:
-        raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")
-    stamps = vectors.pop(time)
-    channels = {
-        name: Channel(stamps, vector, name=f"{where}: {name}")
-        for name, vector in vectors.items()
-        if vector.size == stamps.size
-    }
-    if not channels:
-        raise LogError(f"no vector is as long as {time!r:.80} ({stamps.size})", where, "give vectors of one length")
-    return FlightLog(channels, {"file": provenance.of_file(where, data, "mat")})
-
-
 def write_mat(log: FlightLog, path: str | Path) -> None:
     """Write a log in the drone's layout, atomically. Raises LogError for names that MATLAB cannot hold."""
     note = provenance.to_json(log)
@@ -98,26 +78,35 @@ def _variables(data: bytes, where: str) -> dict[str, Any]:
     """Return the variables of a MATLAB v5 file by name. Raises LogError."""
     if data[:10] == b"MATLAB 7.3" or data[:4] == b"\x89HDF":
         raise LogError("is a MATLAB v7.3 (HDF5) file", where, "save it in MATLAB with save(..., '-v7')")
-    mark = data[126:128]
-    if len(data) < _HEADER_BYTES or mark not in (b"IM", b"MI"):
+    if data[126:128] not in (b"IM", b"MI"):
         raise LogError("is not a MATLAB v5 file", where, "give a .mat log of the drone")
-    version = int.from_bytes(data[124:126], "little" if mark == b"IM" else "big")
-    if version != 0x0100:
-        raise LogError(f"is of unknown MAT-file version {version:#06x}", where, "save it with '-v7'")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
-            found = loadmat(BytesIO(data))
-    except (ArithmeticError, LookupError, OSError, TypeError, ValueError, NotImplementedError) as reason:
-        raise _damaged(reason, where) from reason
-    except (zlib.error, MatReadError, MatReadWarning) as reason:
-        raise _damaged(reason, where) from reason
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("error", MatReadWarning)  # a variable that is there twice
+        found = loadmat(BytesIO(data))
     return {name: value for name, value in found.items() if not name.startswith("__")}
 
 
-def _damaged(reason: Exception, where: str) -> LogError:
-    return LogError(f"is truncated or damaged: {reason!s:.200}", where, "record, export or download it again")
+def _vectors(held: Mapping[str, Any], where: str, time: str) -> dict[str, Channel]:
+    """Return the real vectors that are as long as the one called `time`, as channels. Raises LogError."""
+    if time not in held:
+        raise LogError(f"variable {shown(time)} is missing", where, f"there are: {nearest(time, held)}")
+    vectors = {
+        name: np.asarray(value, dtype=np.float64).ravel()
+        for name, value in held.items()
+        if value.dtype.kind in "fiub" and value.size == max(value.shape, default=0)
+    }
+    if time not in vectors:
+        raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")
+    stamps = vectors.pop(time)
+    channels = {
+        name: Channel(stamps, vector, name=f"{where}: {name}")
+        for name, vector in vectors.items()
+        if vector.size == stamps.size
+    }
+    if not channels:
+        raise LogError(f"no vector is as long as {time!r:.80} ({stamps.size})", where, "give vectors of one length")
+    return channels
 
 
 def _struct(value: object) -> dict[str, NDArray[np.float64]]:
@@ -128,13 +117,6 @@ def _struct(value: object) -> dict[str, NDArray[np.float64]]:
     if not all(isinstance(one, np.ndarray) and one.dtype.kind in "fiub" and one.ndim == 2 for one in fields.values()):
         return {}
     return {name: np.asarray(one, dtype=np.float64) for name, one in fields.items()}
-
-
-def _vector(value: object) -> NDArray[np.float64] | None:
-    """Return a 1 x n or n x 1 array of real numbers as (n,), None for anything else."""
-    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub" or value.ndim > 2:
-        return None
-    return np.asarray(value, dtype=np.float64).ravel() if value.size == max(value.shape, default=0) else None
 
 
 def _channel(name: str, struct: Mapping[str, NDArray[np.float64]], where: str) -> Channel:

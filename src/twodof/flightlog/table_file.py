@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from twodof.errors import LogError
 from twodof.flightlog import provenance
 from twodof.flightlog.atomic import atomic_write
-from twodof.flightlog.log import MAX_NAME, Channel, FlightLog
+from twodof.flightlog.log import Channel, FlightLog
 from twodof.signals import BY_MAT, unit_of
 
 COLUMNS = ("channel", "field", "time", "value")
@@ -36,12 +36,10 @@ TIME = "time [s]"
 TIME_COLUMN = "time"
 """Name of the column of time stamps, without its unit, unless the caller gives another name."""
 MAX_COLUMNS = 1000
-MAX_NAMES = 1000
 
 _META = "twodof.flightlog"
 _VERSION = 1
 _HEADING = re.compile(r"\s*(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?\s*")
-_REFUSALS = (pa.ArrowException, OSError, UnicodeDecodeError)
 
 
 def write_parquet(log: FlightLog, path: str | Path, wide: bool = False) -> None:
@@ -58,15 +56,13 @@ def write_csv(log: FlightLog, path: str | Path, wide: bool = False) -> None:
     Raises LogError for a name with a quote, a comma or a line break.
     """
     table, meta = _described_table(log, wide)
-    odd = [name for name in table.column_names if any(letter in name for letter in ',"\r\n')]
+    labels = (label for name, channel in log.channels.items() for label in (name, *channel.fields))
+    odd = [name for name in (table.column_names if wide else labels) if any(letter in name for letter in ',"\r\n')]
     if odd:
-        raise LogError(f"{odd[0]!r:.80} cannot head a column of CSV", str(path), "rename the channel")
+        raise LogError(f"a name cannot stand in CSV: {odd[0]!r:.80}", str(path), "rename the channel")
     with atomic_write(path) as file:
         file.write(f"# {_META} {meta}\n".encode("ascii"))
-        try:
-            pa_csv.write_csv(table, file, pa_csv.WriteOptions(quoting_style="none"))
-        except pa.ArrowInvalid as reason:
-            raise LogError(f"a name cannot stand in CSV: {reason}", str(path), "rename the channel") from reason
+        pa_csv.write_csv(table, file, pa_csv.WriteOptions(quoting_style="none"))
 
 
 def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
@@ -74,15 +70,12 @@ def decode_parquet(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLo
 
     Raises LogError for a file that is not a log or is damaged.
     """
-    try:
-        heads = pq.read_metadata(BytesIO(data))
-        # Names as a dictionary: a long name that is repeated is there once.
-        names = [name for name in COLUMNS[:2] if name in heads.schema.names]
-        _check_names(heads.schema.names, where)
-        file = pq.ParquetFile(BytesIO(data), metadata=heads, page_checksum_verification=True, read_dictionary=names)
-        table = file.read(use_threads=False)
-    except _REFUSALS as reason:
-        raise LogError(f"is no Parquet file or is damaged: {_first_line(reason)}", where, "write it again") from reason
+    heads = pq.read_metadata(BytesIO(data))
+    # Names as a dictionary: a long name that is repeated is there once.
+    names = [name for name in COLUMNS[:2] if name in heads.schema.names]
+    _check_names(heads.schema.names, where)
+    file = pq.ParquetFile(BytesIO(data), metadata=heads, page_checksum_verification=True, read_dictionary=names)
+    table = file.read(use_threads=False)
     meta = (table.schema.metadata or {}).get(_META.encode())
     return _log(table, meta, provenance.of_file(where, data, "parquet"), where, time)
 
@@ -116,8 +109,8 @@ def decode_csv(data: bytes, where: str, time: str = TIME_COLUMN) -> FlightLog:
                 strings_can_be_null=False,
             ),
         )
-    except _REFUSALS as reason:
-        what = f"is not a table of numbers: {_first_line(reason)}"
+    except (pa.ArrowException, UnicodeDecodeError) as reason:
+        what = f"is not a table of numbers: {str(reason).partition(chr(10))[0]:.200}"
         raise LogError(what, where, "give a header line and numbers below it") from reason
     return _log(table, meta, provenance.of_file(where, data, "csv"), where, time)
 
@@ -160,20 +153,7 @@ def _described(meta: bytes | None, where: str) -> tuple[dict[str, dict[str, Any]
     head = provenance.from_json(meta.decode("utf-8", "replace"), where)
     if head.get("version") != _VERSION:
         raise LogError(f"is of layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
-    rows = head.get("channels")
-    kept = head.get("provenance")
-    if not isinstance(rows, list) or not isinstance(kept, dict) or not all(_is_row(row) for row in rows):
-        raise LogError("its line of units and provenance is damaged", where, "write it again")
-    return {row["name"]: row for row in rows}, kept
-
-
-def _is_row(row: Any) -> bool:
-    if not isinstance(row, dict) or not isinstance(row.get("samples"), int):
-        return False
-    texts = [row.get("name"), row.get("unit")]
-    for key in ("fields", "columns"):
-        texts += row.get(key, []) if isinstance(row.get(key, []), list) else [None]
-    return "fields" in row and all(isinstance(text, str) for text in texts)
+    return {row["name"]: row for row in head["channels"]}, head["provenance"]
 
 
 def _is_long(names: Sequence[str]) -> bool:
@@ -208,9 +188,9 @@ def _long_table(log: FlightLog) -> pa.Table:
 
 def _channels_of_long(table: pa.Table, described: Mapping[str, dict[str, Any]], where: str) -> dict[str, Channel]:
     """Return the channels of a long table, rows in any order; units and fields as described, else from TOPICS."""
-    time, value = _stamps(table, "time", where), _numbers(table, "value", where)
-    channel_code, channel_names = _codes(table, "channel", where)
-    field_code, field_names = _codes(table, "field", where)
+    time, value = _numbers(table, "time", where), _numbers(table, "value", where)
+    channel_code, channel_names = _codes(table, "channel")
+    field_code, field_names = _codes(table, "field")
     group = channel_code * len(field_names) + field_code
     order = np.argsort(group, kind="stable")
     rows_of: dict[str, dict[str, NDArray[np.intp]]] = {name: {} for name in (*described, *channel_names)}
@@ -223,7 +203,7 @@ def _channels_of_long(table: pa.Table, described: Mapping[str, dict[str, Any]], 
         unit, fields = _unit_and_fields(name, set(columns), described)
         chosen = [columns.pop(label, order[:0]) for label in fields or tuple(columns) or ("",)]
         shared = time[chosen[0]]
-        if columns or any(not np.array_equal(time[one], shared) for one in chosen):
+        if columns or any(not np.array_equal(time[one], shared, equal_nan=True) for one in chosen):
             raise LogError(f"the fields of {name!r} differ in their time stamps", where, "write it again")
         values = np.column_stack([value[one] for one in chosen])
         found[name] = Channel(shared, values, unit, fields, f"{where}: {name}")
@@ -239,22 +219,13 @@ def _unit_and_fields(
     return unit_of(name), known if set(known) == labels else ()
 
 
-def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], list[str]]:
-    """Return a column of names as codes, and the names, each once. Raises LogError."""
+def _codes(table: pa.Table, column: str) -> tuple[NDArray[np.intp], list[str]]:
+    """Return a column of names as codes, and the names, each once."""
     cells = table.column(column)
-    if cells.null_count:
-        raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "write it again")
-    try:
-        if pa.types.is_dictionary(cells.type):
-            coded = pa.chunked_array(cells.unify_dictionaries().chunks, cells.type).combine_chunks()
-        else:
-            coded = cells.cast(pa.string()).combine_chunks().dictionary_encode()
-        names = [str(name)[: MAX_NAME + 1] for name in coded.dictionary[: MAX_NAMES + 1].to_pylist()]
-    except _REFUSALS as reason:
-        raise LogError(f"column {column!r} is not of names: {_first_line(reason)}", where) from reason
-    if len(names) > MAX_NAMES or len(set(names)) < len(names):
-        raise LogError(f"more than {MAX_NAMES} names in column {column!r}", where, "this is not a flight log")
-    return np.asarray(coded.indices, dtype=np.intp), names
+    if not pa.types.is_dictionary(cells.type):
+        cells = cells.cast(pa.string()).dictionary_encode()
+    coded = pa.chunked_array(cells.unify_dictionaries().chunks, cells.type).combine_chunks()
+    return np.asarray(coded.indices, dtype=np.intp), coded.dictionary.to_pylist()
 
 
 def _headings(name: str, channel: Channel) -> list[str]:
@@ -292,7 +263,7 @@ def _channels_of_wide(
 ) -> dict[str, Channel]:
     """Return the channels of a wide table by their described columns; each further column is a channel of its own."""
     stamp = next(name for name in table.column_names if time_column in (name, _name_and_unit(name)[0]))
-    time = _stamps(table, stamp, where)
+    time = _numbers(table, stamp, where)
     found = {}
     taken = {stamp}
     for name, row in described.items():
@@ -335,30 +306,9 @@ def _name_and_unit(heading: str) -> tuple[str, str]:
     return (match["name"], match["unit"] or "") if match else (heading, "")
 
 
-def _stamps(table: pa.Table, column: str, where: str) -> NDArray[np.float64]:
-    """Return the time stamps. Raises LogError for one that is not finite, since NaN differs from itself."""
-    time = _numbers(table, column, where)
-    bad = np.flatnonzero(~np.isfinite(time))
-    if bad.size:
-        k = int(bad[0])
-        raise LogError(
-            f"the time stamp is {time[k]!s} in row {k + 1} below the header, {bad.size} such in all",
-            f"{where}: {column}",
-            "give these rows a time or remove them; of a channel with fields, all rows of that time",
-        )
-    return time
-
-
 def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> NDArray[np.float64]:
     """Return a column of numbers, NaN for an empty cell where `nulls` allows one. Raises LogError."""
     cells = table.column(column)
     if cells.null_count and not nulls:
         raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "fill or remove the rows")
-    try:
-        return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)
-    except (pa.ArrowException, TypeError) as reason:
-        raise LogError(f"column {column!r} is not of numbers: {_first_line(reason)}", where) from reason
-
-
-def _first_line(reason: BaseException) -> str:
-    return str(reason).splitlines()[0][:200] if str(reason) else type(reason).__name__
+    return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)

@@ -1,9 +1,10 @@
-"""PX4's logs (ULog) as flight logs: pyulog reads the records, a table says which field becomes which channel."""
+"""PX4's logs (ULog) as flight logs, and back. pyulog reads the records; a table has the fields of each channel."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -16,9 +17,23 @@ from twodof.flightlog import provenance
 from twodof.flightlog.log import Channel, FlightLog, sanitise
 from twodof.flightlog.provenance import RECOVER, Loss, noted
 from twodof.flightlog.steps import ASKED, BOOT, STEP_TOPIC, safety_channel, step_channels
-from twodof.flightlog.ulog_writer import HEADER, LETTERS, MAGIC, MARK, MESSAGE, OWN
+from twodof.flightlog.ulog_writer import (
+    HEADER,
+    LETTERS,
+    LEVELS,
+    MAGIC,
+    MARK,
+    MESSAGE,
+    OWN,
+    ULogWriter,
+    topic_format,
+)
 from twodof.signals import BY_MAT, PERIOD, SEVERITIES, TOPICS
 
+_PARAMETER = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,15}")
+_LAST_US = 2.0**63
+_PIECE = 10_000
+"""Records handed over at once: the writer takes no more than fit into its queue."""
 MAX_TEXTS = 1000
 MAX_LOST = 5000
 # In the information of our own logs, which have a mark at the end of each part that reached the disk.
@@ -56,7 +71,7 @@ class ULogContents:
         return self.topics.get((name, 0))
 
 
-def decode_ulog(data: bytes, where: str) -> FlightLog:
+def decode_ulg(data: bytes, where: str) -> FlightLog:
     """Return the log in the bytes of a ULog file of PX4 or of the virtual flight controller.
 
     The time of a sample is its `timestamp_sample` where the topic has one, else its `timestamp`. A module that `twodof
@@ -291,3 +306,53 @@ def _plain(value: Any) -> Any:
     """Return a value that JSON can hold: a NaN or infinity becomes text."""
     numbers = value if isinstance(value, list) else [value]
     return value if all(np.isfinite(one) for one in numbers if isinstance(one, float)) else repr(value)
+
+
+def write_ulg(log: FlightLog, path: str | Path) -> tuple[str, ...]:
+    """Write a log into a new ULog file and return the names of the channels that are left out, not being in TOPICS.
+
+    Stamps are rounded to microseconds. Texts and the parameters at the start go with it. Raises LogError for a log
+    without a signal of TOPICS, for a time before 0 and for a file that exists, RecordingError when the disk refuses.
+    """
+    topics = {name: BY_MAT[name] for name in log if name in BY_MAT and len(log[name])}
+    if not topics:
+        raise LogError("none of its channels is a signal of ours", log.source, "write .mcap, .mat or .parquet")
+    start, end = log.span
+    if start < 0.0 or end * 1e6 >= _LAST_US:
+        raise LogError(f"it reaches from {start:g} to {end:g} s", log.source, "ULog counts microseconds from 0")
+    formats = dict(topic_format(topic) for topic in topics.values())
+    parameters = _parameters(log.provenance)
+    with ULogWriter(path, formats, {"sys_uuid": "exported"}, parameters, round(1e6 * start), full="wait") as writer:
+        for name, topic in topics.items():
+            channel = log[name]
+            record = topic.name.replace(".", "_")
+            rows = np.zeros(len(channel), dtype=writer.layout(record))
+            rows["timestamp"] = np.rint(1e6 * channel.time).astype(np.uint64)
+            values = channel.value if channel.value.ndim == 2 else channel.value[:, None]
+            for place, field in enumerate(topic.fields or ("value",)):
+                rows[field] = values[:, place]
+            for first in range(0, len(rows), _PIECE):
+                writer.write_many(record, rows[first : first + _PIECE])
+        for time, severity, text in _texts(log.provenance):
+            writer.text(severity, max(0, round(1e6 * (time - BOOT))), text)
+    return tuple(name for name in log if name not in topics)
+
+
+def _parameters(told: Mapping[str, Any]) -> dict[str, float]:
+    rows = told.get("parameters")
+    known = rows.items() if isinstance(rows, dict) else ()
+    return {name: value for name, value in known if _PARAMETER.fullmatch(name) and isinstance(value, int | float)}
+
+
+def _texts(told: Mapping[str, Any]) -> list[tuple[float, str, str]]:
+    rows = told.get("texts")
+    found = []
+    for row in rows if isinstance(rows, list) else ():
+        match row:
+            case [int() | float() as time, str() as severity, str() as text]:
+                urgent = severity in SEVERITIES and SEVERITIES.index(severity) < SEVERITIES.index("error")
+                known = "error" if urgent else severity if severity in LEVELS else "info"
+                found.append((float(time), known, text))
+            case _:
+                continue
+    return found

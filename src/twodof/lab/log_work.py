@@ -15,7 +15,7 @@ from twodof.errors import LogError
 from twodof.flightlog.contents import excitations
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import FlightLog, decimate
-from twodof.flightlog.ulog_writer import write_ulg
+from twodof.flightlog.ulog_file import write_ulg
 from twodof.report.plots.comparison_view import Align, comparison_view, flight_steps
 from twodof.report.plots.flight_view import Curve, FlightView, flight_view
 from twodof.report.step_responses import step_responses
