@@ -5,10 +5,12 @@ import io
 import re
 from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -16,6 +18,9 @@ from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
+from twodof.flightlog.atomic import atomic_write
+from twodof.identify.validate import Correlation
+from twodof.report.plots.flight_view import PICTURES, SUFFIXES, check_place
 from twodof.report.wording import fill, text
 
 _BOTH = re.compile(r"--([\w-]+): light-dark\((#\w+), (#\w+)\);")
@@ -105,17 +110,43 @@ def quiet(ax: Axes) -> None:
     ax.yaxis.set_major_locator(MaxNLocator(4))
 
 
-def picture_bytes(suffix: str, title: str, dpi: int, draw: Callable[[Colours], Canvas]) -> bytes:
-    """Return a .png, .svg or .pdf file of a canvas in the colours of paper: same bytes for the same data."""
-    colours = on_paper()
-    ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
-    with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
-        canvas = draw(colours)
-        _ALONE[suffix](canvas)
-        out = io.BytesIO()
+def write_figure(
+    path: str | Path,
+    overwrite: bool,
+    title: str,
+    dpi: int,
+    draw: Callable[[Colours], Canvas],
+    page: Callable[[], str] | None = None,
+) -> None:
+    """Draw a canvas in the colours of paper into a .png, .svg or .pdf file, or write the `page` as .html file.
+
+    Equal data give equal bytes. Raises LogError for another suffix, and for a file that cannot be written or exists.
+    """
+    check_place(path, overwrite, PICTURES if page is None else SUFFIXES)
+    suffix, out = Path(path).suffix.lower(), io.BytesIO()
+    if page is not None and suffix == ".html":
+        out.write(page().encode())
+    else:
+        colours = on_paper()
+        ground: Any = dict.fromkeys(("figure.facecolor", "savefig.facecolor"), colours["card"])
         undated: Any = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(suffix)
-        canvas.savefig(out, format=suffix[1:], dpi=dpi, metadata=undated)
-    return out.getvalue()
+        with matplotlib.rc_context({**settings(colours), **ground, "svg.hashsalt": title}):
+            canvas = draw(colours)
+            _ALONE[suffix](canvas)
+            canvas.savefig(out, format=suffix[1:], dpi=dpi, metadata=undated)
+    with atomic_write(path, "wb") as file:
+        file.write(out.getvalue())
+
+
+def draw_correlation(ax: Axes, test: Correlation, line: str, band: Mapping[str, Any], soft: str, width: float) -> None:
+    """Draw a correlation of residuals over its lags, with its bound as a `band`."""
+    quiet(ax)
+    ax.fill_between(test.lags, -test.bound, test.bound, linewidth=0, **band)
+    ax.vlines(test.lags, 0.0, test.value, color=line, linewidth=width)
+    ax.axhline(0.0, color=soft, linewidth=0.6)
+    ax.set_xlabel("lag [samples]")
+    reach = 1.15 * max(float(np.abs(test.value).max()), 2.0 * float(test.bound.max()))
+    ax.set_ylim(-reach, reach)
 
 
 def figure_page(

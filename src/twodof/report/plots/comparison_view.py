@@ -96,9 +96,6 @@ def comparison_view(
         about="",
         span=span,
         views=tuple(views),
-        modes=(),
-        failsafe=(),
-        excitations=(),
         notes=tuple(map(printable, notes)),
         clock=clock,
     )
@@ -201,9 +198,5 @@ def promise_view(made: "Promise", log: FlightLog | None = None) -> FlightView:
         about=f"{about}; {made.members} members of the identified family",
         span=(float(flown[0][0][0]) if flown else 0.0, float(time[-1])),
         views=tuple(views),
-        modes=(),
-        failsafe=(),
-        excitations=(),
-        notes=(),
         clock="time from the step",
     )

@@ -1,6 +1,7 @@
 """Picture of a flight: PNG, SVG or PDF to put into a text, or a page that follows light and dark."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from types import MappingProxyType
@@ -13,10 +14,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from twodof.flight.failsafe.causes_and_actions import ACTIONS
-from twodof.flightlog.atomic import atomic_write
 from twodof.report.content import Span
-from twodof.report.plots.canvas import Colours, figure_page, picture_bytes, quiet
-from twodof.report.plots.flight_view import Curve, FlightView, View, check_place
+from twodof.report.plots.canvas import Colours, figure_page, quiet, write_figure
+from twodof.report.plots.flight_view import Curve, FlightView, View
 
 _WIDTH_IN, _PANEL_IN, _STRIP_IN = 10.0, 1.75, 0.27
 _DPI = 150
@@ -50,20 +50,14 @@ _TINT = MappingProxyType(
 
 
 def write_plot(view: FlightView, path: str | Path, overwrite: bool = False) -> None:
-    """Draw the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError as `check_place`."""
-    check_place(path, overwrite)
-    suffix = Path(path).suffix.lower()
-    if suffix == ".html":
-        content = to_html(view).encode()
-    else:
-        content = picture_bytes(suffix, view.title, _DPI, lambda colours: _drawn(view, colours, heading=True))
-    with atomic_write(path, "wb") as file:
-        file.write(content)
+    """Draw the view into a .png, .svg, .pdf or .html file, whole or not at all. Raises LogError as `write_figure`."""
+    drawing = partial(_drawn, view, heading=True)
+    write_figure(path, overwrite, view.title, _DPI, drawing, lambda: to_html(view))
 
 
 def to_html(view: FlightView) -> str:
     """Return a page of its own, without script or network."""
-    return figure_page(view.title, view.about, view.notes, lambda colours: _drawn(view, colours, heading=False))
+    return figure_page(view.title, view.about, view.notes, partial(_drawn, view, heading=False))
 
 
 def _drawn(view: FlightView, colours: Colours, heading: bool) -> Canvas:

@@ -93,10 +93,10 @@ class FlightView:
     about: str
     span: tuple[float, float]
     views: tuple[View, ...]
-    modes: tuple[Span, ...]
-    failsafe: tuple[Span, ...]
-    excitations: tuple[Span, ...]
-    notes: tuple[str, ...]
+    modes: tuple[Span, ...] = ()
+    failsafe: tuple[Span, ...] = ()
+    excitations: tuple[Span, ...] = ()
+    notes: tuple[str, ...] = ()
     clock: str = "the drone's time"
 
 
@@ -234,26 +234,25 @@ def _few(what: str, bands: tuple[Span, ...], notes: list[str]) -> tuple[Span, ..
     return bands[:MOST_BANDS]
 
 
-def _clipped(start: float, stop: float, label: str, span: tuple[float, float]) -> list[Span]:
-    start, stop = max(start, span[0]), min(stop, span[1])
-    return [Span(start, stop, label)] if stop > start else []
+def _clipped(spans: Iterable[tuple[float, float, str]], span: tuple[float, float]) -> tuple[Span, ...]:
+    """Return the parts of stretches of time (start, end, label) that are within `span`."""
+    cut = ((max(start, span[0]), min(stop, span[1]), label) for start, stop, label in spans)
+    return tuple(Span(*one) for one in cut if one[1] > one[0])
 
 
 def _modes(log: FlightLog, span: tuple[float, float], notes: list[str]) -> tuple[Span, ...]:
     try:
-        found = modes(log)
+        return _clipped(((one.t0, one.t1, one.mode) for one in modes(log)), span)
     except LogError as reason:  # of a log that has only some channels: the rest of it is shown
         notes.append(f"which mode flew is not known: {reason.what}")
         return ()
-    return tuple(band for one in found for band in _clipped(one.t0, one.t1, one.mode, span))
 
 
 def _excitations(log: FlightLog, span: tuple[float, float]) -> tuple[Span, ...]:
     try:
-        found = excitations(log)
+        return _clipped(((one.edges[0], one.edges[-1], one.shape) for one in excitations(log)), span)
     except LogError:  # as `_modes`, which has said so
         return ()
-    return tuple(band for one in found for band in _clipped(one.edges[0], one.edges[-1], one.shape, span))
 
 
 def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> tuple[Span, ...]:
@@ -282,7 +281,7 @@ def failsafe_bands(log: FlightLog, span: tuple[float, float] | None = None) -> t
             start = float(told.time[k])
             if bands and (bands[-1].label, bands[-1].stop) == (label, start):  # of masks with bits that mean nothing
                 start = bands.pop().start
-            bands += _clipped(start, end, label, span)
+            bands += _clipped([(start, end, label)], span)
     return tuple(bands)
 
 

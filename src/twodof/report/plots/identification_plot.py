@@ -2,9 +2,10 @@
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from html import escape
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,13 @@ from numpy.typing import NDArray
 
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError, IdentificationError, printable
-from twodof.flightlog.atomic import atomic_write
 from twodof.identify.estimate import Estimate
 from twodof.identify.frequency_response import FrequencyResponse, frequency_response
 from twodof.identify.model_response import ModelResponse, model_response
 from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, Correlation
 from twodof.models.structure import Structure
-from twodof.report.plots.canvas import Colours, figure_page, picture_bytes, quiet
-from twodof.report.plots.flight_view import check_place
+from twodof.report.plots.canvas import Colours, draw_correlation, figure_page, quiet, write_figure
 from twodof.signals import unit_of
 
 Array = NDArray[np.float64]
@@ -61,19 +60,15 @@ def write_identification_plot(
     measured ones. Raises IdentificationError if the record lacks it, LogError for a file that
     cannot be written or exists.
     """
-    check_place(path, overwrite)
-    suffix = Path(path).suffix.lower()
     named = f"{structure.name}: {', '.join(record.name for record in records[:_MOST_RECORDS])}"
     title = printable(title or textwrap.shorten(named, _TITLE, placeholder=" ..."))
     drawing = _Drawing(found, structure, records[:_MOST_RECORDS], reference)
-    if suffix == ".html":
-        table = f"<pre>{escape(found.table())}</pre>"
-        shown = figure_page(title, drawing.about, drawing.notes, lambda colours: drawing.canvas(colours, ""), table)
-        content = shown.encode()
-    else:
-        content = picture_bytes(suffix, title, _DPI, lambda colours: drawing.canvas(colours, title))
-    with atomic_write(path, "wb") as file:
-        file.write(content)
+    table = f"<pre>{escape(found.table())}</pre>"
+
+    def page() -> str:
+        return figure_page(title, drawing.about, drawing.notes, lambda colours: drawing.canvas(colours, ""), table)
+
+    write_figure(path, overwrite, title, _DPI, lambda colours: drawing.canvas(colours, title), page)
 
 
 class _Drawing:
@@ -89,102 +84,74 @@ class _Drawing:
             if any(one.record == record.name for one in shown)
         ]
         self.outputs = list(dict.fromkeys(one.output for one in shown))
+        self.tested = any(one.whiteness is not None for one in self.columns[0][1])
         self.units = _units(structure, records[0].dt)
         self.bodes, self.notes = self._bodes()
         if self.columns[0][1][0].whiteness is None:
             self.notes.append("the record is too short for tests of the residual")
-        self.pairs = self._pairs()
-        said = [self.about, "; ".join(self.notes)]
-        self.heading = [line for text in said for line in textwrap.wrap(text, _COLUMNS)]
+        known = [i for i in self._own() if math.isfinite(found.quoted[i, i])]
+        self.pairs = list(combinations(known[:_MOST_UNKNOWNS], 2))
+        self.about = ", ".join(map(self._estimate, self._own()))
+        self.heading = [line for text in (self.about, "; ".join(self.notes)) for line in textwrap.wrap(text, _COLUMNS)]
 
-    @property
-    def about(self) -> str:
-        """Return the estimates in a line."""
-        parts = []
-        for i, label in enumerate(self.found.labels):
-            if label not in self.found.local:
-                unit = self.found.units[i]
-                parts.append(
-                    f"{label} = {self.found.values[i]:.4g} ± {self.found.sigma(label):.2g}{unit and ' ' + unit}"
-                )
-        return ", ".join(parts)
+    def _own(self) -> list[int]:
+        """Return the places of the machine's unknowns, without those of single records."""
+        return [i for i, label in enumerate(self.found.labels) if label not in self.found.local]
 
-    @property
-    def _head_in(self) -> float:
-        """Return the height of the title and of the lines below it."""
-        return 0.55 + _LINE_IN * len(self.heading)
+    def _estimate(self, place: int) -> str:
+        label, unit = self.found.labels[place], self.found.units[place]
+        return f"{label} = {self.found.values[place]:.4g} ± {self.found.sigma(label):.2g}{unit and ' ' + unit}"
 
     def canvas(self, colours: Colours, heading: str) -> Canvas:
-        inputs, outputs = list(self.structure.inputs), self.outputs
-        bodes = [one for one in self.bodes if one[2] is not None or one[3] is not None]
-        time_in = 0.75 * _PANEL_IN * len(inputs) + 1.75 * _PANEL_IN * len(outputs) + 0.6
-        tested = any(one.whiteness is not None for one in self.columns[0][1])
-        heights = [
-            time_in,
-            *([_TEST_IN * len(self.columns[0][1]) * _grid_of_tests(self.columns[0][1])[0]] if tested else []),
-        ]
-        heights += [_BODE_IN * -(-len(bodes) // 2)] if bodes else []
-        heights += [_ELLIPSE_IN * -(-len(self.pairs) // _ACROSS)] if self.pairs else []
-        head = self._head_in if heading else 0.0
-        canvas = Canvas(figsize=(_WIDTH_IN, head + sum(heights)), layout="constrained")
-        rows = iter(
-            canvas.subfigures(
-                len(heights) + bool(heading), 1, height_ratios=[*[head] * bool(heading), *heights], squeeze=False
-            )[:, 0]
-        )
+        sections: list[tuple[float, Callable[[SubFigure, Colours], None]]] = []
         if heading:
-            self._head(next(rows), heading, colours)
-        self._draw_time(next(rows), colours)
-        if tested:
-            self._draw_tests(next(rows), colours)
-        if bodes:
-            self._draw_bodes(next(rows), bodes, colours)
+            sections.append((0.55 + _LINE_IN * len(self.heading), partial(self._head, heading)))
+        curves = 0.75 * len(self.structure.inputs) + 1.75 * len(self.outputs)
+        sections.append((_PANEL_IN * curves + 0.6, self._draw_time))
+        if self.tested:
+            lines, _ = _grid_of_tests(self.columns[0][1])
+            sections.append((_TEST_IN * len(self.columns[0][1]) * lines, self._draw_tests))
+        if self.bodes:
+            sections.append((_BODE_IN * -(-len(self.bodes) // 2), self._draw_bodes))
         if self.pairs:
-            self._draw_ellipses(next(rows), colours)
+            sections.append((_ELLIPSE_IN * -(-len(self.pairs) // _ACROSS), self._draw_ellipses))
+        heights = [height for height, _ in sections]
+        canvas = Canvas(figsize=(_WIDTH_IN, sum(heights)), layout="constrained")
+        rows = canvas.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+        for row, (_, draw) in zip(rows, sections, strict=True):
+            draw(row, colours)
         return canvas
 
-    def _head(self, row: SubFigure, title: str, colours: Colours) -> None:
-        row.text(
-            0.012, 1.0 - 0.12 / self._head_in, title, fontsize=12.5, fontweight="bold", va="top", color=colours["ink"]
-        )
-        row.text(
-            0.012, 1.0 - 0.42 / self._head_in, "\n".join(self.heading), fontsize=9.5, va="top", color=colours["soft"]
-        )
+    def _head(self, title: str, row: SubFigure, colours: Colours) -> None:
+        height = 0.55 + _LINE_IN * len(self.heading)
+        bold: Any = {"fontsize": 12.5, "fontweight": "bold", "color": colours["ink"]}
+        row.text(0.012, 1.0 - 0.12 / height, title, va="top", **bold)
+        row.text(0.012, 1.0 - 0.42 / height, "\n".join(self.heading), va="top", fontsize=9.5, color=colours["soft"])
 
     def _bodes(self) -> tuple[list[_Bode], list[str]]:
         """Return the model's and the measured response of each input and output, and notes about them."""
         found: list[_Bode] = []
         notes: list[str] = []
         record = self.columns[0][0]
-        steady = not any(kind != "zoh" for kind in (record.hold_of(name) for name in self.structure.inputs))
+        steady = all(record.hold_of(name) == "zoh" for name in self.structure.inputs)
         driving = [name for name in self.structure.inputs if name not in self.structure.measured]
-        for input in driving:
-            for output in self.outputs:
-                others = [name for name in driving if name != input]
-                measured = _measured(record, input, output, others, self.reference)
-                if measured is not None and not self.reference and input in self.found.disturbance.answering:
-                    notes.append(f"{input} answers the noise (closed loop): its measured response is biased")
-                omega = np.geomspace(
-                    max(2.0 * math.pi / (record.steps * record.dt), 1e-3), _NYQUIST_SHARE * math.pi / record.dt, _POINTS
-                )
-                model = None
-                try:
-                    model = model_response(self.structure, self.found, input, output, omega, record.dt, record.name)
-                except IdentificationError:
-                    continue  # it moves nothing
-                except DiagramError:
-                    notes.append("no Bode plot of the model: at rest it is not smooth (friction, a limit or a switch)")
+        slowest = max(2.0 * math.pi / (record.steps * record.dt), 1e-3)
+        omega = np.geomspace(slowest, _NYQUIST_SHARE * math.pi / record.dt, _POINTS)
+        for input, output in product(driving, self.outputs):
+            others = [name for name in driving if name != input]
+            measured = _measured(record, input, output, others, self.reference)
+            if measured is not None and not self.reference and input in self.found.disturbance.answering:
+                notes.append(f"{input} answers the noise (closed loop): its measured response is biased")
+            model = None
+            try:
+                model = model_response(self.structure, self.found, input, output, omega, record.dt, record.name)
+            except IdentificationError:
+                continue  # it moves nothing
+            except DiagramError:
+                notes.append("no Bode plot of the model: at rest it is not smooth (friction, a limit or a switch)")
+            if model is not None or (steady and measured is not None):
                 found.append((input, output, model, measured if steady else None))
         return found, list(dict.fromkeys(notes))
-
-    def _pairs(self) -> list[tuple[int, int]]:
-        """Return the pairs of unknowns of the machine whose uncertainty is known."""
-        known = [
-            i
-            for i, label in enumerate(self.found.labels)
-            if label not in self.found.local and math.isfinite(self.found.quoted[i, i])
-        ]
-        return list(combinations(known[:_MOST_UNKNOWNS], 2))
 
     def _draw_time(self, row: SubFigure, colours: Colours) -> None:
         inputs = list(self.structure.inputs)
@@ -212,21 +179,11 @@ class _Drawing:
         unit = self.units.get(one.output, "")
         quiet(top)
         quiet(below)
-        top.plot(
-            one.time,
-            one.measured,
-            color=colours["measured"],
-            linewidth=2.6,
-            alpha=0.55,
-            label="measured" if len(self.columns) < 3 else None,
-        )
-        top.plot(
-            one.time,
-            one.simulated,
-            color=colours["grey-box"],
-            linewidth=1.5,
-            label=f"{'model, ' if len(self.columns) < 3 else ''}FIT {one.fit_percent:.1f} %{self._ahead(one)}",
-        )
+        wide = len(self.columns) < 3
+        behind: Any = {"color": colours["measured"], "alpha": 0.55, "label": "measured" if wide else None}
+        top.plot(one.time, one.measured, linewidth=2.6, **behind)
+        says = f"{'model, ' if wide else ''}FIT {one.fit_percent:.1f} %{self._ahead(one)}"
+        top.plot(one.time, one.simulated, color=colours["grey-box"], linewidth=1.5, label=says)
         top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
         below.plot(one.time, one.residual, color=colours["simple"], linewidth=0.8)
         below.axhline(0.0, color=colours["soft"], linewidth=0.6)
@@ -249,18 +206,18 @@ class _Drawing:
             tests: list[tuple[str, Correlation | None]] = [(f"residual of {one.output} with itself", one.whiteness)]
             tests += [(f"with {name}", test) for name, test in one.inputs.items()]
             for ax, (name, test) in zip(own, tests, strict=False):
-                _draw_correlation(ax, name, test, colours)
+                _draw_test(ax, name, test, colours)
             for ax in own[len(tests) :]:
                 ax.set_axis_off()
         for ax in axes[:, 0]:
             ax.set_ylabel("correlation")
 
-    def _draw_bodes(self, row: SubFigure, bodes: Sequence[_Bode], colours: Colours) -> None:
-        across = min(2, len(bodes))
-        axes = row.subplots(2 * -(-len(bodes) // across), across, sharex=True, squeeze=False)
+    def _draw_bodes(self, row: SubFigure, colours: Colours) -> None:
+        across = min(2, len(self.bodes))
+        axes = row.subplots(2 * -(-len(self.bodes) // across), across, sharex=True, squeeze=False)
         for ax in axes.flat[:]:
             ax.set_visible(False)
-        for number, bode in enumerate(bodes):
+        for number, bode in enumerate(self.bodes):
             line, column = 2 * (number // across), number % across
             units = (self.units.get(bode[0], ""), self.units.get(bode[1], ""))
             _draw_bode(axes[line, column], axes[line + 1, column], bode, units, colours)
@@ -315,24 +272,18 @@ def _label(name: str, unit: str) -> str:
     return f"{name} [{unit}]" if unit else name
 
 
-def _draw_correlation(ax: Axes, name: str, test: Correlation | None, colours: Colours) -> None:
-    quiet(ax)
-    ax.set_title(name, fontsize=9.5, color=colours["soft"], loc="left")
+def _draw_test(ax: Axes, name: str, test: Correlation | None, colours: Colours) -> None:
+    soft = colours["soft"]
+    ax.set_title(name, fontsize=9.5, color=soft, loc="left")
     if test is None:
-        ax.text(
-            0.5, 0.5, "the record is too short", ha="center", va="center", transform=ax.transAxes, color=colours["soft"]
-        )
+        quiet(ax)
+        ax.text(0.5, 0.5, "the record is too short", ha="center", va="center", transform=ax.transAxes, color=soft)
         ax.set_xticks([])
         ax.set_yticks([])
         return
-    ax.fill_between(test.lags, -test.bound, test.bound, color=colours["grey-box"], alpha=0.12, linewidth=0)
-    ax.vlines(test.lags, 0.0, test.value, color=colours["grey-box" if test.passed else "bad"], linewidth=1.6)
-    ax.axhline(0.0, color=colours["soft"], linewidth=0.6)
-    ax.set_xlabel("lag [samples]")
-    reach = 1.15 * max(float(np.abs(test.value).max()), 2.0 * float(test.bound.max()))
-    ax.set_ylim(-reach, reach)
-    says = "within the 99 % band" if test.passed else "outside the 99 % band"
-    ax.set_title(says, fontsize=9, color=colours["soft" if test.passed else "bad"], loc="right")
+    line, title, word = ("grey-box", "soft", "within") if test.passed else ("bad", "bad", "outside")
+    draw_correlation(ax, test, colours[line], {"color": colours["grey-box"], "alpha": 0.12}, soft, 1.6)
+    ax.set_title(f"{word} the 99 % band", fontsize=9, color=colours[title], loc="right")
 
 
 def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colours: Colours) -> None:

@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 
 from twodof.design import LoopMargins, LoopTransfer, margins, root_locus
 from twodof.design.margins import bode_at
-from twodof.flightlog.atomic import atomic_write
 from twodof.models.lti import DelayedStateSpace
-from twodof.report.plots.canvas import Colours, picture_bytes
-from twodof.report.plots.flight_view import PICTURES, check_place
+from twodof.report.plots.canvas import Colours, write_figure
 
 Array = NDArray[np.float64]
 
@@ -32,11 +30,8 @@ _SPEED = 4.0  # range of the root locus, in crossovers
 def write_loop_plot(
     loops: Mapping[str, LoopTransfer], path: str | Path, title: str = "", overwrite: bool = False
 ) -> None:
-    """Draw the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `check_place` does."""
-    check_place(path, overwrite, PICTURES)
-    content = picture_bytes(Path(path).suffix.lower(), title, _DPI, lambda colours: _drawn(loops, title, colours))
-    with atomic_write(path, "wb") as file:
-        file.write(content)
+    """Draw the loops into a .png, .svg or .pdf file, whole or not at all. Raises LogError as `write_figure`."""
+    write_figure(path, overwrite, title, _DPI, lambda colours: _drawn(loops, title, colours))
 
 
 def _drawn(loops: Mapping[str, LoopTransfer], title: str, colours: Colours) -> Canvas:

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from twodof.identify.validate import Correlation
 from twodof.report.content import Figure, FigureBand, LineRole, Panel, ParameterRow, Span, Subject
-from twodof.report.plots.canvas import STAND_IN, quiet, settings, svg
+from twodof.report.plots.canvas import STAND_IN, draw_correlation, quiet, settings, svg
 
 _STROKE: dict[LineRole, dict[str, Any]] = {
     "measured": {"linewidth": 1.1},
@@ -80,14 +80,8 @@ def correlation_figure(tests: Mapping[str, Correlation], title: str) -> str:
         canvas = Canvas(figsize=(_WIDTH_IN, 1.9), layout="constrained")
         axes = canvas.subplots(1, len(tests), squeeze=False)[0]
         for ax, (name, test) in zip(axes, tests.items(), strict=True):
-            quiet(ax)
-            ax.fill_between(test.lags, -test.bound, test.bound, color=STAND_IN["band"], linewidth=0)
-            ax.vlines(test.lags, 0.0, test.value, color=STAND_IN["grey-box"], linewidth=1.4)
-            ax.axhline(0.0, color=STAND_IN["soft"], linewidth=0.6)
+            draw_correlation(ax, test, STAND_IN["grey-box"], {"color": STAND_IN["band"]}, STAND_IN["soft"], 1.4)
             ax.set_title(name, fontsize=9, color=STAND_IN["soft"], loc="left")
-            ax.set_xlabel("lag [samples]")
-            reach = 1.15 * max(float(np.abs(test.value).max()), 2.0 * float(test.bound.max()))
-            ax.set_ylim(-reach, reach)
         return svg(canvas, title)
 
 
