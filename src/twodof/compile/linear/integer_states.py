@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.declarations import element_names
-from twodof.blocks.expressions.derivative import Dual, Value, plain
+from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.graph import leaves, walk
 from twodof.blocks.expressions.numbers import FLOATS, Integer, Vector
-from twodof.compile.linear.operating_point import OperatingPoint, Parts
-from twodof.compile.linear.tangent import States, TangentStep, elements
+from twodof.compile.linear.operating_point import OperatingPoint, Parts, elements
+from twodof.compile.linear.tangent import TangentStep
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node
 from twodof.errors import DiagramError
 
@@ -93,21 +93,16 @@ class IntegerStates:
             values.append(now)
             found = step.evaluate(node, roots, states, memos={node: dict(fixed)})
             states |= {(node, name): v for name, v in zip(names, found, strict=True)}
-        names = tuple(n for i, n in enumerate(names) if len({_key(v[i]) for v in values}) > MAX_STEPS // 4) or names
-        outputs = ", ".join(self.parts.outputs_of(node))
         free = self.parts.free_outputs(node)
         ask = f", or ask for the outputs {', '.join(free)} only" if free else ""
+        remedy = "give them with `at`, which holds them there"
         if index := self._indexes(node, names):
-            remedy = (
-                f"let {index} come round, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring{ask}"
-            )
-        else:
-            remedy = f"give them with `at`, which holds them there{ask}"
+            remedy = f"let {index} come round, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring"
         raise DiagramError(
             f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps; "
-            f"what depends on them: {outputs}",
+            f"what depends on them: {', '.join(self.parts.outputs_of(node))}",
             node.path,
-            remedy,
+            remedy + ask,
         )
 
     def _indexes(self, node: Node, names: Iterable[str]) -> str:
@@ -152,10 +147,6 @@ class IntegerStates:
         if sorted(places) == list(range(n)) and all((a + 1) % n == b for a, b in pairwise(places)):
             return names[i]
         return ""
-
-    def rings(self) -> set[Key]:
-        """Return the states that are write indices of rings."""
-        return {(node, cycle.ring) for node, cycle in self.cycles.items() if cycle.ring}
 
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
         """Return length and write index, `ahead` periods on, of a state that is a ring; (0, 0) for other states."""
@@ -298,16 +289,6 @@ class Coordinates:
         states = [float(v) for key in self.keys for v in elements(self.point.states[key])]
         return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
 
-    def whole_arrays(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return a mask of the coordinates of states with an element in `chosen`, in program order."""
-        found = np.array(chosen)
-        at = 0
-        for key in self.keys:
-            end = at + self.point.width(key)
-            found[at:end] = chosen[at:end].any()
-            at = end
-        return found
-
     def put(self, z: Array) -> None:
         """Set the point's states and held signals to values in the program's order."""
         items = [np.float64(v) for v in z]
@@ -317,16 +298,3 @@ class Coordinates:
         for s in self.held:
             part = [items.pop(0) for _ in range(s.width or 1)]
             self.point.held[s] = part[0] if s.width is None else Vector(part)
-
-    def seeded(self, states: States, held: dict[FlatSignal, Value], unit: Array) -> None:
-        """Give each coordinate its row of `unit` as slope, in the states and held signals of a step."""
-        rows = iter(unit)
-        for key in self.keys:
-            states[key] = _seeded(states[key], rows)
-        for s in self.held:
-            held[s] = _seeded(held[s], rows)
-
-
-def _seeded(value: Value, rows: Iterator[Array]) -> Value:
-    made = tuple(Dual(d.value, next(rows)) for d in elements(value))
-    return made if isinstance(value, tuple) else made[0]

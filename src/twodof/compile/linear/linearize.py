@@ -16,9 +16,8 @@ from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates, IntegerStates
 from twodof.compile.linear.linear_model import LinearModel
-from twodof.compile.linear.operating_point import OperatingPoint, Parts
-from twodof.compile.linear.slopes import Matrices, Slopes, observed
-from twodof.compile.linear.tangent import elements
+from twodof.compile.linear.operating_point import OperatingPoint, Parts, elements
+from twodof.compile.linear.slopes import Matrices, Slopes, observed, spread
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.program.lower import lower
 from twodof.errors import DiagramError
@@ -137,14 +136,14 @@ class _Linearization:
         Signals of slower rates are held as they would be after some time at the point.
         """
         self._rest()
-        self.whole.settle(lambda: self.slopes.plain_step(rested=True))
-        self.held = self.whole.check_held(self.slopes.plain_step(rested=True))
-        step = self.slopes.plain_step()
+        self.whole.settle(lambda: self.slopes.step(rested=True, slopes=False))
+        self.held = self.whole.check_held(self.slopes.step(rested=True, slopes=False))
+        step = self.slopes.step(slopes=False)
         self.point.put(step.projected(step.continuous()))
         self._rest()
 
     def _rest(self) -> None:
-        made = self.slopes.plain_step(rested=True).made
+        made = self.slopes.step(rested=True, slopes=False).made
         self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
 
     def is_continuous(self, time: str) -> bool:
@@ -256,7 +255,7 @@ class _Linearization:
     def _input_values(self, s: FlatSignal) -> list[float]:
         if s.node is None:
             return self.point.input_values([s])
-        return [float(m.value) for m in elements(self.slopes.plain_step().made[s])]
+        return [float(m.value) for m in elements(self.slopes.step(slopes=False).made[s])]
 
     def _check_phases(self, found: Matrices) -> None:
         """Raise DiagramError if the model changes while a write index or a counter goes round."""
@@ -303,13 +302,7 @@ def _idle(
     a: Array, b: Array, c: Array, d: Array, inputs: Sequence[str], outputs: Sequence[str], rounded: Sequence[str]
 ) -> dict[str, str]:
     """Return the inputs that move no output and the outputs that nothing moves, each with the reason."""
-    reached = b != 0.0  # which inputs move which states, sooner or later
-    while True:
-        further = reached | ((a != 0.0) @ reached)
-        if np.array_equal(further, reached):
-            break
-        reached = further
-    moved = (d != 0.0) | ((c != 0.0) @ reached)
+    moved = (d != 0.0) | ((c != 0.0) @ spread(b != 0.0, a != 0.0))
     where = f"; numbers are rounded in {', '.join(rounded)}" if rounded else ""
     why = f" (see what it passes: a limit, a switch, a product with 0{where})"
     found = {
@@ -328,23 +321,22 @@ def _needed(
 ) -> list[int]:
     """Return the states to keep: without states that never move, come back at once, or are never read."""
     staying = list(range(len(a)))
-    while True:
-        drop: dict[int, str] = {}
+    why: str | None = ""
+    while why is not None:
+        why = None
         for j in staying:
             others = [i for i in staying if i != j]
             still = not a[j, others].any() and not b[j].any()
             if still and a[j, j] == (0.0 if continuous else 1.0):
-                drop[j] = "stays at the point's value"
+                why = "stays at the point's value"
             elif still and a[j, j] == 0.0:
-                drop[j] = "comes back to the point's value at once"
+                why = "comes back to the point's value at once"
             elif not a[others, j].any() and not c[:, j].any():
-                drop[j] = "nothing depends on it"
-            if drop:
+                why = "nothing depends on it"
+            if why:
+                staying.remove(j)
+                left_out[names[j]] = why
                 break
-        if not drop:
-            break
-        staying = [j for j in staying if j not in drop]
-        left_out |= {names[j]: why for j, why in drop.items()}
     if not len(c):
         return staying
     seen = observed(a, c)

@@ -13,15 +13,20 @@ from numpy.typing import NDArray
 from twodof.blocks.declarations import check_value, numeric, unknown_parameter
 from twodof.blocks.diagram import BASE, Rate
 from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.derivative import plain
+from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.expressions.numbers import FLOATS, Vector
-from twodof.compile.linear.tangent import States, elements
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node, initial_states, parameter_values
 from twodof.compile.program.flatten import constants
 from twodof.errors import DiagramError
 
 Array = NDArray[np.float64]
+States = dict[Key, Value]
+
+
+def elements(value: Any) -> tuple[Any, ...]:
+    """Return the elements of an array, or a scalar as the only one."""
+    return value if isinstance(value, tuple) else (value,)
 
 
 class OperatingPoint:

@@ -7,12 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.blocks.expressions import numbers
-from twodof.blocks.expressions.derivative import Dual, Slope, Tie, Value, constant, plain
+from twodof.blocks.expressions.derivative import Dual, Slope, Tie, plain
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates
-from twodof.compile.linear.operating_point import OperatingPoint, Parts
-from twodof.compile.linear.tangent import States, TangentStep, elements
+from twodof.compile.linear.operating_point import OperatingPoint, Parts, States, elements
+from twodof.compile.linear.tangent import TangentStep, seeded
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
 from twodof.errors import DiagramError
 
@@ -22,7 +21,6 @@ WHAT = ("next", "slope", "projection")  # of the states: after a period, their d
 DIRECTIONS = 8  # tried at a tie beside those across each
 SAME = 1e-9  # relative: what two branches that agree may differ by, rounded on their ways
 NEAR = 0.9  # the cosine of the angle between two borders that count as one
-REST = 1e-12  # relative: what two ticks at rest may differ by
 
 
 @dataclass(frozen=True)
@@ -96,48 +94,24 @@ class Slopes:
         self._paths = {n.path for n in parts.nodes}
         self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
 
-    def plain_step(self, rested: bool = False) -> TangentStep:
-        """Return a step without slopes; `rested` with all rates due."""
-        return TangentStep(
-            self.program,
-            self.point.parameters,
-            {k: constant(v) for k, v in self.point.states.items()},
-            {s: constant(v) for s, v in self.point.inputs.items()},
-            self.point.tick,
-            held={s: constant(v) for s, v in self.point.held.items()},
-            nodes=self.parts.nodes,
-            rested=rested,
-        )
-
-    def step(self, direction: Slope | None = None) -> TangentStep:
-        """Return a step with unit slopes of the coordinates and inputs."""
-        unit = np.eye(self.seeds)
-        states: States = {k: constant(v) for k, v in self.point.states.items()}
-        held: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.held.items()}
-        self.coordinates.seeded(states, held, unit[: self.size])
-        inputs: dict[FlatSignal, Value] = {s: constant(v) for s, v in self.point.inputs.items()}
-        cut: dict[FlatSignal, Slope] = {}
-        at = self.size
-        for s in self.inputs.values():
-            if s.node is None:
-                duals = tuple(Dual(v, unit[at + i]) for i, v in enumerate(elements(self.point.inputs[s])))
-                inputs[s] = duals[0] if s.width is None else duals
-            elif s.width is None:
-                cut[s] = unit[at]
-            else:
-                raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
-            at += s.width or 1
-        return TangentStep(
-            self.program,
-            self.point.parameters,
-            states,
-            inputs,
-            self.point.tick,
-            cut,
-            direction,
-            held,
-            self.parts.nodes,
-        )
+    def step(self, direction: Slope | None = None, rested: bool = False, slopes: bool = True) -> TangentStep:
+        """Return a step, with unit slopes of the coordinates and inputs if `slopes`; `rested`: all rates are due."""
+        step = TangentStep(self.program, self.point, self.parts.nodes, rested, direction)
+        if slopes:
+            rows = iter(np.eye(self.seeds))
+            for key in self.coordinates.keys:
+                step.states[key] = seeded(step.states[key], rows)
+            for s in self.coordinates.held:
+                step.held[s] = seeded(step.held[s], rows)
+            for s in self.inputs.values():
+                if s.node is None:
+                    step.read[s] = seeded(step.read[s], rows)
+                elif s.width is None:
+                    step.cut[s] = next(rows)
+                else:
+                    raise DiagramError("an array is cut", s.path, "cut its elements behind a Demux")
+        step.compute_outputs()
+        return step
 
     def matrices(self, what: str = "next", strict: bool = True) -> Matrices:
         """Return the slopes of `what` (one of WHAT) and of the outputs by the coordinates.
@@ -149,7 +123,7 @@ class Slopes:
         for visit in visits[1:]:
             total = total.then(visit.found)
         if strict:
-            self._check(what, visits, total)
+            self._check(what, visits)
         return total
 
     def _visits(self, what: str) -> list[_Visit]:
@@ -173,18 +147,14 @@ class Slopes:
     def _ties(self, step: TangentStep) -> list[Tie]:
         return [t for t in step.tangent.ties if t.where in self._paths]
 
-    def _check(self, what: str, visits: Sequence[_Visit], total: Matrices) -> None:
-        """Raise DiagramError if one of the ticks is on a kink; ticks in the same situation are tried once."""
-        seen = observed(total.change[:, : self.size], total.output[:, : self.size])
-        known: list[tuple[Any, Array]] = []
+    def _check(self, what: str, visits: Sequence[_Visit]) -> None:
+        """Raise DiagramError if one of the ticks is on a kink."""
         with self.point.kept():
             for visit in visits:
-                self.point.states, self.point.held, self.point.tick = visit.states, visit.held, visit.tick
-                here = self._situation(seen)
-                if visit.ties and not any(_alike(here, other) for other in known):
+                if visit.ties:
+                    self.point.states, self.point.held, self.point.tick = visit.states, visit.held, visit.tick
                     first, *_ = self._once(what, None)
                     self._check_kinks(what, first, visit.found, visit.ties)
-                    known.append(here)
 
     def _follow(self, step: TangentStep, new: States) -> None:
         """Move the point to the tick after `step`, with its `new` states; what `at` holds stays."""
@@ -192,16 +162,6 @@ class Slopes:
         self.point.put(new)
         self.point.states |= held
         self.point.held = {s: plain(v) for s, v in step.made.items() if s.node is not None}
-
-    def _situation(self, seen: NDArray[np.bool_]) -> tuple[Any, Array]:
-        """Return the situation that decides the branches of a tick: due rates, whole-number states, real values.
-
-        Write places of rings and states without a coordinate in `seen` are left out.
-        """
-        rings = self.coordinates.whole.rings()
-        keys = [(n, s.name) for n, s in self._whole if (n, s.name) not in rings]
-        whole = [numbers.plain(self.point.states[key]) for key in keys]
-        return (self.parts.due(self.point.tick), whole), self.coordinates.values()[self.coordinates.whole_arrays(seen)]
 
     def _check_kinks(self, what: str, first: Matrices, beside: Matrices, ties: Sequence[Tie]) -> None:
         random = np.random.Generator(np.random.PCG64(2))
@@ -273,12 +233,15 @@ class Slopes:
 
 def observed(a: Array, c: Array) -> NDArray[np.bool_]:
     """Return a mask of the states that move an output sooner or later."""
-    seen = (c != 0.0).any(axis=0)
-    while True:
-        further = seen | ((a != 0.0).T @ seen)
-        if np.array_equal(further, seen):
-            return np.asarray(seen)
-        seen = further
+    return spread((c != 0.0).any(axis=0), (a != 0.0).T)
+
+
+def spread(start: NDArray[np.bool_], edges: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the rows of `start`, each with those of all rows that `edges` lead to."""
+    found = start
+    while (further := found | (edges @ found)).sum() > found.sum():
+        found = further
+    return found
 
 
 def _different(ties: Sequence[Tie]) -> list[Tie]:
@@ -298,10 +261,6 @@ def _different(ties: Sequence[Tie]) -> list[Tie]:
 def close(a: Array, b: Array) -> bool:
     """Return True if two arrays are equal up to roundings."""
     return np.allclose(a, b, rtol=SAME, atol=SAME * (1e-3 + float(np.abs(a).max(initial=0.0))))
-
-
-def _alike(a: tuple[Any, Array], b: tuple[Any, Array]) -> bool:
-    return bool(a[0] == b[0] and np.allclose(a[1], b[1], rtol=REST, atol=REST))
 
 
 def _values(duals: Sequence[Dual]) -> Array:

@@ -1,6 +1,6 @@
 """One step of a program with its derivatives: docs/explanation/language.md, section 4, on numbers that carry slopes."""
 
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -9,46 +9,39 @@ from twodof.blocks.declarations import numeric
 from twodof.blocks.expressions.derivative import Dual, Slope, Tangent, Value, constant, plain
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import UInt32
+from twodof.compile.linear.operating_point import OperatingPoint, States, elements
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Guard, Key, Node, initial_states
-
-States = dict[Key, Value]
 
 
 class TangentStep:
-    """One step from given states and inputs; to be used under `numbers.precision("float64")`.
+    """One step at an operating point; to be used under `numbers.precision("float64")`.
 
-    `cut` replaces signals for all their readers: signal -> the slope that its readers see. `direction` is that of
-    `Tangent`. `held` are the signals of the tick before, 0 where they are not given. With `nodes` the states of other
-    nodes do not move. With `rested` every rate is due.
+    States, inputs and `held`, the signals of the tick before, are those of the point. They may be given slopes before
+    `compute_outputs`. `cut` replaces signals for all their readers: signal -> the slope that its readers see.
+    `direction` is that of `Tangent`. Only the states of `nodes` move. With `rested` all rates are due.
     """
 
     def __init__(
         self,
         program: FlatProgram,
-        parameters: Mapping[Key, Any],
-        states: Mapping[Key, Value],
-        inputs: Mapping[FlatSignal, Value],
-        tick: int,
-        cut: Mapping[FlatSignal, Slope] | None = None,
-        direction: Slope | None = None,
-        held: Mapping[FlatSignal, Value] | None = None,
-        nodes: Container[Node] | None = None,
+        point: OperatingPoint,
+        nodes: Container[Node],
         rested: bool = False,
+        direction: Slope | None = None,
     ) -> None:
         self.program = program
-        self.nodes = [n for n in program.nodes if nodes is None or n in nodes]
-        self.integrated_nodes = [n for n in program.integrated if nodes is None or n in nodes]
-        self.held = held or {}
+        self.nodes = [n for n in program.nodes if n in nodes]
+        self.integrated_nodes = [n for n in program.integrated if n in nodes]
         self.rested = rested
-        self.parameters = parameters
+        self.parameters = point.parameters
+        self.tick = point.tick
         self.tangent = Tangent(direction)
-        self.tick = tick
-        self.cut = cut or {}
-        self.states: States = dict(states)
-        self.read: dict[FlatSignal, Value] = dict(inputs)  # as readers see it
-        self.made: dict[FlatSignal, Value] = dict(inputs)  # as its block gives it
+        self.states: States = {key: constant(value) for key, value in point.states.items()}
+        self.held: dict[FlatSignal, Value] = {s: constant(value) for s, value in point.held.items()}
+        self.cut: dict[FlatSignal, Slope] = {}
+        self.read: dict[FlatSignal, Value] = {s: constant(value) for s, value in point.inputs.items()}
+        self.made: dict[FlatSignal, Value] = {}  # as its block gives it; `read` as readers see it
         self._memos: dict[Node, dict[int, Value]] = {}
-        self._outputs()
 
     def evaluate(
         self,
@@ -89,7 +82,9 @@ class TangentStep:
         """Return True if the nodes of a guard are due at this tick."""
         return self.rested or self.tick % guard.rate.divider == guard.rate.offset
 
-    def _outputs(self) -> None:
+    def compute_outputs(self) -> None:
+        """Compute the signals of the tick."""
+        self.made = dict(self.read)
         for group in self.program.tick:
             acts = self.active(group.guard)
             clears = self.due(group.guard) and not all(bool(plain(self.read[e])) for e in group.guard.clears)
@@ -197,9 +192,10 @@ def valued(signal: FlatSignal, value: Any) -> Value:
     return constant(numeric(value, signal.kind, signal.width, signal.path))
 
 
-def elements(value: Any) -> tuple[Any, ...]:
-    """Return the elements of an array, or a scalar as the only one."""
-    return value if isinstance(value, tuple) else (value,)
+def seeded(value: Value, rows: Iterator[Slope]) -> Value:
+    """Return a value whose elements have the next of `rows` as slopes."""
+    made = tuple(Dual(d.value, next(rows)) for d in elements(value))
+    return made if isinstance(value, tuple) else made[0]
 
 
 def _sum(a: Value, b: Value, factor: float) -> Value:
