@@ -17,7 +17,8 @@ from twodof.compile.program.layout import MemoryLayout
 class EmittedProgram:
     """A program's C, and the flattened diagram that it was made from.
 
-    `source` may hold other programs too; `marks` has the block of each of its lines.
+    `source` may hold other programs too; `marks` has the block of each of its lines. `cost` is what its optimisation
+    costs: the sum over its statements of the squared number of local values that a later statement still reads.
     """
 
     flat: FlatProgram
@@ -25,6 +26,7 @@ class EmittedProgram:
     layout: MemoryLayout
     precision: str
     marks: Sequence[Mark] = ()
+    cost: int = 0
 
     @property
     def name(self) -> str:

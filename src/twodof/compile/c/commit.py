@@ -1,12 +1,12 @@
-"""Commit: the statements that replace a block's states by their next values, which read only the old ones."""
+"""Statements that replace states by their next values, which read only the old ones."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import islice
+from dataclasses import dataclass
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.graph import walk
-from twodof.compile.c.expressions import SMALL_ARRAY, Renderer
-from twodof.compile.c.statements import Text, name_of
+from twodof.compile.c.expressions import Renderer
+from twodof.compile.c.statements import Text
 from twodof.compile.program.flat_program import Node
 
 
@@ -15,116 +15,92 @@ def changes(node: Node) -> bool:
     return any(not _keeps(k, e) for k, e in node.trace.update.items())
 
 
-class Commit:
-    """Replaces the states of `node` by `values`.
+@dataclass
+class Change:
+    """The next value `e` of the state `name` of `node`, whose lvalue is `place`."""
 
-    `roots` are the numbers that the values are made of: they may be computed earlier, with what shares their terms.
-    """
-
-    def __init__(self, node: Node, values: Mapping[str, Expr], lvalue: Callable[[str], str]) -> None:
-        self.node = node
-        self.lvalue = lvalue
-        self.changed = {name: e for name, e in values.items() if not _keeps(name, e)}
-        self.roots: list[Expr] = []
-        read: list[Expr] = []  # signals that arrays are made of, which must be computed before any state changes
-        for name, e in self.changed.items():
-            numbers = _numbers(name, e)
-            self.roots += numbers
-            if not numbers:
-                read += [item for item in walk([e]) if item.op == "input"]
-        self.roots += read
+    node: Node
+    name: str
+    e: Expr
+    place: str
 
     @property
-    def written(self) -> set[str]:
-        """The lvalues of the states that change."""
-        return {self.lvalue(name) for name in self.changed}
-
-    def keep(self, renderer: Renderer, k: int, text: Text) -> Text:
-        """Keep a root in a variable, before a state that it reads changes."""
-        outer, renderer.owner = renderer.owner, self.node
-        kept = self._kept(renderer, "old", text, self.roots[k].kind)
-        renderer.owner = outer
-        return kept
-
-    def write(self, renderer: Renderer, texts: Sequence[Text]) -> None:
-        """Add the statements; `texts` are those of the roots."""
-        outer, renderer.owner = renderer.owner, self.node
-        given = iter(texts)
-        parts = {name: list(islice(given, len(_numbers(name, e)))) for name, e in self.changed.items()}
-        reads = {
-            name: _states(e).union(*(self._named(text) for text in parts[name])) for name, e in self.changed.items()
-        }
-        now: list[tuple[str, Text | None, Text]] = []
-        later: list[tuple[str, Text | None, Text]] = []
-        copied: list[tuple[str, Text]] = []
-        for name, e in self.changed.items():
-            shared = any(name in read for other, read in reads.items() if other != name)
-            pairs = self._pairs(renderer, name, parts[name])
-            first = shared or (len(pairs) != 1 and name in reads[name])  # made before any state changes
-            for at, value in pairs:
-                if first:
-                    kept = self._kept(renderer, "index", at, "int32") if at is not None and at.reads else at
-                    later.append((name, kept, self._next(renderer, name, value)))
-                else:
-                    now.append((name, at, value))
-            if not pairs and first:
-                copied.append((name, self._array(renderer, name, e)))
-            elif not pairs:
-                renderer.assign([(self.lvalue(name), e)])
-        for name, at, value in (*now, *later):
-            self._put(renderer, name, at, value)
-        for name, source in copied:
-            renderer.copy(self.lvalue(name), source, self.changed[name].width or 1, self.changed[name].kind)
-        renderer.owner = outer
-
-    def _pairs(self, renderer: Renderer, name: str, parts: Sequence[Text]) -> list[tuple[Text | None, Text]]:
-        """Return (index, value) of each number to store; a scalar has no index. Return [] to store a whole array."""
-        e = self.changed[name]
-        chain = _stores(name, e)
+    def numbers(self) -> Sequence[Expr]:
+        """The numbers that the value is made of, each index before its element; none of an array from a loop."""
+        chain = _stores(self.name, self.e)
         if chain:
-            indices = [renderer.index(i, x, e.width or 1) for i, (x, _) in zip(parts[::2], chain, strict=True)]
-            return list(zip(indices, parts[1::2], strict=True))
-        if e.op == "vector" and len(e.args) <= SMALL_ARRAY:
-            return [(Text(str(k)), value) for k, value in enumerate(parts)]
-        return [(None, parts[0])] if e.width is None else []
+            return [x for pair in chain for x in pair]
+        return self.e.args if self.e.op == "vector" else [self.e] if self.e.width is None else []
 
-    def _named(self, text: Text) -> set[str]:
-        """Return the names of the block's changing states that a text reads."""
-        return {name for name in self.changed if self.lvalue(name) in text.reads}
+    def stores(self, renderer: Renderer, texts: Sequence[Text]) -> list[tuple[Text | None, Text]]:
+        """Return (index, value) of each number to store; a scalar has no index."""
+        chain = _stores(self.name, self.e)
+        if chain:
+            indices = [renderer.index(i, x, self.e.width or 1) for i, (x, _) in zip(texts[::2], chain, strict=True)]
+            return list(zip(indices, texts[1::2], strict=True))
+        return [(Text(str(k)) if self.e.op == "vector" else None, text) for k, text in enumerate(texts)]
 
-    def _put(self, renderer: Renderer, name: str, at: Text | None, value: Text) -> None:
-        place = self.lvalue(name)
-        if at is not None:
-            renderer.put(f"{place}[{at.text}]", value, at.reads)
+
+def changed(node: Node, values: Mapping[str, Expr], place: Callable[[str], str]) -> list[Change]:
+    """Return the changes of a block's states, whose lvalues `place` gives."""
+    return [Change(node, name, e, place(name)) for name, e in values.items() if not _keeps(name, e)]
+
+
+def commit(renderer: Renderer, rows: Sequence[Change]) -> None:
+    """Add the statements of changes that happen together."""
+    arrays = [row for row in rows if not row.numbers]
+    # The signals that arrays are made of must be computed before any state changes.
+    read = [item for row in arrays for item in walk([row.e]) if item.op == "input"]
+    texts = iter(renderer.texts([*(e for row in rows for e in row.numbers), *read]))
+    stores = []
+    for row in rows:
+        own = [next(texts) for _ in row.numbers]
+        stores += [(row, at, value) for at, value in row.stores(renderer, own)]
+    copies: list[tuple[Change, Text]] = []
+    for row in arrays:
+        renderer.owner = row.node
+        if any(row.name in _states(other.e) for other in rows if other.node is row.node):
+            copies.append((row, _beside(renderer, row)))
         else:
-            renderer.put(place, value)
+            renderer.assign([(row.place, row.e)])
+    replaced: set[str] = set()
+    ready: list[tuple[Change, Text | None, Text]] = []
+    for row, at, value in stores:
+        renderer.owner = row.node
+        if at is not None and at.reads & replaced:
+            at = _kept(renderer, row, "index", at, "int32")
+        if value.reads & replaced:
+            value = _kept(renderer, row, f"{row.name}_next", value, row.e.kind)
+        ready.append((row, at, value))
+        replaced.add(row.place)
+    for row, at, value in ready:
+        renderer.owner = row.node
+        if at is None:
+            renderer.put(row.place, value)
+        else:
+            renderer.put(f"{row.place}[{at.text}]", value, at.reads)
+    for row, source in copies:
+        renderer.owner = row.node
+        renderer.copy(row.place, source, row.e.width or 1, row.e.kind)
+    renderer.owner = None
 
-    def _next(self, renderer: Renderer, name: str, value: Text) -> Text:
-        return self._kept(renderer, f"{name}_next", value, self.changed[name].kind)
 
-    def _kept(self, renderer: Renderer, name: str, value: Text, kind: str) -> Text:
-        """Keep a number in a variable."""
-        new = renderer.names.new(f"{self.node.path}.{name}")
-        renderer.declare(new, kind, value, fixed=True)
-        return Text(new, reads=frozenset((new,)))
-
-    def _array(self, renderer: Renderer, name: str, e: Expr) -> Text:
-        """Return an array beside the states."""
-        (source,) = renderer.texts([e])
-        if e.op != "state":
-            return source
-        new = renderer.names.new(f"{self.node.path}.{name}_next")
-        renderer.declare(new, e.kind, width=e.width)
-        renderer.copy(new, source, e.width or 1, e.kind)
-        return Text(new, reads=frozenset((name_of(new),)))
+def _kept(renderer: Renderer, row: Change, name: str, value: Text, kind: str) -> Text:
+    """Keep a number in a variable."""
+    new = renderer.names.new(f"{row.node.path}.{name}")
+    renderer.declare(new, kind, value, fixed=True)
+    return Text(new, reads=frozenset((new,)))
 
 
-def _numbers(name: str, e: Expr) -> Sequence[Expr]:
-    """Return the numbers that the next value of a state is made of; none of an array that a loop makes."""
-    chain = _stores(name, e)
-    if chain:
-        return [x for pair in chain for x in pair]
-    return e.args if e.op == "vector" else [e] if e.width is None else []
+def _beside(renderer: Renderer, row: Change) -> Text:
+    """Return an array beside the states."""
+    source = renderer.text(row.e)
+    if row.e.op != "state":
+        return source
+    new = renderer.names.new(f"{row.node.path}.{row.name}_next")
+    renderer.declare(new, row.e.kind, width=row.e.width)
+    renderer.copy(new, source, row.e.width or 1, row.e.kind)
+    return Text(new, reads=frozenset((new,)))
 
 
 def _own_name(item: Expr) -> str:

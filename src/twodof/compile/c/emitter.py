@@ -89,8 +89,9 @@ def emit(
     for emitter in emitters:
         listing.lines += emitter.listing.lines
         listing.marks += emitter.listing.marks
+        listing.cost += emitter.listing.cost
     text = listing.text()
-    return [EmittedProgram(e.program, text, e.layout, precision, listing.marks) for e in emitters]
+    return [EmittedProgram(e.program, text, e.layout, precision, listing.marks, listing.cost) for e in emitters]
 
 
 def _elementary(names: Iterable[str], precision: str, lean: bool) -> tuple[list[str], set[str]]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from twodof.compile.c.statements import (
+    Assign,
     IfStatement,
     LoopStatement,
     Statement,
@@ -72,10 +74,11 @@ NO_MARK = Mark()
 
 @dataclass
 class Listing:
-    """Lines of C with their marks."""
+    """Lines of C with their marks; `cost` is that of `EmittedProgram`."""
 
     lines: list[str] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
+    cost: int = 0
 
     def add(self, text: str, mark: Mark = NO_MARK) -> None:
         """Add whole lines that have one mark."""
@@ -86,6 +89,7 @@ class Listing:
     def function(self, function: Function, role: str = "", block: str = "") -> None:
         """Add a function; lines of no block and no role of their own get `role`."""
         without_unread(function.body)
+        self.cost += _cost(function.body)
         used = {name for s in every(function.body) for name in (*s.reads, written(s))}
         head = Mark(function.part, "", "head")
         if function.remark:
@@ -102,6 +106,22 @@ class Listing:
     def text(self) -> str:
         """Return the whole text."""
         return "\n".join(self.lines) + "\n"
+
+
+def _cost(body: Sequence[Statement]) -> int:
+    statements = list(every(body))
+    last: dict[str, int] = {}
+    for k, s in enumerate(statements):
+        if isinstance(s, Assign) and s.declared and s.size is None:
+            last[s.target] = k
+        last.update((name, k) for name in s.reads & last.keys())
+    ends = Counter(last.values())
+    alive = total = 0
+    for k, s in enumerate(statements):
+        alive += isinstance(s, Assign) and s.target in last and bool(s.declared)
+        total += alive * alive
+        alive -= ends[k]
+    return total
 
 
 class _Body:

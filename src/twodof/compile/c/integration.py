@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.expressions.numbers import FLOATS
-from twodof.compile.c.commit import Commit
+from twodof.compile.c.commit import changed, commit
 from twodof.compile.c.expressions import Leaves, Renderer
 from twodof.compile.c.operators import C_TYPES
 from twodof.compile.c.statements import Assign, Call, Copy, IfStatement, LoopStatement, Statement, every, name_of
@@ -187,8 +187,7 @@ class Integration:
     def _project(self, node: Node) -> None:
         renderer = self._renderer(self.x, self.step.signal, lambda item: None)
         values = {name: self.graph.of(node, e) for name, e in node.trace.project.items()}
-        commit = Commit(node, values, lambda name: f"{self.x}.{self.layout.states[node, name].name}")
-        commit.write(renderer, renderer.texts(commit.roots))
+        commit(renderer, changed(node, values, lambda name: f"{self.x}.{self.layout.states[node, name].name}"))
 
     def commit(self) -> None:
         """Add the continuous states of the next tick; those of disabled blocks keep theirs."""

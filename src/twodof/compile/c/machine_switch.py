@@ -13,7 +13,7 @@ from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ELAPSED, MODE, OUTER_ELAPSED, Leaf, Route, last, owner_clock
 from twodof.blocks.state_machine.state_machine import LONGEST
-from twodof.compile.c.commit import Commit
+from twodof.compile.c.commit import changed, commit
 from twodof.compile.c.expressions import Leaves, Renderer
 from twodof.compile.c.scope import Scope
 from twodof.compile.c.statements import (
@@ -126,15 +126,8 @@ class MachineSwitch:
     def _stay(self, leaf: Leaf) -> None:
         for mode, outputs, variables in self._stays(leaf):
             renderer = self._renderer(mode)
-            commit = self._commit(variables)
-            texts = renderer.texts([*(e for e in outputs.values() if e.width is None), *commit.roots])
-            given = iter(texts)
-            for name, e in outputs.items():
-                if e.width is None:
-                    renderer.put(self.targets[name], next(given))
-                else:
-                    renderer.assign([(self.targets[name], e)])
-            commit.write(renderer, list(given))
+            renderer.assign([(self.targets[name], e) for name, e in outputs.items()])
+            self._change(renderer, variables)
 
     def _transitions(self, routes: Sequence[Route]) -> None:
         """Add the transitions out of a mode: if, else if, ..."""
@@ -190,12 +183,10 @@ class MachineSwitch:
             self._add(self._line(f"{self.states[state]} = {text};"))
 
     def _act(self, mode: Mode, values: Mapping[str, Expr]) -> None:
-        if values:
-            renderer, commit = self._renderer(mode), self._commit(values)
-            commit.write(renderer, renderer.texts(commit.roots))
+        self._change(self._renderer(mode), values)
 
-    def _commit(self, values: Mapping[str, Expr]) -> Commit:
-        return Commit(self.node, values, self.states.__getitem__)
+    def _change(self, renderer: Renderer, values: Mapping[str, Expr]) -> None:
+        commit(renderer, changed(self.node, values, self.states.__getitem__))
 
     def _renderer(self, mode: Mode) -> Renderer:
         """Return a fresh one for each action: what it names is another value once the variables have changed."""
@@ -206,6 +197,7 @@ class MachineSwitch:
                 found = self.signal(self.node.drivers[item.data])
             elif item.op == "state":
                 found = self.states[clock if item.data == ELAPSED else item.data]
+                return Text(found, reads=frozenset((name_of(found), found)))
             elif item.op == "param":
                 found = self.scope.given(self.node, item.data)
             elif item.op == "tick":

@@ -72,8 +72,7 @@ class _Pieces:
             nonlocal piece, length
             if piece:
                 self.bodies.append(piece)
-                arguments = ", ".join([*self.function.arguments(), "&work"])
-                calls.append(Call(f"{self.function.name}_{len(self.bodies)}({arguments});", role="pieces"))
+                calls.append(Call(f"{self.function.name}_{len(self.bodies)}", role="pieces"))
             piece, length = [], 0
 
         for statement in body:
@@ -102,16 +101,18 @@ class _Pieces:
 
     def made(self) -> tuple[str, list[Function], int]:
         """Return what `in_pieces` does."""
-        members = "".join(f"    {_member(s)}\n" for s in self.handed.values())
-        remark = f"what the pieces of {self.function.name} hand on"
-        struct = f"typedef struct {{ /* {remark} */\n{members or '    unsigned char none;'}}} {self.kind};\n\n"
         f = self.function
-        parameters = (*f.parameters, f"{self.kind} *restrict work")
+        struct, parameters, arguments = "", f.parameters, f.arguments()
+        main: list[Statement] = []
+        if self.handed:
+            members = "".join(f"    {_member(s)}\n" for s in self.handed.values())
+            struct = f"typedef struct {{ /* what the pieces of {f.name} hand on */\n{members}}} {self.kind};\n\n"
+            parameters, arguments = (*parameters, f"{self.kind} *restrict work"), [*arguments, "&work"]
+            main.append(Call(f"{self.kind} work;", role="pieces"))
         made = [
             Function("td_apart void", f"{f.name}_{k + 1}", parameters, self._piece(k, body), f.part)
             for k, body in enumerate(self.bodies)
         ]
-        main: list[Statement] = [Call(f"{self.kind} work;", role="pieces")]
         loaded: set[str] = set()
         for statement in self.main:
             for name in sorted(statement.reads):
@@ -121,9 +122,10 @@ class _Pieces:
                     main.append(
                         Assign(name, f"work.{name}", f"const {declared.removeprefix('const ')}", role="handed on")
                     )
-            statement.reads |= frozenset(f.arguments()) if isinstance(statement, Call) else frozenset()
             for inner in every([statement]):
                 inner.reads |= frozenset(f.arguments())
+                if isinstance(inner, Call):
+                    inner.line += f"({', '.join(arguments)});"
             main.append(statement)
         made.append(Function(f.result, f.name, f.parameters, main, f.part, f.remark))
         return struct, made, sum(s.size or 1 for s in self.handed.values())

@@ -1,13 +1,13 @@
 """StepEmitter: the statements of one tick, apart from the integration."""
 
 from collections.abc import Iterable, Sequence
-from itertools import islice
+from functools import partial
 
 from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import StateMachine
-from twodof.compile.c.commit import Commit
+from twodof.compile.c.commit import Change, changed, commit
 from twodof.compile.c.expressions import Leaves
 from twodof.compile.c.graph import leaf
 from twodof.compile.c.machine_switch import MachineSwitch
@@ -100,7 +100,7 @@ class StepEmitter:
             self.renderer.out.append(IfStatement(condition.text, body, role="condition", reads=condition.reads))
 
     def outputs(self) -> None:
-        """Add the outputs of all blocks, group by group, and the updates of states that may come early."""
+        """Add the outputs of all blocks, group by group."""
         for signal in self.program.edged:
             self._declare_edge(signal)
         for segments in self.schedule.groups:
@@ -147,7 +147,7 @@ class StepEmitter:
         return made
 
     def _segment(self, segment: Segment) -> None:
-        """Add the outputs of a segment, then the updates of states, then what stands behind them."""
+        """Add the outputs of a segment, then what stands behind them."""
         fixed = [s for a in segment.actions for s in a.signals if s in self.schedule.fixed]
         roots = [leaf(s) for s in fixed]
         behind = segment.behind
@@ -157,13 +157,10 @@ class StepEmitter:
         edges = [s for s in fixed if s in self.fractions]
         for s in edges:
             roots += self._edge(s)
-        commits = [self.commit(node) for node in segment.updates]
-        texts = self.renderer.texts([*roots, *(r for c in commits for r in c.roots)])
-        given = iter(texts[len(roots) - 2 * len(edges) :])
+        texts = iter(self.renderer.texts(roots)[len(roots) - 2 * len(edges) :])
         for s in edges:
             for name in self.fractions[s]:
-                self._set_edge(s, name, next(given))
-        self._write(commits, list(given))
+                self._set_edge(s, name, next(texts))
         self._pending.difference_update(fixed)
         if behind is not None:
             self._behind(segment, behind.node)
@@ -191,23 +188,6 @@ class StepEmitter:
         reads = frozenset(map(name_of, signals))
         self.renderer.out.append(IfStatement(" || ".join(signals), self.scope.initial(node), owner=node, reads=reads))
 
-    def commit(self, node: Node) -> Commit:
-        """Return the update of a block's states."""
-        values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
-        return Commit(node, values, lambda name: self.scope.state(node, name))
-
-    def _write(self, commits: Sequence[Commit], texts: Sequence[Text]) -> None:
-        """Add the updates; what one of them reads of a state that one before it replaces, is kept before both."""
-        given = iter(texts)
-        changed: set[str] = set()
-        parts = []
-        for commit in commits:
-            own = list(islice(given, len(commit.roots)))
-            parts.append([commit.keep(self.renderer, k, t) if t.reads & changed else t for k, t in enumerate(own)])
-            changed |= commit.written
-        for commit, own in zip(commits, parts, strict=True):
-            commit.write(self.renderer, own)
-
     def _switch(self, node: Node, signals: Sequence[FlatSignal]) -> None:
         """Add a state machine as C that reads like its drawing."""
         machine = node.block
@@ -225,9 +205,9 @@ class StepEmitter:
         renderer.owner = outer
 
     def updates(self) -> None:
-        """Add the updates of states that had to wait. A block's own are the only ones that its update reads."""
+        """Add the updates of states. A block's own are the only ones that its update reads."""
         by_guard: dict[Guard, list[Node]] = {}
-        for node in self.schedule.last:
+        for node in self.schedule.updates:
             by_guard.setdefault(node.guard, []).append(node)
         for guard in sorted(by_guard, key=lambda g: not g.always):
             with self.renderer.within() as body:
@@ -235,14 +215,15 @@ class StepEmitter:
             self.guarded(self.tests(guard), body)
 
     def _updates(self, nodes: Sequence[Node]) -> None:
-        commits = []
+        rows: list[Change] = []
         for node in nodes:
             idle = not any(s in self.schedule.live for s in node.outputs.values())
             if isinstance(node.block, StateMachine) and idle and self.schedule.ready(node):
                 self._switch(node, ())
             else:
-                commits.append(self.commit(node))
-        self._write(commits, self.renderer.texts(r for c in commits for r in c.roots))
+                values = {name: self.graph.of(node, e) for name, e in node.trace.update.items()}
+                rows += changed(node, values, partial(self.scope.state, node))
+        commit(self.renderer, rows)
 
     def returned(self) -> None:
         """Add the outputs and logged signals."""

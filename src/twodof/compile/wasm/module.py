@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -27,6 +26,8 @@ STACK = 1 << 20  # bytes; three nested functions may have 320 kB of arrays each
 ROWS = 4096  # at most; ticks whose inputs and outputs stand in the memory at once
 ROW_BYTES = 1 << 18  # of all rows of one program, if one row is not larger
 LARGEST = 256 << 20  # bytes of memory that a module may have
+OPTIMISATION_BUDGET = 100_000_000
+"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much; cubic in the values."""
 INTERFACE = 1  # version of what `WasmModule.interface` returns
 
 FLAGS = (
@@ -161,7 +162,7 @@ def compile_module(
 ) -> WasmModule:
     """Compile `programs`, which stand in one source, to one module; needs no engine.
 
-    Code that takes too long to optimise (`optimisation_cost`) is compiled with -O0, whatever `optimise` says.
+    Code that takes too long to optimise (`EmittedProgram.cost`) is compiled with -O0, whatever `optimise` says.
     Raises CompileError if the compiler is not there or refuses, or if a program needs too much memory.
     """
     found = find_wasm_compiler(compiler)
@@ -175,7 +176,7 @@ def compile_module(
         raise CompileError(what, ", ".join(list(places)[:3]), "shorten tables")
     options = (
         *FLAGS,
-        "-O0" if optimisation_cost(programs[0].source) > OPTIMISATION_BUDGET else optimise,
+        "-O0" if programs[0].cost > OPTIMISATION_BUDGET else optimise,
         *found.flags,
         f"-Wl,--global-base={start}",
         f"-Wl,--initial-memory={pages * PAGE}",  # which is also the largest: it cannot grow
@@ -242,44 +243,3 @@ def _moved(node: Node) -> int:
     started = len(node.starts) * sum(s.width or 1 for s in block.states)
     declared: list[Port | State | Param] = [*block.states, *block.outputs, *block.inputs, *block.params]
     return sum(4 * (d.width or 1) for d in declared) + started + 8
-
-
-_WORD = re.compile(r"[A-Za-z_]\w*")
-_LOCAL = re.compile(r" +(?:const )?(?:real|int32_t|uint32_t|bool) (\w+) = ")
-OPTIMISATION_BUDGET = 100_000_000
-"""From here on code is not optimised: zig's -O3 needs about 4 s of processor time for as much; cubic in the values."""
-
-
-def optimisation_cost(source: str) -> int:
-    """Return the sum over the lines of C of the squared number of local values that a later line still reads.
-
-    `source` is as the emitter writes it: a local value a line, a function's end at the line's beginning.
-    """
-    total = 0
-    body: list[str] = []
-    for line in source.splitlines():
-        if line.startswith("}"):
-            total += _function_cost(body)
-            body = []
-        else:
-            body.append(line)
-    return total
-
-
-def _function_cost(lines: list[str]) -> int:
-    last: dict[str, int] = {}
-    for number, line in enumerate(lines):
-        if match := _LOCAL.match(line):
-            last[match[1]] = number
-        for word in _WORD.findall(line):
-            if word in last:
-                last[word] = number
-    alive = total = 0
-    ends = [0] * (len(lines) + 1)
-    for number, line in enumerate(lines):
-        if match := _LOCAL.match(line):
-            alive += 1
-            ends[last[match[1]]] += 1
-        total += alive * alive
-        alive -= ends[number]
-    return total
