@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from twodof.cli.connection import run_until_signal
-from twodof.cli.options import Index
-from twodof.cli.output import Json, print_json, say_line
+from twodof.cli.options import Index, Json, argument, flag, option
+from twodof.cli.output import print_json, say_line
 from twodof.companion.app_supervisor import MISTAKE, AppLimits, AppSupervisor, RestartPolicy
 from twodof.companion.companion import Companion
 from twodof.companion.links import Serve, px4_links
@@ -51,26 +51,21 @@ def route(
     context: typer.Context,
     fcu: Annotated[
         str | None,
-        typer.Option(
-            metavar="URL", help=f"The flight controller; left out: tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index."
-        ),
+        option(f"The flight controller; left out: tcp://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index.", "URL"),
     ] = None,
     index: Index = 0,
     onboard: Annotated[
-        list[str] | None,
-        typer.Option(metavar="URL", help="Serve clients there with onboard rates; may be repeated."),
+        list[str] | None, option("Serve clients there with onboard rates; may be repeated.", "URL")
     ] = None,
     ground: Annotated[
-        list[str] | None,
-        typer.Option(metavar="URL", help="Serve clients there with ground rates; may be repeated."),
+        list[str] | None, option("Serve clients there with ground rates; may be repeated.", "URL")
     ] = None,
-    open_: Annotated[bool, typer.Option("--open", help="Let other machines in, not this one alone.")] = False,
+    open_: Annotated[bool, flag("Let other machines in, not this one alone.", "--open")] = False,
     key: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Sign what it says itself with this key, and let nothing else through."),
+        Path | None, option("Sign what it says itself with this key, and let nothing else through.", "FILE")
     ] = None,
     line_rate: Annotated[
-        float | None, typer.Option(min=100.0, help="What the line to the flight controller carries [byte/s].")
+        float | None, option("What the line to the flight controller carries [byte/s].", min=100.0)
     ] = None,
     json: Json = False,
 ) -> None:
@@ -101,11 +96,9 @@ def route(
 @companion.command()
 def run(
     context: typer.Context,
-    program: Annotated[
-        Path, typer.Argument(metavar="APP", exists=True, dir_okay=False, help="A file with `async def main(drone)`.")
-    ],
-    restarts: Annotated[int, typer.Option(min=0, max=100, help="How often in a row it is started again.")] = 4,
-    memory: Annotated[int, typer.Option(min=64, help="Memory that it may use [MiB].")] = 4096,
+    program: Annotated[Path, argument("A file with `async def main(drone)`.", "APP", exists=True, dir_okay=False)],
+    restarts: Annotated[int, option("How often in a row it is started again.", min=0, max=100)] = 4,
+    memory: Annotated[int, option("Memory that it may use [MiB].", min=64)] = 4096,
 ) -> None:
     """Route, and run a program of your own on board: started again if it crashes, ended with the companion.
 

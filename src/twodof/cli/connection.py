@@ -8,10 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
-import typer
-from rich.table import Table
-
-from twodof.cli.output import Json, print_json, table_console
+from twodof.cli.options import Json, argument, flag, option
+from twodof.cli.output import print_json, table, table_console
 from twodof.errors import LinkError, RefusalReason, Rejected
 from twodof.fleet.local_drone import controller_in_words, with_port_owner
 from twodof.gcs.async_drone import DEFAULT_URL
@@ -19,9 +17,9 @@ from twodof.gcs.discovery import LOOPBACK, discover
 from twodof.gcs.drone import Drone
 from twodof.link.signing import Key, write_key
 
-UrlOfDrone = Annotated[str, typer.Option(help="Where the drone is, as `twodof up` or `twodof drones` says.")]
-SystemOfDrone = Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")]
-KeyOfDrone = Annotated[Path | None, typer.Option(help="File of the key that signs everything.")]
+UrlOfDrone = Annotated[str, option("Where the drone is, as `twodof up` or `twodof drones` says.")]
+SystemOfDrone = Annotated[int | None, option("Its system, where several are heard.", min=1, max=255)]
+KeyOfDrone = Annotated[Path | None, option("File of the key that signs everything.")]
 
 
 def connect(url: str, key: Path | None = None, drone: int | None = None) -> Drone:
@@ -69,8 +67,8 @@ async def run_until_signal(work: Coroutine[object, object, int | None]) -> int |
 
 
 def drones(
-    host: Annotated[list[str] | None, typer.Argument(metavar="HOST", help="Machines to ask besides this one.")] = None,
-    timeout: Annotated[float, typer.Option(min=0.1, max=60.0, help="How long to listen [s].")] = 3.0,
+    host: Annotated[list[str] | None, argument("Machines to ask besides this one.", "HOST")] = None,
+    timeout: Annotated[float, option("How long to listen [s].", min=0.1, max=60.0)] = 3.0,
     json: Json = False,
 ) -> None:
     """List the drones that are heard on PX4's ports of this machine, or answer at those of HOST. Commands nothing."""
@@ -82,21 +80,21 @@ def drones(
     if not found:
         console.print(f"no drone was heard within {timeout:g} s")
         return
-    table = Table("drone", "connect to", "mode", "", "autopilot", "", box=None, pad_edge=False)
+    rows = table("drone", "connect to", "mode", "", "autopilot", "")
     drones_at = Counter(one.url for one in found)
     for one in found:
         # Where several are heard, `Drone.connect` must be told which.
         place = f"{one.url}, drone={one.system}" if drones_at[one.url] > 1 else one.url
         flies = "" if one.changed is None else controller_in_words(one.controller, one.changed)
-        table.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot, flies)
-    console.print(table)
+        rows.add_row(str(one.system), place, one.mode, "armed" if one.armed else "", one.autopilot, flies)
+    console.print(rows)
 
 
 def kill(
     url: UrlOfDrone = DEFAULT_URL,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
-    release: Annotated[bool, typer.Option("--release", help="Let a drone that was killed be armed again.")] = False,
+    release: Annotated[bool, flag("Let a drone that was killed be armed again.", "--release")] = False,
     json: Json = False,
 ) -> None:
     """Motors off, now: in flight too, and though another program commands it. It needs no lease and takes none.
@@ -131,7 +129,7 @@ def _release(url: str, drone: int | None, key: Path | None, json: bool) -> None:
 
 
 def key(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it; no file may be there.")],
+    file: Annotated[Path, argument("Where to write it; no file may be there.", "FILE")],
     json: Json = False,
 ) -> None:
     """Draw a key at random and write it to a new file that only its owner can read.

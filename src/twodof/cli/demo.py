@@ -6,10 +6,8 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from rich.table import Table
-
-from twodof.cli.output import Force, Json, print_json, progress, table_console
+from twodof.cli.options import Force, Json, option
+from twodof.cli.output import exit_unless, print_json, progress, table, table_console
 from twodof.errors import LogError
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
@@ -31,9 +29,9 @@ _OTHER_STEPS = 21
 
 
 def demo(
-    out: Annotated[Path, typer.Option(metavar="FILE", help="The report to write, an HTML page.")] = _REPORT,
+    out: Annotated[Path, option("The report to write, an HTML page.", "FILE")] = _REPORT,
     repetitions: Annotated[
-        int, typer.Option(min=3, max=100, help="Flights of each experiment on each rig; their spread is a result.")
+        int, option("Flights of each experiment on each rig; their spread is a result.", min=3, max=100)
     ] = REPETITIONS,
     force: Force = False,
     json: Json = False,
@@ -75,8 +73,7 @@ def demo(
         )
     else:
         _print(machines, len(logs), out, seconds)
-    if any(machine.remarks or not _complete(machine) for machine in rigs):
-        raise typer.Exit(1)
+    exit_unless(not any(machine.remarks or not _complete(machine) for machine in rigs))
 
 
 def _fly(repetitions: int, step: Callable[[str], None]) -> dict[str, CharacterisedMachine]:
@@ -134,12 +131,13 @@ def _parameters(machine: CharacterisedMachine) -> dict[str, dict[str, Any]]:
 def _print(machines: list[CharacterisedMachine], logs: int, out: Path, seconds: float) -> None:
     console = table_console()
     for machine in machines:
-        table = Table(title=machine.name, title_justify="left", box=None, pad_edge=False)
-        for name in ("", "unit", "paper", "truth", "simple", "grey-box"):
-            table.add_column(name, justify="left" if name in ("", "unit") else "right", min_width=9)
+        heads = ("", "unit", "paper", "truth", "simple", "grey-box")
+        made = table(*heads, right=range(2, 6), title=machine.name, title_justify="left")
+        for column in made.columns:
+            column.min_width = 9
         for row in rows(machine):
-            table.add_row(*_cells(row))
-        console.print(table)
+            made.add_row(*_cells(row))
+        console.print(made)
         console.print()
     if not logs:
         console.print(f"The real drone's logs are not at hand; {VARIABLE} names the folder that holds them.")

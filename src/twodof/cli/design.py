@@ -3,15 +3,14 @@
 import json as json_text
 import math
 import sys
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
 from twodof.cli.flown import write_view
-from twodof.cli.options import PromiseFile, PromisePlot, Seed
-from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.cli.options import Force, Json, PromiseFile, PromisePlot, Seed, argument, group, option
+from twodof.cli.output import exit_unless, print_json, progress, say_line, table_console
 from twodof.design.cascade import SEPARATION, CascadeDesign
 from twodof.design.designed_controller import CROSSOVER, design_controller
 from twodof.design.pitch_family import PitchFamily
@@ -31,66 +30,39 @@ from twodof.sim.promised.rail_design import RailDesign, rail_design
 from twodof.sim.promised.rail_promise import MEMBERS as RAIL_MEMBERS
 from twodof.sim.promised.rail_promise import RailFamily, check_rail, rail_promise
 
-design = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    help="Design a controller on an identified model, promise its flight, and judge it.",
-)
+design = group("Design a controller on an identified model, promise its flight, and judge it.")
 
 MAX_BYTES = 1 << 24
 
 
-class Method(StrEnum):
-    """Controller to design."""
-
-    cascade = "cascade"
-    lqg = "lqg"
-
-
-class AntiWindup(StrEnum):
-    """Integral of the rate loop while the motors are at their limits."""
-
-    none = "none"
-    clamping = "clamping"
-    back_calculation = "back-calculation"
-
-
 @design.command()
 def controller(
-    model: Annotated[
-        str, typer.Argument(metavar="MODEL", help="What `twodof identify --json` printed; -: from standard input.")
-    ],
-    out: Annotated[Path, typer.Option(metavar="FILE", help="Write the controller there, a diagram as JSON.")],
-    crossover: Annotated[float, typer.Option(metavar="RAD/S", help="Crossover of the rate loop.")] = CROSSOVER,
+    model: Annotated[str, argument("What `twodof identify --json` printed; -: from standard input.", "MODEL")],
+    out: Annotated[Path, option("Write the controller there, a diagram as JSON.", "FILE")],
+    crossover: Annotated[float, option("Crossover of the rate loop.", "RAD/S")] = CROSSOVER,
     phase_margin: Annotated[
-        float | None,
-        typer.Option(metavar="DEG", help="Phase margin of the rate loop; left out: what the course's rule gives."),
+        float | None, option("Phase margin of the rate loop; left out: what the course's rule gives.", "DEG")
     ] = None,
     method: Annotated[
-        Method, typer.Option(help="The cascade of the drone, or LQG: state feedback with a Kalman filter.")
-    ] = Method.cascade,
+        Literal["cascade", "lqg"], option("The cascade of the drone, or LQG: state feedback with a Kalman filter.")
+    ] = "cascade",
     spec: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="A specification (TOML): optimise the gains for it, and check them."),
+        Path | None, option("A specification (TOML): optimise the gains for it, and check them.", "FILE")
     ] = None,
     separation: Annotated[
-        float, typer.Option(help="The attitude loop crosses over at this part of the rate loop's crossover.")
+        float, option("The attitude loop crosses over at this part of the rate loop's crossover.")
     ] = SEPARATION,
     anti_windup: Annotated[
-        AntiWindup, typer.Option(help="Of the cascade's rate PID, with M limited to what the motors give in hover.")
-    ] = AntiWindup.none,
+        Literal["none", "clamping", "back-calculation"],
+        option("Of the cascade's rate PID, with M limited to what the motors give in hover."),
+    ] = "none",
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
-    goal: Annotated[float, typer.Option(metavar="DEG", help="The step of the pitch that is promised.")] = 10.0,
-    gust: Annotated[
-        float | None, typer.Option(metavar="RAD/S2", help="Standard deviation of the gusts' angular acceleration.")
-    ] = None,
-    gust_time: Annotated[float | None, typer.Option(metavar="S", help="Correlation time of the gusts.")] = None,
-    q_noise: Annotated[
-        float | None, typer.Option(metavar="RAD/S", help="Noise of a sample of q; left out: the model's.")
-    ] = None,
-    members: Annotated[int, typer.Option(help="How many members of the family are flown.")] = MEMBERS,
+    goal: Annotated[float, option("The step of the pitch that is promised.", "DEG")] = 10.0,
+    gust: Annotated[float | None, option("Standard deviation of the gusts' angular acceleration.", "RAD/S2")] = None,
+    gust_time: Annotated[float | None, option("Correlation time of the gusts.", "S")] = None,
+    q_noise: Annotated[float | None, option("Noise of a sample of q; left out: the model's.", "RAD/S")] = None,
+    members: Annotated[int, option("How many members of the family are flown.")] = MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
@@ -104,9 +76,9 @@ def controller(
     With --spec the gains are those that meet the specification best, by structured H-infinity. Exit status 1 also where
     they miss it.
     """
-    if spec is not None and method is not Method.cascade:
+    if spec is not None and method != "cascade":
         raise typer.BadParameter("--spec optimises the gains of the cascade: leave --method out")
-    if anti_windup is not AntiWindup.none and method is not Method.cascade:
+    if anti_windup != "none" and method != "cascade":
         raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
     _check_places(out, promise_file, plot, force)
     family = read_family(model).disturbed(gust, gust_time, q_noise)
@@ -117,13 +89,13 @@ def controller(
             crossover,
             None if phase_margin is None else math.radians(phase_margin),
             separation,
-            method.value,
+            method,
             asked,
             math.radians(goal),
             members,
             seed,
             report,
-            anti_windup.value,
+            anti_windup,
         )
     sure, found = made.robustness, made.promise
     written: dict[str, str] = {}
@@ -142,21 +114,16 @@ def controller(
         say_line("note: nothing is written; ask for a lower crossover, or identify the model better")
     elif not made.ready:
         say_line("note: the specification is not met; ask for less, or identify the model better")
-    if made.saturation.winds_up and anti_windup is AntiWindup.none and method is Method.cascade:
+    if made.saturation.winds_up and anti_windup == "none" and method == "cascade":
         say_line("note: --anti-windup back-calculation keeps the integral from winding up")
-    if not made.ready:
-        raise typer.Exit(1)
+    exit_unless(made.ready)
 
 
 @design.command()
 def verdict(
-    promised: Annotated[
-        Path, typer.Argument(metavar="PROMISE", help="The file that `design controller` or `design rail` wrote.")
-    ],
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of a flight with steps of the pitch.")],
-    plot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Draw the steps over the promise (.png, .svg, .pdf, .html).")
-    ] = None,
+    promised: Annotated[Path, argument("The file that `design controller` or `design rail` wrote.", "PROMISE")],
+    log: Annotated[Path, argument("The log of a flight with steps of the pitch.", "LOG")],
+    plot: Annotated[Path | None, option("Draw the steps over the promise (.png, .svg, .pdf, .html).", "FILE")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -178,8 +145,7 @@ def verdict(
         table_console().print(found.table())
         if plot is not None:
             say_line(f"written: {plot}")
-    if not found.stands:
-        raise typer.Exit(1)
+    exit_unless(found.stands)
 
 
 def read_family(source: str) -> PitchFamily:
@@ -251,44 +217,26 @@ def _say(sure: Robustness, limited: SaturatedStep, found: Promise, checked: tupl
 _SEARCH, _FLOWN = 0.8, 0.9  # shares of the work that end there
 
 
-class Loop(StrEnum):
-    """Set-point that steps."""
-
-    velocity = "velocity"
-    position = "position"
-
-
 @design.command()
 def rail(
-    pitch: Annotated[Path, typer.Argument(metavar="PITCH", help="The pitch's model, of `twodof identify --out`.")],
-    cart: Annotated[
-        Path, typer.Argument(metavar="CART", help="The cart's model, `twodof identify --out` of a velocity-doublet.")
-    ],
+    pitch: Annotated[Path, argument("The pitch's model, of `twodof identify --out`.", "PITCH")],
+    cart: Annotated[Path, argument("The cart's model, `twodof identify --out` of a velocity-doublet.", "CART")],
     controller: Annotated[
-        list[str] | None, typer.Option(metavar="DIAGRAM", help=f"In place of a stock loop; repeatable. {DIAGRAM_HELP}")
+        list[str] | None, option(f"In place of a stock loop; repeatable. {DIAGRAM_HELP}", "DIAGRAM")
     ] = None,
-    gains: Annotated[
-        str, typer.Option(help="Of the stock loops: default, student, or a JSON file of gains.")
-    ] = "default",
-    loop: Annotated[Loop | None, typer.Option(help="Whose set-point steps; left out: the specification's.")] = None,
-    goal: Annotated[
-        float | None, typer.Option(metavar="M/S|M", help="The step; left out: the specification's, or .15.")
+    gains: Annotated[str, option("Of the stock loops: default, student, or a JSON file of gains.")] = "default",
+    loop: Annotated[
+        Literal["velocity", "position"] | None, option("Whose set-point steps; left out: the specification's.")
     ] = None,
-    spec: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A specification (TOML) with a table [rail]: check it.")
-    ] = None,
+    goal: Annotated[float | None, option("The step; left out: the specification's, or .15.", "M/S|M")] = None,
+    spec: Annotated[Path | None, option("A specification (TOML) with a table [rail]: check it.", "FILE")] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="Search the stock loops' gains for --spec, from --gains on; write them there."
-        ),
+        Path | None, option("Search the stock loops' gains for --spec, from --gains on; write them there.", "FILE")
     ] = None,
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
-    rig: Annotated[str, typer.Option(metavar="RIG", help="What no model tells, such as sensors, is this rig's.")] = (
-        "paper"
-    ),
-    members: Annotated[int, typer.Option(help="How many members of the family are flown.")] = RAIL_MEMBERS,
+    rig: Annotated[str, option("What no model tells, such as sensors, is this rig's.", "RIG")] = ("paper"),
+    members: Annotated[int, option("How many members of the family are flown.")] = RAIL_MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
@@ -308,7 +256,7 @@ def rail(
     family = RailFamily.from_identified(_document(pitch), _document(cart), rig)
     diagrams, flown = [load_diagram(one) for one in controller or []], load_gains(gains)
     asked = None if spec is None else read_specification(spec, "rail")
-    which = loop.value if loop is not None else (asked.loop if asked is not None else "velocity")
+    which = loop if loop is not None else (asked.loop if asked is not None else "velocity")
     step = goal if goal is not None else (asked.step if asked is not None else STEPS[which].goal)
     found: RailDesign | None = None
     with progress() as report:
@@ -354,5 +302,4 @@ def rail(
             table_console().print(one.text)
         for name in written.values():
             say_line(f"written: {name}")
-    if not made.robust or not all(one.met for one in checked):
-        raise typer.Exit(1)
+    exit_unless(made.robust and all(one.met for one in checked))

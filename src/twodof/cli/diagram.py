@@ -3,9 +3,8 @@
 import json as json_text
 from collections.abc import Mapping
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -14,8 +13,8 @@ from rich.table import Table
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagram_tests import run_tests
 from twodof.cli.margins import margins
-from twodof.cli.options import RealType
-from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.cli.options import Force, Json, RealType, argument, flag, group, option
+from twodof.cli.output import exit_unless, print_json, table, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c_files.c_files import SourceLine, SourceMap, c_files, source_map
 from twodof.compile.linear.linear_model import Array, LinearModel
@@ -31,34 +30,21 @@ from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
 from twodof.report.state_machine_svg import machine_at, machine_svg
 
-diagram = typer.Typer(
-    add_completion=False,
-    rich_markup_mode=None,
-    no_args_is_help=True,
-    help="Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.",
-)
+diagram = group("Start, check, test, draw, read, export and linearize diagrams, and say the margins of their loops.")
 diagram.command("test")(run_tests)
 diagram.command()(margins)
 
 MAX_AT_BYTES = 2**20
 
-Which = Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)]
-Tick = Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")]
-
-
-class TimeDomain(StrEnum):
-    """Kind of linear model."""
-
-    AUTO = "auto"
-    CONTINUOUS = "continuous"
-    DISCRETE = "discrete"
+Which = Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")]
+Tick = Annotated[float, option("Base tick.", "SECONDS", "--dt")]
 
 
 @diagram.command()
 def new(
-    starter: Annotated[str, typer.Argument(metavar="STARTER", help=DIAGRAM_HELP.partition(", or ")[2])],
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where to write it, as JSON.")],
-    force: Annotated[bool, typer.Option("--force", "--overwrite", help="Replace a file that is there.")] = False,
+    starter: Annotated[str, argument(DIAGRAM_HELP.partition(", or ")[2], "STARTER")],
+    file: Annotated[Path, argument("Where to write it, as JSON.", "FILE")],
+    force: Annotated[bool, flag("Replace a file that is there.", "--force", "--overwrite")] = False,
 ) -> None:
     """Write a starter diagram to a file, to be changed."""
     made = new_diagram(starter, file, force)
@@ -70,7 +56,7 @@ def check(
     diagram: Which,
     dt: Tick = 0.004,
     template: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Ask that it fits this template of the drone's controllers.")
+        str | None, option("Ask that it fits this template of the drone's controllers.", "NAME")
     ] = None,
     json: Json = False,
 ) -> None:
@@ -99,8 +85,7 @@ def check(
     else:
         _print_findings(found, dt)
         _print_fit(fit, found)
-    if not found.fine or (template and fit is not None and not fit.fits):
-        raise typer.Exit(1)
+    exit_unless(found.fine and not (template and fit is not None and not fit.fits))
 
 
 def _misfits(fit: TemplateFit, found: Findings) -> list[str]:
@@ -137,13 +122,13 @@ def _print_findings(found: Findings, dt: float) -> None:
         return
     console.print("it compiles")
     if found.sizes:
-        table = Table(box=None, pad_edge=False, show_header=False)
+        sizes = table(show_header=False)
         for name, value in asdict(found.sizes).items():
             if name != "rates":
-                table.add_row(name.replace("_", " "), str(value))
+                sizes.add_row(name.replace("_", " "), str(value))
         rates = (f"{1 / (dt * d):g} Hz" + (f" from tick {o}" if o else "") for d, o in found.sizes.rates)
-        table.add_row("rates", ", ".join(rates))
-        console.print(table)
+        sizes.add_row("rates", ", ".join(rates))
+        console.print(sizes)
     if found.feedthrough:
         console.print("\nin the same tick:")
         for output, inputs in found.feedthrough.items():
@@ -157,10 +142,10 @@ def _print_findings(found: Findings, dt: float) -> None:
 def code(
     diagram: Which,
     dt: Tick = 0.004,
-    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
-    block: Annotated[str | None, typer.Option(metavar="PATH", help="Only what this block became.")] = None,
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page that shows both sides.")] = None,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the C itself.")] = None,
+    precision: Annotated[RealType, option("The type of a real.")] = "float64",
+    block: Annotated[str | None, option("Only what this block became.", "PATH")] = None,
+    html: Annotated[Path | None, option("Write a page that shows both sides.", "FILE")] = None,
+    out: Annotated[Path | None, option("Write the C itself.", "FILE")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -168,7 +153,7 @@ def code(
     for path in filter(None, (out, html)):
         check_folder(path, force)
     shown = load_diagram(diagram)
-    emitted = emit_program(shown, dt, precision.value)
+    emitted = emit_program(shown, dt, precision)
     found = source_map(emitted)
     if block is not None and block not in found.blocks:
         raise unknown_name("block", block, sorted(found.blocks), shown.name)
@@ -219,9 +204,9 @@ def _is_shown(line: SourceLine) -> bool:
 @diagram.command()
 def render(
     diagram: Which,
-    out: Annotated[Path | None, typer.Option(metavar="FILE", help="The SVG file; default: standard output.")] = None,
-    depth: Annotated[int, typer.Option(min=0, max=64, help="Open sub-diagrams down to this level.")] = 0,
-    path: Annotated[str, typer.Option(metavar="SUB", help="Draw only this sub-diagram, or state machine.")] = "",
+    out: Annotated[Path | None, option("The SVG file; default: standard output.", "FILE")] = None,
+    depth: Annotated[int, option("Open sub-diagrams down to this level.", min=0, max=64)] = 0,
+    path: Annotated[str, option("Draw only this sub-diagram, or state machine.", "SUB")] = "",
     force: Force = False,
 ) -> None:
     """Draw a diagram, or one of its state machines, as SVG."""
@@ -244,26 +229,20 @@ def render(
 def linearize(
     diagram: Which,
     dt: Tick = 0.004,
-    at: Annotated[
-        str | None, typer.Option(metavar="JSON", help="The point: a JSON object, or a file with one; else the start.")
-    ] = None,
-    trim: Annotated[bool, typer.Option("--trim", help="Search an equilibrium near the point.")] = False,
-    free: Annotated[
-        list[str] | None, typer.Option(metavar="INPUT", help="With --trim: an input that may move.")
-    ] = None,
+    at: Annotated[str | None, option("The point: a JSON object, or a file with one; else the start.", "JSON")] = None,
+    trim: Annotated[bool, flag("Search an equilibrium near the point.", "--trim")] = False,
+    free: Annotated[list[str] | None, option("With --trim: an input that may move.", "INPUT")] = None,
     inputs: Annotated[
-        list[str] | None, typer.Option("--input", metavar="NAME", help="An input, or a signal's path: it is cut there.")
+        list[str] | None, option("An input, or a signal's path: it is cut there.", "NAME", "--input")
     ] = None,
-    outputs: Annotated[
-        list[str] | None, typer.Option("--output", metavar="NAME", help="An output, or a signal's path.")
-    ] = None,
-    time: Annotated[TimeDomain, typer.Option(help="dx/dt, the step map, or what fits.")] = TimeDomain.AUTO,
-    keep_all: Annotated[bool, typer.Option("--keep-all", help="Keep states without influence.")] = False,
+    outputs: Annotated[list[str] | None, option("An output, or a signal's path.", "NAME", "--output")] = None,
+    time: Annotated[Literal["auto", "continuous", "discrete"], option("dx/dt, the step map, or what fits.")] = "auto",
+    keep_all: Annotated[bool, flag("Keep states without influence.", "--keep-all")] = False,
     json: Json = False,
 ) -> None:
     """Give the exact A, B, C, D of a diagram at a point."""
     found = linearize_diagram(
-        load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time.value, keep_all
+        load_diagram(diagram), dt, _at(at), inputs or None, outputs or None, trim, free or (), time, keep_all
     )
     if json:
         print_json(found.to_json())
@@ -329,12 +308,10 @@ def _alike(left_out: Mapping[str, str]) -> list[tuple[str, str]]:
 
 
 def _matrix(matrix: Array, rows: tuple[str, ...], columns: tuple[str, ...]) -> Table:
-    table = Table("", box=None, pad_edge=False)
-    for name in columns:
-        table.add_column(name, justify="right")
+    made = table("", *columns, right=range(1, len(columns) + 1))
     for name, row in zip(rows, matrix, strict=True):
-        table.add_row(name, *(f"{v:.6g}" for v in row))
-    return table
+        made.add_row(name, *(f"{v:.6g}" for v in row))
+    return made
 
 
 def _pole(pole: complex, dt: float | None) -> str:
@@ -349,18 +326,16 @@ def _pole(pole: complex, dt: float | None) -> str:
 
 @diagram.command()
 def export(
-    diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
+    diagram: Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")],
     folder: Annotated[
-        Path, typer.Argument(metavar="FOLDER", help="Where to write NAME.h and NAME.c.", show_default="this folder")
+        Path, argument("Where to write NAME.h and NAME.c.", "FOLDER", show_default="this folder")
     ] = Path(),
-    dt: Annotated[float, typer.Option("--dt", metavar="SECONDS", help="Base tick.")] = 0.004,
-    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
-    log: Annotated[
-        list[str] | None, typer.Option("--log", metavar="PATH", help="Return this signal too. May be repeated.")
-    ] = None,
-    name: Annotated[str, typer.Option(metavar="NAME", help="How all names begin. By default the diagram's name.")] = "",
+    dt: Annotated[float, option("Base tick.", "SECONDS", "--dt")] = 0.004,
+    precision: Annotated[RealType, option("The type of a real.")] = "float64",
+    log: Annotated[list[str] | None, option("Return this signal too. May be repeated.", "PATH", "--log")] = None,
+    name: Annotated[str, option("How all names begin. By default the diagram's name.", "NAME")] = "",
     tables: Annotated[
-        bool, typer.Option("--tables", help="With tables of parameters and signals, for live tuning and logging.")
+        bool, flag("With tables of parameters and signals, for live tuning and logging.", "--tables")
     ] = False,
     force: Force = False,
     json: Json = False,
@@ -369,7 +344,7 @@ def export(
 
     The header has an example of the loop that calls it.
     """
-    made = c_files(load_diagram(diagram), dt, precision.value, log or (), name=name, tables=tables)
+    made = c_files(load_diagram(diagram), dt, precision, log or (), name=name, tables=tables)
     paths = made.write(folder, force)
     if json:
         sizes = dict(zip(("real", "P", "S", "U", "Y"), made.emitted.sizes, strict=True))

@@ -2,15 +2,14 @@
 
 import importlib
 from dataclasses import asdict
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 from rich.table import Table
 
-from twodof.cli.options import RealType
-from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.cli.options import Force, Json, RealType
+from twodof.cli.output import print_json, table_console
 from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
 from twodof.compile.diagram_test.run_scenarios import run_scenarios, to_junit
 from twodof.compile.diagram_test.scenario import ScenarioResult
@@ -19,21 +18,15 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
 
-
-class RunOn(StrEnum):
-    """Target that runs the tests, as `run_scenarios` names it."""
-
-    reference = "reference"
-    native = "native"
-    wasm = "wasm"
-    cortex_m7 = "cortex-m7"
+RunOn = Literal["reference", "native", "wasm", "cortex-m7"]
+"""Target that runs the tests, as `run_scenarios` names it."""
 
 
 def run_tests(
     diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
     tests: Annotated[list[Path], typer.Argument(metavar="TESTS...", help="Files of tests (TOML).")],
-    target: Annotated[RunOn, typer.Option(help="What runs it; all give the same bits.")] = RunOn.native,
-    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = RealType.float64,
+    target: Annotated[RunOn, typer.Option(help="What runs it; all give the same bits.")] = "native",
+    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = "float64",
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML.")] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with plots of what failed.")] = None,
     coverage: Annotated[bool, typer.Option("--coverage", help="Say which decisions were never taken.")] = False,
@@ -54,10 +47,10 @@ def run_tests(
     covered = Coverage() if coverage or coverage_min is not None else None
     for file in tests:
         given = read_scenarios(file)
-        found = run_scenarios(tested, given.scenarios, given.dt, precision.value, target.value, given.integrator)
+        found = run_scenarios(tested, given.scenarios, given.dt, precision, target, given.integrator)
         results[str(file)] = found
         if covered is not None:
-            covered.add(measure_coverage(tested, given.scenarios, given.dt, precision.value, given.integrator))
+            covered.add(measure_coverage(tested, given.scenarios, given.dt, precision, given.integrator))
     every = [one for found in results.values() for one in found]
     if junit is not None:
         _write(junit, to_junit(results))

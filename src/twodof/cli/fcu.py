@@ -5,11 +5,10 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from twodof.cli import options
 from twodof.cli.connection import run_until_signal
-from twodof.cli.output import Json, print_json
+from twodof.cli.options import Json, option
+from twodof.cli.output import print_json
 from twodof.fleet.local_drone import controller_in_words
 from twodof.flight.controller_store import data_folder
 from twodof.flight.starters import DIAGRAM_HELP
@@ -21,10 +20,10 @@ from twodof.sim.virtual_drone import VirtualDrone
 def fcu(
     listen: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="URL",
-            help=f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index. "
+        option(
+            f"Where to listen, may be repeated; left out: tcpin://127.0.0.1:{Ports.FLIGHT_CONTROLLER} + index. "
             "Port 0: one that is free.",
+            "URL",
         ),
     ] = None,
     index: options.Index = 0,
@@ -32,9 +31,8 @@ def fcu(
     rings: options.Rings = False,
     controller: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="DIAGRAM",
-            help=f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP}",
+        option(
+            f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP}", "DIAGRAM"
         ),
     ] = None,
     trust: options.Trust = False,
@@ -45,13 +43,12 @@ def fcu(
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     rate: Annotated[
-        str, typer.Option(help="Streams that every client gets: onboard, or ground as a ground station wants them.")
+        str, option("Streams that every client gets: onboard, or ground as a ground station wants them.")
     ] = "onboard",
     state: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FOLDER",
-            help="For parameters, logs and uploaded controllers; left out: drone-INDEX in the user's data folder.",
+        option(
+            "For parameters, logs and uploaded controllers; left out: drone-INDEX in the user's data folder.", "FOLDER"
         ),
     ] = None,
     fresh: options.Fresh = False,

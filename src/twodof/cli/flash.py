@@ -5,13 +5,13 @@ from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from twodof.blocks.difference import Difference
 from twodof.blocks.schema.json_form import to_json
 from twodof.cli.connection import lease_refusals
 from twodof.cli.margins import print_margins
-from twodof.cli.output import Json, print_json, progress, table_console
+from twodof.cli.options import Json, argument, flag, group, option
+from twodof.cli.output import exit_unless, print_json, progress, table, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.export import airframe_id
 from twodof.compile.px4.tree import check as check_module
@@ -26,24 +26,20 @@ _LINES = 60  # of changes; a diagram that has little in common with the one befo
 
 
 def flash(
-    diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
+    diagram: Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")],
     to: Annotated[
         str,
-        typer.Option(
-            metavar=f"{SIM}|{PX4}|{FCU}|URL",
-            help=f"sim: the simulator; px4-dir: a module for PX4; a drone's URL, or fcu for {DEFAULT_URL}.",
+        option(
+            f"sim: the simulator; px4-dir: a module for PX4; a drone's URL, or fcu for {DEFAULT_URL}.",
+            f"{SIM}|{PX4}|{FCU}|URL",
         ),
     ],
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the module's folder.")] = None,
-    px4: Annotated[Path | None, typer.Option(metavar="DIR", help="With px4-dir: the PX4 that it is to fit.")] = None,
-    precision: Annotated[str, typer.Option(help="float32 as flight controllers compute, or float64.")] = "float32",
-    key: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="With a drone: the key that signs everything.")
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say everything and change nothing.")] = False,
-    force_unstable: Annotated[
-        bool, typer.Option(FORCE, help="Flash it although it is unstable on the virtual rig.")
-    ] = False,
+    out: Annotated[Path | None, option("With px4-dir: the module's folder.", "DIR")] = None,
+    px4: Annotated[Path | None, option("With px4-dir: the PX4 that it is to fit.", "DIR")] = None,
+    precision: Annotated[str, option("float32 as flight controllers compute, or float64.")] = "float32",
+    key: Annotated[Path | None, option("With a drone: the key that signs everything.", "FILE")] = None,
+    dry_run: Annotated[bool, flag("Say everything and change nothing.", "--dry-run")] = False,
+    force_unstable: Annotated[bool, flag("Flash it although it is unstable on the virtual rig.", FORCE)] = False,
     json: Json = False,
 ) -> None:
     """Check and compile a controller, say its sizes and what changes against what flies now, and let it fly.
@@ -152,27 +148,21 @@ def _print_changes(console: Console, changes: Difference, origin: str) -> None:
         console.print(f"  and {len(rows) - _LINES} more, which --json lists")
 
 
-px4 = typer.Typer(
-    help="Make a module for PX4 of a diagram, and see whether a PX4 fits it.",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+px4 = group("Make a module for PX4 of a diagram, and see whether a PX4 fits it.")
 
 
 @px4.command()
 def export(
-    diagram: Annotated[str, typer.Argument(help=DIAGRAM_HELP)],
-    out_dir: Annotated[Path, typer.Argument(help="The folder to write: a new one, an empty one or an earlier export.")],
+    diagram: Annotated[str, argument(DIAGRAM_HELP)],
+    out_dir: Annotated[Path, argument("The folder to write: a new one, an empty one or an earlier export.")],
     log: Annotated[
-        list[str] | None, typer.Option("--log", help="Log also this signal: its path, part.port. May be repeated.")
+        list[str] | None, option("Log also this signal: its path, part.port. May be repeated.", None, "--log")
     ] = None,
     prefix: Annotated[
-        str,
-        typer.Option(help="How the parameters' names begin: 1 to 5 capitals or digits. By default the name decides."),
+        str, option("How the parameters' names begin: 1 to 5 capitals or digits. By default the name decides.")
     ] = "",
     force: Annotated[
-        bool, typer.Option("--force", help="Replace an earlier export even if its files were changed or added to.")
+        bool, flag("Replace an earlier export even if its files were changed or added to.", "--force")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -198,11 +188,11 @@ def export(
         return
     console = table_console()
     console.print(f"{out_dir}: module {module.names.module}, {len(module.files)} files")
-    table = Table("parameter in PX4", "in the diagram", box=None, pad_edge=False)
+    rows = table("parameter in PX4", "in the diagram")
     for row in module.parameters:
         element = "" if row.index is None else f"[{row.index}]"
-        table.add_row(row.name, f"{row.path}{element}" if row.path else "(the module's own)")
-    console.print(table)
+        rows.add_row(row.name, f"{row.path}{element}" if row.path else "(the module's own)")
+    console.print(rows)
     for kept in module.kept:
         console.print(f"not in PX4: {kept.path}: {kept.reason}")
     console.print(f"reads {', '.join(module.role.reads)}")
@@ -212,8 +202,8 @@ def export(
 
 @px4.command()
 def check(
-    px4_dir: Annotated[Path, typer.Argument(help="A checkout of PX4.")],
-    out_dir: Annotated[Path, typer.Argument(help="A folder that `twodof px4 export` wrote.")],
+    px4_dir: Annotated[Path, argument("A checkout of PX4.")],
+    out_dir: Annotated[Path, argument("A folder that `twodof px4 export` wrote.")],
     json: Json = False,
 ) -> None:
     """Compare an exported module with a checkout of PX4: its version, and what its build does not show.
@@ -230,5 +220,4 @@ def check(
             console.print(f"{row.level}: {row.where}: {row.what} ({row.remedy})")
         verdict = "fits" if found.fits else "does not fit"
         console.print(f"{found.module} {verdict} {px4_dir}, version {found.version}")
-    if not found.fits:
-        raise typer.Exit(1)
+    exit_unless(found.fits)

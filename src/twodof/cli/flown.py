@@ -5,8 +5,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
+from twodof.cli.options import option
 from twodof.cli.output import table_console
 from twodof.experiment.flight import Flight
 from twodof.flightlog.files import check_place, write_log
@@ -14,11 +13,8 @@ from twodof.flightlog.log import FlightLog
 from twodof.report.plots.flight_view import SUFFIXES, FlightView, flight_view
 from twodof.report.plots.flight_view import check_place as check_plot
 
-Out = Annotated[Path | None, typer.Option(help="Write the flight's log (.mat, .mcap, .parquet, .csv, .ulg).")]
-Plot = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help=f"Draw the flight into a picture or a page ({', '.join(SUFFIXES)})."),
-]
+Out = Annotated[Path | None, option("Write the flight's log (.mat, .mcap, .parquet, .csv, .ulg).")]
+Plot = Annotated[Path | None, option(f"Draw the flight into a picture or a page ({', '.join(SUFFIXES)}).", "FILE")]
 
 
 def check_places(out: Path | None, plot: Path | None, force: bool) -> None:

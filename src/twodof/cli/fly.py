@@ -12,7 +12,8 @@ import typer
 
 from twodof.cli.connection import connect
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
-from twodof.cli.output import Force, Json, print_json, progress, say_line, table_console
+from twodof.cli.options import Force, Json, argument, flag, option
+from twodof.cli.output import exit_unless, print_json, progress, say_line, table_console
 from twodof.errors import LinkLost
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
@@ -26,23 +27,20 @@ from twodof.gcs.drone import Drone
 
 
 def fly(
-    experiment: Annotated[str, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")],
-    url: Annotated[str | None, typer.Option(help=f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
+    experiment: Annotated[str, argument(f"One of {', '.join(EXPERIMENTS)}.")],
+    url: Annotated[str | None, option(f"Where the drone is, as `twodof up` says [{DEFAULT_URL}].")] = None,
     rig: Annotated[
-        str | None, typer.Option(help="lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
+        str | None, option("lab, paper, or a JSON file: fly a virtual drone of our own on this rig.")
     ] = None,
     controller: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DIAGRAM", help="With --rig: fly this controller, in a sandbox; may be repeated."),
+        list[str] | None, option("With --rig: fly this controller, in a sandbox; may be repeated.", "DIAGRAM")
     ] = None,
-    drone: Annotated[int | None, typer.Option(min=1, max=255, help="Its system, where several are heard.")] = None,
-    key: Annotated[Path | None, typer.Option(help="File of the key that signs everything.")] = None,
-    seed: Annotated[int, typer.Option(min=0, max=2**32 - 1, help="Seed of a virtual drone's noise.")] = 1,
-    start: Annotated[
-        float | None, typer.Option(metavar="X", help="Where the cart starts, in metres; left out: where it fits.")
-    ] = None,
+    drone: Annotated[int | None, option("Its system, where several are heard.", min=1, max=255)] = None,
+    key: Annotated[Path | None, option("File of the key that signs everything.")] = None,
+    seed: Annotated[int, option("Seed of a virtual drone's noise.", min=0, max=2**32 - 1)] = 1,
+    start: Annotated[float | None, option("Where the cart starts, in metres; left out: where it fits.", "X")] = None,
     withhold_tuning: Annotated[
-        bool, typer.Option("--withhold-tuning", help="Let no other program change parameters meanwhile.")
+        bool, flag("Let no other program change parameters meanwhile.", "--withhold-tuning")
     ] = False,
     out: Out = None,
     plot: Plot = None,
@@ -102,8 +100,7 @@ def fly(
         where = f"seed {flight.seed}, start x = {flight.x_start:+.3f} m"
         table_console().print(f"{experiment} flown on {machine.name}, {where}")
         print_checks(flight, out, plot)
-    if not flight.good:
-        raise typer.Exit(1)
+    exit_unless(flight.good)
 
 
 @contextmanager

@@ -3,17 +3,17 @@
 import importlib
 import json as json_text
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from twodof.cli.output import Force, Json, print_json, say_line, table_console
+from twodof.cli.options import Force, Json, argument, option
+from twodof.cli.output import exit_unless, print_json, say_line, table_console
 from twodof.cli.own_structure import own_record, read_structure, with_reference
-from twodof.errors import LogError, ParameterError
+from twodof.errors import LogError, ParameterError, listed
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
 from twodof.flightlog.log import FlightLog
@@ -32,107 +32,59 @@ from twodof.report.plots.flight_view import SUFFIXES, check_place
 _KNOWN = (*KINDS, *FLOWN_AS)
 
 
-class FitMethod(StrEnum):
-    """Method of identification."""
-
-    greybox = "grey-box"
-    simple = "simple"
-
-
-class NoiseModel(StrEnum):
-    """Noise model of the grey-box method (`fit(disturbance=...)`)."""
-
-    auto = "auto"
-    white = "white"
-    ar = "ar"
-    input = "input"
-
-
-class Model(StrEnum):
-    """Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
-
-    auto = AUTO
-    pitch_rate = "pitch-rate"
-    pitch_rate_lag = "pitch-rate-lag"
-    pitch_on_cart = "pitch-on-cart"
-    free_response = "free-response"
-    velocity = "velocity"
-    rail = "rail"
+FitMethod = Literal["grey-box", "simple"]
+Model = Literal["auto", "pitch-rate", "pitch-rate-lag", "pitch-on-cart", "free-response", "velocity", "rail"]
+"""Ready-made structures for the grey-box method; `velocity` is the paper's, between on-board estimates."""
 
 
 def identify(
     files: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="LOG", help="The flight log to identify from; several of one experiment: each, and their spread."
-        ),
+        argument("The flight log to identify from; several of one experiment: each, and their spread.", "LOG"),
     ],
     experiment: Annotated[
         str | None,
-        typer.Option(
-            metavar="|".join(KINDS),
-            help="What the log holds (attitude: the pitch in closed loop), or the name that it was flown under; "
+        option(
+            "What the log holds (attitude: the pitch in closed loop), or the name that it was flown under; "
             "left out: what the log says or looks like.",
+            "|".join(KINDS),
         ),
     ] = None,
-    method: Annotated[FitMethod, typer.Option(help="Output error, or by hand as the paper does.")] = FitMethod.greybox,
-    model: Annotated[Model, typer.Option(help="Structure for the grey-box method; auto: the paper's.")] = Model.auto,
+    method: Annotated[FitMethod, option("Output error, or by hand as the paper does.")] = "grey-box",
+    model: Annotated[Model, option("Structure for the grey-box method; auto: the paper's.")] = "auto",
     window: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="T0 T1", help="Stretch of the log, in seconds; default: found."),
+        tuple[float, float] | None, option("Stretch of the log, in seconds; default: found.", "T0 T1")
     ] = None,
-    estimate: Annotated[list[str] | None, typer.Option(help="Unknown to estimate; repeat for several.")] = None,
-    value: Annotated[
-        list[str] | None, typer.Option(metavar="NAME=NUMBER", help="First guess, or fixed value; repeatable.")
-    ] = None,
-    validate: Annotated[list[Path] | None, typer.Option(metavar="LOG", help="Log to validate on; repeatable.")] = None,
+    estimate: Annotated[list[str] | None, option("Unknown to estimate; repeat for several.")] = None,
+    value: Annotated[list[str] | None, option("First guess, or fixed value; repeatable.", "NAME=NUMBER")] = None,
+    validate: Annotated[list[Path] | None, option("Log to validate on; repeatable.", "LOG")] = None,
     impulse: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LOG", help="Of a doublet: the impulse's log, from which the poles come; by hand it is needed."
-        ),
+        Path | None, option("Of a doublet: the impulse's log, from which the poles come; by hand it is needed.", "LOG")
     ] = None,
     structure: Annotated[
         str | None,
-        typer.Option(
-            metavar="FILE.py:NAME|FILE.json", help="Your own structure: a Structure or Diagram in Python, or a diagram."
-        ),
+        option("Your own structure: a Structure or Diagram in Python, or a diagram.", "FILE.py:NAME|FILE.json"),
     ] = None,
     input: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=COLUMN", help="Which column is that input of the structure; repeatable."),
+        list[str] | None, option("Which column is that input of the structure; repeatable.", "NAME=COLUMN")
     ] = None,
     output: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME=COLUMN", help="Which column is that output of the structure; repeatable."),
+        list[str] | None, option("Which column is that output of the structure; repeatable.", "NAME=COLUMN")
     ] = None,
-    time: Annotated[
-        str | None, typer.Option(metavar="COLUMN", help="Which column of a table (CSV, Parquet, .mat) is the time.")
-    ] = None,
+    time: Annotated[str | None, option("Which column of a table (CSV, Parquet, .mat) is the time.", "COLUMN")] = None,
     hold: Annotated[
-        list[str] | None,
-        typer.Option(metavar=f"NAME={'|'.join(HOLDS)}", help="How that input behaves between samples; repeatable."),
+        list[str] | None, option("How that input behaves between samples; repeatable.", f"NAME={'|'.join(HOLDS)}")
     ] = None,
     plot: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help=f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)})."
-        ),
+        Path | None, option(f"Draw data, model, residuals, Bode and uncertainty ({', '.join(SUFFIXES)}).", "FILE")
     ] = None,
     reference: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COLUMN",
-            help="Of a plot in closed loop: the set-point that excited it (theta0), for the Bode.",
-        ),
+        str | None, option("Of a plot in closed loop: the set-point that excited it (theta0), for the Bode.", "COLUMN")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the model there as JSON, for `twodof design`.")
-    ] = None,
+    out: Annotated[Path | None, option("Write the model there as JSON, for `twodof design`.", "FILE")] = None,
     disturbance: Annotated[
-        NoiseModel,
-        typer.Option(help="White: output error; ar: coloured noise; input: gusts; auto: what the data ask."),
-    ] = NoiseModel.auto,
+        Disturbance, option("White: output error; ar: coloured noise; input: gusts; auto: what the data ask.")
+    ] = "auto",
     json: Json = False,
     force: Force = False,
 ) -> None:
@@ -145,24 +97,20 @@ def identify(
 
     Exit status 1: the data do not allow the estimate, or the search did not converge.
     """
-    simple, several = method is FitMethod.simple, len(files) > 1
+    simple, several = method == "simple", len(files) > 1
+    twice = len({path.resolve() for path in files}) < len(files)
     named = " ".join(map(str, files))[:200]
     _refuse(
         (plot and simple, "by hand there is nothing to draw", "--plot", "take --method grey-box, or leave it out"),
         (plot and several, "a plot shows the fit of one log", "--plot", "give one log, or leave it out"),
         (reference and not plot, "it is of use to a plot only", "--reference", "add --plot FILE, or leave it out"),
-        (
-            len({path.resolve() for path in files}) < len(files),
-            "a log is named twice: its spread with itself is 0",
-            named,
-            "name each once",
-        ),
+        (twice, "a log is named twice: its spread with itself is 0", named, "name each once"),
         (several and simple, "by hand one log is read", named, "give one, and further doublets with --validate"),
         (
             several and validate,
             "several logs are compared with each other",
             "--validate",
-            "leave it out, or identify from one log",
+            "give one log, or leave it out",
         ),
     )
     if out is not None:
@@ -171,27 +119,13 @@ def identify(
         check_place(plot, force)
     numbers = _numbers(value or [])
     if structure is not None or input or output or time is not None or hold:
-        idle = _given(
-            {
-                "--experiment": experiment is not None,
-                "--method simple": simple,
-                "--impulse": impulse is not None,
-                "--model": structure is not None and model is not Model.auto,
-            }
-        )
+        both = structure is not None and model != AUTO
+        idle = _given(experiment=experiment is not None, method=simple, impulse=impulse is not None, model=both)
+        structures = "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate"
+        unknown, columns = structure is None and model == AUTO, "--input, --output, --time, --hold"
         _refuse(
-            (
-                idle,
-                "columns that you name are fitted to a structure, not read as an experiment",
-                idle,
-                "leave it out",
-            ),
-            (
-                structure is None and model is Model.auto,
-                "which structure is to be fitted to these columns?",
-                "--input, --output, --time, --hold",
-                "name your own, --structure model.py:NAME, or a ready-made one, --model pitch-rate",
-            ),
+            (idle, "columns that you name are fitted to a structure, not read as an experiment", idle, "leave it out"),
+            (unknown, "which structure is to be fitted to these columns?", columns, structures),
         )
         shape = read_structure(structure, estimate or ()) if structure is not None else structure_for("", model)
         _check_unknowns(shape, estimate or (), numbers)
@@ -200,69 +134,40 @@ def identify(
             for paths in (files, validate or ())
         )
         records = _distinctly_named(records, files)
-        noise: Disturbance = disturbance.value
         own: Estimate | Repeated = (
-            repeat(shape, records, estimate=estimate, values=numbers, disturbance=noise)
+            repeat(shape, records, estimate=estimate, values=numbers, disturbance=disturbance)
             if several
-            else fit(shape, records[0], estimate=estimate, values=numbers, validation=others, disturbance=noise)
+            else fit(shape, records[0], estimate=estimate, values=numbers, validation=others, disturbance=disturbance)
         )
-        _say(own, {"method": method.value}, out, json, own.converged)
+        _say(own, {"method": method}, out, json, own.converged)
         if plot is not None and isinstance(own, Estimate):
             if reference is not None:
                 records = [with_reference(records[0], files[0], time, reference)]
             _draw(own, shape, [*records, *others], plot, force, reference)
-        _end(own.converged)
+        exit_unless(own.converged)
         return
     logs = [read_log(path) for path in files]
     kinds = [_experiment(experiment, log) for log in logs]
     asked = kinds[0]
     if experiment is None and "experiment" not in logs[0].provenance:
         say_line(f"note: the log looks like the experiment '{asked}'; --experiment names another")
-    read_off = _given(
-        {
-            "--model": model is not Model.auto,
-            "--estimate": estimate,
-            "--value": value,
-            "--disturbance": disturbance is not NoiseModel.auto,
-        }
-    )
+    read_off = _given(model=model != AUTO, estimate=estimate, value=value, disturbance=disturbance != "auto")
+    hand, grey = asked if simple else "", "leave it out, or take --method grey-box"
+    poles = impulse is not None and asked != "doublet"
     _refuse(
-        (
-            simple and read_off,
-            "by hand everything is read off: it takes no structure, no guess and no value to hold",
-            read_off,
-            "leave it out, or take --method grey-box",
-        ),
-        (
-            impulse and asked != "doublet",
-            "the impulse's log is of use to a doublet only",
-            f"--impulse, --experiment {asked}",
-            "leave it out, or give it with --experiment doublet",
-        ),
-        (
-            len(set(kinds)) > 1,
-            f"these are logs of different experiments: {', '.join(sorted(set(kinds)))}",
-            named,
-            "give one kind at a time",
-        ),
-        (
-            simple and asked == "impulse",
-            "by hand, the impulse gives only the poles",
-            "--method simple",
-            "call it with the doublet's log, --experiment doublet and --impulse LOG",
-        ),
-        (simple and asked == "attitude", NOT_BY_HAND, "--method simple", "take --method grey-box"),
-        (
-            simple and asked == "doublet" and not impulse,
-            "a doublet by hand needs the poles, which come from the free response",
-            "--method simple",
-            "add --impulse LOG, or take --method grey-box",
-        ),
+        (simple and read_off, "by hand it takes no structure, no guess and no value to hold", read_off, grey),
+        (poles, "it is of use to a doublet only", "--impulse", "give it with --experiment doublet"),
+        (len(set(kinds)) > 1, f"logs of different experiments: {listed(sorted(set(kinds)))}", named, "give one kind"),
+        (hand == "impulse", "by hand, the impulse gives only the poles", "--method simple", "give a doublet's log too"),
+        (hand == "attitude", NOT_BY_HAND, "--method simple", grey),
+        (hand == "doublet" and not impulse, "by hand a doublet needs the poles", "--method simple", "add --impulse"),
     )
     kind = KINDS[asked]
     if window is not None:
+        if not all(map(math.isfinite, window)):
+            raise LogError(f"window {window[0]:g} to {window[1]:g} s", named, "give finite times, in seconds")
         for log in logs:
-            _check_window(log, window)
+            log.slice(*window)
     records = _distinctly_named([cut(log, kind, window) for log in logs], files)
     checks = [read_log(path) for path in validate or []]
     others = [cut(log, kind) for log in checks]
@@ -272,28 +177,26 @@ def identify(
         found = by_hand(asked, records[0], others, free)
         converged = True
     else:
-        shape = structure_for(asked if model is Model.auto else "", model)
+        shape = structure_for(asked if model == AUTO else "", model)
         _refuse(
             (
                 not set(shape.inputs) <= set(kind.inputs),
                 f"this model is driven by {', '.join(shape.inputs)}, the experiment by {', '.join(kind.inputs)}",
-                f"--model {model.value} --experiment {asked}",
+                f"--model {model} --experiment {asked}",
                 "leave --model out",
             ),
         )
         _check_unknowns(shape, estimate or (), numbers)
         flown = zip([*logs, *checks], [*records, *others], strict=True)
         machines = [machine_of(log, one.start, float(one.time[-1])) for log, one in flown]
-        found, records = by_output_error(
-            asked, shape, records, others, estimate, numbers, free, disturbance.value, machines
-        )
+        found, records = by_output_error(asked, shape, records, others, estimate, numbers, free, disturbance, machines)
         converged = found.converged
         if plot is not None and isinstance(found, Estimate):
             if reference is not None:
                 records = [with_reference(records[0], files[0], None, reference), *records[1:]]
             _draw(found, shape, records, plot, force, reference)
-    _say(found, {"experiment": asked, "method": method.value}, out, json, converged)
-    _end(converged)
+    _say(found, {"experiment": asked, "method": method}, out, json, converged)
+    exit_unless(converged)
 
 
 def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
@@ -303,9 +206,9 @@ def _refuse(*mistakes: tuple[object, str, str, str]) -> None:
             raise ParameterError(what, where, remedy)
 
 
-def _given(options: Mapping[str, object]) -> str:
+def _given(**options: object) -> str:
     """Return the names of the options that were given."""
-    return " ".join(name for name, there in options.items() if there)
+    return " ".join(f"--{name}" for name, there in options.items() if there)
 
 
 def _say(
@@ -326,11 +229,6 @@ def _say(
         table_console().print(text)
     if not converged:
         say_line("note: the search did not converge; try other first guesses with --value")
-
-
-def _end(converged: bool) -> None:
-    if not converged:
-        raise typer.Exit(1)
 
 
 def _distinctly_named(records: Sequence[Record], files: Sequence[Path]) -> list[Record]:
@@ -370,20 +268,13 @@ def _experiment(name: str | None, log: FlightLog) -> str:
     return FLOWN_AS.get(said, said)
 
 
-def _check_window(log: FlightLog, window: tuple[float, float]) -> None:
-    """Raise LogError for a window that is not finite or holds no samples."""
-    if not all(map(math.isfinite, window)):
-        raise LogError(f"window {window[0]:g} to {window[1]:g} s", log.source, "give finite times, in seconds")
-    log.slice(*window)
-
-
 def _check_unknowns(structure: Structure, estimate: Sequence[str], values: dict[str, float]) -> None:
     """Raise ParameterError for a wrong unknown or a value out of bounds."""
     unknowns = structure.unknowns
-    for option, names in (("--estimate", estimate), ("--value", values)):
+    for where, names in (("--estimate", estimate), ("--value", values)):
         for name in names:
             if name not in unknowns:
-                raise ParameterError(f"no unknown {name!r}", option, f"there are: {', '.join(unknowns)}")
+                raise ParameterError(f"no unknown {name!r}", where, f"there are: {', '.join(unknowns)}")
     for name, number in values.items():
         low, high = unknowns[name].lower, unknowns[name].upper
         if not (math.isfinite(number) and low <= number <= high):

@@ -5,13 +5,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-from rich.table import Table
-
 from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
 from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.flown import draw, write_view
-from twodof.cli.output import Force, Json, one_line, print_json, progress, table_console
+from twodof.cli.options import Force, Json, argument, flag, group, option
+from twodof.cli.output import exit_unless, one_line, print_json, progress, table, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
 from twodof.flightlog.contents import describe
@@ -27,16 +25,14 @@ from twodof.report.step_responses import SETTLED
 from twodof.rig.parameters import save_rig
 from twodof.signals import BY_MAT
 
-log = typer.Typer(
-    help="Look into flight logs and convert them.", no_args_is_help=True, add_completion=False, rich_markup_mode=None
-)
+log = group("Look into flight logs and convert them.")
 # More rows than this say nothing more to a reader; --json has all.
 _ROWS = 20
 
 
 @log.command()
 def info(
-    file: Annotated[Path, typer.Argument(help="A .mat, .mcap, .parquet, .csv or .ulg log.")],
+    file: Annotated[Path, argument("A .mat, .mcap, .parquet, .csv or .ulg log.")],
     json: Json = False,
 ) -> None:
     """List a log's channels and rates, gaps, events, likely experiment, failsafe actions and the drone's words."""
@@ -48,14 +44,12 @@ def info(
         return
     console = table_console()
     console.print(f"{found['source']}: {found['span_s'][0]:.3f} to {found['span_s'][1]:.3f} s, {_experiment(found)}")
-    table = Table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", box=None, pad_edge=False)
-    for column in table.columns[2:]:
-        column.justify = "right"
+    channels = table("channel", "unit", "samples", "rate, Hz", "missing", "longest gap, ms", right=range(2, 6))
     for row in found["channels"]:
         rate = "on events" if row["rate_hz"] is None else f"{row['rate_hz']:.2f}"
         gap = f"{1e3 * row['longest_gap_s']:.1f}" if row["gaps"] else ""
-        table.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
-    console.print(table)
+        channels.add_row(row["name"], row["unit"] or "-", str(row["samples"]), rate, str(row["missing"] or ""), gap)
+    console.print(channels)
     if found["modes_unclear"]:
         console.print(f"modes unknown: {found['modes_unclear']}")
     for start, end in found["armed_s"]:
@@ -107,27 +101,20 @@ def _experiment(found: dict[str, Any]) -> str:
 
 @log.command()
 def plot(
-    files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="A .mat, .mcap, .parquet, .csv or .ulg log, or several.")
-    ],
+    files: Annotated[list[Path], argument("A .mat, .mcap, .parquet, .csv or .ulg log, or several.", "FILE...")],
     out: Annotated[
         Path | None,
-        typer.Option(
-            help=f"What to draw ({', '.join(SUFFIXES)}); left out: FILE with .png, or -compared.png for several."
-        ),
+        option(f"What to draw ({', '.join(SUFFIXES)}); left out: FILE with .png, or -compared.png for several."),
     ] = None,
     topics: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME,...", help="Draw these signals only, such as theta,q,imu.gyro; may be repeated."),
+        list[str] | None, option("Draw these signals only, such as theta,q,imu.gyro; may be repeated.", "NAME,...")
     ] = None,
     window: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            metavar="T0 T1", help="Draw this stretch only, in seconds of the log; of several, from where they align."
-        ),
+        option("Draw this stretch only, in seconds of the log; of several, from where they align.", "T0 T1"),
     ] = None,
     align: Annotated[
-        Align, typer.Option(help="Where several flights are laid over each other: at their first steps or starts.")
+        Align, option("Where several flights are laid over each other: at their first steps or starts.")
     ] = Align.step,
     force: Force = False,
     json: Json = False,
@@ -178,15 +165,11 @@ def _compare(
         return
     console = table_console()
     if steps:
-        table = Table(
-            "flight", "at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|"
-        )
-        table.box, table.pad_edge = None, False
-        for column in (table.columns[1], *table.columns[3:]):
-            column.justify = "right"
+        heads = ("at, s", "step", "rise, s", "overshoot, %", f"settling ({SETTLED:.0%}), s", "peak", "peak |M|")
+        made = table("flight", *heads, right=(1, *range(3, 8)))
         for row in step_rows(steps):
-            table.add_row(*row)
-        console.print(table)
+            made.add_row(*row)
+        console.print(made)
     console.print(f"written: {target}")
 
 
@@ -198,11 +181,10 @@ def _names(files: Sequence[Path]) -> list[str]:
 
 @log.command()
 def convert(
-    source: Annotated[Path, typer.Argument(help="The log to read.")],
-    target: Annotated[Path, typer.Argument(help="The file to write; its suffix says the format.")],
+    source: Annotated[Path, argument("The log to read.")],
+    target: Annotated[Path, argument("The file to write; its suffix says the format.")],
     wide: Annotated[
-        bool,
-        typer.Option("--wide", help="A table (.csv, .parquet) with a row a time stamp and a column a signal."),
+        bool, flag("A table (.csv, .parquet) with a row a time stamp and a column a signal.", "--wide")
     ] = False,
     force: Force = False,
     json: Json = False,
@@ -224,9 +206,9 @@ def convert(
 
 @log.command()
 def recover(
-    file: Annotated[Path, typer.Argument(help="An .mcap recording or .ulg log that was cut off or damaged.")],
+    file: Annotated[Path, argument("An .mcap recording or .ulg log that was cut off or damaged.")],
     out: Annotated[
-        Path | None, typer.Argument(help="The .mcap file to write; FILE with .recovered.mcap if it is left out.")
+        Path | None, argument("The .mcap file to write; FILE with .recovered.mcap if it is left out.")
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -250,8 +232,7 @@ def recover(
         print_json(kept | told)
     else:
         _print_recovered(found, target, samples, (start, end))
-    if found.unverified:
-        raise typer.Exit(1)
+    exit_unless(not found.unverified)
 
 
 def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[float, float]) -> None:
@@ -267,10 +248,8 @@ def _print_recovered(found: Recovered, target: Path, samples: int, span: tuple[f
 
 @log.command()
 def fetch(
-    names: Annotated[
-        list[str] | None, typer.Argument(help="Names of public logs; all of them if none is named.")
-    ] = None,
-    deadline: Annotated[float, typer.Option(min=1.0, help="Seconds to wait for each download.")] = 60.0,
+    names: Annotated[list[str] | None, argument("Names of public logs; all of them if none is named.")] = None,
+    deadline: Annotated[float, option("Seconds to wait for each download.", min=1.0)] = 60.0,
     json: Json = False,
 ) -> None:
     """Find the public logs of the real drone, downloading those that are not at hand; checksums are verified."""
@@ -284,14 +263,11 @@ def fetch(
 
 
 def calibrate(
-    data: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder of the logs; default: found.")] = None,
+    data: Annotated[Path | None, option("Folder of the logs; default: found.", "FOLDER")] = None,
     leave_one_out: Annotated[
-        bool,
-        typer.Option(
-            "--leave-one-out", help="Also predict each flight from all others, and say what gusts leave of it."
-        ),
+        bool, flag("Also predict each flight from all others, and say what gusts leave of it.", "--leave-one-out")
     ] = False,
-    out: Annotated[Path | None, typer.Option(help="Write the rig as JSON, for `--rig FILE`.")] = None,
+    out: Annotated[Path | None, option("Write the rig as JSON, for `--rig FILE`.")] = None,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -319,8 +295,7 @@ def calibrate(
         )
     else:
         _print(found, out)
-    if not found.converged:
-        raise typer.Exit(1)
+    exit_unless(found.converged)
 
 
 def _folder() -> Path:
@@ -334,16 +309,16 @@ def _folder() -> Path:
 
 def _print(found: Calibration, out: Path | None) -> None:
     console = table_console()
-    table = Table("unknown", "value", "1 sigma", "meaning", box=None, pad_edge=False)
+    values = table("unknown", "value", "1 sigma", "meaning")
     for unknown in UNKNOWNS:
         value, sigma = found.estimate[unknown.name], found.deviation[unknown.name]
-        table.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
-    console.print(table)
-    fits = Table("flight", "theta", "q", "x", "v", "", box=None, pad_edge=False)
+        values.add_row(unknown.name, f"{value:.5g}", f"{sigma:.2g}", unknown.text)
+    console.print(values)
+    fits = table("flight", "theta", "q", "x", "v", "")
     for flight in FLIGHTS:
-        for word, group in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
-            if flight.name in group:
-                row = group[flight.name]
+        for word, fit in (("", found.fit), ("left out", found.left_out), ("ceiling", found.ceiling)):
+            if flight.name in fit:
+                row = fit[flight.name]
                 fits.add_row(flight.name, *(f"{row[channel]:.1f}" for channel in ("theta", "q", "x", "v")), word)
     console.print("\nFIT, %:")
     console.print(fits)

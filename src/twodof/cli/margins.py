@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
-import typer
 from rich.console import Console
-from rich.table import Table
 
-from twodof.cli.output import Force, Json, print_json, progress, table_console
+from twodof.cli.options import Force, Json, argument, option
+from twodof.cli.output import exit_unless, print_json, progress, table, table_console
 from twodof.design import LoopMargins
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram
@@ -18,29 +17,20 @@ from twodof.report.plots.flight_view import PICTURES, check_place
 from twodof.sim.linear import LOOPS, cascade_margins
 from twodof.sim.resimulation import load_rig_or_model
 
-UNSTABLE = 1
-
 
 def margins(
     diagrams: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="DIAGRAM...", help=f"Left out: the stock cascade. {DIAGRAM_HELP}"),
+        list[str] | None, argument(f"Left out: the stock cascade. {DIAGRAM_HELP}", "DIAGRAM...")
     ] = None,
-    rig: Annotated[
-        str, typer.Option(metavar="RIG", help="lab, paper, a rig's JSON file, or a model's from `identify --json`.")
-    ] = "lab",
-    gains: Annotated[
-        str, typer.Option(help="Of the stock loops: default, student, or a JSON file of gains.")
-    ] = "default",
-    loop: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help=f"Only this loop; repeatable. {', '.join(LOOPS)}.")
-    ] = None,
+    rig: Annotated[str, option("lab, paper, a rig's JSON file, or a model's from `identify --json`.", "RIG")] = "lab",
+    gains: Annotated[str, option("Of the stock loops: default, student, or a JSON file of gains.")] = "default",
+    loop: Annotated[list[str] | None, option(f"Only this loop; repeatable. {', '.join(LOOPS)}.", "NAME")] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE",
-            help="Draw Bode, Nyquist, Nichols, sensitivities and step responses; of one loop its root locus too "
+        option(
+            "Draw Bode, Nyquist, Nichols, sensitivities and step responses; of one loop its root locus too "
             f"({', '.join(PICTURES)}).",
+            "FILE",
         ),
     ] = None,
     force: Force = False,
@@ -76,28 +66,16 @@ def margins(
         print_margins(console, found)
         if plot is not None:
             console.print(f"written: {plot}")
-    if not all(m.stable for m in found.values()):
-        raise typer.Exit(UNSTABLE)
+    exit_unless(all(m.stable for m in found.values()))
 
 
 def print_margins(console: Console, found: Mapping[str, LoopMargins]) -> None:
     """Print a row for each loop, then the motion of each unstable loop."""
-    table = Table(box=None, pad_edge=False)
-    table.add_column("loop")
-    for title in (
-        "crossover\nrad/s",
-        "gain margin\ndB",
-        "phase margin\ndeg",
-        "delay margin\nms",
-        "disk margin\ndB and deg",
-        "Ms",
-        "Mt",
-        "bandwidth\nrad/s",
-    ):
-        table.add_column(title, justify="right")
+    margins = ("gain margin\ndB", "phase margin\ndeg", "delay margin\nms", "disk margin\ndB and deg", "Ms", "Mt")
+    made = table("loop", "crossover\nrad/s", *margins, "bandwidth\nrad/s", right=range(1, 9))
     for name, m in found.items():
-        table.add_row(name, *(_cells(m) if m.stable else ("unstable", *[""] * 7)))
-    console.print(table)
+        made.add_row(name, *(_cells(m) if m.stable else ("unstable", *[""] * 7)))
+    console.print(made)
     for name, m in found.items():
         if not m.stable and m.motion is not None:
             console.print(f"{name}: unstable: {m.motion.text}{_cure(m)}")

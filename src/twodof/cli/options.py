@@ -1,54 +1,59 @@
 """Options that several commands share: one name, one meaning, one help line."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import typer
 
 from twodof.blocks.noise import SEEDS
 
 
-class RealType(StrEnum):
-    """The reals of compiled code."""
+def argument(text: str, metavar: str | None = None, **more: Any) -> Any:
+    """Return a command's argument with its help, for `Annotated`; `more` as typer.Argument."""
+    return typer.Argument(help=text, metavar=metavar, **more)
 
-    float64 = "float64"
-    float32 = "float32"
 
+def option(text: str, metavar: str | None = None, *names: str, **more: Any) -> Any:
+    """Return an option with its help, for `Annotated`: named as its parameter, or by `names`; `more` as typer's."""
+    return typer.Option(*names, help=text, metavar=metavar, **more)
+
+
+def flag(text: str, *names: str) -> Any:
+    """Return an option without a value, for `Annotated`."""
+    return typer.Option(*names, help=text)
+
+
+def group(text: str, **more: Any) -> typer.Typer:
+    """Return a group of commands with its help."""
+    return typer.Typer(help=text, no_args_is_help=True, add_completion=False, rich_markup_mode=None, **more)
+
+
+RealType = Literal["float64", "float32"]
+"""The reals of compiled code."""
 
 _SYSTEMS = 199
 """A client may be system 200 and above."""
 
-Index = Annotated[int, typer.Option(min=0, max=_SYSTEMS - 1, help="Number of the drone: system is index + 1.")]
-Rig = Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")]
-Lockstep = Annotated[
-    bool, typer.Option("--lockstep", help="Time stands still until a client grants it; faster than real time.")
-]
-Seed = Annotated[int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the noise.")]
-Noise = Annotated[float, typer.Option(min=0.0, max=100.0, help="Gain of all noise; 0: none.")]
-Charge = Annotated[
-    float, typer.Option(min=0.0, max=1.0, help="State of charge of the battery at the start; thrust sags with it.")
-]
-Rings = Annotated[bool, typer.Option("--rings/--free", help="The rings lock the cart: pitch only.")]
+Force = Annotated[bool, flag("Replace a file that is there.", "--force")]
+Json = Annotated[bool, flag("Print one JSON document and nothing else on stdout.", "--json")]
+Index = Annotated[int, option("Number of the drone: system is index + 1.", min=0, max=_SYSTEMS - 1)]
+Rig = Annotated[str, option("lab, paper, or a JSON file of rig parameters.")]
+Lockstep = Annotated[bool, flag("Time stands still until a client grants it; faster than real time.", "--lockstep")]
+Seed = Annotated[int, option("Seed of the noise.", min=0, max=SEEDS - 1)]
+Noise = Annotated[float, option("Gain of all noise; 0: none.", min=0.0, max=100.0)]
+Charge = Annotated[float, option("State of charge of the battery at the start; thrust sags with it.", min=0.0, max=1.0)]
+Rings = Annotated[bool, flag("The rings lock the cart: pitch only.", "--rings/--free")]
 SafetySwitch = Annotated[
-    bool, typer.Option("--safety-switch/--no-safety-switch", help="Whether it was pressed, so that motors may turn.")
+    bool, flag("Whether it was pressed, so that motors may turn.", "--safety-switch/--no-safety-switch")
 ]
-Trust = Annotated[bool, typer.Option("--trust", help="Compile those controllers into the flight code: no sandbox.")]
-Precision = Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")]
-Fresh = Annotated[
-    bool, typer.Option("--fresh", help="Begin with the default parameters, and without controllers that were sent.")
-]
-KeyFile = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Sign everything with this key and take in nothing unsigned.")
-]
-PromiseFile = Annotated[
-    Path | None, typer.Option("--promise", metavar="FILE", help="Write what is promised there, as JSON.")
-]
-PromisePlot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the promise (.png, .svg, .pdf, .html).")]
+Trust = Annotated[bool, flag("Compile those controllers into the flight code: no sandbox.", "--trust")]
+Precision = Annotated[str, option("float64, or float32 as a flight controller computes.")]
+Fresh = Annotated[bool, flag("Begin with the default parameters, and without controllers that were sent.", "--fresh")]
+KeyFile = Annotated[Path | None, option("Sign everything with this key and take in nothing unsigned.", "FILE")]
+PromiseFile = Annotated[Path | None, option("Write what is promised there, as JSON.", "FILE", "--promise")]
+PromisePlot = Annotated[Path | None, option("Draw the promise (.png, .svg, .pdf, .html).", "FILE")]
 PageHost = Annotated[
-    str, typer.Option("--host", help="Address to serve the page at; one that others reach needs the token in the link.")
+    str, option("Address to serve the page at; one that others reach needs the token in the link.", None, "--host")
 ]
-PageToken = Annotated[
-    bool, typer.Option("--token", help="Let nobody in without the link, other users of this computer too.")
-]
-OpenPage = Annotated[bool, typer.Option("--open", help="Open the page in the browser.")]
+PageToken = Annotated[bool, flag("Let nobody in without the link, other users of this computer too.", "--token")]
+OpenPage = Annotated[bool, flag("Open the page in the browser.", "--open")]

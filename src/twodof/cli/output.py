@@ -4,20 +4,18 @@ import json
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import MappingProxyType
-from typing import Annotated, Any
+from typing import Any
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 from rich.text import Text
 
 from twodof.errors import TwodofError, printable
-
-Force = Annotated[bool, typer.Option("--force", help="Replace a file that is there.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else on stdout.")]
 
 
 def print_json(document: Any, indent: int | None = 2) -> None:
@@ -30,6 +28,20 @@ def print_json(document: Any, indent: int | None = 2) -> None:
         sys.stdout.flush()
     except BrokenPipeError:
         reader_has_left()
+
+
+def table(*columns: str, right: Iterable[int] = (), **more: Any) -> Table:
+    """Return a table without lines, whose columns at the places `right` are aligned there; `more` as rich's Table."""
+    made = Table(*columns, box=None, pad_edge=False, **more)
+    for place in right:
+        made.columns[place].justify = "right"
+    return made
+
+
+def exit_unless(good: bool) -> None:
+    """End the command with exit status 1 unless the work was `good`."""
+    if not good:
+        raise typer.Exit(1)
 
 
 def say_line(text: object) -> None:

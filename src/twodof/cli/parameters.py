@@ -6,10 +6,10 @@ from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
-from rich.table import Table
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, UrlOfDrone
-from twodof.cli.output import Force, Json, print_json, table_console
+from twodof.cli.options import Force, Json, argument, flag, option
+from twodof.cli.output import print_json, table, table_console
 from twodof.errors import ParameterError, shown
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
@@ -23,22 +23,15 @@ from twodof.parameters import Parameter
 def parameters(
     wanted: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[NAME[=VALUE]]...",
-            help="Which to show, or to set: a name, or a path such as attitude_control.k_q.",
-        ),
+        argument("Which to show, or to set: a name, or a path such as attitude_control.k_q.", "[NAME[=VALUE]]..."),
     ] = None,
     url: UrlOfDrone = DEFAULT_URL,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
-    changed: Annotated[
-        bool, typer.Option("--changed", help="Of all, show those that are not at their defaults.")
-    ] = False,
-    save: Annotated[
-        Path | None, typer.Option(help="Write all to this file, which QGroundControl loads (.params).")
-    ] = None,
+    changed: Annotated[bool, flag("Of all, show those that are not at their defaults.", "--changed")] = False,
+    save: Annotated[Path | None, option("Write all to this file, which QGroundControl loads (.params).")] = None,
     load: Annotated[
-        Path | None, typer.Option(help="Set what differs in this file of QGroundControl's (.params), and show it.")
+        Path | None, option("Set what differs in this file of QGroundControl's (.params), and show it.")
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -74,15 +67,13 @@ def parameters(
     if changed and not rows:
         table_console().print("all are at their defaults")
         return
-    table = Table("name", "value", "default", "from", "to", "unit", "is", box=None, pad_edge=False)
-    for column in table.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
+    made = table("name", "value", "default", "from", "to", "unit", "is", right=range(1, 5))
+    for column in made.columns[:-1]:  # in a narrow terminal the words are broken, no name and no number is cut
         column.no_wrap = True
-    for column in table.columns[1:5]:
-        column.justify = "right"
     for row in rows:
         numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
-        table.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
-    table_console().print(table)
+        made.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
+    table_console().print(made)
 
 
 def _read(path: Path) -> ParameterFile:

@@ -7,13 +7,12 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.table import Table
 
 from twodof.blocks import Diagram
 from twodof.calibrate import estimate_charge
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
-from twodof.cli.options import RealType
-from twodof.cli.output import Force, Json, one_line, print_json, say_line, table_console
+from twodof.cli.options import Force, Json, RealType, argument, option
+from twodof.cli.output import exit_unless, one_line, print_json, say_line, table, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
 from twodof.experiment.experiments import experiment as named_experiment
@@ -32,41 +31,35 @@ from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
 
 def simulate(
-    experiment: Annotated[str | None, typer.Argument(help=f"One of {', '.join(EXPERIMENTS)}.")] = None,
-    like: Annotated[Path | None, typer.Option(metavar="LOG", help="Fly the set-points of this log instead.")] = None,
-    rig: Annotated[str, typer.Option(help="lab, paper, or a JSON file of rig parameters.")] = "lab",
+    experiment: Annotated[str | None, argument(f"One of {', '.join(EXPERIMENTS)}.")] = None,
+    like: Annotated[Path | None, option("Fly the set-points of this log instead.", "LOG")] = None,
+    rig: Annotated[str, option("lab, paper, or a JSON file of rig parameters.")] = "lab",
     gains: Annotated[
         str | None,
-        typer.Option(
-            help="default, student, or a JSON file of gains; left out: default, with --like and a public log its own."
-        ),
+        option("default, student, or a JSON file of gains; left out: default, with --like and a public log its own."),
     ] = None,
     window: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="T0 T1", help="With --like: stretch of the log, in seconds; left out: found."),
+        tuple[float, float] | None, option("With --like: stretch of the log, in seconds; left out: found.", "T0 T1")
     ] = None,
     controller: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="DIAGRAM",
-            help=f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP} "
+        option(
+            f"Fly this controller in place of the stock one of its template; may be repeated. {DIAGRAM_HELP} "
             "Or flashed: those that `twodof flash --to sim` put in place.",
+            "DIAGRAM",
         ),
     ] = None,
     tune: Annotated[
-        list[str] | None,
-        typer.Option(metavar="PATH=VALUE", help="Set a parameter of a controller, such as attitude_control.k_q=0.1."),
+        list[str] | None, option("Set a parameter of a controller, such as attitude_control.k_q=0.1.", "PATH=VALUE")
     ] = None,
-    precision: Annotated[str, typer.Option(help="float64, or float32 as a flight controller computes.")] = "float64",
-    seed: Annotated[
-        int, typer.Option(min=0, max=2**32 - 1, help="Seed of the noise; the same seed gives the same flight.")
-    ] = 1,
+    precision: Annotated[str, option("float64, or float32 as a flight controller computes.")] = "float64",
+    seed: Annotated[int, option("Seed of the noise; the same seed gives the same flight.", min=0, max=2**32 - 1)] = 1,
     charge: Annotated[
         str,
-        typer.Option(
-            metavar="0..1",
-            help="State of charge of the battery at the start; thrust sags with it. With --like also: estimate, from "
+        option(
+            "State of charge of the battery at the start; thrust sags with it. With --like also: estimate, from "
             "the flight itself.",
+            "0..1",
         ),
     ] = "1",
     out: Out = None,
@@ -139,13 +132,12 @@ def _fly_like(
         print_json(result.to_json() | ({} if found is None else {"charge": asdict(found)}))
         return
     console = table_console()
-    table = Table("channel", "FIT, %", box=None, pad_edge=False)
-    table.columns[1].justify = "right"
+    fits = table("channel", "FIT, %", right=[1])
     for channel, fit in result.fit.items():
         # In the rings x and v stand still, and a FIT of what stands still says nothing.
         still = channel in ("x", "v") and not result.flight.rails
-        table.add_row(channel, "–" if still else f"{fit:.1f}")
-    console.print(table)
+        fits.add_row(channel, "–" if still else f"{fit:.1f}")
+    console.print(fits)
     stretches = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
     console.print(f"rig {rig}, without noise; compared: {stretches}")
     if found is not None:
@@ -209,8 +201,7 @@ def _fly(
             console.print(f"{kind}: {made['name']}, in place of the stock one; its parameters:")
             _print_parameters(console, laboratory, kind)
         print_checks(flight, out, plot)
-    if not flight.good:
-        raise typer.Exit(1)
+    exit_unless(flight.good)
 
 
 def _print_parameters(console: Console, laboratory: Laboratory, kind: str) -> None:
@@ -234,20 +225,18 @@ _SHOWN = 5
 
 
 def replay(
-    file: Annotated[Path, typer.Argument(metavar="LOG", help="A closed-loop flight log.")],
+    file: Annotated[Path, argument("A closed-loop flight log.", "LOG")],
     gains: Annotated[
         str | None,
-        typer.Option(
-            help="default, student, or a JSON file of gains; left out: those of the log if it says, else default."
-        ),
+        option("default, student, or a JSON file of gains; left out: those of the log if it says, else default."),
     ] = None,
-    precision: Annotated[RealType, typer.Option(help="Reals of the compiled code.")] = RealType.float64,
+    precision: Annotated[RealType, option("Reals of the compiled code.")] = "float64",
     json: Json = False,
 ) -> None:
     """Feed a log's inputs to the compiled flight code and compare what it gives with what was logged."""
     log, gains_given = read_log(file), gains is not None
     flown = FlownParameters.of(log.provenance)
-    result = replay_log(log, None if gains is None else load_gains(gains), precision.value)
+    result = replay_log(log, None if gains is None else load_gains(gains), precision)
     gains = gains or ("default" if flown.gains is None else "that the log says")
     if flown.unknown or (flown.controllers and gains_given):
         names = one_line(", ".join(flown.unknown or flown.controllers))
@@ -262,12 +251,10 @@ def replay(
         print_json(result.to_json())
         return
     console = table_console()
-    table = Table("channel", "nrms", "coverage, %", box=None, pad_edge=False)
-    for column in table.columns[1:]:
-        column.justify = "right"
+    rows = table("channel", "nrms", "coverage, %", right=(1, 2))
     for channel, share in result.coverage.items():
         difference = result.nrms.get(channel)
-        table.add_row(channel, "-" if difference is None else f"{difference:.2e}", f"{100.0 * share:.1f}")
-    console.print(table)
+        rows.add_row(channel, "-" if difference is None else f"{difference:.2e}", f"{100.0 * share:.1f}")
+    console.print(rows)
     windows = ", ".join(f"{start:.2f} to {end:.2f} s" for start, end in result.windows)
-    console.print(f"{precision.value}, gains {gains}; compared: {windows or 'nothing, no loop was active'}")
+    console.print(f"{precision}, gains {gains}; compared: {windows or 'nothing, no loop was active'}")

@@ -4,8 +4,8 @@ import asyncio
 import os
 import sys
 import webbrowser
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import Mapping
+from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
 from types import MappingProxyType
@@ -17,7 +17,8 @@ from twodof.blocks.noise import SEEDS
 from twodof.cli import options
 from twodof.cli.connection import run_until_signal
 from twodof.cli.interrupts import INTERRUPTED
-from twodof.cli.output import Json, print_json, say_line
+from twodof.cli.options import Json, flag, option
+from twodof.cli.output import print_json, say_line
 from twodof.fleet.local_drone import MOST_DRONES, ControllerReport, LocalDrone, check_ports_free, controller_in_words
 from twodof.fleet.local_fleet import MOST_RESTARTS, WITHIN_S, LocalFleet, LocalPage
 from twodof.fleet.local_fleet import page_port as page_port_of
@@ -39,36 +40,32 @@ NOTHING_KNOWN: Mapping[int, ControllerReport] = MappingProxyType({})
 
 
 def up(
-    drones: Annotated[int, typer.Option(min=1, max=MOST_DRONES, help="How many.")] = 1,
+    drones: Annotated[int, option("How many.", min=1, max=MOST_DRONES)] = 1,
     first: Annotated[
-        int, typer.Option(min=1, max=MOST_DRONES, help="Number of the first: its MAVLink system, and its ports.")
+        int, option("Number of the first: its MAVLink system, and its ports.", min=1, max=MOST_DRONES)
     ] = 1,
     rig: options.Rig = "lab",
     rings: options.Rings = False,
     controller: Annotated[
-        list[str] | None,
-        typer.Option(metavar="DIAGRAM", help="Fly this controller, in a sandbox; may be repeated. See `twodof fcu`."),
+        list[str] | None, option("Fly this controller, in a sandbox; may be repeated. See `twodof fcu`.", "DIAGRAM")
     ] = None,
     trust: options.Trust = False,
     lockstep: options.Lockstep = False,
     seed: Annotated[
-        int, typer.Option(min=0, max=SEEDS - 1, help="Seed of the first one's noise; each further one has the next.")
+        int, option("Seed of the first one's noise; each further one has the next.", min=0, max=SEEDS - 1)
     ] = 1,
     noise: options.Noise = 1.0,
     charge: options.Charge = 1.0,
     precision: options.Precision = "float64",
     safety_switch: options.SafetySwitch = True,
     state: Annotated[
-        Path | None,
-        typer.Option(metavar="FOLDER", help="For a folder drone-INDEX each; left out: the user's data folder."),
+        Path | None, option("For a folder drone-INDEX each; left out: the user's data folder.", "FOLDER")
     ] = None,
     fresh: options.Fresh = False,
     key: options.KeyFile = None,
-    page: Annotated[
-        bool, typer.Option("--page/--no-page", help="Serve the page in the browser; never with --lockstep.")
-    ] = True,
+    page: Annotated[bool, flag("Serve the page in the browser; never with --lockstep.", "--page/--no-page")] = True,
     page_port: Annotated[
-        int, typer.Option(min=0, max=65535, help="TCP port of the page; a free one where somebody has it.")
+        int, option("TCP port of the page; a free one where somebody has it.", min=0, max=65535)
     ] = PORT,
     host: options.PageHost = LOOPBACK,
     token: options.PageToken = False,
@@ -94,15 +91,10 @@ def up(
     known = None if key is None else read_key(key)
     check_ports_free(index, drones)
     given = ["--rig", rig, "--noise", str(noise), "--charge", str(charge), "--precision", precision]
-    given += [
-        option
-        for option, wanted in (
-            *(("--rings", rings), ("--trust", trust), ("--lockstep", lockstep), ("--fresh", fresh)),
-            ("--no-safety-switch", not safety_switch),
-        )
-        if wanted
-    ]
-    given += [option for name in controller or [] for option in ("--controller", name)]
+    flags = {"--rings": rings, "--trust": trust, "--lockstep": lockstep, "--fresh": fresh}
+    flags["--no-safety-switch"] = not safety_switch
+    given += [name for name, wanted in flags.items() if wanted]
+    given += [word for name in controller or [] for word in ("--controller", name)]
     folder = data_folder() if state is None else state
     places = [
         LocalDrone(index + number, (seed + number) % SEEDS, folder / f"drone-{index + number}", key)
@@ -126,23 +118,6 @@ def _served(
     return LocalPage(urls, port, options, environment, _tell), settings
 
 
-@asynccontextmanager
-async def _serving(served: tuple[LocalPage, LabSettings] | None) -> AsyncIterator[None]:
-    """Serve the page, if there is one, inside the block."""
-    if served is None:
-        yield
-        return
-    async with served[0]:
-        yield
-
-
-async def _links(served: tuple[LocalPage, LabSettings] | None) -> dict[str, str] | None:
-    """Return the page's links once it is served; None without a page."""
-    if served is None or not await served[0].listens():
-        return None
-    return links(served[1], served[1].port)
-
-
 async def _run(
     fleet: LocalFleet,
     places: list[LocalDrone],
@@ -156,14 +131,14 @@ async def _run(
 
     async def keep() -> int:
         nonlocal all_up
-        async with fleet, _serving(served):
+        async with fleet, nullcontext() if served is None else served[0]:
             try:
                 await fleet.start()
-                all_up = True
-                found = await _links(served)
-                print_places(
-                    places, lockstep, json, fleet.reports, found, "" if served is None else who_gets_in(served[1])
-                )
+                all_up, found, who = True, None, ""
+                if served is not None:
+                    page, settings = served
+                    found, who = links(settings, settings.port) if await page.listens() else None, who_gets_in(settings)
+                print_places(places, lockstep, json, fleet.reports, found, who)
                 if open_page and found is not None:
                     await asyncio.to_thread(webbrowser.open, found["command"])
                 await fleet.run()
@@ -225,16 +200,14 @@ def print_places(
 
 def lab(
     connect: Annotated[
-        list[str] | None,
-        typer.Option(metavar="URL", help="A drone; may be repeated. Left out: those of this computer, as they come."),
+        list[str] | None, option("A drone; may be repeated. Left out: those of this computer, as they come.", "URL")
     ] = None,
     host: options.PageHost = LOOPBACK,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0: a free one.")] = PORT,
+    port: Annotated[int, option("TCP port; 0: a free one.", min=0, max=65535)] = PORT,
     token: options.PageToken = False,
     key: options.KeyFile = None,
     logs: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FOLDER", exists=True, file_okay=False, help="Show its logs too; may be repeated."),
+        list[Path] | None, option("Show its logs too; may be repeated.", "FOLDER", exists=True, file_okay=False)
     ] = None,
     open_page: options.OpenPage = False,
     json: Json = False,

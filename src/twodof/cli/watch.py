@@ -15,11 +15,11 @@ from typing import Annotated, Any
 import typer
 from rich.console import Group
 from rich.live import Live
-from rich.table import Table
 from rich.text import Text
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, run_until_signal
-from twodof.cli.output import Json, one_line, print_json, table_console
+from twodof.cli.options import Json, argument, flag, option
+from twodof.cli.output import one_line, print_json, table, table_console
 from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.clock import DroneRestarted
@@ -148,16 +148,15 @@ class WatchedDrone:
 
 def watch(
     at: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="URL", help="Where drones are, as `twodof up` says; none: those of this machine."),
+        list[str] | None, argument("Where drones are, as `twodof up` says; none: those of this machine.", "URL")
     ] = None,
     drone: SystemOfDrone = None,
     key: KeyOfDrone = None,
     every: Annotated[
         float | None,
-        typer.Option(min=0.05, max=60.0, help="Time between two tables (.2) or lines of a pipe or of --json (1) [s]."),
+        option("Time between two tables (.2) or lines of a pipe or of --json (1) [s].", min=0.05, max=60.0),
     ] = None,
-    once: Annotated[bool, typer.Option("--once", help="Print the state of each drone and end.")] = False,
+    once: Annotated[bool, flag("Print the state of each drone and end.", "--once")] = False,
     json: Json = False,
 ) -> None:
     """Show how drones fly in a table until Ctrl-C: state, mode, failsafe, theta, q, x, battery, last words.
@@ -245,16 +244,17 @@ async def _show(drones: Sequence[WatchedDrone], every: float | None, json: bool)
 
 def screen(drones: Sequence[WatchedDrone]) -> Group:
     """Return the table of all drones, and the last words of each below it."""
-    table = Table("drone", box=None, pad_edge=False)
-    for head in ("state", "mode"):  # "disarmed" and "offboard" stay whole on 80 columns, where a URL is cut
-        table.add_column(head, min_width=8)
-    for head in ("theta, deg", "q, deg/s", "x, m", "battery", "age, s"):
-        table.add_column(head, justify="right", no_wrap=True)
+    heads = ("drone", "state", "mode", "theta, deg", "q, deg/s", "x, m", "battery", "age, s")
+    rows = table(*heads, right=range(3, 8))
+    for column in rows.columns[1:3]:  # "disarmed" and "offboard" stay whole on 80 columns, where a URL is cut
+        column.min_width = 8
+    for column in rows.columns[3:]:
+        column.no_wrap = True
     words = []
     for one in drones:
         state = DroneState() if one.drone is None else one.drone.state
         alarm = "bold red" if not one.is_heard or state.killed or state.safety.reason else ""
-        table.add_row(
+        rows.add_row(
             _name(one),
             _state(one, state),
             state.mode,
@@ -268,7 +268,7 @@ def screen(drones: Sequence[WatchedDrone]) -> Group:
         if one.texts:
             said = f"{one.system or one.url} {one.texts[-1]['severity']}: {one.texts[-1]['text']}"
             words.append(Text(one_line(said), alarm))
-    return Group(table, "", *words, "Ctrl-C ends watching")
+    return Group(rows, "", *words, "Ctrl-C ends watching")
 
 
 def _name(one: WatchedDrone) -> str:
