@@ -1,14 +1,12 @@
 """Parameter files: what QGroundControl writes is read, what is written reads back to the same float32."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from twodof.errors import ParameterError
-from twodof.gcs.parameter_file import ParameterFile, Snapshots
+from twodof.gcs.parameter_file import ParameterFile
 from twodof.gcs.parameters import INT32, REAL32, ParameterEntry
 
 # As QGroundControl 4 writes it, with 18 digits; the layout is that of its developer guide.
@@ -77,23 +75,3 @@ def test_every_float32_survives(values: dict[str, float]) -> None:
 def test_a_file_that_is_none_says_the_line(text: str, says: str) -> None:
     with pytest.raises(ParameterError, match=says):
         ParameterFile.read(text)
-
-
-def test_snapshots_are_kept_listed_and_deleted(tmp_path: Path) -> None:
-    kept = Snapshots(tmp_path / "snapshots")
-    assert list(kept) == []
-    kept.save("before the flight", ParameterFile.of([entry("RATE_KP", 0.07)], 1))
-    assert list(kept) == ["before the flight"]
-    assert kept["before the flight"].values == {"RATE_KP": 0.07}
-    with pytest.raises(ParameterError, match="there is a snapshot"):
-        kept.save("before the flight", ParameterFile.of([entry("RATE_KP", 0.08)], 1))
-    kept.delete("before the flight")
-    assert len(kept) == 0
-    with pytest.raises(KeyError):
-        kept.delete("before the flight")
-
-
-@pytest.mark.parametrize("name", ["", "../up", "a/b", ".hidden", "x" * 61, "a\0b", "n.params"])
-def test_a_name_stays_in_its_folder(tmp_path: Path, name: str) -> None:
-    with pytest.raises(ParameterError, match="cannot be a snapshot's name"):
-        Snapshots(tmp_path).save(name, ParameterFile.of([entry("RATE_KP", 0.07)], 1))

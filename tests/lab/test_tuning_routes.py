@@ -73,7 +73,7 @@ def test_what_somebody_has_changed_since_is_not_taken_back(lab: ServedLab) -> No
 
 def test_a_snapshot_says_what_it_would_change_and_brings_it_back(lab: ServedLab) -> None:
     assert lab.call("POST", "drones/1/parameters/snapshots", {"name": "first", "note": "as delivered"})[0] == 201
-    assert lab.call("POST", "drones/1/parameters/snapshots", {"name": "first"})[0] == 422, "it is there already"
+    assert lab.call("POST", "drones/1/parameters/snapshots", {"name": "first"})[0] == 409, "it is there already"
     lab.call("PATCH", "drones/1/parameters", {"ATT_KP": 9.0})
     told = lab.call("GET", "drones/1/parameters/snapshots/first")[1]
     changes = {row["name"]: (row["before"], row["value"]) for row in told["changes"]}

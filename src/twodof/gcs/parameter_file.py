@@ -1,19 +1,15 @@
-"""Parameter files (.params) as QGroundControl saves and loads them, and named snapshots of a drone's parameters.
+"""Parameter files (.params) as QGroundControl saves and loads them.
 
 A line has five fields with tabs between them: vehicle id, component id, name, value and MAV_PARAM_TYPE. Lines with #
 are remarks. Source: QGroundControl's developer guide, "Parameters File Format".
 """
 
-import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import isfinite
-from pathlib import Path
 from typing import Self
 
-from twodof.errors import LogError, ParameterError, printable, shown
-from twodof.flightlog.atomic import atomic_write, check_free
-from twodof.flightlog.provenance import read_bytes
+from twodof.errors import ParameterError, printable, shown
 from twodof.gcs.parameters import INT32, MOST, REAL32, ParameterEntry, same_as
 
 MAX_BYTES = 1 << 20
@@ -118,77 +114,3 @@ def _row(line: str, where: str) -> tuple[int, int, str, float, int]:
     if not (name.isascii() and name.isprintable() and 1 <= len(name) <= 16 and isfinite(value)):
         raise ParameterError(f"{shown(line)} has a name or a value that cannot be", where, "names have 16 characters")
     return numbers[0], numbers[1], name, value, numbers[2]
-
-
-SUFFIX = ".params"
-MOST_SNAPSHOTS = 500
-"""Most snapshots in a folder."""
-
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
-
-
-class Snapshots(Mapping[str, ParameterFile]):
-    """Snapshots in `folder`, by name. Reading a damaged file raises ParameterError."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def __iter__(self) -> Iterator[str]:
-        found = (path.stem for path in self._folder.glob(f"*{SUFFIX}") if _NAME.fullmatch(path.stem))
-        return iter(sorted(found))
-
-    def __len__(self) -> int:
-        return sum(1 for _ in self)
-
-    def __contains__(self, name: object) -> bool:
-        return isinstance(name, str) and self._place(name).is_file()
-
-    def __getitem__(self, name: str) -> ParameterFile:
-        """Read a snapshot. Raises KeyError for an unknown one, ParameterError for a wrong name or a damaged file."""
-        path = self._place(name)
-        if not path.is_file():
-            raise KeyError(name)
-        try:
-            return ParameterFile.read(read_bytes(path, MAX_BYTES), f"snapshot '{name}'")
-        except LogError as reason:
-            raise ParameterError(reason.what, f"snapshot '{name}'", reason.remedy) from reason
-
-    def kept(self, name: str) -> float:
-        """Return the time of writing [s of Unix time]. Raises KeyError."""
-        try:
-            return self._place(name).stat().st_mtime
-        except FileNotFoundError:
-            raise KeyError(name) from None
-
-    def save(self, name: str, file: ParameterFile, overwrite: bool = False) -> None:
-        """Save a snapshot under a new name. Raises ParameterError for a wrong name, or an existing one."""
-        path = self._place(name)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        if len(self) >= MOST_SNAPSHOTS and not path.exists():
-            raise ParameterError(
-                f"there are {MOST_SNAPSHOTS} snapshots", "snapshots", "delete some that you no longer need"
-            )
-        try:
-            check_free(path, overwrite)
-        except LogError as reason:
-            raise ParameterError(
-                f"there is a snapshot '{name}'", "snapshots", "choose another name, or overwrite it"
-            ) from reason
-        with atomic_write(path, "w") as target:
-            target.write(file.text())
-
-    def delete(self, name: str) -> None:
-        """Delete a snapshot. Raises KeyError for an unknown one."""
-        try:
-            self._place(name).unlink()
-        except FileNotFoundError:
-            raise KeyError(name) from None
-
-    def _place(self, name: str) -> Path:
-        if not _NAME.fullmatch(name) or name.endswith(SUFFIX):
-            raise ParameterError(
-                f"{shown(name)} cannot be a snapshot's name",
-                "snapshots",
-                "take letters, digits, space, . _ + -, at most 60, and begin with a letter or digit",
-            )
-        return self._folder / f"{name}{SUFFIX}"

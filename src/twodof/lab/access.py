@@ -13,8 +13,9 @@ import asyncio
 import hmac
 import ipaddress
 import socket
-from collections.abc import Callable, Coroutine, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
 from types import MappingProxyType
@@ -25,6 +26,7 @@ from fastapi import APIRouter, Depends
 from fastapi.requests import HTTPConnection, Request
 from fastapi.responses import Response
 from fastapi.routing import APIRoute
+from starlette.datastructures import MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from twodof.lab.answers import FiniteJSON, Refused
@@ -43,7 +45,7 @@ _CSP = (
     "img-src 'self' data: blob:; worker-src 'self' blob:; connect-src 'self'; object-src 'none'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-HEADERS: Mapping[str, str] = MappingProxyType(
+HEADERS = MappingProxyType(
     {
         "content-security-policy": _CSP,
         "x-content-type-options": "nosniff",
@@ -55,7 +57,6 @@ HEADERS: Mapping[str, str] = MappingProxyType(
     }
 )
 """Headers of every answer: the page runs its own scripts only, loads nothing from elsewhere, and is not framed."""
-_RAW_HEADERS = tuple((name.encode(), value.encode()) for name, value in HEADERS.items())
 
 
 class Role(StrEnum):
@@ -86,25 +87,24 @@ def current_client(request: Request) -> LabClient:
 CurrentClient = Annotated[LabClient, Depends(current_client)]
 
 
-def _watchers_may() -> None:
-    """Mark a route; it does nothing."""
+@dataclass(frozen=True)
+class _Mark:
+    """Mark in a route's `dependencies`: `watchers` may call it too, and it takes bodies of up to `most` bytes."""
+
+    watchers: bool = False
+    most: int = MOST_BODY
+
+    async def __call__(self) -> None:
+        """Do nothing."""
 
 
-WATCHERS_MAY = Depends(_watchers_may)
+WATCHERS_MAY = Depends(_Mark(watchers=True))
 """In a route's `dependencies`: it changes nothing, or stops motors, so clients that only watch may call it too."""
-
-
-class _Takes:
-    def __init__(self, most: int) -> None:
-        self.most = most
-
-    def __call__(self) -> None:
-        """Mark a route; it does nothing."""
 
 
 def takes(most: int) -> Any:
     """Return a mark for a route's `dependencies`: it takes bodies of up to `most` bytes, a log for instance."""
-    return Depends(_Takes(most))
+    return Depends(_Mark(most=most))
 
 
 class LabRoute(APIRoute):
@@ -113,33 +113,33 @@ class LabRoute(APIRoute):
     @property
     def for_watchers(self) -> bool:
         """True if clients that only watch may call it."""
-        marked = any(one.dependency is _watchers_may for one in self.dependencies)
-        return marked or (self.methods or set()) <= SAFE
+        return any(mark.watchers for mark in self._marks) or (self.methods or set()) <= SAFE
 
     @property
     def most_body(self) -> int:
         """Largest body [bytes]."""
-        return next((one.dependency.most for one in self.dependencies if isinstance(one.dependency, _Takes)), MOST_BODY)
+        return max((mark.most for mark in self._marks), default=MOST_BODY)
+
+    @property
+    def _marks(self) -> list[_Mark]:
+        return [one.dependency for one in self.dependencies if isinstance(one.dependency, _Mark)]
 
     def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
         """Return the function that serves a request."""
         handle = super().get_route_handler()
 
         async def checked(request: Request) -> Response:
-            refusal = self._refusal(request)
-            if refusal is not None:
+            try:
+                if current_client(request).role is Role.WATCH and not self.for_watchers:
+                    raise Refused(403, "this link is for watching only", "ask for the link that commands")
+                if int(request.headers.get("content-length", "0")) > self.most_body:
+                    raise _too_large(self.most_body)
+            except Refused:
                 await _discard(request.receive)
-                raise refusal
+                raise
             return await handle(Request(request.scope, _bounded(request.receive, self.most_body)))
 
         return checked
-
-    def _refusal(self, request: Request) -> Refused | None:
-        if current_client(request).role is Role.WATCH and not self.for_watchers:
-            return Refused(403, "this link is for watching only", "ask for the link that commands")
-        if int(request.headers.get("content-length", "0") or 0) > self.most_body:
-            return _too_large(self.most_body)
-        return None
 
 
 def lab_router(prefix: str, tag: str) -> APIRouter:
@@ -292,11 +292,9 @@ def _with_headers(send: Send, path: str) -> Send:
 
     async def sender(message: Message) -> None:
         if message["type"] == "http.response.start":
-            present = {name.lower() for name, _ in message.get("headers", ())}
-            added = [row for row in _RAW_HEADERS if row[0] not in present]
-            if path.startswith(API) and b"cache-control" not in present:
-                added.append((b"cache-control", b"no-store"))
-            message["headers"] = [*message.get("headers", ()), *added]
+            headers = MutableHeaders(scope=message)
+            for name, value in (HEADERS | {"cache-control": "no-store"} if path.startswith(API) else HEADERS).items():
+                headers.setdefault(name, value)
         await send(message)
 
     return sender

@@ -60,7 +60,7 @@ def _no_compiler() -> str:
     return ""
 
 
-def canonical(text: str) -> dict[str, Any]:
+def canonical(text: str) -> dict[str, str]:
     """Return the diagram in the form of its file."""
     return {"text": to_json(from_json(text))}
 
@@ -118,9 +118,9 @@ def code(text: str, precision: str) -> dict[str, Any]:
     }
 
 
-def template(text: str) -> dict[str, str]:
+def template(text: str) -> str:
     """Return the template that a diagram fits. Raises DiagramError if it fits none."""
-    return {"template": check_template(from_json(text)).name}
+    return check_template(from_json(text)).name
 
 
 def compiled(text: str, rig: str) -> dict[str, Any]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
@@ -20,10 +19,8 @@ from twodof.errors import (
     IdentificationError,
     LinkLost,
     LogError,
-    ParameterError,
     Rejected,
     Timeout,
-    shown,
 )
 from twodof.excitation import KINDS, LIMITS
 from twodof.experiment.expected_accuracy import expected_accuracy
@@ -31,7 +28,7 @@ from twodof.experiment.experiments import EXPERIMENTS, UNIT, Experiment, experim
 from twodof.experiment.flight import Flight, Laboratory
 from twodof.experiment.fly import fly
 from twodof.flight.starters import save_diagram
-from twodof.flightlog.atomic import check_free, numbered
+from twodof.flightlog.atomic import check_free, make_folder, numbered
 from twodof.flightlog.files import write_log
 from twodof.gcs.drone import Drone
 from twodof.identify.experiments import KINDS as IDENTIFIED
@@ -39,7 +36,6 @@ from twodof.identify.identified_flight import identify_flight
 from twodof.identify.ready_made import FLOWN_AS
 from twodof.lab.answers import RequestBody
 from twodof.lab.log_work import named_log
-from twodof.lab.processes import in_real_time
 from twodof.lab.routes.commands import excitation_of
 from twodof.rig.parameters import NAMES
 
@@ -96,7 +92,6 @@ def _row(one: Experiment) -> dict[str, Any]:
     }
 
 
-@in_real_time
 def fly_experiment(
     progress: Callable[[float, str], None],
     stop: Event,
@@ -210,26 +205,18 @@ def identify(
     return {"view": view, "model": {**found.model(), "informative": view["informative"]}}
 
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
-
-
 def design(
     progress: Callable[[float, str], None],
     family: dict[str, Any],
-    folder: str,
-    name: str,
+    place: str,
     crossover: float,
     phase_margin: float | None,
     method: str,
     overwrite: bool,
 ) -> dict[str, Any]:
-    """Design, promise, and write NAME.json into `folder`; `file` is None if the family is not kept stable."""
-    if not _NAME.fullmatch(name) or name.endswith(".json"):
-        remedy = "take letters, digits, space, . _ + -, at most 60, without .json"
-        raise ParameterError(f"{shown(name)} cannot be a diagram's name", "design", remedy)
-    place = Path(folder)
-    place.mkdir(parents=True, exist_ok=True)
-    path = place / f"{name}.json"
+    """Design, promise, and write the file `place`; `file` is None if the family is not kept stable."""
+    path = Path(place)
+    make_folder(path.parent)
     check_free(path, overwrite)
     progress(0.02, "the gains")
     made = design_controller(

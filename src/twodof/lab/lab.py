@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Any, Self
 
 from fastapi import Depends
 from fastapi.requests import HTTPConnection
 
+from twodof.blocks.schema.json_form import MAX_BYTES as DIAGRAM_BYTES
 from twodof.errors import LogError, Rejected
 from twodof.lab.drones.lab_drone import LabDrones
-from twodof.lab.log_folder import LogShelf, SummaryCache
+from twodof.lab.log_folder import LogShelf
 from twodof.lab.models import ModelFolder, TuningGuard
+from twodof.lab.named_files import NamedFiles
 from twodof.lab.processes import Jobs, Workbench
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience
@@ -21,7 +23,8 @@ from twodof.lab.telemetry_rows import Audience
 class Lab:
     """Drones, jobs and clients of one server; `async with` connects to the drones and leaves them.
 
-    `stops` end the flights of jobs, `rehearsed` are the diagrams of rehearsals, both by the job's id.
+    `stops` end the flights of jobs, `rehearsed` are the diagrams of rehearsals, both by the job's id. `summaries` are
+    those of logs, by path, time of the last change [ns] and bytes.
     """
 
     def __init__(self, settings: LabSettings) -> None:
@@ -31,10 +34,12 @@ class Lab:
         self.jobs = Jobs(self.audience.tell)
         self.workbench = Workbench()
         self.models = ModelFolder(settings.folder / "models")
+        self.diagrams = NamedFiles(settings.folder / "diagrams", ".json", "diagram", 1000, DIAGRAM_BYTES)
+        self.snapshots = NamedFiles(settings.folder / "snapshots", ".params", "snapshot", 500)
         self.guard = TuningGuard(self.models, self.workbench)
         self.stops: dict[str, Event] = {}
         self.logs = LogShelf(settings.folder, settings.logs)
-        self.summaries = SummaryCache()
+        self.summaries: dict[tuple[str, int, int], dict[str, Any]] = {}
         self.log_bench = Workbench("log", LogError)
         self.rehearsed: dict[str, str] = {}
 

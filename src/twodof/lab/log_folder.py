@@ -1,12 +1,11 @@
-"""Folder of logs: names, notes beside them, deleted logs, and a cache of summaries."""
+"""Folder of logs: names, notes beside them, and deleted logs."""
 
 from __future__ import annotations
 
 import re
 import secrets
 import time
-from collections import OrderedDict
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -41,27 +40,6 @@ def new_name(name: str) -> str:
         remedy = f"use letters, digits, spaces, _ . + and -, at most {LONGEST} of them"
         raise LogError("is not a name for a log", name[:80], remedy)
     return name
-
-
-MOST_SUMMARIES = 4000
-
-Key = tuple[str, int, int]
-"""Path, time of the last change [ns], bytes."""
-
-
-class SummaryCache:
-    """Cache of the last `MOST_SUMMARIES` summaries."""
-
-    def __init__(self) -> None:
-        self._kept: OrderedDict[Key, dict[str, Any]] = OrderedDict()
-
-    async def get(self, key: Key, make: Callable[[], Awaitable[dict[str, Any]]]) -> dict[str, Any]:
-        """Return the summary, made by `make` if it is unknown. Raises the errors of `make`."""
-        if key not in self._kept:
-            self._kept[key] = await make()
-            while len(self._kept) > MOST_SUMMARIES:
-                self._kept.popitem(last=False)
-        return self._kept[key]
 
 
 KEPT_DAYS = 7

@@ -5,51 +5,65 @@ from __future__ import annotations
 import hashlib
 import hmac
 import json
-import re
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from pydantic import BaseModel, ValidationError
 
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.robustness import Robustness
 from twodof.design.tuning_preview import GAINS, PitchLaw
 from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError, shown
 from twodof.flight.templates import ATTITUDE
-from twodof.flightlog.atomic import atomic_write, check_free
+from twodof.flightlog.atomic import atomic_write, make_folder
 from twodof.flightlog.log import FlightLog
-from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.parameters import BY_NAME
-from twodof.lab.answers import NotThere
+from twodof.lab.answers import mistakes_in_words
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.log_work import kept_log
+from twodof.lab.named_files import NamedFiles
 from twodof.lab.processes import Workbench
 from twodof.report.step_responses import FlownStep, step_responses
 
 MAX_BYTES = 1 << 20
-MOST = 500
-SUFFIX = ".json"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,59}")
 _CHOICES = ".chosen"
 """File beside the models, under a name that a model cannot have."""
 
 
-class ModelFolder:
-    """Models in `folder`; each is read when it is asked for."""
+class _Estimated(BaseModel):
+    """Estimate of one unknown in a model's document."""
+
+    value: float | None = None
+    sigma: float | None = None
+    sigma_robust: float | None = None
+    unit: str = ""
+
+
+class _Identified(BaseModel):
+    """Part of a model's document that lists show."""
+
+    experiment: str = ""
+    structure: str = ""
+    method: str = ""
+    informative: Any = None
+    estimates: dict[str, _Estimated] = {}
+    sums: dict[str, _Estimated] | None = None
+    fixed: dict[str, float | None] = {}
+
+
+class ModelFolder(NamedFiles):
+    """Folder of models, each read when it is asked for, and the choice of the models that guard tuning."""
 
     def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def names(self) -> list[str]:
-        """Return the names of the models."""
-        found = (path.stem for path in self._folder.glob(f"*{SUFFIX}") if _NAME.fullmatch(path.stem))
-        return sorted(found)[:MOST]
+        super().__init__(folder, ".json", "model", 500, MAX_BYTES)
 
     def read(self, name: str) -> dict[str, Any]:
         """Read a model's document. Raises NotThere, ParameterError for a damaged file."""
         try:
-            found = json.loads(self._content(name))
+            found = json.loads(self.content(name))
         except (ValueError, RecursionError) as reason:
             raise ParameterError(f"it is not JSON: {shown(reason)}", f"model {name}", "identify it again") from reason
         if not isinstance(found, dict):
@@ -62,95 +76,61 @@ class ModelFolder:
 
     def digest(self, name: str) -> str:
         """Return the digest of a model's bytes. Raises NotThere."""
-        return hashlib.sha256(self._content(name)).hexdigest()
+        return hashlib.sha256(self.content(name)).hexdigest()
 
-    def save(self, name: str, document: Mapping[str, Any], overwrite: bool = False) -> None:
-        """Keep a model. Raises ParameterError for a wrong name, Rejected for an existing one."""
-        path = self._place(name)
-        self._folder.mkdir(parents=True, exist_ok=True)
-        if len(self.names()) >= MOST:
-            raise Rejected(f"there are {MOST} models", "models", "delete some that you no longer need")
-        try:
-            check_free(path, overwrite)
-        except LogError as reason:
-            raise Rejected(f"there is a model '{name}' already", "models", "choose another name") from reason
-        with atomic_write(path, "w") as file:
-            json.dump(document, file, indent=1, allow_nan=False)
+    def keep(self, name: str, document: Mapping[str, Any], overwrite: bool = False) -> dict[str, Any]:
+        """Save a model and return its row. Raises ParameterError for a wrong name, Rejected for an existing one."""
+        self.save(name, json.dumps(document, indent=1, allow_nan=False), overwrite)
+        return self.row(name)
 
-    def delete(self, name: str) -> None:
-        """Delete a model. Raises NotThere."""
-        path = self._place(name)
-        if not path.is_file():
-            raise _missing(name)
-        path.unlink()
+    def values(self, name: str) -> dict[str, float]:
+        """Return a model's values by unknown, held ones among them. Raises NotThere, ParameterError."""
+        found = self._identified(name)
+        values = {**{key: row.value for key, row in found.estimates.items()}, **found.fixed}
+        return {key: value for key, value in values.items() if value is not None}
 
     def row(self, name: str) -> dict[str, Any]:
         """Return a model's row of the list: `pitch` is True for tuning and design, else `why` has the reason."""
-        told: dict[str, Any] = {"name": name, "kept": self._place(name).stat().st_mtime, "values": [], "pitch": False}
+        told: dict[str, Any] = {"name": name, "kept": self.there(name).stat().st_mtime, "values": [], "pitch": False}
         try:
-            document = self.read(name)
-            told |= {key: shown_text(document.get(key)) for key in ("experiment", "structure", "method")}
-            told["values"] = _values(document)
-            told["informative"] = document.get("informative")
-            family = PitchFamily.from_identified(document, name)
-            told |= {"pitch": True, "why": "", "family": {key: family.values[key] for key in family.values}}
+            found = self._identified(name)
+            told |= {key: getattr(found, key)[:80] for key in ("experiment", "structure", "method")}
+            told["values"] = [
+                {"name": key, "value": one.value, "sigma": one.sigma_robust or one.sigma, "unit": one.unit}
+                for key, one in [*found.estimates.items(), *(found.sums or {}).items()][:50]
+                if not key.endswith(("_0", "_trim", "_bias"))
+            ]
+            told["informative"] = found.informative
+            told |= {"pitch": True, "why": "", "family": dict(self.family(name).values)}
         except TwodofError as reason:
-            told["why"] = reason.what
+            told |= {"pitch": False, "why": reason.what}
         return told
+
+    def _identified(self, name: str) -> _Identified:
+        try:
+            return _Identified.model_validate(self.read(name))
+        except ValidationError as reason:
+            what = f"it is not a model: {mistakes_in_words(reason.errors())[0]}"
+            raise ParameterError(what, f"model {name}", "identify it again") from reason
 
     def chosen(self, drone: int) -> str | None:
         """Return the model that guards a drone's tuning, or None."""
         name = self._choices().get(str(drone))
-        return name if isinstance(name, str) and name in self.names() else None
+        return name if name is not None and self.place(name).is_file() else None
 
     def choose(self, drone: int, name: str | None) -> None:
         """Let a model guard a drone's tuning, or none. Raises as `family`."""
         if name is not None:
             self.family(name)
         choices = {**self._choices(), str(drone): name}
-        self._folder.mkdir(parents=True, exist_ok=True)
-        with atomic_write(self._folder / _CHOICES, "w") as file:
+        make_folder(self.folder)
+        with atomic_write(self.folder / _CHOICES, "w") as file:
             json.dump({key: value for key, value in choices.items() if value is not None}, file)
 
-    def _choices(self) -> dict[str, Any]:
-        try:
-            found = json.loads((self._folder / _CHOICES).read_bytes()[:MAX_BYTES])
-        except (OSError, ValueError):
-            return {}
-        return found if isinstance(found, dict) else {}
-
-    def _content(self, name: str) -> bytes:
-        path = self._place(name)
-        if not path.is_file():
-            raise _missing(name)
-        return read_bytes(path, MAX_BYTES)
-
-    def _place(self, name: str) -> Path:
-        if not _NAME.fullmatch(name) or name.endswith(SUFFIX):
-            remedy = "take letters, digits, space, . _ + -, at most 60, and begin with a letter or digit"
-            raise ParameterError(f"{shown(name)} cannot be a model's name", "models", remedy)
-        return self._folder / f"{name}{SUFFIX}"
-
-
-def shown_text(value: object) -> str:
-    """Return a text of a file, at most 80 letters, or ""."""
-    return value[:80] if isinstance(value, str) else ""
-
-
-def _values(document: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return name, value, standard deviation and unit of each unknown of the machine."""
-    estimates, sums = document.get("estimates"), document.get("sums")
-    rows = {**(estimates if isinstance(estimates, dict) else {}), **(sums if isinstance(sums, dict) else {})}
-    found = []
-    for name, row in [*rows.items()][:50]:
-        if isinstance(row, dict) and not name.endswith(("_0", "_trim", "_bias")):
-            sigma = row.get("sigma_robust", row.get("sigma"))
-            found.append({"name": name, "value": row.get("value"), "sigma": sigma, "unit": row.get("unit", "")})
-    return found
-
-
-def _missing(name: str) -> NotThere:
-    return NotThere("there is no such model", f"model {name[:60]}", "GET /api/models lists them")
+    def _choices(self) -> dict[str, str]:
+        path = self.folder / _CHOICES
+        found: dict[str, str] = json.loads(path.read_bytes()) if path.is_file() else {}
+        return found
 
 
 SHOWN_S = 3.0
@@ -240,7 +220,9 @@ class TuningGuard:
         self._models, self._bench = models, bench
         self._secret = secrets.token_bytes(32)
 
-    async def judge(self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float | None) -> Any:
+    async def judge(
+        self, one: LabDrone, changes: Mapping[str, float], model: str, goal: float | None
+    ) -> dict[str, Any]:
         """Judge changes by name or path on a model. Raises as `judge`, NotThere, LinkLost, Timeout."""
         family = self._models.family(model)
         given, active = await self._named(one, changes)

@@ -16,12 +16,12 @@ import signal
 import sys
 import time
 from collections.abc import Awaitable, Callable, Mapping
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from types import FrameType
-from typing import Any, Literal, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Literal, TypeAlias, TypeVar
 
 from twodof.errors import DiagramError, Rejected, Timeout, TwodofError
 from twodof.lab.access import LabClient, Role
@@ -43,53 +43,28 @@ LOOK_S = 0.05
 END_S = 1.0
 """How long a process may take to end its compiler and itself."""
 TOLD_EVERY_S = 0.05
-_REAL_TIME = "__lab_in_real_time__"
 Progress = Callable[[float, str], None]
 Told = Callable[[float, str, bool], None]
+Answer = TypeVar("Answer")
 State = Literal["running", "done", "failed", "cancelled"]
-Work = TypeVar("Work", bound=Callable[..., object])
-
-
-def in_real_time(work: Work) -> Work:
-    """Declare that the work of a job keeps up with a drone: it begins at once, at full priority."""
-    setattr(work, _REAL_TIME, True)
-    return work
-
-
-def _is_in_real_time(work: Callable[..., object]) -> bool:
-    return bool(getattr(work, _REAL_TIME, False))
-
-
-class _Kind(NamedTuple):
-    """Kind of process: `background` ones are killed at their end; `nice` ones give way; `memory` bounds it."""
-
-    background: bool
-    nice: bool = False
-    memory: int = 0
-
-
-_BENCH = _Kind(background=False, memory=MEMORY)
-
-
 _Request: TypeAlias = tuple[Callable[..., object], tuple[Any, ...], bool]
 """Work, its arguments, and whether it reports its progress."""
 
 
-def _serve(talk: Connection, kind: _Kind, first: _Request) -> None:
+def _serve(talk: Connection, background: bool, nice: bool, first: _Request) -> None:
     """Answer each request by ("done", JSON text) or ("failed", what, where, remedy).
 
     The first request comes when the process starts: only then its arguments may be events shared between processes.
     """
     # Ctrl-C in the terminal is for the server. A session of its own for a job would get as much as a drone's program.
-    if kind.background:
+    if background:
         os.setpgid(0, 0)
     else:
         os.setsid()
         signal.signal(signal.SIGTERM, _end)
-    if kind.nice:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    if nice:
         os.nice(NICENESS)
-    if kind.memory:
-        resource.setrlimit(resource.RLIMIT_AS, (kind.memory, kind.memory))
     last = 0.0
 
     def progress(fraction: float, text: str = "") -> None:
@@ -120,19 +95,14 @@ def _end(number: int, frame: FrameType | None) -> None:
     sys.exit(0)
 
 
-class _Failed(Exception):
-    """Failure that the process of some work has told."""
-
-    def __init__(self, what: str, where: str, remedy: str) -> None:
-        super().__init__(what)
-        self.what, self.where, self.remedy = what, where, remedy
-
-
 class _WorkProcess:
-    """Process for `run`, started with the first work, and again with the next work after `close`."""
+    """Process for `run`, started with the first work, and again with the next work after `close`.
 
-    def __init__(self, kind: _Kind) -> None:
-        self._kind = kind
+    Failures are raised as `failure`, about `where`. A `background` process is killed at its end; `nice` ones give way.
+    """
+
+    def __init__(self, where: str, failure: type[TwodofError], background: bool, nice: bool = False) -> None:
+        self._where, self._failure, self._background, self._nice = where, failure, background, nice
         self._context = multiprocessing.get_context("forkserver")
         self._context.set_forkserver_preload([*WARM])
         self._process: BaseProcess | None = None
@@ -146,9 +116,10 @@ class _WorkProcess:
         progress: Progress | None = None,
         gone: Callable[[], Awaitable[bool]] | None = None,
     ) -> Any:
-        """Return the result of some work. Raises _Failed, TimeoutError, EOFError where the process has ended.
+        """Return the result of some work. The process is ended unless it has answered.
 
-        Raises Rejected where `gone` says that nobody waits for it. The process is ended unless it has answered.
+        Raises `failure` as the work does, or where the process ends; Timeout after `seconds`; Rejected where `gone`
+        says that nobody waits for it.
         """
         answered = False
         try:
@@ -164,17 +135,19 @@ class _WorkProcess:
                     if progress is not None:
                         progress(*rest)
             answered = True
-        except OSError as reason:
-            if isinstance(reason, TimeoutError):
-                raise
-            raise EOFError from reason
+        except TimeoutError:
+            raise Timeout(f"it took longer than {seconds:g} s", self._where, "ask for less") from None
+        except (EOFError, OSError):
+            what = "its process ended in mid-work: it may have run out of memory"
+            raise self._failure(what, self._where, "ask for less") from None
         finally:
             if not answered:
                 with suppress(BaseException):
                     await asyncio.shield(self.close())
-        if kind != "done":
-            raise _Failed(*rest)
-        return json.loads(rest[0])
+        if kind == "done":
+            return json.loads(rest[0])
+        what, where, remedy = rest
+        raise self._failure(what, where or self._where, remedy)
 
     async def close(self) -> None:
         """End the process."""
@@ -184,7 +157,7 @@ class _WorkProcess:
             talk.close()
         if process is None or process.pid is None:
             return
-        if not self._kind.background:
+        if not self._background:
             process.terminate()
             await asyncio.to_thread(process.join, END_S)
         process.kill()
@@ -196,9 +169,9 @@ class _WorkProcess:
             return self._talk
         await self.close()
         here, there = self._context.Pipe()
-        process = self._context.Process(target=_serve, args=(there, self._kind, request), daemon=True)
-        self._process, self._talk = process, here
-        await asyncio.to_thread(process.start)  # the fork server takes a second to start
+        given = (there, self._background, self._nice, request)
+        self._process, self._talk = self._context.Process(target=_serve, args=given, daemon=True), here
+        await asyncio.to_thread(self._process.start)  # the fork server takes a second to start
         there.close()
         return here
 
@@ -211,19 +184,19 @@ class Workbench:
     """
 
     def __init__(self, subject: str = "diagram", failure: type[TwodofError] = DiagramError) -> None:
-        self._subject, self._failure = subject, failure
-        self._process = _WorkProcess(_BENCH)
+        self._subject = subject
+        self._process = _WorkProcess(subject, failure, background=False)
         self._turn = asyncio.Lock()
         self._waiting = 0
 
     async def do(
         self,
-        work: Callable[..., object],
+        work: Callable[..., Answer],
         *arguments: Any,
         seconds: float,
         gone: Callable[[], Awaitable[bool]] | None = None,
-    ) -> Any:
-        """Return the result of `work(*arguments)`, in its turn.
+    ) -> Answer:
+        """Return the result of `work(*arguments)`, in its turn, as JSON has it.
 
         `gone` says that the client has left: then it is cancelled. Raises the errors of `work` as `failure`, Timeout
         after `seconds`, Rejected where too many wait, and for a client that has left.
@@ -233,13 +206,8 @@ class Workbench:
         self._waiting += 1
         try:
             async with self._turn:
-                return await self._process.run(work, arguments, seconds, gone=gone)
-        except _Failed as failure:
-            raise self._failure(failure.what, failure.where or self._subject, failure.remedy) from None
-        except TimeoutError:
-            raise Timeout(f"it took longer than {seconds:g} s", self._subject, "make it smaller") from None
-        except EOFError:
-            raise self._failure("the process that reads it has ended", self._subject, "make it smaller") from None
+                answer: Answer = await self._process.run(work, arguments, seconds, gone=gone)
+                return answer
         finally:
             self._waiting -= 1
 
@@ -252,17 +220,19 @@ class Workbench:
 class Job:
     """Progress of a job: `fraction` 0 to 1, `text`, and at its end its `result` or `error`.
 
-    `bound` is True while the job cannot be ended.
+    `bound` is True while the job cannot be ended. `client` is the one that asked for it, if it may only watch.
     """
 
     id: str
     kind: str
     state: State = "running"
     fraction: float = 0.0
-    text: str = ""
+    text: str = "waits for its turn"
     result: Any = None
     error: dict[str, str] | None = None
     bound: bool = False
+    client: LabClient | None = None
+    task: asyncio.Task[None] | None = None
 
     @property
     def over(self) -> bool:
@@ -271,8 +241,8 @@ class Job:
 
     def told(self, with_result: bool = True) -> dict[str, Any]:
         """Return the job as clients get it."""
-        rows = {key: value for key, value in vars(self).items() if not key.startswith("_")}
-        return rows if with_result else {key: value for key, value in rows.items() if key != "result"}
+        names = ("id", "kind", "state", "fraction", "text", "error", "bound", *["result"] * with_result)
+        return {name: getattr(self, name) for name in names}
 
 
 class Jobs:
@@ -282,10 +252,8 @@ class Jobs:
     """
 
     def __init__(self, tell: Callable[[Mapping[str, Any]], None]) -> None:
-        self._tell = tell
+        self._tell_all = tell
         self._jobs: dict[str, Job] = {}
-        self._tasks: dict[str, asyncio.Task[None]] = {}
-        self._clients: dict[str, LabClient] = {}
         self._turns = asyncio.Semaphore(AT_ONCE)
 
     @property
@@ -300,16 +268,35 @@ class Jobs:
             raise NotThere("there is no such job, or it ended long ago", f"job {name[:40]}", "start it again")
         return job
 
-    def start(self, kind: str, work: Callable[..., object], *arguments: Any, client: LabClient | None = None) -> Job:
+    def start(
+        self,
+        kind: str,
+        work: Callable[..., object],
+        *arguments: Any,
+        client: LabClient | None = None,
+        in_real_time: bool = False,
+    ) -> Job:
         """Run `work(progress, *arguments)` in a process of its own; returns at once.
 
         `work` is a function of a module, its arguments can be pickled, what it returns is plain data for JSON; it
-        calls `progress(fraction, text)` as it goes on. What was declared `in_real_time` begins at once. Raises Rejected
-        where too many wait already, or where a `client` that only watches has its share.
+        calls `progress(fraction, text)` as it goes on. Work `in_real_time` keeps up with a drone: it begins at once, at
+        full priority. Raises Rejected where too many wait already, or where a `client` that only watches has its share.
         """
-        if not _is_in_real_time(work):
-            self._check_share(client)
-        return self._begin(kind, lambda job: self._in_turn(job, work, arguments), client)
+        watcher = client if client is not None and client.role is Role.WATCH else None
+        if not in_real_time:
+            self._check_share(watcher)
+
+        async def run(job: Job) -> Any:
+            # What flies does not wait for what computes, for a viewer perhaps.
+            async with nullcontext() if in_real_time else self._turns:
+                job.text = ""
+                process = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not in_real_time)
+                try:
+                    return await process.run(work, arguments, LONGEST_S, lambda *told: self._tell(job, *told))
+                finally:
+                    await process.close()
+
+        return self._begin(Job(secrets.token_hex(8), kind, client=watcher), run)
 
     def watch(self, kind: str, work: Callable[[Told], Awaitable[Any]]) -> Job:
         """Follow what the server does itself, such as talking to a drone: `work(told)`; returns at once.
@@ -318,36 +305,22 @@ class Jobs:
         `cancel` refuses.
         """
 
-        async def follow(job: Job) -> None:
-            def told(fraction: float, text: str, bound: bool) -> None:
-                job.fraction, job.text, job.bound = fraction, text, bound
-                self._tell({"event": "job", "job": job.told(with_result=False)})
+        async def run(job: Job) -> Any:
+            return json.loads(dumps(await work(lambda *told: self._tell(job, *told))))
 
-            result = await work(told)
-            job.result, job.fraction, job.text, job.state = json.loads(dumps(result)), 1.0, "", "done"
+        return self._begin(Job(secrets.token_hex(8), kind), run)
 
-        return self._begin(kind, follow)
-
-    def _begin(self, kind: str, run: Callable[[Job], Awaitable[None]], client: LabClient | None = None) -> Job:
-        job = Job(secrets.token_hex(8), kind, text="waits for its turn")
+    def _begin(self, job: Job, run: Callable[[Job], Awaitable[Any]]) -> Job:
         self._jobs[job.id] = job
-        if client is not None:
-            self._clients[job.id] = client
-        for old in [one.id for one in self._jobs.values() if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
+        for old in [one.id for one in self.all if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
             del self._jobs[old]
-            self._clients.pop(old, None)
-        task = asyncio.create_task(self._run(job, run))
-        self._tasks[job.id] = task
-        task.add_done_callback(lambda _: self._tasks.pop(job.id, None))
+        job.task = asyncio.create_task(self._run(job, run))
         return job
 
-    def when_over(self, name: str, done: Callable[[Job], None]) -> None:
-        """Have `done` called with a job once it is over. Raises NotThere."""
-        job, task = self[name], self._tasks.get(name)
-        if task is None:
-            done(job)
-        else:
-            task.add_done_callback(lambda _: done(job))
+    def when_over(self, job: Job, done: Callable[[Job], None]) -> None:
+        """Have `done` called with a job once it is over."""
+        if job.task is not None:
+            job.task.add_done_callback(lambda _: done(job))
 
     async def cancel(self, name: str) -> Job:
         """End a job, its process with it; one that is over stays as it is. Raises NotThere, Rejected if it is bound."""
@@ -359,71 +332,43 @@ class Jobs:
 
     async def close(self) -> None:
         """End all, bound or not."""
-        for name in [*self._tasks]:
-            await self._end(self[name])
+        for job in self.all:
+            await self._end(job)
 
     async def _end(self, job: Job) -> None:
-        task = self._tasks.get(job.id)
-        if task is not None:
-            task.cancel()
+        if job.task is not None and not job.task.done():
+            job.task.cancel()
             with suppress(asyncio.CancelledError):
-                await task
+                await job.task
             if not job.over:  # it was cancelled before it had begun to wait for its turn
                 job.state, job.text = "cancelled", ""
 
-    def _check_share(self, client: LabClient | None) -> None:
-        running = [job.id for job in self._jobs.values() if not job.over]
+    def _check_share(self, watcher: LabClient | None) -> None:
+        running = [job.client for job in self.all if not job.over]
         if len(running) >= AT_ONCE + MOST_WAITING:
             raise Rejected("too many jobs wait already", "jobs", "wait for one, or cancel one")
-        if client is None or client.role is not Role.WATCH:
+        if watcher is None:
             return
-        theirs = [one for name in running if (one := self._clients.get(name)) is not None and one.role is Role.WATCH]
-        if theirs.count(client) >= MOST_OF_ONE:
+        if running.count(watcher) >= MOST_OF_ONE:
             raise Rejected(f"{MOST_OF_ONE} jobs of yours run or wait already", "jobs", "wait for one")
-        if len(theirs) >= MOST_OF_WATCHERS:
+        if len(running) - running.count(None) >= MOST_OF_WATCHERS:
             raise Rejected("too many jobs of those who watch wait already", "jobs", "wait for one")
 
-    async def _in_turn(self, job: Job, work: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        if _is_in_real_time(work):  # who flies does not wait for who computes, a viewer perhaps
-            await self._work(job, work, arguments)
-        else:
-            async with self._turns:
-                await self._work(job, work, arguments)
-
-    async def _run(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> None:
+    async def _run(self, job: Job, run: Callable[[Job], Awaitable[Any]]) -> None:
         try:
-            await run(job)
+            job.result = await run(job)
+            job.fraction, job.text, job.state = 1.0, "", "done"
         except TwodofError as error:
             job.error, job.state = {"what": error.what, "where": error.where, "remedy": error.remedy}, "failed"
         except asyncio.CancelledError:
-            if not job.over:
-                job.state, job.text = "cancelled", ""
+            job.state, job.text = "cancelled", ""
             raise
         except Exception as fault:  # noqa: BLE001  whatever it was, the job has failed and says so
-            _fail(job, f"its process could not be run: {fault}", "report it")
+            what = f"its process could not be run: {fault}"
+            job.error, job.state = {"what": what, "where": f"job {job.kind}", "remedy": "report it"}, "failed"
         finally:
-            self._tell({"event": "job", "job": job.told(with_result=False)})
+            self._tell(job, job.fraction, job.text)
 
-    async def _work(self, job: Job, work: Callable[..., object], arguments: tuple[Any, ...]) -> None:
-        process = _WorkProcess(_Kind(background=True, nice=not _is_in_real_time(work)))
-        job.text = ""
-
-        def progress(fraction: float, text: str) -> None:
-            job.fraction, job.text = fraction, text
-            self._tell({"event": "job", "job": job.told(with_result=False)})
-
-        try:
-            result = await process.run(work, arguments, LONGEST_S, progress)
-            job.result, job.fraction, job.text, job.state = result, 1.0, "", "done"
-        except _Failed as failure:
-            _fail(job, failure.what, failure.remedy, failure.where)
-        except TimeoutError:
-            _fail(job, f"it took longer than {LONGEST_S:g} s", "ask for less")
-        except EOFError:
-            _fail(job, "its process ended in mid-work: it may have run out of memory", "ask for less")
-        finally:
-            await process.close()
-
-
-def _fail(job: Job, what: str, remedy: str, where: str = "") -> None:
-    job.state, job.error = "failed", {"what": what, "where": where or f"job {job.kind}", "remedy": remedy}
+    def _tell(self, job: Job, fraction: float, text: str, bound: bool = False) -> None:
+        job.fraction, job.text, job.bound = fraction, text, bound
+        self._tell_all({"event": "job", "job": job.told(with_result=False)})

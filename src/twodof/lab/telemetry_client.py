@@ -22,8 +22,16 @@ LONGEST = 8192
 MOST_COLUMNS = 64
 
 
-class MalformedRequest(Exception):
+class SocketRefused(Exception):
+    """Error that ends a web socket, with the code of its end."""
+
+    code = 1013  # try again later
+
+
+class MalformedRequest(SocketRefused):
     """Error for a client's message that is not JSON, too long, or of an unknown form."""
+
+    code = 1007
 
 
 class Subscribe(RequestBody):
@@ -83,26 +91,22 @@ SEND_S = 30.0
 """Longest time [s] to send one message; then the client is disconnected."""
 
 
-class MostClients(Exception):
-    """Error for a client beyond the largest number."""
-
-
 class TelemetryClient:
     """Connected client; `async with` joins the audience, and ends the subscriptions afterwards."""
 
     def __init__(self, websocket: WebSocket, role: Role, lab: Lab) -> None:
-        self._websocket, self._role, self._lab = websocket, role, lab
-        self._outbox = Outbox()
+        self._websocket, self._lab = websocket, lab
+        self._outbox = Outbox(role)
         self._streams: dict[int, tuple[StreamState, int]] = {}
 
     async def __aenter__(self) -> Self:
         if len(self._lab.audience) >= MOST_CLIENTS:
-            raise MostClients(f"{MOST_CLIENTS} clients are connected already")
-        self._lab.audience.join(self._outbox, self._role)
+            raise SocketRefused(f"{MOST_CLIENTS} clients are connected already")
+        self._lab.audience.add(self._outbox)
         return self
 
     async def __aexit__(self, *_: object) -> None:
-        self._lab.audience.leave(self._outbox)
+        self._lab.audience.discard(self._outbox)
         for number in [*self._streams]:
             self._end(number)
 
@@ -111,7 +115,7 @@ class TelemetryClient:
 
         Raises WebSocketDisconnect, MalformedRequest, and TimeoutError for a client that receives nothing.
         """
-        self._say({"event": "session", "role": self._role})
+        self._say({"event": "session", "role": self._outbox.role})
         for state in self._lab.drones.states:
             self._say({"event": "drone", "drone": state["system"], "state": state})
         for job in self._lab.jobs.all:
@@ -126,7 +130,7 @@ class TelemetryClient:
         """
         while True:
             await asyncio.sleep(ALIVE_S)
-            self._lab.audience.asked(self._outbox)
+            self._outbox.unanswered += self._outbox.answers
             self._say({"event": "alive"})
 
     async def _send(self) -> None:
@@ -149,7 +153,7 @@ class TelemetryClient:
                 raise MalformedRequest("is binary; send JSON text")
             asked = read_request(text)
             if isinstance(asked, Here):
-                self._lab.audience.answered(self._outbox)
+                self._outbox.answers, self._outbox.unanswered = True, 0
                 continue
             try:
                 self._do(asked)

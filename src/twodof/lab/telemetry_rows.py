@@ -173,10 +173,20 @@ class Rows:
     count: int
 
 
+MOST_UNANSWERED = 2
+"""A client with more unanswered `alive` is frozen, though its browser keeps the socket open."""
+
+
 @dataclass(eq=False)
 class Outbox:
-    """Bounded queue of rows and events for one client; the oldest ones are dropped."""
+    """Bounded queue of rows and events for one client; the oldest ones are dropped.
 
+    `answers` is True if the client ever answered an `alive`, `unanswered` counts its missing answers since.
+    """
+
+    role: Role = Role.WATCH
+    answers: bool = False
+    unanswered: int = 0
     _rows: deque[Rows] = field(default_factory=deque)
     _bytes: int = 0
     _events: deque[str] = field(default_factory=deque)
@@ -186,6 +196,11 @@ class Outbox:
     def waiting(self) -> int:
         """Bytes of waiting rows."""
         return self._bytes
+
+    @property
+    def frozen(self) -> bool:
+        """True for a client that has answered once, and not the last times."""
+        return self.unanswered > MOST_UNANSWERED
 
     def put(self, rows: Rows) -> None:
         """Add rows; the oldest rows of any subscription are dropped if too much waits."""
@@ -277,27 +292,8 @@ class Feeds:
                     outbox.put(Rows(stream, packed, len(times)))
 
 
-MOST_UNANSWERED = 2
-"""A client with more unanswered `alive` is frozen, though its browser keeps the socket open."""
-
-
-@dataclass
-class _Listener:
-    """Role of a client, True if it ever answered, and its missing answers since."""
-
-    role: Role
-    answers: bool = False
-    unanswered: int = 0
-
-
-class Audience:
-    """Outboxes of all clients, with their roles and their answers to `alive`."""
-
-    def __init__(self) -> None:
-        self._listeners: dict[Outbox, _Listener] = {}
-
-    def __len__(self) -> int:
-        return len(self._listeners)
+class Audience(set[Outbox]):
+    """Outboxes of all clients."""
 
     @property
     def commanding(self) -> int:
@@ -305,30 +301,11 @@ class Audience:
 
         A program that never answers counts while its socket is open, which closes with the program.
         """
-        there = (one for one in self._listeners.values() if one.unanswered <= MOST_UNANSWERED)
-        return sum(one.role is Role.COMMAND for one in there)
-
-    def join(self, outbox: Outbox, role: Role) -> None:
-        """Add a client."""
-        self._listeners[outbox] = _Listener(role)
-
-    def leave(self, outbox: Outbox) -> None:
-        """Remove a client."""
-        self._listeners.pop(outbox, None)
-
-    def asked(self, outbox: Outbox) -> None:
-        """Count an `alive` as unanswered, for a client that has answered before."""
-        listener = self._listeners[outbox]
-        listener.unanswered += listener.answers
-
-    def answered(self, outbox: Outbox) -> None:
-        """Take a client's answer to `alive`."""
-        listener = self._listeners[outbox]
-        listener.answers, listener.unanswered = True, 0
+        return sum(one.role is Role.COMMAND and not one.frozen for one in self)
 
     def tell(self, event: Mapping[str, Any]) -> None:
         """Send an event to all clients, see docs/reference."""
-        if self._listeners:
+        if self:
             text = dumps(event)
-            for outbox in self._listeners:
+            for outbox in self:
                 outbox.tell(text)

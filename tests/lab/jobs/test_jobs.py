@@ -15,7 +15,7 @@ from tests.processes import alive
 from twodof.errors import IdentificationError, Rejected
 from twodof.lab.access import LabClient, Role
 from twodof.lab.answers import NotThere
-from twodof.lab.processes import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress, in_real_time
+from twodof.lab.processes import AT_ONCE, MOST_OF_ONE, MOST_OF_WATCHERS, MOST_WAITING, Job, Jobs, Progress
 
 
 def counts(progress: Progress, number: int) -> dict[str, object]:
@@ -47,7 +47,6 @@ def sleeps(progress: Progress) -> None:
     time.sleep(1e6)
 
 
-@in_real_time
 def flies(progress: Progress) -> int:
     """Keeps up with a drone; tells its niceness."""
     return os.nice(0)
@@ -149,7 +148,7 @@ def test_jobs_wait_for_their_turn_up_to_a_bound() -> None:
             jobs.start("sleep", sleeps)
         await until(lambda: all(job.text.isdigit() for job in started[:AT_ONCE]))
         assert {job.text for job in started[AT_ONCE:]} == {"waits for its turn"}
-        flight = jobs.start("flight", flies)  # what flies waits for none of them
+        flight = jobs.start("flight", flies, in_real_time=True)  # what flies waits for none of them
         await until(lambda: flight.over)
         assert flight.result == os.nice(0)
         assert (await jobs.cancel(started[-1].id)).state == "cancelled"  # before its turn

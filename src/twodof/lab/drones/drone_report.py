@@ -7,6 +7,7 @@ from math import isfinite
 from typing import Any
 
 from twodof.gcs.async_drone import AsyncDrone
+from twodof.gcs.drone_state import DroneState
 from twodof.gcs.recording import seconds
 from twodof.link.mavlink import dialect
 
@@ -16,7 +17,9 @@ _HEARD = "heard"
 
 def lost_report(number: int, url: str, why: str, last: Mapping[str, Any]) -> dict[str, Any]:
     """Return the state of a drone that is not heard: its `last` report, if any, and `why` it is lost."""
-    return {**_unknown(number), **last, "url": url, "link": _LINK_LOST, "why_lost": why, "ours_leases": False}
+    unknown = _of_state(DroneState()) | {"system": number, "name": f"drone {number}", "ours": False, "time": 0.0}
+    unknown |= {"lease_holder": None, "tuning_withheld": False, "setpoint": None, "excitation": None, "recording": ""}
+    return {**unknown, **last, "url": url, "link": _LINK_LOST, "why_lost": why, "ours_leases": False}
 
 
 def report(drone: AsyncDrone) -> dict[str, Any]:
@@ -24,16 +27,25 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
 
     `time` is the drone's as in its logs [s]; the battery's voltage is in V, its charge 0 to 1, both None while unknown.
     """
-    state, safety, rig = drone.state, drone.state.safety, drone.state.rig
     holder = drone.lease.holder
-    fails = safety.action != "none" and (state.armed or bool(safety.reason))
-    return {
+    return _of_state(drone.state) | {
         "system": drone.session.system,
-        "name": rig.name or f"drone {drone.session.system}",
+        "name": drone.state.rig.name or f"drone {drone.session.system}",
         "url": drone.url,
         "link": _HEARD,
         "why_lost": "",
         "ours": drone.ours,
+        "lease_holder": None if holder is None else list(holder),
+        "ours_leases": drone.lease.ours,
+        "tuning_withheld": drone.lease.tuning_withheld,
+        "time": seconds(drone.tick),
+    }
+
+
+def _of_state(state: DroneState) -> dict[str, Any]:
+    safety, rig = state.safety, state.rig
+    fails = safety.action != "none" and (state.armed or bool(safety.reason))
+    return {
         "autopilot": state.autopilot,
         "virtual": rig.virtual,
         "lockstep": rig.lockstep,
@@ -45,15 +57,11 @@ def report(drone: AsyncDrone) -> dict[str, Any]:
         "failsafe": safety.action if fails else "none",
         "failsafe_reason": in_words(safety.reason) if fails else "",
         "warnings": [in_words(cause) for cause in safety.causes],
-        "lease_holder": None if holder is None else list(holder),
-        "ours_leases": drone.lease.ours,
-        "tuning_withheld": drone.lease.tuning_withheld,
         "controller": rig.controller,
         "changed_parameters": rig.changed,
         "rings_locked": rig.rings_locked,
         "seed": rig.seed,
         "battery": {"voltage": _known(state.battery.voltage), "charge": _known(state.battery.charge)},
-        "time": seconds(drone.tick),
         "rig": rig.name,
     }
 
@@ -71,35 +79,3 @@ def _causes() -> list[Any]:
 
 def _known(value: float) -> float | None:
     return round(value, 4) if isfinite(value) else None
-
-
-def _unknown(number: int) -> dict[str, Any]:
-    """Return the state of a drone that was never heard."""
-    return {
-        "system": number,
-        "name": f"drone {number}",
-        "ours": False,
-        "autopilot": "unknown",
-        "virtual": False,
-        "lockstep": False,
-        "armed": False,
-        "mode": "unknown",
-        "safety_switch": "on",
-        "killed": False,
-        "killed_by": None,
-        "failsafe": "none",
-        "failsafe_reason": "",
-        "warnings": [],
-        "lease_holder": None,
-        "tuning_withheld": False,
-        "controller": "",
-        "changed_parameters": 0,
-        "rings_locked": False,
-        "seed": 0,
-        "battery": {"voltage": None, "charge": None},
-        "time": 0.0,
-        "rig": "",
-        "setpoint": None,
-        "excitation": None,
-        "recording": "",
-    }

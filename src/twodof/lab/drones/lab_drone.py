@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Mapping
-from contextlib import ExitStack, asynccontextmanager, suppress
+from collections.abc import Mapping
+from contextlib import AbstractAsyncContextManager, ExitStack, suppress
 from pathlib import Path
 from typing import Any
 
@@ -146,11 +146,9 @@ class LabDrone:
         """The connected drone. Raises LinkLost without one."""
         return self.connection.drone
 
-    @asynccontextmanager
-    async def commanded(self) -> AsyncIterator[AsyncDrone]:
+    def commanded(self) -> AbstractAsyncContextManager[AsyncDrone]:
         """Take the lease, if this server lacks it, and yield the drone. Raises Rejected, LinkLost, Timeout."""
-        async with self.connection.pilot.commanded() as drone:
-            yield drone
+        return self.connection.pilot.commanded()
 
     def lend(self) -> ExitStack:
         """Lend the drone to a job, which records by itself and may restart it, until the returned stack is closed."""
@@ -171,23 +169,12 @@ class LabDrone:
             try:
                 key = self._settings.key
                 drone = await AsyncDrone.connect(self.url, CONNECT_S, key=key, take_lease=False)
-            except (LinkError, Timeout, Rejected) as error:
-                self._why_lost = error.what
-                await asyncio.sleep(again)
-                again = min(AGAIN_MOST_S, 2 * again)
-                continue
-            again = AGAIN_S
-            try:
+                again = AGAIN_S
                 await self._attend(drone)
             except (LinkError, Timeout, Rejected) as error:
                 self._why_lost = error.what
-            finally:
-                if self._connection is not None:
-                    self._last = self._connection.report()
-                self._connection = None
-                self.tell_state(self.state)
-                with suppress(TwodofError):
-                    await drone.close()
+            await asyncio.sleep(again)
+            again = min(AGAIN_MOST_S, 2 * again)
 
     async def _attend(self, drone: AsyncDrone) -> None:
         session = drone.session
@@ -196,7 +183,13 @@ class LabDrone:
         # Subscriptions are gone after a restart: a new session asks for all of them again.
         session.on(lambda _: session.end(LinkLost("it has restarted", session.url, "wait a moment")), DroneRestarted)
         self._connection = DroneConnection(drone, self, self._settings.folder)
-        await self._connection.run()
+        try:
+            await self._connection.run()
+        finally:
+            self._last, self._connection = self._connection.report(), None
+            self.tell_state(self.state)
+            with suppress(TwodofError):
+                await drone.close()
 
     @property
     def commanding(self) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Awaitable, Callable, Mapping
+from types import MappingProxyType
 from typing import Annotated, Any, Literal
 
 from fastapi import Body
@@ -17,7 +19,7 @@ from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.lab import CurrentLab, Lab
-from twodof.lab.routes.session import Number
+from twodof.lab.routes.session import NamedDrone
 from twodof.rig.parameters import NAMES
 from twodof.signals import HOVER
 
@@ -59,116 +61,117 @@ class AskedExcitation(RequestBody):
     thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)
 
 
+_FOLLOW: Mapping[str, Callable[[AsyncDrone, float, float | None], Awaitable[None]]] = MappingProxyType(
+    {
+        "theta": AsyncDrone.set_pitch,
+        "q": AsyncDrone.set_pitch_rate,
+        "M": AsyncDrone.set_moment,
+        "v": AsyncDrone.set_velocity,
+        "x": AsyncDrone.set_position,
+    }
+)
+
+
 @router.post("/drones/{number}/arm")
-async def arm(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def arm(one: NamedDrone) -> dict[str, Any]:
     """Arm it, and see that it is. 409 with what speaks against it."""
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         await drone.arm()
-    return lab.drones[number].state
+    return one.state
 
 
 @router.post("/drones/{number}/disarm")
-async def disarm(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def disarm(one: NamedDrone) -> dict[str, Any]:
     """Disarm it, and see that it is; set-points are sent no more. Needs no lease."""
-    await lab.drones[number].drone.disarm()
-    return lab.drones[number].state
+    await one.drone.disarm()
+    return one.state
 
 
 @router.post("/drones/{number}/kill", dependencies=[WATCHERS_MAY])
-async def kill(lab: CurrentLab, number: Number, client: CurrentClient) -> dict[str, Any]:
+async def kill(one: NamedDrone, client: CurrentClient) -> dict[str, Any]:
     """Stop the motors now, under any lease, and repeat the order until that is seen. It holds until `release`.
 
     Clients that only watch may stop it too. All clients are told which one did, and the flight's log has it.
     """
-    drone = lab.drones[number].drone
+    drone = one.drone
     try:
         await drone.kill()
     finally:  # also where it is not seen to stop
         drone.texts.note("critical", f"the emergency stop was pressed by {client}")
-    return lab.drones[number].state
+    return one.state
 
 
 @router.post("/drones/{number}/release")
-async def release(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def release(one: NamedDrone) -> dict[str, Any]:
     """Let it be armed again after a kill."""
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         await drone.release()
-    return lab.drones[number].state
+    return one.state
 
 
 @router.post("/drones/{number}/lease")
-async def take_lease(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def take_lease(one: NamedDrone) -> dict[str, Any]:
     """Take the lease. 409 if another client holds and renews it."""
-    async with lab.drones[number].commanded():
+    async with one.commanded():
         pass
-    return lab.drones[number].state
+    return one.state
 
 
 @router.delete("/drones/{number}/lease")
-async def give_up_lease(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def give_up_lease(one: NamedDrone) -> dict[str, Any]:
     """Give the lease up, to a script for instance. 409 while the drone is armed under it."""
-    await lab.drones[number].connection.pilot.give_up()
-    return lab.drones[number].state
+    await one.connection.pilot.give_up()
+    return one.state
 
 
 @router.post("/drones/{number}/mode")
-async def mode(lab: CurrentLab, number: Number, asked: AskedMode) -> dict[str, Any]:
+async def mode(one: NamedDrone, asked: AskedMode) -> dict[str, Any]:
     """Change the mode, and see that it is changed. `hold` levels it and ends the set-points."""
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         await (drone.level_hold() if asked.mode == "hold" else drone.set_mode(asked.mode))
-    return lab.drones[number].state
+    return one.state
 
 
 @router.post("/drones/{number}/reset")
-async def reset(lab: CurrentLab, number: Number, asked: Annotated[AskedReset | None, Body()] = None) -> dict[str, Any]:
+async def reset(one: NamedDrone, asked: Annotated[AskedReset | None, Body()] = None) -> dict[str, Any]:
     """Restart a virtual drone: tick 0, at rest. 409 for a real one, and while it is armed."""
     how = AskedReset() if asked is None else asked
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         await drone.reset(how.seed, how.x, how.noise, how.rings)
-    return lab.drones[number].state
+    return one.state
 
 
 @router.put("/drones/{number}/setpoint")
-async def setpoint(lab: CurrentLab, number: Number, asked: AskedSetpoint) -> dict[str, Any]:
+async def setpoint(one: NamedDrone, asked: AskedSetpoint) -> dict[str, Any]:
     """Follow a set-point, which the server repeats until another one replaces it or `hold` ends it."""
-    async with lab.drones[number].commanded() as drone:
-        match asked.loop:
-            case "theta":
-                await drone.set_pitch(asked.value, asked.thrust)
-            case "q":
-                await drone.set_pitch_rate(asked.value, asked.thrust)
-            case "M":
-                await drone.set_moment(asked.value, asked.thrust)
-            case "v":
-                await drone.set_velocity(asked.value, asked.acceleration)
-            case "x":
-                await drone.set_position(asked.value, asked.acceleration)
-        lab.drones[number].connection.asked = asked.model_dump()
-    return lab.drones[number].state
+    async with one.commanded() as drone:
+        await _FOLLOW[asked.loop](drone, asked.value, asked.acceleration if asked.loop in ("v", "x") else asked.thrust)
+        one.connection.asked = asked.model_dump()
+    return one.state
 
 
 @router.delete("/drones/{number}/setpoint")
-async def stop_setpoint(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def stop_setpoint(one: NamedDrone) -> dict[str, Any]:
     """Stop sending set-points: after .5 s the drone levels itself."""
-    lab.drones[number].drone.stop_setpoints()
-    return lab.drones[number].state
+    one.drone.stop_setpoints()
+    return one.state
 
 
 @router.post("/drones/{number}/excitation")
-async def excite(lab: CurrentLab, number: Number, asked: AskedExcitation) -> dict[str, Any]:
+async def excite(one: NamedDrone, asked: AskedExcitation) -> dict[str, Any]:
     """Play an excitation on board, added to what its loop follows. Answers when it starts: its first and last tick."""
     played = excitation_of(asked.excitation)
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         playback = await drone.excite(played, asked.loop, asked.thrust, wait=False)
     return {"start_tick": playback.start_tick, "end_tick": playback.end_tick, "duration": played.duration}
 
 
 @router.delete("/drones/{number}/excitation")
-async def stop_excitation(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def stop_excitation(one: NamedDrone) -> dict[str, Any]:
     """Stop the excitation; the set-point before it is held."""
-    async with lab.drones[number].commanded() as drone:
+    async with one.commanded() as drone:
         await drone.stop_excitation()
-    return lab.drones[number].state
+    return one.state
 
 
 def excitation_of(given: dict[str, Any]) -> Excitation:
@@ -257,10 +260,9 @@ async def _motion(
         gains = await _gains(own.drone)
         thrust = HOVER if asked.thrust is None else asked.thrust
         given = (excitation, loop, rig, thrust, asked.x, state["rings_locked"], gains, model)
-        found: dict[str, Any] = await lab.workbench.do(predicted, *given, seconds=PREDICT_S)
+        return await lab.workbench.do(predicted, *given, seconds=PREDICT_S), ""
     except TwodofError as error:
         return None, str(error)
-    return found, ""
 
 
 async def _gains(drone: AsyncDrone) -> Gains:

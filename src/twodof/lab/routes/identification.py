@@ -72,7 +72,7 @@ async def choices(lab: CurrentLab) -> dict[str, Any]:
 async def planned(lab: CurrentLab, client: CurrentClient, asked: AskedPlan) -> dict[str, Any]:
     """Start a job that predicts accuracy and motion of an experiment. Nothing is flown."""
     rig = "" if asked.drone is None else str(lab.drones[asked.drone].state["rig"])
-    values = {} if asked.model is None else _values(lab.models.read(asked.model))
+    values = {} if asked.model is None else lab.models.values(asked.model)
     given = (asked.experiment.experiment(), rig, values, asked.rehearse)
     return lab.jobs.start("plan", plan, *given, client=client).told()
 
@@ -92,11 +92,12 @@ async def flown(lab: CurrentLab, asked: AskedFlight) -> dict[str, Any]:
     stop = multiprocessing.get_context("forkserver").Event()
     key = None if lab.settings.key is None else str(lab.settings.key)
     folder = str(lab.logs.folder)
-    job = lab.jobs.start("flight", fly_experiment, stop, one.url, asked.drone, key, made, asked.seed, folder)
+    given = (stop, one.url, asked.drone, key, made, asked.seed, folder)
+    job = lab.jobs.start("flight", fly_experiment, *given, in_real_time=True)
     running = {one.id for one in lab.jobs.all if not one.over}  # one that ended long ago is not even remembered
     lab.stops = {name: kept for name, kept in lab.stops.items() if name in running} | {job.id: stop}
     lent = one.lend()
-    lab.jobs.when_over(job.id, lambda ended: _flown(one, lent, ended))
+    lab.jobs.when_over(job, lambda ended: _flown(one, lent, ended))
     return job.told()
 
 
@@ -127,16 +128,6 @@ def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
         one.tell_log(job.result["log"])
 
 
-def _values(document: dict[str, Any]) -> dict[str, float]:
-    """Return the values of a kept model, by unknown."""
-    estimates = document.get("estimates")
-    rows = estimates if isinstance(estimates, dict) else {}
-    fixed = document.get("fixed")
-    given = {name: row.get("value") for name, row in rows.items() if isinstance(row, dict)}
-    given |= fixed if isinstance(fixed, dict) else {}
-    return {name: float(value) for name, value in given.items() if isinstance(value, int | float)}
-
-
 models_router = lab_router("/api/models", "models")
 ModelName = Annotated[str, Path(min_length=1, max_length=60, description="What the model was called when it was kept.")]
 Name = Annotated[str, Field(min_length=1, max_length=60)]
@@ -163,7 +154,7 @@ class AskedController(RequestBody):
 @models_router.get("")
 async def models(lab: CurrentLab) -> list[dict[str, Any]]:
     """List the kept models; `pitch` is True for tuning and design, else `why` has the reason."""
-    return [lab.models.row(name) for name in lab.models.names()]
+    return sorted((lab.models.row(one["name"]) for one in lab.models.listed()), key=lambda row: str(row["name"]))
 
 
 @models_router.get("/{name}")
@@ -179,15 +170,13 @@ async def keep(lab: CurrentLab, asked: AskedKeeping) -> dict[str, Any]:
     document = job.result.get("model") if isinstance(job.result, dict) else None
     if not isinstance(document, dict):
         raise Rejected("this job has found no model", f"job {asked.job}", "keep that of a fit that is done")
-    lab.models.save(asked.name, document, asked.overwrite)
-    return lab.models.row(asked.name)
+    return lab.models.keep(asked.name, document, asked.overwrite)
 
 
 @models_router.put("/{name}", status_code=201, dependencies=[takes(MAX_BYTES)])
 async def bring(lab: CurrentLab, name: ModelName, document: dict[str, Any]) -> dict[str, Any]:
     """Keep a model's document, as `twodof identify --out` writes it. 409 for an existing name."""
-    lab.models.save(name, document)
-    return lab.models.row(name)
+    return lab.models.keep(name, document)
 
 
 @models_router.delete("/{name}", status_code=204)
@@ -205,6 +194,5 @@ async def controller(lab: CurrentLab, name: ModelName, asked: AskedController) -
     not written.
     """
     family = lab.models.family(name)
-    place = lab.settings.folder / "diagrams"
-    given = (asked.name, asked.crossover, asked.phase_margin, asked.method, asked.overwrite)
-    return lab.jobs.start("controller", design, family.to_json(), str(place), *given).told()
+    given = (str(lab.diagrams.place(asked.name)), asked.crossover, asked.phase_margin, asked.method, asked.overwrite)
+    return lab.jobs.start("controller", design, family.to_json(), *given).told()

@@ -25,6 +25,7 @@ from twodof.lab.answers import RequestBody
 from twodof.lab.lab import CurrentLab, Lab
 from twodof.lab.log_folder import KEPT_DAYS, MOST_NOTES
 from twodof.lab.log_work import summary as log_summary
+from twodof.lab.processes import Answer
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
 
 router = lab_router("/api/logs", "logs")
@@ -97,7 +98,9 @@ async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
         path = lab.whole_log(name)
         found = path.stat()
         key = (str(path), found.st_mtime_ns, found.st_size)
-        return {"unreadable": ""} | await lab.summaries.get(key, lambda: _work(lab, log_summary, str(path)))
+        if key not in lab.summaries:
+            lab.summaries[key] = await _work(lab, log_summary, str(path))
+        return {"unreadable": ""} | lab.summaries[key]
     except (TwodofError, OSError) as reason:
         return {"unreadable": _in_words(reason) if isinstance(reason, TwodofError) else "it was deleted"}
 
@@ -214,8 +217,5 @@ def _window(begin: float | None, end: float | None) -> tuple[float, float] | Non
     return begin, end
 
 
-async def _work(
-    lab: Lab, work: Callable[..., dict[str, Any]], *arguments: Any, seconds: float = READ_S
-) -> dict[str, Any]:
-    found: dict[str, Any] = await lab.log_bench.do(work, *arguments, seconds=seconds)
-    return found
+async def _work(lab: Lab, work: Callable[..., Answer], *arguments: Any, seconds: float = READ_S) -> Answer:
+    return await lab.log_bench.do(work, *arguments, seconds=seconds)

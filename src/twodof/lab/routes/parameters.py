@@ -12,13 +12,13 @@ from pydantic import Field
 from twodof import __version__
 from twodof.errors import DiagramError, LogError, Rejected, Timeout
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile, Snapshots
+from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, SentChange, same_as
 from twodof.lab.access import WATCHERS_MAY, lab_router, takes
 from twodof.lab.answers import Finite, NotThere, RequestBody
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import measured_steps
-from twodof.lab.routes.session import Number
+from twodof.lab.routes.session import NamedDrone
 
 router = lab_router("/api/drones/{number}/parameters", "parameters")
 Changes = Annotated[
@@ -30,34 +30,32 @@ Confirmed = Annotated[str, Query(max_length=64, description="The token of POST /
 
 
 @router.get("")
-async def parameters(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
+async def parameters(one: NamedDrone) -> list[dict[str, Any]]:
     """List every parameter: value, default, bounds, unit, text; `tuning` is True if a change needs no lease.
 
     `same_as` is the package's name if this is the real drone's name of the same parameter, else "".
     """
-    return [_row(entry) for entry in await lab.drones[number].connection.parameters.entries()]
+    return [_row(entry) for entry in await one.connection.parameters.entries()]
 
 
 @router.patch("")
-async def change(lab: CurrentLab, number: Number, changes: Changes, confirm: Confirmed = "") -> dict[str, Any]:
+async def change(lab: CurrentLab, one: NamedDrone, changes: Changes, confirm: Confirmed = "") -> dict[str, Any]:
     """Change several at once, all or none; return each value before and now.
 
     422 for a wrong name or value, 409 with the drone's reason; then nothing was changed. 409 also for gains that the
     drone's model does not keep stable, until `confirm` has the token of their preview.
     """
-    one = lab.drones[number]
     await lab.guard.check(one, changes, confirm)
     return _changed(await one.connection.drone.parameters.update(changes))
 
 
 @router.post("/undo")
-async def undo(lab: CurrentLab, number: Number, confirm: Confirmed = "") -> dict[str, Any]:
+async def undo(lab: CurrentLab, one: NamedDrone, confirm: Confirmed = "") -> dict[str, Any]:
     """Undo the last change of this server; return each value before and now. The model guards it like a change.
 
     409 if there is none, or if another client has changed the same since. 409 also for gains that the model does not
     keep stable, until `confirm` has their token.
     """
-    one = lab.drones[number]
     parameters = one.connection.drone.parameters
     await lab.guard.check(one, parameters.last.before, confirm)
     return _changed(await parameters.undo())
@@ -93,38 +91,36 @@ class AskedSnapshot(RequestBody):
 
 
 @files_router.get("/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-async def file(lab: CurrentLab, number: Number) -> Response:
+async def file(one: NamedDrone) -> Response:
     """Download all parameters as a file for QGroundControl (Vehicle Configuration, Parameters, Tools)."""
-    text = (await _now(lab.drones[number].drone)).text()
-    headers = {"content-disposition": f'attachment; filename="drone-{number}.params"'}
+    text = (await _now(one.drone)).text()
+    headers = {"content-disposition": f'attachment; filename="drone-{one.number}.params"'}
     return Response(text, media_type=TEXT, headers=headers)
 
 
 @files_router.post("/file", dependencies=[WATCHERS_MAY, takes(MAX_BYTES)])
-async def compared(lab: CurrentLab, number: Number, request: Request) -> dict[str, Any]:
+async def compared(one: NamedDrone, request: Request) -> dict[str, Any]:
     """Compare a file of QGroundControl, the request's body, with the drone; nothing is changed."""
-    drone = lab.drones[number].drone
+    drone = one.drone
     return await _against(drone, ParameterFile.read(await request.body(), "the file"))
 
 
 @files_router.get("/snapshots")
-async def snapshots(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
+async def snapshots(lab: CurrentLab, one: NamedDrone) -> list[dict[str, Any]]:
     """List the snapshots of all drones, the newest first; `kept` is in s of Unix time."""
-    lab.drones[number]
-    kept = _kept(lab)
-    return sorted(({"name": name, "kept": kept.kept(name)} for name in kept), key=lambda row: -float(row["kept"]))
+    return [{"name": row["name"], "kept": row["changed"]} for row in lab.snapshots.listed()]
 
 
 @files_router.post("/snapshots", status_code=201)
-async def keep(lab: CurrentLab, number: Number, asked: AskedSnapshot) -> dict[str, Any]:
+async def keep(lab: CurrentLab, one: NamedDrone, asked: AskedSnapshot) -> dict[str, Any]:
     """Keep the drone's present parameters as a snapshot."""
-    kept = _kept(lab)
-    kept.save(asked.name, await _now(lab.drones[number].drone, asked.note), asked.overwrite)
-    return {"name": asked.name, "kept": kept.kept(asked.name)}
+    file = await _now(one.drone, asked.note)
+    lab.snapshots.save(asked.name, file.text(), asked.overwrite)
+    return {"name": asked.name, "kept": lab.snapshots.there(asked.name).stat().st_mtime}
 
 
 @files_router.get("/snapshots/{name}")
-async def snapshot(lab: CurrentLab, number: Number, name: SnapshotName, other: str = "") -> dict[str, Any]:
+async def snapshot(lab: CurrentLab, one: NamedDrone, name: SnapshotName, other: str = "") -> dict[str, Any]:
     """Compare a snapshot with the drone, or with the snapshot `other`."""
     kept = _of(lab, name)
     if other:
@@ -132,35 +128,25 @@ async def snapshot(lab: CurrentLab, number: Number, name: SnapshotName, other: s
         names = sorted({*kept.values, *theirs})
         rows = [{"name": n, "before": theirs.get(n), "value": kept.values.get(n)} for n in names]
         return {"changes": [row for row in rows if row["before"] != row["value"]], "missing": [], "about": kept.about}
-    return await _against(lab.drones[number].drone, kept)
+    return await _against(one.drone, kept)
 
 
 @files_router.get("/snapshots/{name}/file", response_class=Response, responses={200: {"content": {"text/plain": {}}}})
-async def snapshot_file(lab: CurrentLab, number: Number, name: SnapshotName) -> Response:
+async def snapshot_file(lab: CurrentLab, one: NamedDrone, name: SnapshotName) -> Response:
     """Download a snapshot as a file for QGroundControl."""
-    lab.drones[number]
     headers = {"content-disposition": f'attachment; filename="{name}.params"'}
     return Response(_of(lab, name).text(), media_type=TEXT, headers=headers)
 
 
 @files_router.delete("/snapshots/{name}", status_code=204)
-async def delete(lab: CurrentLab, number: Number, name: SnapshotName) -> Response:
+async def delete(lab: CurrentLab, one: NamedDrone, name: SnapshotName) -> Response:
     """Delete a snapshot."""
-    lab.drones[number]
-    _of(lab, name)
-    _kept(lab).delete(name)
+    lab.snapshots.delete(name)
     return Response(status_code=204)
 
 
-def _kept(lab: CurrentLab) -> Snapshots:
-    return Snapshots(lab.settings.folder / "snapshots")
-
-
 def _of(lab: CurrentLab, name: str) -> ParameterFile:
-    try:
-        return _kept(lab)[name]
-    except KeyError:
-        raise NotThere("there is no such snapshot", f"snapshot {name[:60]}", "take one that the list shows") from None
+    return ParameterFile.read(lab.snapshots.content(name), f"snapshot '{name}'")
 
 
 async def _now(drone: AsyncDrone, note: str = "") -> ParameterFile:
@@ -212,31 +198,30 @@ class AskedChanges(RequestBody):
 
 
 @tuning_router.get("/{number}")
-async def guarded(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def guarded(lab: CurrentLab, one: NamedDrone) -> dict[str, Any]:
     """Return the model that guards the drone's gains, or null, and the pitch controller ("" is the stock one)."""
-    return {"model": lab.models.chosen(number), "controller": lab.drones[number].state["controller"]}
+    return {"model": lab.models.chosen(one.number), "controller": one.state["controller"]}
 
 
 @tuning_router.put("/{number}/model")
-async def choose(lab: CurrentLab, number: Number, asked: AskedModel) -> dict[str, Any]:
+async def choose(lab: CurrentLab, one: NamedDrone, asked: AskedModel) -> dict[str, Any]:
     """Let a model guard the drone's gains: gains that its uncertainty does not keep stable need a token."""
-    lab.drones[number]
-    lab.models.choose(number, asked.model)
-    return await guarded(lab, number)
+    lab.models.choose(one.number, asked.model)
+    return await guarded(lab, one)
 
 
 @tuning_router.post("/{number}/preview", dependencies=[WATCHERS_MAY])
-async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[str, Any]:
+async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict[str, Any]:
     """Preview the pitch law with `changes`: margins, band of step responses, figures and verdict.
 
     `touches` is True if the changes affect the law, `parameters` are those that do. `confirm` is the token for a change
     that is not kept stable. `why` has the reason of a missing preview, else "": a law may lack a linear model.
     """
-    name = asked.model or lab.models.chosen(number)
+    name = asked.model or lab.models.chosen(one.number)
     if name is None:
-        raise NotThere("no model guards this drone", f"drone {number}", "identify one, or choose one")
+        raise NotThere("no model guards this drone", f"drone {one.number}", "identify one, or choose one")
     try:
-        told = await lab.guard.judge(lab.drones[number], asked.changes, name, asked.goal)
+        told = await lab.guard.judge(one, asked.changes, name, asked.goal)
     except DiagramError as reason:
         return {"why": f"{reason.what}: {reason.remedy}" if reason.remedy else reason.what, "model": name}
     return {
@@ -251,7 +236,7 @@ async def preview(lab: CurrentLab, number: Number, asked: AskedChanges) -> dict[
 @tuning_router.post("/{number}/measured", dependencies=[WATCHERS_MAY])
 async def measured(
     lab: CurrentLab,
-    number: Number,
+    one: NamedDrone,
     log: Annotated[str, Body(min_length=1, max_length=200)],
     goal: Annotated[StepSize, Body()] = USUAL_STEP,
 ) -> dict[str, Any]:
@@ -259,7 +244,6 @@ async def measured(
 
     `unclear` has the reason if there are none: the log has no modes, cannot be read, or was deleted.
     """
-    lab.drones[number]
     try:
         found = await lab.log_bench.do(measured_steps, str(lab.whole_log(log)), goal, seconds=READING_S)
     except (LogError, NotThere, Rejected, Timeout) as reason:

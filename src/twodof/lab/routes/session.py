@@ -9,7 +9,7 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Request, Response, WebSocket
+from fastapi import APIRouter, Depends, Path, Query, Request, Response, WebSocket
 from starlette.websockets import WebSocketDisconnect
 
 from twodof import __version__
@@ -17,8 +17,9 @@ from twodof.flightlog.files import write_log
 from twodof.flightlog.log import log_of_rows
 from twodof.flightlog.provenance import versions
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, Role, lab_router, takes
+from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.lab import CurrentLab
-from twodof.lab.telemetry_client import MalformedRequest, MostClients, TelemetryClient
+from twodof.lab.telemetry_client import SocketRefused, TelemetryClient
 
 router = lab_router("/api/session", "session")
 
@@ -42,6 +43,14 @@ drones_router = lab_router("/api/drones", "drones")
 Number = Annotated[int, Path(ge=1, le=255, description="MAVLink system of the drone: 1 for the first virtual one.")]
 
 
+async def named_drone(lab: CurrentLab, number: Number) -> LabDrone:
+    """Return the drone that a path names. Raises NotThere."""
+    return lab.drones[number]
+
+
+NamedDrone = Annotated[LabDrone, Depends(named_drone)]
+
+
 @drones_router.get("")
 async def drones(lab: CurrentLab) -> list[dict[str, Any]]:
     """List the drones that were heard, as in the event `drone` of the web socket; angles in rad, times in s."""
@@ -49,15 +58,15 @@ async def drones(lab: CurrentLab) -> list[dict[str, Any]]:
 
 
 @drones_router.get("/{number}")
-async def drone(lab: CurrentLab, number: Number) -> dict[str, Any]:
+async def drone(one: NamedDrone) -> dict[str, Any]:
     """Return the state of one drone. 404 for an unknown number."""
-    return lab.drones[number].state
+    return one.state
 
 
 @drones_router.get("/{number}/texts")
-async def texts(lab: CurrentLab, number: Number) -> list[dict[str, Any]]:
+async def texts(one: NamedDrone) -> list[dict[str, Any]]:
     """List the last 200 lines of text of a drone, the oldest first; `time` is the drone's [s]."""
-    return [*lab.drones[number].texts]
+    return [*one.texts]
 
 
 jobs_router = lab_router("/api/jobs", "jobs")
@@ -110,7 +119,6 @@ def _mat(data: bytes, columns: list[str]) -> bytes:
 
 
 telemetry_router = APIRouter(tags=["telemetry"])
-MALFORMED, TRY_LATER = 1007, 1013
 
 
 @telemetry_router.websocket("/api/telemetry")
@@ -119,14 +127,11 @@ async def telemetry(websocket: WebSocket, lab: CurrentLab) -> None:
     role = websocket.state.role
     assert isinstance(role, Role)
     await websocket.accept()
-    client = TelemetryClient(websocket, role, lab)
     try:
-        async with client:
+        async with TelemetryClient(websocket, role, lab) as client:
             await client.serve()
-    except MalformedRequest as mistake:
+    except SocketRefused as reason:
         with suppress(RuntimeError, WebSocketDisconnect):
-            await websocket.close(MALFORMED, str(mistake)[:120])
-    except MostClients as full:
-        await websocket.close(TRY_LATER, str(full))
+            await websocket.close(reason.code, str(reason)[:120])
     except (WebSocketDisconnect, TimeoutError):
         pass

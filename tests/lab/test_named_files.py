@@ -1,0 +1,36 @@
+"""Folder of files that a user names: kept whole, never replaced unasked, and never outside the folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from twodof.errors import LogError, ParameterError, Rejected
+from twodof.lab.answers import NotThere
+from twodof.lab.named_files import NamedFiles
+
+
+def test_files_are_kept_listed_and_deleted(tmp_path: Path) -> None:
+    kept = NamedFiles(tmp_path / "snapshots", ".params", "snapshot", 2, 10)
+    assert kept.listed() == []
+    kept.save("before the flight", "text")
+    assert [(row["name"], row["bytes"]) for row in kept.listed()] == [("before the flight", 4)]
+    assert kept.content("before the flight") == b"text"
+    with pytest.raises(Rejected, match="there is a snapshot"):
+        kept.save("before the flight", "other")
+    kept.save("before the flight", "a longer text", overwrite=True)
+    with pytest.raises(LogError):
+        kept.content("before the flight")
+    kept.save("second", "")
+    with pytest.raises(Rejected, match="there are 2 snapshots"):
+        kept.save("third", "")
+    kept.delete("before the flight")
+    with pytest.raises(NotThere):
+        kept.delete("before the flight")
+
+
+@pytest.mark.parametrize("name", ["", "../up", "a/b", ".hidden", "x" * 81, "a\0b", "n.params"])
+def test_a_name_stays_in_its_folder(tmp_path: Path, name: str) -> None:
+    with pytest.raises(ParameterError, match="cannot be a snapshot's name"):
+        NamedFiles(tmp_path, ".params", "snapshot", 2).save(name, "")
