@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Any
 
 from twodof.blocks.bus import grouped
-from twodof.blocks.declarations import Port, alike, shape
-from twodof.blocks.diagram import Diagram, carried_fields
+from twodof.blocks.declarations import Port, alike, shape, units_clash
+from twodof.blocks.diagram import Diagram, carried_fields, not_connected
 from twodof.blocks.library.continuous import ResetIntegrator, ResetLatch
 from twodof.blocks.library.routing import CaseChoice, FirstTrue, Merge
 from twodof.errors import DiagramError, listed, nearest, shown
@@ -85,7 +85,7 @@ def _input(d: Diagram, port: Port) -> None:
     there = d.inputs.get(port.name)
     if there is None:
         d.declare(port)
-    elif not alike(there, port) or (there.unit and port.unit and there.unit != port.unit):
+    elif not alike(there, port) or units_clash(there, port):
         both = f"{shape(there)} [{there.unit}] and {shape(port)} [{port.unit}]"
         raise DiagramError(f"two actions have an input {port.name!r}, of {both}", d.name, "rename one")
     elif port.unit:
@@ -98,7 +98,7 @@ def _alike(name: str, output: str, parts: Mapping[str, Diagram]) -> Port:
     for action, item in parts.items():
         fields = carried_fields(item, output)
         if not fields:
-            raise DiagramError("the output is not connected", f"{name}.{action}.{output}", "connect it or remove it")
+            raise not_connected("output", f"{name}.{action}.{output}")
         named = [replace(port, name=f"{output}.{field}" if field else output) for field, port in fields.items()]
         port = grouped(named)[0]
         text = ", ".join(f"{field} {_type(port)}".strip() for field, port in sorted(fields.items()))

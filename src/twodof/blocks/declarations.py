@@ -253,6 +253,13 @@ class Typed(Protocol):
     def shape(self) -> tuple[int, ...] | None: ...
 
 
+class WithUnit(Typed, Protocol):
+    """Type, size and unit of a declaration or a signal."""
+
+    @property
+    def unit(self) -> str: ...
+
+
 class Declared(Protocol):
     """A block as far as tracing it needs one: what it declares, and where its methods are written."""
 
@@ -301,7 +308,12 @@ def alike(one: Typed, other: Typed) -> bool:
     return shape(one) == shape(other) and getattr(one, "enum", None) == getattr(other, "enum", None)
 
 
-def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | None:
+def units_clash(one: WithUnit, other: WithUnit) -> bool:
+    """Return True if both have a unit, and not the same."""
+    return bool(one.unit and other.unit and one.unit != other.unit)
+
+
+def mismatch(port: WithUnit, given: WithUnit, source: object) -> tuple[str, str] | None:
     """Return the mismatch between the signal `given`, of `source`, and `port` with its remedy, or None if it fits.
 
     A signal of an enumeration may feed an int32.
@@ -310,6 +322,8 @@ def mismatch(port: Typed, given: Typed, source: object) -> tuple[str, str] | Non
     if alike(port, given) or (
         wanted is None and found is not None and shape(port) == shape(given).replace(found.name, "int32")
     ):
+        if units_clash(port, given):
+            return f"it takes [{port.unit}] and {source} is in [{given.unit}]", "convert the unit"
         return None
     if wanted is not None and found is not None and wanted != found:
         return f"it takes {wanted} and {source} is {found}", "declare both of one enumeration, or convert the signal"
@@ -382,11 +396,13 @@ def _check_limits(declared: Param) -> None:
         )
 
 
-def narrowed(outer: Param, inner: Param, path: str) -> Param:
-    """`outer` within the bounds of `inner` too, the parameter at `path` that is bound to it.
+def narrowed(outer: Param, at: str, inner: Param, path: str) -> Param:
+    """Return `outer`, the parameter `at`, within the bounds of `inner` too, the one at `path` that is bound to it.
 
-    Raises DiagramError if the default of `outer` lies outside.
+    Raises DiagramError if they differ in type or unit, or if the default of `outer` lies outside.
     """
+    if not alike(outer, inner) or units_clash(outer, inner):
+        raise DiagramError(f"it is bound to {at!r}, which has another type, width or unit", path, "declare both alike")
     low, high = max(outer.low, inner.low), min(outer.high, inner.high)
     for value in np.ravel(np.asarray(outer.value)):
         if outer.kind != "bool" and not low <= value <= high:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from twodof.blocks.block import EDGES, Block
 from twodof.blocks.bus import leaves_of
-from twodof.blocks.declarations import Param, Port, check_lists, check_name, check_path, located, unknown_name
+from twodof.blocks.declarations import Param, Port, Typed, check_lists, check_name, check_path, located, unknown_name
 from twodof.blocks.enumeration import Enumeration, Kind, plain_data
 from twodof.errors import DiagramError, nearest, shown
 
@@ -328,6 +328,31 @@ def _no_bus(signal: str, field: str, where: str) -> DiagramError:
     )
 
 
+def no_parameter(outer: str, diagram: Diagram, path: str) -> DiagramError:
+    """Return the error for a part that binds to a parameter which its diagram does not have."""
+    there = f"declare it with Diagram.param; there are: {nearest(outer, diagram.params)}"
+    return DiagramError(f"there is no parameter {outer!r} to bind to", path, there)
+
+
+def not_connected(end: str, path: str) -> DiagramError:
+    """Return the error for an "input" or "output" (`end`) of a diagram without a source."""
+    return DiagramError(f"the {end} is not connected", path, "connect it or remove it")
+
+
+def check_condition(signal: Typed, source: str, what: str, path: str) -> None:
+    """Raise DiagramError if the `source` of a sub-diagram's condition, such as `what` "enable", is not a bool."""
+    if signal.kind != "bool" or signal.width is not None:
+        raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
+
+
+def check_base_rate(block: Block, rate: Rate, path: str) -> None:
+    """Raise DiagramError for a block that has to run at the base rate and does not."""
+    moving = any(s.continuous for s in block.states)
+    if (moving or block.trace.edges) and rate != BASE:
+        what = "continuous states" if moving else "an edge inside the step"
+        raise DiagramError(f"{what} at the rate {tuple(rate)}", path, "keep the block at the base rate")
+
+
 def told_values(part: Part) -> dict[str, dict[str, Any]]:
     """Return the values that a part's outputs hold: {"initial": {output: value}, "disabled": ...}."""
     return {"initial": part.initial, "disabled": part.disabled if isinstance(part.disabled, dict) else {}}
@@ -417,17 +442,18 @@ def carried_fields(item: Block | Diagram, output: str) -> dict[str, Port]:
     """Return the ports behind an output by field: "rates.p", or "" if it is not a bus. Empty without a source."""
     for _ in range(64):
         if isinstance(item, Block):
-            return _fields(item.outputs, output)
+            return fields_of(item.outputs, output)
         name = output.partition(".")[0]
         source = item.outlet(output) if item.outputs.get(name) is not None else None
         if source is None:
             return {}
         part, port = item.source(source)
         if part is None:
-            return _fields(item.inputs.values(), port)
+            return fields_of(item.inputs.values(), port)
         item, output = item.parts[part].item, port
     return {}
 
 
-def _fields(ports: Iterable[Port], name: str) -> dict[str, Port]:
+def fields_of(ports: Iterable[Port], name: str) -> dict[str, Port]:
+    """Return {"": port} for the port `name`, or the ports that are fields of a bus of this name, by field."""
     return {p.name[len(name) + 1 :]: p for p in ports if p.name == name or p.name.startswith(f"{name}.")}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cached_property
+from graphlib import CycleError, TopologicalSorter
 from typing import Any
 
 from twodof.blocks.block import Block, EnabledAgain, TriggerEdge, steady_trace
@@ -13,14 +13,25 @@ from twodof.blocks.declarations import (
     Param,
     Port,
     State,
-    alike,
     check_initial,
     located,
     mismatch,
     narrowed,
     unknown_name,
 )
-from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Rate, told_values, two_values
+from twodof.blocks.diagram import (
+    BASE,
+    MAX_NESTED,
+    Diagram,
+    Rate,
+    check_base_rate,
+    check_condition,
+    fields_of,
+    no_parameter,
+    not_connected,
+    told_values,
+    two_values,
+)
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.errors import DiagramError, nearest
@@ -81,7 +92,7 @@ class DiagramLevel:
     resets_outputs: bool = False
     rate: Rate = BASE
     restart: PortOf | None = None  # true where it and all around it are enabled again
-    _buses: dict[str, dict[str, PortOf | str]] = field(default_factory=dict)  # what was spread
+    _ends: dict[str, dict[str, PortOf | str]] = field(default_factory=dict)  # of the sources that were followed
 
     @property
     def signals(self) -> list[PortOf | str]:
@@ -100,60 +111,44 @@ class DiagramLevel:
 
     def resolve(self, source: str) -> PortOf | str:
         """Return the block's port, or the name of the root's input, behind `source`. It is not a bus."""
-        end = self._end(source)
-        fields = _fields_of(end, self._root)
-        if fields:
-            names = [str(field).removeprefix(f"{end}.") for field in fields]
-            what = f"it is a bus, with the fields {nearest('', names)}"
+        ends = self.ends(source)
+        if "" not in ends:
+            what = f"it is a bus, with the fields {nearest('', ends)}"
             raise DiagramError(what, f"{self.path}.{source}", "name one of its fields")
-        return end
+        return ends[""]
 
     def field(self, source: str, field: str) -> PortOf | str:
-        """Return the port behind `field` of the bus `source`; a wide bus is asked a thousand times."""
-        if source not in self._buses:
-            self._buses[source] = self.spread("", source)
-        found = self._buses[source].get(field)
+        """Return the port behind the field ".rates.p" of the bus `source`."""
+        found = self.ends(source).get(field[1:])
         return self.resolve(self.diagram.field(source, field)) if found is None else found
 
     def spread(self, name: str, source: str) -> dict[str, PortOf | str]:
         """Return the port behind `source` under `name`; for a bus each field's under "name.field"."""
-        end = self._end(source)
-        fields = _fields_of(end, self._root)
-        return {f"{name}{str(field).removeprefix(str(end))}": field for field in fields} or {name: end}
+        return {f"{name}.{field}" if field else name: end for field, end in self.ends(source).items()}
 
-    @property
-    def _root(self) -> DiagramLevel:
-        return self if self.parent is None else self.parent._root
+    def ends(self, source: str) -> dict[str, PortOf | str]:
+        """Return {"": port} for the port behind `source`, or the ports of a bus by field."""
+        if source not in self._ends:  # a wide bus is asked a thousand times
+            self._ends[source] = self._followed(source)
+        return self._ends[source]
 
-    def _end(self, source: str) -> PortOf | str:
-        """Return the port that `source` leads to, which may be a bus."""
+    def _followed(self, source: str) -> dict[str, PortOf | str]:
         level, text = self, source
         for _ in range(10_000):
             part, port = level.diagram.source(text)
-            if part is None:
-                if level.parent is None:
-                    return port
-                above = level.parent.diagram.feed(level.part, port)
-                if above is None:
-                    raise DiagramError("the input is not connected", f"{level.path}.{port}", "connect it or remove it")
-                level, text = level.parent, above
-                continue
-            child = level.children[part]
+            child = level.parent if part is None else level.children[part]
+            if child is None:
+                return {field: p.name for field, p in fields_of(level.diagram.inputs.values(), port).items()}
             if isinstance(child, Cell):
-                return PortOf(child, port)
-            inner = child.diagram.outlet(port)
-            if inner is None:
-                raise DiagramError("the output is not connected", f"{child.path}.{port}", "connect it or remove it")
-            level, text = child, inner
+                return {field: PortOf(child, p.name) for field, p in fields_of(child.block.outputs, port).items()}
+            if part is None:
+                end, path, found = "input", level.path, child.diagram.feed(level.part, port)
+            else:
+                end, path, found = "output", child.path, child.diagram.outlet(port)
+            if found is None:
+                raise not_connected(end, f"{path}.{port}")
+            level, text = child, found
         raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
-
-
-def _fields_of(end: PortOf | str, root: DiagramLevel) -> list[PortOf | str]:
-    """Return the ports that are the fields of a bus; an empty list for another port."""
-    if isinstance(end, str):
-        return [] if end in root.diagram.inputs else [n for n in root.diagram.inputs if n.startswith(f"{end}.")]
-    names = [port.name for port in end.cell.block.outputs]
-    return [] if end.port in names else [PortOf(end.cell, n) for n in names if n.startswith(f"{end.port}.")]
 
 
 MAX_DEPTH = 64
@@ -179,7 +174,8 @@ class Hierarchy:
         for cell in self.cells:
             steady_trace(cell.block, cell.path)
         self._connect()
-        self._check_states()
+        for cell in self.cells:
+            check_base_rate(cell.block, cell.rate, cell.path)
         self.schedule = self._order()
         self._check_rates()
         self.continuous_schedule = self._continuous()
@@ -199,11 +195,7 @@ class Hierarchy:
         for p in diagram.parts.values():
             for outer in p.params.values():
                 if outer not in roots:
-                    raise DiagramError(
-                        f"there is no parameter {outer!r} to bind to",
-                        f"{path}.{p.name}",
-                        f"declare it with Diagram.param; there are: {nearest(outer, diagram.params)}",
-                    )
+                    raise no_parameter(outer, diagram, f"{path}.{p.name}")
             inner = {own: roots[outer] for own, outer in p.params.items()}
             at = prefix + p.name
             own_rate = p.rate.within(level.rate).check(at, MAX_NESTED)
@@ -223,12 +215,7 @@ class Hierarchy:
         if bound is None:
             self.parameters[path] = declared
             return path
-        outer = self.parameters[bound]
-        if not alike(outer, declared) or _units_clash(outer.unit, declared.unit):
-            raise DiagramError(
-                f"it is bound to {bound!r}, which has another type, width or unit", path, "declare both alike"
-            )
-        self.parameters[bound] = narrowed(outer, declared, path)
+        self.parameters[bound] = narrowed(self.parameters[bound], bound, declared, path)
         return bound
 
     def _connect(self) -> None:
@@ -238,7 +225,7 @@ class Hierarchy:
             level = stack.pop()
             for name, source in level.diagram.outputs.items():
                 if source is None:
-                    raise DiagramError("the output is not connected", f"{level.path}.{name}", "connect it or remove it")
+                    raise not_connected("output", f"{level.path}.{name}")
             for name, child in level.children.items():
                 part = level.diagram.parts[name]
                 for what, values in told_values(part).items():
@@ -268,7 +255,7 @@ class Hierarchy:
         else:
             source = part.diagram.outlet(output)
             if source is None:
-                raise DiagramError("the output is not connected", where, "connect it or remove it")
+                raise not_connected("output", where)
             port = part.resolve(source)
         if isinstance(port, str) or not str(port).startswith(f"{part.path}."):
             raise DiagramError("nothing inside computes it: it holds nothing", where, f"leave its {what} out")
@@ -285,9 +272,7 @@ class Hierarchy:
         if source is None:
             return None
         driver = level.resolve(source)
-        port = self._port(driver)
-        if port.kind != "bool" or port.width is not None:
-            raise DiagramError(f"its {what} signal {source!r} is not a bool", path, "compare the signal with something")
+        check_condition(self._port(driver), source, what, path)
         return driver
 
     def _restart(self, level: DiagramLevel) -> PortOf | None:
@@ -312,16 +297,9 @@ class Hierarchy:
                 driver: PortOf | str = self._stored(level, part, where, port.name)
             else:
                 driver = level.field(source, field) if field else level.resolve(source)
-        given = self._port(driver)
-        clash = mismatch(port, given, driver)
+        clash = mismatch(port, self._port(driver), driver)
         if clash is not None:
-            raise DiagramError(clash[0], f"{path}.{port.name}", clash[1])
-        if _units_clash(given.unit, port.unit):
-            raise DiagramError(
-                f"it takes [{port.unit}] and {driver} gives [{given.unit}]",
-                f"{path}.{port.name}",
-                "convert the unit",
-            )
+            raise DiagramError(clash[0], where, clash[1])
         return driver
 
     def _stored(self, level: DiagramLevel, part: str, where: str, port: str) -> PortOf:
@@ -356,17 +334,6 @@ class Hierarchy:
                 for state in store.block.states:
                     child.initial[f"y{state.name.removeprefix('x')}"] = state.initial
 
-    def _check_states(self) -> None:
-        for cell in self.cells:
-            for what, there in (
-                ("continuous states", cell.continuous),
-                ("an edge inside the step", cell.block.trace.edges),
-            ):
-                if there and cell.rate != BASE:
-                    raise DiagramError(
-                        f"{what} at the rate {tuple(cell.rate)}", cell.path, "keep the block at the base rate"
-                    )
-
     def _needs(self, item: PortOf) -> list[PortOf]:
         cell = item.cell
         drivers = [cell.drivers[name] for name in sorted(cell.block.trace.feedthrough[item.port])]
@@ -374,12 +341,15 @@ class Hierarchy:
         return [d for d in drivers if isinstance(d, PortOf)]
 
     def _order(self) -> Schedule:
-        done: set[PortOf] = set()
+        ports = [PortOf(cell, port.name) for cell in self.cells for port in cell.block.outputs]
         schedule: Schedule = []
-        for cell in self.cells:
-            for port in cell.block.outputs:
-                for item in self._ready(PortOf(cell, port.name), done):
-                    self._append(schedule, item)
+        try:
+            for item in TopologicalSorter({port: self._needs(port) for port in ports}).static_order():
+                self._append(schedule, item)
+        except CycleError as error:
+            what = f"algebraic loop {' <- '.join(map(str, reversed(error.args[1])))}"
+            remedy = "put a delay or a continuous state into the loop"
+            raise DiagramError(what, self.root.path, remedy) from None
         return schedule
 
     def _append(self, schedule: Schedule, item: PortOf) -> None:
@@ -389,32 +359,6 @@ class Hierarchy:
             schedule[-1][1].append(item.port)
         else:
             schedule.append((item.cell, [item.port]))
-
-    def _ready(self, item: PortOf, done: set[PortOf]) -> Iterator[PortOf]:
-        """`item` and all it needs that is not `done`, needs first. Raises DiagramError at an algebraic loop."""
-        path: list[PortOf] = []
-        stack: list[tuple[PortOf, bool]] = [(item, False)]
-        open_: set[PortOf] = set()
-        while stack:
-            at, leaving = stack.pop()
-            if leaving:
-                path.pop()
-                open_.discard(at)
-                done.add(at)
-                yield at
-            elif at in open_:
-                loop = [str(p) for p in path]
-                loop = loop[loop.index(str(at)) :]
-                raise DiagramError(
-                    f"algebraic loop {' <- '.join([*loop, loop[0]])}",
-                    self.root.path,
-                    "put a delay or a continuous state into the loop",
-                )
-            elif at not in done:
-                open_.add(at)
-                path.append(at)
-                stack.append((at, True))
-                stack.extend((need, False) for need in self._needs(at))
 
     def _constant(self) -> set[PortOf | str]:
         """Ports that never change while parameters do not: they have no rate."""
@@ -503,7 +447,3 @@ def _store(level: DiagramLevel, name: str, where: str) -> tuple[DiagramLevel, Ce
         if isinstance(found, Cell) and isinstance(found.block, DataStore):
             return at, found
     raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
-
-
-def _units_clash(a: str, b: str) -> bool:
-    return bool(a and b and a != b)

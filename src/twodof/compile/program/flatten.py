@@ -7,8 +7,19 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
 
 from twodof.blocks.block import Block, EnabledAgain, TriggerEdge, steady_trace
-from twodof.blocks.declarations import Param, Port, alike, check_initial, located, mismatch, narrowed, unknown_name
-from twodof.blocks.diagram import BASE, MAX_NESTED, Diagram, Part, Rate, told_values, two_values
+from twodof.blocks.declarations import Param, Port, check_initial, located, mismatch, narrowed, unknown_name
+from twodof.blocks.diagram import (
+    BASE,
+    MAX_NESTED,
+    Diagram,
+    Part,
+    Rate,
+    check_base_rate,
+    check_condition,
+    no_parameter,
+    told_values,
+    two_values,
+)
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
@@ -93,26 +104,15 @@ class FlatDiagram:
     def _bindings(self, level: Level, part: Part, own: Mapping[str, FlatParameter]) -> dict[str, FlatParameter]:
         for outer in part.params.values():
             if outer not in own:
-                self.report(
-                    DiagramError(
-                        f"there is no parameter {outer!r} to bind to",
-                        f"{level.path}.{part.name}",
-                        f"declare it with Diagram.param; there are: {nearest(outer, level.diagram.params)}",
-                    )
-                )
+                self.report(no_parameter(outer, level.diagram, f"{level.path}.{part.name}"))
         return {inner: own[outer] for inner, outer in part.params.items() if outer in own}
 
     def _parameter(self, path: str, declared: Param, bound: FlatParameter | None) -> FlatParameter:
         if bound is None:
             self.parameters[path] = FlatParameter(path, declared)
             return self.parameters[path]
-        outer = bound.declared
         try:
-            if not alike(outer, declared) or _clash(outer.unit, declared.unit):
-                raise DiagramError(
-                    f"it is bound to {bound.path!r}, which has another type, width or unit", path, "declare both alike"
-                )
-            bound.declared = narrowed(outer, declared, path)
+            bound.declared = narrowed(bound.declared, bound.path, declared, path)
         except DiagramError as error:
             self.report(error)
             return self._parameter(path, declared, None)
@@ -247,10 +247,6 @@ class FlatDiagram:
             clash = mismatch(port, signal, signal.path)
             if clash is not None:
                 raise DiagramError(clash[0], where, clash[1])
-            if _clash(signal.unit, port.unit):
-                raise DiagramError(
-                    f"it takes [{port.unit}] and {signal.path} is in [{signal.unit}]", where, "convert the unit"
-                )
             return signal
         stand_in = FlatSignal(where, port.name, port.kind, port.width, port.unit, shape=port.shape, enum=port.enum)
         self.unknown.add(stand_in)
@@ -315,19 +311,14 @@ class FlatDiagram:
             return None
         with self._reported():
             signal = level.resolve(source)
-            if signal.kind != "bool" or signal.width is not None:
-                remedy = "compare the signal with something"
-                raise DiagramError(f"its {what} signal {source!r} is not a bool", path, remedy)
+            check_condition(signal, source, what, path)
             return signal
         return None
 
     def _check_base_rate(self) -> None:
         for node in self.nodes:
-            what = "continuous states" if node.continuous else "an edge inside the step" if node.trace.edges else ""
-            if what and node.rate != BASE:
-                self.report(
-                    DiagramError(f"{what} at the rate {tuple(node.rate)}", node.path, "keep it at the base rate")
-                )
+            with self._reported():
+                check_base_rate(node.block, node.rate, node.path)
 
     def ordered(self) -> list[FlatSignal]:
         """Return all outputs of all nodes, each after those it needs, ties by path; check for loops and for rates."""
@@ -349,10 +340,6 @@ class FlatDiagram:
         """Return True if the signals below `path` are the fields of one bus, and not the signals of a part."""
         parts = {node.path for node in self.nodes} | {level.path for level in self.levels}
         return path not in parts
-
-
-def _clash(a: str, b: str) -> bool:
-    return bool(a) and bool(b) and a != b
 
 
 def node_of(signal: FlatSignal) -> Node:

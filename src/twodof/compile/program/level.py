@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from twodof.blocks.diagram import Diagram
+from twodof.blocks.diagram import Diagram, not_connected
 from twodof.compile.program.flat_program import Condition, FlatSignal, Node
 from twodof.errors import DiagramError, nearest
 
@@ -40,7 +40,7 @@ class Level:
     def _driven(self, output: str) -> dict[str, FlatSignal]:
         source = self.diagram.outlet(output)
         if source is None:
-            raise DiagramError("the output is not connected", f"{self.path}.{output}", "connect it or remove it")
+            raise not_connected("output", f"{self.path}.{output}")
         return self.signals(source)
 
     def resolve(self, source: str) -> FlatSignal:
@@ -62,7 +62,7 @@ class Level:
                     return _fields(at.root_inputs, port)
                 above = at.parent.diagram.feed(at.name, port)
                 if above is None:
-                    raise DiagramError("the input is not connected", f"{at.path}.{port}", "connect it or remove it")
+                    raise not_connected("input", f"{at.path}.{port}")
                 at, text = at.parent, above
                 continue
             inner = at.parts.get(part)
@@ -72,7 +72,7 @@ class Level:
                 return _fields(inner.outputs, port)
             below = inner.diagram.outlet(port)
             if below is None:
-                raise DiagramError("the output is not connected", f"{inner.path}.{port}", "connect it or remove it")
+                raise not_connected("output", f"{inner.path}.{port}")
             at, text = inner, below
         raise DiagramError("a connection leads back to itself", f"{self.path}.{source}", "a loop needs a block in it")
 
