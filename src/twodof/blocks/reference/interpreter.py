@@ -38,7 +38,12 @@ _OWN_PRECISION = "write float(...) around numbers of numpy, which have a precisi
 
 
 class BlockMethod:
-    """A method of the block at `path`. A call gives numbers of the declared types (tracing has checked the names)."""
+    """A method of the block at `path`. A call gives numbers of the declared types (tracing has checked the names).
+
+    `edges` gives pairs of reals. A user's method is judged by its trace, which is what is compiled. What is recorded
+    once cannot count, draw lots or remember. A method that does so computes on numbers, and then the reference and the
+    compiled program would differ without a word: that is a DiagramError.
+    """
 
     def __init__(self, path: str, block: Block, name: str, declared: Sequence[Port | State]) -> None:
         self.path, self.block, self.name = path, block, name
@@ -48,12 +53,20 @@ class BlockMethod:
         shapes = [matrices(block.inputs), matrices(block.states), matrices(block.params, block.derived), matrices()]
         self._shown = shapes[2:] if name == "prepare" else shapes
         self._sees_matrices = any(self._shown)
+        self._recorded = by_method(block.trace)[name] if is_users(block) else None
 
     def __call__(self, *seen: Namespace) -> dict[str, Any]:
-        return self.given(self._result(seen))
+        if self._recorded is None:
+            return self._given(self._result(seen))
+        # It sees copies: whatever it does to them, the machine's own values stay.
+        given = self._given(self._result([twin(view) for view in seen]))
+        self._judge(given, self._recorded, seen)
+        return given
 
-    def given(self, result: Any) -> dict[str, Any]:
+    def _given(self, result: Any) -> dict[str, Any]:
         """Return a method's values by name, as numbers of the declared types."""
+        if self.name == "edges":
+            return {port: tuple(self._number(value, "real", None) for value in pair) for port, pair in result.items()}
         if self._matrices.buses:
             result = by_path(result, [name for name, *_ in self._declared])
         if type(result) is not dict and not isinstance(result, Mapping):
@@ -82,53 +95,25 @@ class BlockMethod:
         except DiagramError as error:
             if isinstance(value, Expr):
                 what = f"{self.name} gives a value that it kept from when it was traced"
-                raise DiagramError(what, self.where(), HIDDEN) from error
-            raise DiagramError(error.what, self.where(), error.remedy) from error
+                raise DiagramError(what, self._where(), HIDDEN) from error
+            raise DiagramError(error.what, self._where(), error.remedy) from error
 
-    def where(self) -> str:
-        """Return the block's path, and the method's line."""
+    def _where(self) -> str:
         return f"{self.path}, {place(self.block, self.name)}"
 
-
-class EdgesMethod(BlockMethod):
-    """The method `edges`: a call gives pairs of reals."""
-
-    def given(self, result: Any) -> dict[str, Any]:
-        return {port: tuple(self._number(value, "real", None) for value in pair) for port, pair in result.items()}
-
-
-class JudgedMethod:
-    """A user's method. Raises DiagramError if it gives another value than its trace, which is what is compiled.
-
-    What is recorded once cannot count, draw lots or remember. A method that does so computes on numbers, and then the
-    reference and the compiled program would differ without a word.
-    """
-
-    def __init__(self, method: BlockMethod) -> None:
-        self._method = method
-        self._recorded = by_method(method.block.trace)[method.name]
-
-    def __call__(self, *seen: Namespace) -> dict[str, Any]:
-        # It sees copies: whatever it does to them, the machine's own values stay.
-        given = self._method(*map(twin, seen))
+    def _judge(self, given: Mapping[str, Any], recorded: Mapping[str, Any], seen: Sequence[Any]) -> None:
+        """Raise DiagramError if a method gives another value than its trace."""
         u, x, p, t = seen if len(seen) == 4 else (None, None, *seen)
-        found = computed_graphs(self._recorded, u, x, p, t)
-        expected = self._method.given({n: pair if len(pair) == 2 else pair[0] for n, pair in found.items()})
-        for name in given | expected:
+        found = computed_graphs(recorded, u, x, p, t)
+        expected = self._given({n: pair if len(pair) == 2 else pair[0] for n, pair in found.items()})
+        for name in {**given, **expected}:
             one, other = given.get(name), expected.get(name)
             if not numbers.identical(one, other):
                 raise DiagramError(
-                    f"{self._method.name} gives {name!r} = {_text(one)} now, and {_text(other)} as it was traced",
-                    self._method.where(),
+                    f"{self.name} gives {name!r} = {_text(one)} now, and {_text(other)} as it was traced",
+                    self._where(),
                     HIDDEN if numbers.real_type() is np.float64 else f"{HIDDEN}; {_OWN_PRECISION}",
                 )
-        return given
-
-
-def running(path: str, block: Block, name: str, declared: Sequence[Port | State]) -> BlockMethod | JudgedMethod:
-    """Return the method `name` of the block at `path`, which gives the `declared` values."""
-    method = EdgesMethod(path, block, name, ()) if name == "edges" else BlockMethod(path, block, name, declared)
-    return JudgedMethod(method) if is_users(block) else method
 
 
 def _text(value: Any) -> str:
@@ -208,38 +193,33 @@ class _Run:
         self.seen = (Inputs(self.u), States(self.x), Parameters(self.p), clock)
         self.discrete = cell.discrete
         self.continuous = cell.continuous
-        block, path = cell.block, cell.path
-        self._output = running(path, block, "output", block.outputs)
-        self._edges = running(path, block, "edges", ()) if block.trace.edges else None
-        self._update = running(path, block, "update", self.discrete)
-        self._derivative = running(path, block, "derivative", self.continuous)
-        self._project = running(path, block, "project", self.continuous)
-        self.prepare = running(path, block, "prepare", block.derived)
+        block = cell.block
+        declared: dict[str, Sequence[Port | State]] = dict.fromkeys(("derivative", "project"), self.continuous)
+        declared |= {"prepare": block.derived, "output": block.outputs, "edges": (), "update": self.discrete}
+        self._methods = {name: BlockMethod(cell.path, block, name, given) for name, given in declared.items()}
 
-    def output(self) -> dict[str, Any]:
-        return self._output(*self.seen)
+    def call(self, method: str, *seen: Any) -> dict[str, Any]:
+        """Return what a method gives on the run's own values, or `prepare` on the p and t in `seen`; show the watch."""
+        values = self._methods[method](*(seen or self.seen))
+        if method not in ("output", "edges"):
+            self.show(method, values, *seen)
+        return values
 
-    def edges(self) -> dict[str, Any]:
-        return self._edges(*self.seen) if self._edges else {}
+    def show(self, method: str, values: dict[str, Any], *seen: Any) -> None:
+        """Show a method's values to the watch."""
+        if self.watch is not None:
+            p, t = seen or self.seen[2:]
+            self.watch(self.cell, method, values, (*self.seen[:2], p, t))
 
-    def update(self) -> dict[str, Any]:
-        return self._update(*self.seen)
-
-    def derivative(self) -> dict[str, Any]:
-        return self._derivative(*self.seen)
-
-    def project(self) -> dict[str, Any]:
-        return self._project(*self.seen)
+    def compute(self, ports: Sequence[str]) -> None:
+        """Compute outputs."""
+        fresh = self.call("output")
+        for port in ports:
+            self.y[port] = fresh[port]
+        self.show("output", {port: fresh[port] for port in ports})
 
     def set_tick(self, tick: int) -> None:
         vars(self.t)["tick"] = UInt32(tick)
-
-    def told(self, method: str, values: dict[str, Any], *seen: Any) -> dict[str, Any]:
-        """Show a method's values to the watch and return them; `seen` is the p and t of `prepare`."""
-        if self.watch is not None:
-            u, x, p, t = self.seen
-            self.watch(self.cell, method, values, (u, x, *(seen or (p, t))))
-        return values
 
     def feed(self) -> None:
         u = self.u
@@ -350,7 +330,7 @@ class ReferenceMachine(Machine):
         self._outputs()
         logged = {name: values[key] for name, values, key in self._logged}
         active = [run for run in self._runs.values() if run.active]
-        updates = [(run, run.told("update", run.update())) for run in active if run.discrete]
+        updates = [(run, run.call("update")) for run in active if run.discrete]
         states = self._integrate([run for run in active if run.continuous])
         for run, new in [*updates, *states]:
             run.x.update(new)
@@ -363,15 +343,11 @@ class ReferenceMachine(Machine):
                 self._begin(run)
             run.feed()
             if run.active:
-                fresh = run.output()
-                edges = run.edges()
-                for port in ports:
-                    run.y[port] = fresh[port]
-                    if port in edges:
-                        run.after[port] = edges[port]
-                if run.watch is not None:
-                    run.told("output", {port: fresh[port] for port in ports})
-                    run.told("edges", {port: run.after[port] for port in ports if port in edges})
+                run.compute(ports)
+                if run.cell.block.trace.edges:
+                    edges = {port: pair for port, pair in run.call("edges").items() if port in ports}
+                    run.after |= edges
+                    run.show("edges", edges)
             elif run.cell.rate.due(self.tick) and not all(values[key] for values, key in run.clears):
                 run.clear_outputs(run.cell.initial | run.cell.disabled)
         for run in self._without_outputs:
@@ -410,7 +386,7 @@ class ReferenceMachine(Machine):
         for run, u, x in held:
             integrated = {c.name: run.x[c.name] for c in run.continuous}
             run.u.update(u)
-            new.append((run, integrated | run.told("project", run.project())))
+            new.append((run, integrated | run.call("project")))
             run.x.update(x)
         for run, y in held_y:
             run.y.update(y)
@@ -447,14 +423,10 @@ class ReferenceMachine(Machine):
         for run, ports in self._inner:
             if run.active:
                 run.feed()
-                fresh = run.output()
-                for port in ports:
-                    run.y[port] = fresh[port]
-                if run.watch is not None:
-                    run.told("output", {port: fresh[port] for port in ports})
+                run.compute(ports)
         for run in runs:
             run.feed()
-        return [run.told("derivative", run.derivative()) for run in runs]
+        return [run.call("derivative") for run in runs]
 
     def _prepare(self, run: _Run) -> None:
         cell = run.cell
@@ -465,7 +437,7 @@ class ReferenceMachine(Machine):
             exact = {d.name: _as_real(given[d.name], d) for d in cell.block.params}
             dt = np.float64(self.program.dt * cell.rate.divider)
             clock = Clock(None, dt, np.float64(self.program.dt))
-            found = run.told("prepare", run.prepare(Parameters(exact), clock), Parameters(exact), clock)
+            found = run.call("prepare", Parameters(exact), clock)
         run.p.update({d.name: _as_real(found[d.name], d) for d in cell.block.derived})
 
     def _initial(self, run: _Run) -> dict[str, Any]:
