@@ -189,7 +189,6 @@ class ArrayOperators(Operators):
 
 
 PRECISIONS: dict[str, type[np.floating[Any]]] = {"float64": np.float64, "float32": np.float32}
-_Method = Callable[[Any, Any], Any]
 _REAL: ContextVar[type[np.floating[Any]]] = ContextVar("real", default=np.float64)
 
 
@@ -236,33 +235,20 @@ def _remainder(a: int, b: int) -> int:
     return 0 if b == 0 else a - b * _quotient(a, b)
 
 
-def _operator(compute: Callable[[int, int], int]) -> tuple[_Method, _Method]:
-    """Return the methods for `self op other` and `other op self`; the result wraps around."""
-
-    def left(self: Integer, other: object) -> Any:
-        value = self._other(other)
-        return NotImplemented if value is None else self.computes(compute(self.value, value))
-
-    def right(self: Integer, other: object) -> Any:
-        value = self._other(other)
-        return NotImplemented if value is None else self.computes(compute(value, self.value))
-
-    return left, right
+_ON_INTEGERS: dict[str, Callable[..., Any]] = {
+    **{op: compute for op, compute in COMPUTE.items() if op != "div"},
+    "quot": _quotient,
+    "rem": _remainder,
+    "shl": lambda a, b: a << (b & 31),
+    "shr": lambda a, b: a >> (b & 31),
+}
+_COMPARISONS = frozenset(("lt", "le", "eq", "ne"))
 
 
-def _comparison(compare: Callable[[int, int], bool]) -> _Method:
-    def method(self: Integer, other: object) -> Any:
-        value = self._other(other)
-        return NotImplemented if value is None else np.bool_(compare(self.value, value))
-
-    return method
-
-
-class Integer:
+class Integer(Operators):
     """An integer of `size` values from `low` on, which wraps around; the base of all of them."""
 
     __slots__ = ("value",)
-    __array_ufunc__ = None  # numpy scalars must not absorb these
     kind: ClassVar[str]
     size: ClassVar[int] = 2**32
     low: ClassVar[int] = 0
@@ -273,7 +259,7 @@ class Integer:
         self.value = (int(value) - self.low) % self.size + self.low
 
     def _other(self, other: object) -> int | None:
-        """Return the other operand, or None for an array or an Expr, which have methods of their own."""
+        """Return the value of an operand, or None for an array or an Expr, which have methods of their own."""
         if isinstance(other, Integer) and other.computes is self.computes:
             return other.value
         if type(other) is int or (isinstance(other, IntEnum) and self.computes is Int32):
@@ -286,31 +272,14 @@ class Integer:
             "convert one of them by name, such as float64(x) or int32(x)",
         )
 
-    __add__, __radd__ = _operator(operator.add)
-    __sub__, __rsub__ = _operator(operator.sub)
-    __mul__, __rmul__ = _operator(operator.mul)
-    __floordiv__, __rfloordiv__ = _operator(_quotient)
-    __mod__, __rmod__ = _operator(_remainder)
-    __lshift__, __rlshift__ = _operator(lambda a, b: a << (b & 31))
-    __rshift__, __rrshift__ = _operator(lambda a, b: a >> (b & 31))
-    __and__, __rand__ = _operator(operator.and_)
-    __or__, __ror__ = _operator(operator.or_)
-    __xor__, __rxor__ = _operator(operator.xor)
-    __lt__ = _comparison(operator.lt)
-    __le__ = _comparison(operator.le)
-    __gt__ = _comparison(operator.gt)
-    __ge__ = _comparison(operator.ge)
-    __eq__ = _comparison(operator.eq)
-    __ne__ = _comparison(operator.ne)
-
-    def __invert__(self) -> Any:
-        return self.computes(~self.value)
-
-    def __neg__(self) -> Any:
-        return self.computes(-self.value)
-
-    def __abs__(self) -> Any:
-        return self.computes(abs(self.value))
+    @staticmethod
+    def operation(op: str, *operands: Any) -> Any:
+        own = operands[0] if isinstance(operands[0], Integer) else operands[1]
+        values = [own._other(v) for v in operands]
+        if None in values or op not in _ON_INTEGERS:
+            return NotImplemented
+        found = _ON_INTEGERS[op](*values)
+        return np.bool_(found) if op in _COMPARISONS else own.computes(found)
 
     def __hash__(self) -> int:
         return hash((self.kind, self.value))
