@@ -156,12 +156,10 @@ def _arguments_of(block: str) -> Iterator[None]:
 
 def steady_trace(block: Block, path: str) -> Trace:
     """Return the trace of the block at `path`. Raises DiagramError for a user's block that is not steady."""
-    try:
+    with located(path, keep=True):
         trace = block.trace
         if is_users(block):
             check_steady(block)
-    except DiagramError as error:
-        raise DiagramError(error.what, f"{path}, {error.where}", error.remedy) from error
     return trace
 
 

@@ -14,7 +14,7 @@ from twodof.blocks.enumeration import enumeration_of, plain_data
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.arrays import Matrix, shape_text
 from twodof.blocks.expressions.numbers import BY_NAME, INTEGERS, KINDS, Integer, Vector
-from twodof.errors import DiagramError, ParameterError, nearest, outside, shown
+from twodof.errors import DiagramError, ParameterError, TwodofError, nearest, outside, shown
 
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 MAX_WIDTH = 1_000_000
@@ -69,9 +69,27 @@ def _is_bus(declared: "Port | State | Param") -> bool:
     check_name(declared.name, "block")
     if (declared.shape, declared.unit, declared.enum) != (None, "", None):
         raise DiagramError("a bus with a shape or unit", declared.name, "give it to the fields; an array has a width")
+    _check_width(declared, "one bus")
+    return True
+
+
+def _check_width(declared: "Port | State | Param", single: str) -> None:
     width = declared.width
     if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
-        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", declared.name, "use None for one bus")
+        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", declared.name, f"use None for {single}")
+
+
+def _settle(declared: "Port | State | Param", *plain: str) -> bool:
+    """Turn the fields of a declaration into plain data and check them; return False for a bus.
+
+    Values of numpy in the fields `plain` become Python's, which compare and go into files.
+    """
+    for name in plain:
+        object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
+    if _is_bus(declared):
+        return False
+    _keep_enumeration(declared)
+    _check_shape(declared)
     return True
 
 
@@ -109,12 +127,6 @@ def _keep_enumeration(declared: "Port | State | Param") -> None:
         object.__setattr__(declared, "initial", enumeration.plain(declared.initial, where))
 
 
-def _keep_plain(declared: Any, *names: str) -> None:
-    """Turn numpy values in these fields of a declaration into plain data, which compares and goes into files."""
-    for name in names:
-        object.__setattr__(declared, name, plain_data(getattr(declared, name), f"{declared.name!s:.80}"))
-
-
 def check_shape(given: object, where: str) -> tuple[int, int]:
     """`given` as (rows, columns) of a matrix; else DiagramError."""
     size = plain_data(given, where)
@@ -134,22 +146,20 @@ def _check_shape(declared: "Port | State | Param") -> None:
             )
         object.__setattr__(declared, "shape", (rows, columns))
         object.__setattr__(declared, "width", rows * columns)
-    width = declared.width
     if not isinstance(unit, str):
         raise DiagramError(f"the unit {shown(unit)} is not text", name, 'write it as "m/s", or "" for none')
     if kind not in KINDS:
         raise DiagramError(f"unknown type {shown(kind)}", name, f"use one of {', '.join(KINDS)}")
-    if width is not None and not (type(width) is int and 1 <= width <= MAX_WIDTH):
-        raise DiagramError(f"width {shown(width)} is not in 1..{MAX_WIDTH}", name, "use None for a scalar")
+    _check_width(declared, "a scalar")
 
 
 @contextmanager
-def located(where: str) -> Iterator[None]:
-    """Give a DiagramError that the enclosed code raises the place `where`."""
+def located(where: str, keep: bool = False) -> Iterator[None]:
+    """Give a DiagramError that the enclosed code raises the place `where`; with `keep` before its own."""
     try:
         yield
-    except DiagramError as error:
-        raise DiagramError(error.what, where, error.remedy) from error
+    except TwodofError as error:
+        raise DiagramError(error.what, f"{where}, {error.where}" if keep else where, error.remedy) from error
 
 
 @dataclass(frozen=True)
@@ -169,11 +179,7 @@ class Port:
     enum: Any = None
 
     def __post_init__(self) -> None:
-        _keep_plain(self, "width")
-        if _is_bus(self):
-            return
-        _keep_enumeration(self)
-        _check_shape(self)
+        _settle(self, "width")
 
 
 @dataclass(frozen=True)
@@ -193,11 +199,8 @@ class State:
     enum: Any = None
 
     def __post_init__(self) -> None:
-        _keep_plain(self, "initial", "width", "continuous")
-        if _is_bus(self):
+        if not _settle(self, "initial", "width", "continuous"):
             return
-        _keep_enumeration(self)
-        _check_shape(self)
         if self.continuous and self.kind != "real":
             raise DiagramError(f"a continuous state of type {self.kind}", self.name, "continuous states are real")
         if not isinstance(self.initial, str):
@@ -227,11 +230,8 @@ class Param:
     enum: Any = None
 
     def __post_init__(self) -> None:
-        _keep_plain(self, "value", "width", "low", "high", "tunable")
-        if _is_bus(self):
+        if not _settle(self, "value", "width", "low", "high", "tunable"):
             return
-        _keep_enumeration(self)
-        _check_shape(self)
         given = _declared(self.value, self)
         _check_limits(self)
         free = self.kind == "bool" or (self.low == -math.inf and self.high == math.inf)
@@ -450,18 +450,17 @@ def numeric(value: Any, kind: str, width: int | None, where: str, shape: tuple[i
         value = value.item()
     if shape is not None:
         value = column_major(value, shape, where)
+    if kind == "bool" and type(value) is int and value in (0, 1):
+        value = bool(value)
+    if width is not None and isinstance(value, (list, tuple)):
+        if len(value) != width:
+            raise DiagramError(f"{len(value)} values for an array of {width}", where, f"give {width} values")
+        return Vector(numeric(v, kind, None, where) for v in value)
     try:
-        if kind == "bool" and type(value) is int and value in (0, 1):
-            value = bool(value)
-        if width is None:
-            return numbers.cast(value, kind)
-        if isinstance(value, (list, tuple)):
-            if len(value) != width:
-                raise DiagramError(f"{len(value)} values for an array of {width}", where, f"give {width} values")
-            return Vector(numeric(v, kind, None, where) for v in value)
-        return Vector([numbers.cast(value, kind)] * width)
+        number = numbers.cast(value, kind)
     except DiagramError as error:
         raise DiagramError(error.what, where, error.remedy) from error
+    return number if width is None else Vector([number] * width)
 
 
 def limits(declared: Param) -> tuple[float, float]:

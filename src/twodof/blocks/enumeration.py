@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from enum import IntEnum
 from typing import Any
@@ -168,6 +168,14 @@ def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str
     values, and of arrays of them.
     """
     values = frozenset(enumeration.members.values())
+    return all(
+        at.kind == "int32" and at.data in values if at.op == "const" else leaves.get((at.op, at.data)) == enumeration
+        for at in _origins(item)
+    )
+
+
+def _origins(item: Expr) -> Iterator[Expr]:
+    """Yield what the values of `item` are chosen from, through choices and arrays."""
     seen: set[Expr] = set()
     stack = [item]
     while stack:
@@ -175,17 +183,10 @@ def stays_within(enumeration: Enumeration, item: Expr, leaves: Mapping[tuple[str
         if at in seen:
             continue
         seen.add(at)
-        if at.op == "const":
-            if at.kind != "int32" or at.data not in values:
-                return False
-        elif at.op in ("input", "state", "param"):
-            if leaves.get((at.op, at.data)) != enumeration:
-                return False
-        elif at.op in _PASSED:
+        if at.op in _PASSED:
             stack += _PASSED[at.op](at.args)
         else:
-            return False
-    return True
+            yield at
 
 
 def comparing(leaves: Mapping[tuple[str, str], Enumeration | None]) -> AbstractContextManager[None]:
@@ -208,18 +209,7 @@ def _of(value: Any, leaves: Mapping[tuple[str, str], Enumeration | None]) -> Enu
     """Return the enumeration of a value, as far as its graph shows; None for a plain number."""
     if not isinstance(value, Expr):
         return value.of if isinstance(value, _Member) else enumeration_of(type(value))
-    found: set[Enumeration | None] = set()
-    seen: set[Expr] = set()
-    stack = [value]
-    while stack:
-        at = stack.pop()
-        if at in seen or at.op == "const":
-            continue
-        seen.add(at)
-        below = _PASSED[at.op](at.args) if at.op in _PASSED else ()
-        stack += below
-        if not below:
-            found.add(leaves.get((at.op, at.data)) if at.op in ("input", "state", "param") else None)
+    found = {leaves.get((at.op, at.data)) for at in _origins(value) if at.op != "const"}
     return found.pop() if len(found) == 1 else None
 
 

@@ -198,11 +198,8 @@ class Loader:
             return block
         machine = TracedMachine(given["name"], declared, given["crossing"])
         machine_from_json(machine, given, where)
-        try:
-            with at_most(2 * MAX_SIZE):
-                _ = machine.trace
-        except TwodofError as error:
-            raise DiagramError(error.what, f"{where}, {error.where}", error.remedy) from error
+        with located(where, keep=True), at_most(2 * MAX_SIZE):
+            _ = machine.trace
         own = machine.states[len(machine.variables) :]
         self._count(len(own), len(own), where)
         return machine

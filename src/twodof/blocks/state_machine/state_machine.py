@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 from twodof.blocks.block import Block, Clock
-from twodof.blocks.declarations import Port, State, numeric
+from twodof.blocks.declarations import Port, State, located, numeric
 from twodof.blocks.expressions.arrays import flat_of, shaped
 from twodof.blocks.expressions.expr import fault, int32, recording, to_real, uint32, where
 from twodof.blocks.namespaces import States
@@ -16,7 +16,6 @@ from twodof.blocks.state_machine.chart import (
     MODE,
     OUTER_ELAPSED,
     Chart,
-    Charted,
     Leaf,
     MachineFunction,
     MachineGraph,
@@ -36,17 +35,10 @@ LONGEST = 2**32 - 1  # ticks that a clock of a mode counts; then it stands
 Values = dict[str, Any]
 
 
-class Graphed(Charted, Protocol):
-    """A state machine that was recorded."""
-
-    @property
-    def graph(self) -> MachineGraph: ...
-
-
 class Reaction:
     """The values of a machine's variables and clocks while a tick is computed; `outputs` are those given so far."""
 
-    def __init__(self, machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> None:
+    def __init__(self, machine: StateMachine, u: Any, x: Any, p: Any, t: Any) -> None:
         self.machine = machine
         self.chart = machine.chart
         self.seen = u, p, t
@@ -134,7 +126,7 @@ class Reaction:
             self.act(mode, "during")
 
 
-def react(machine: Graphed, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Values]:
+def react(machine: StateMachine, u: Any, x: Any, p: Any, t: Any) -> tuple[Values, Values]:
     """Return the states and the outputs after a tick."""
     reaction = Reaction(machine, u, x, p, t)
     end = _recorded(reaction) if recording() else _on_numbers(reaction)
@@ -244,19 +236,15 @@ class StateMachine(Block):
     @cached_property
     def chart(self) -> Chart:
         """The modes, and the ways between them. Raises DiagramError for names that are wrong or missing."""
-        try:
+        with located(f"block {self.label or type(self).__name__}"):
             return Chart(self.modes, self.transitions)
-        except DiagramError as error:
-            raise DiagramError(error.what, f"block {self.label or type(self).__name__}", error.remedy) from error
 
     @cached_property
     def graph(self) -> MachineGraph:
         """The recorded guards and actions, checked. Raises DiagramError with the mode and the user's line."""
         made = MachineGraph(self)
-        try:
+        with located(f"block {self.label or type(self).__name__}"):
             check_ways(self.chart, made)
-        except DiagramError as error:
-            raise DiagramError(error.what, f"block {self.label or type(self).__name__}", error.remedy) from error
         return made
 
     @property
