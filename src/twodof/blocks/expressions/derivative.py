@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
-from twodof.blocks.expressions.graph import OPERATIONS, walk
+from twodof.blocks.expressions.graph import OPERATIONS
 from twodof.blocks.expressions.numbers import FLOATS, Int32, Integer, Vector
 from twodof.errors import DiagramError
 
@@ -116,11 +116,6 @@ class Tangent:
         return self._evaluate(roots, run)
 
     def _evaluate(self, roots: Sequence[Expr], run: "_Run") -> list[Value]:
-        if not run.bound:  # outside of all loops no loop's variable is read
-            known = run.memos[0]
-            for item in walk(roots, loops=False, known=known):
-                known[id(item)] = self._compute(item, [known[id(a)] for a in item.outside], run)
-            return [known[id(r)] for r in roots]
         stack = [(r, False) for r in reversed(roots)]
         while stack:
             item, ready = stack.pop()

@@ -27,7 +27,7 @@ from twodof.blocks.expressions.numbers import (
     UInt32,
     rules,
 )
-from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, Refusals, users_line
+from twodof.blocks.expressions.recording import LINES, OPERANDS, ROOM, TRACING, Refusals, refused, users_line
 from twodof.blocks.expressions.recording import at_most as at_most
 from twodof.blocks.expressions.recording import during as during
 from twodof.blocks.expressions.recording import fault as fault
@@ -76,25 +76,21 @@ class Expr(Refusals, Operators):
     def __hash__(self) -> int:
         return id(self)
 
-    def __bool__(self) -> bool:
-        raise fault(
-            "a recorded value has no truth yet (`if`, `and`, `or`, `not`, `min`, `max` ask for it)",
-            "use where(condition, a, b), and & | ~ on conditions",
-        )
-
-    def __float__(self) -> float:
-        raise fault(
-            "a recorded value is not a Python number yet (math.* and float() ask for one)",
-            "use the functions of twodof.blocks, such as sin or sqrt",
-        )
-
-    def __int__(self) -> int:
-        raise fault(
-            "a recorded value is not a Python integer yet (int() and range() ask for one)",
-            "use to_int32, or loop over a constant",
-        )
-
+    __bool__ = refused(
+        "a recorded value has no truth yet (`if`, `and`, `or`, `not`, `min`, `max` ask for it)",
+        "use where(condition, a, b), and & | ~ on conditions",
+    )
+    __float__ = refused(
+        "a recorded value is not a Python number yet (math.* and float() ask for one)",
+        "use the functions of twodof.blocks, such as sin or sqrt",
+    )
+    __int__ = refused(
+        "a recorded value is not a Python integer yet (int() and range() ask for one)",
+        "use to_int32, or loop over a constant",
+    )
     __index__ = __int__
+    __pow__ = refused("** is not an operation of the language", "write x * x, or pow(x, y)")
+    __rpow__ = __pow__
 
     def __iter__(self) -> Iterator[Expr]:
         if self.width is None:
@@ -134,11 +130,6 @@ class Expr(Refusals, Operators):
     @staticmethod
     def operation(op: str, *operands: Any) -> Any:
         return _unary(op, *operands) if len(operands) == 1 else _binary(op, *operands)
-
-    def __pow__(self, other: Any) -> Any:
-        raise fault("** is not an operation of the language", "write x * x, or pow(x, y)")
-
-    __rpow__ = __pow__
 
 
 _REMEDY = {

@@ -73,7 +73,9 @@ def recording() -> bool:
     return bool(TRACING.get())
 
 
-def _refused(what: str, remedy: str) -> Callable[..., Never]:
+def refused(what: str, remedy: str) -> Callable[..., Never]:
+    """Return a method that is an error."""
+
     def method(*_: Any, **__: Any) -> Never:
         raise fault(what, remedy)
 
@@ -86,15 +88,15 @@ class Refusals:
     __slots__ = ()
     __array_ufunc__ = None  # numpy must not make object arrays of these
 
-    __setitem__ = _refused("an element of an array is assigned", "write a = store(a, i, value), or another matrix")
-    __delitem__ = _refused("an element of an array is deleted", "arrays have a fixed length: make another with vector")
-    __round__ = _refused("round() does not work on recorded values", "write floor(x + 0.5)")
-    __floor__ = _refused("math.floor() does not work on recorded values", "use floor of twodof.blocks")
-    __ceil__ = _refused("math.ceil() does not work on recorded values", "use ceil of twodof.blocks")
-    __trunc__ = _refused("math.trunc() does not work on recorded values", "use trunc of twodof.blocks")
-    __divmod__ = _refused("divmod() does not work on recorded values", "write a // b and a % b (integers)")
+    __setitem__ = refused("an element of an array is assigned", "write a = store(a, i, value), or another matrix")
+    __delitem__ = refused("an element of an array is deleted", "arrays have a fixed length: make another with vector")
+    __round__ = refused("round() does not work on recorded values", "write floor(x + 0.5)")
+    __floor__ = refused("math.floor() does not work on recorded values", "use floor of twodof.blocks")
+    __ceil__ = refused("math.ceil() does not work on recorded values", "use ceil of twodof.blocks")
+    __trunc__ = refused("math.trunc() does not work on recorded values", "use trunc of twodof.blocks")
+    __divmod__ = refused("divmod() does not work on recorded values", "write a // b and a % b (integers)")
     __rdivmod__ = __divmod__
-    __array__ = _refused("a recorded value does not fit into an array of numpy", "make an array with vector([...])")
+    __array__ = refused("a recorded value does not fit into an array of numpy", "make an array with vector([...])")
 
     def __array_function__(self, function: Callable[..., Any], *_: Any) -> Never:
         raise fault(

@@ -1,6 +1,7 @@
 """Blocks that remember: unit, N-sample, variable and fractional delay, zero-order hold, rate transition, data store."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from twodof.blocks.enumeration import Kind
 from twodof.blocks.expressions.arrays import Matrix, array_of, flat_of, shaped, store
 from twodof.blocks.expressions.expr import int32, maximum, minimum, to_int32, to_real, where
 from twodof.blocks.namespaces import BusView
+from twodof.errors import DiagramError, nearest
 
 __all__ = [
     "DataStore",
@@ -276,3 +278,46 @@ class StoreRead(_Passes):
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
         self.store = check_name(store, "StoreRead")
         self.ports("u", kind, width, unit)
+
+
+def nearest_store(level: Any, name: str, where: str) -> tuple[Any, Any]:
+    """Return the level that has the data store `name`, and the store's place: in `level`, or around it.
+
+    A level has its `parts` by name and its `parent`; the place of a block has the `block` and its `path`.
+    """
+    at = level
+    while at is not None:
+        found = at.parts.get(name)
+        if isinstance(getattr(found, "block", None), DataStore):
+            return at, found
+        at = at.parent
+    raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
+
+
+def note_writer(writers: dict[Any, Any], level: Any, writer: Any) -> Any:
+    """Note a StoreWrite's place by that of its store, and return the store's. Raises DiagramError for a second one."""
+    at, store = nearest_store(level, writer.block.store, writer.path)
+    other = writers[store].path if store in writers else at.diagram.connections.get((writer.block.store, "u"))
+    if other is not None:
+        what = f"the data store {store.path} is written by {other} too"
+        raise DiagramError(what, writer.path, "a store has one writer: choose between them in front of it")
+    writers[store] = writer
+    return store
+
+
+def stored(writers: Mapping[Any, Any], level: Any, part: str, port: str, where: str) -> tuple[Any, str]:
+    """Return the place and the output that feed the unconnected input `port` of a part: a data store, or its writer."""
+    item, place = level.diagram.parts[part].item, level.parts.get(part)
+    if isinstance(item, StoreRead):
+        giver = nearest_store(level, item.store, where)[1]
+    elif place in writers:
+        giver = writers[place]
+    else:
+        remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
+        raise DiagramError("the input is not connected", where, remedy)
+    output = f"y{port.removeprefix('u')}"  # perhaps a field, "y.roll"
+    names = [p.name for p in giver.block.outputs]
+    if output not in names:
+        what = f"{giver.path} has another type: its outputs are {nearest(output, names)}"
+        raise DiagramError(what, where, "declare both alike")
+    return giver, output

@@ -33,7 +33,7 @@ from twodof.blocks.diagram import (
     two_values,
 )
 from twodof.blocks.expressions.graph import leaves
-from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
+from twodof.blocks.library.delays import StoreWrite, note_writer, stored
 from twodof.errors import DiagramError, nearest
 
 
@@ -85,7 +85,7 @@ class DiagramLevel:
     path: str
     parent: DiagramLevel | None
     part: str
-    children: dict[str, DiagramLevel | Cell] = field(default_factory=dict)
+    parts: dict[str, DiagramLevel | Cell] = field(default_factory=dict)
     enable: PortOf | str | None = None
     reset: PortOf | str | None = None
     trigger: PortOf | None = None  # true where its trigger has an edge
@@ -136,7 +136,7 @@ class DiagramLevel:
         level, text = self, source
         for _ in range(10_000):
             part, port = level.diagram.source(text)
-            child = level.parent if part is None else level.children[part]
+            child = level.parent if part is None else level.parts[part]
             if child is None:
                 return {field: p.name for field, p in fields_of(level.diagram.inputs.values(), port).items()}
             if isinstance(child, Cell):
@@ -202,12 +202,12 @@ class Hierarchy:
             if isinstance(p.item, Block):
                 cell = Cell(at, p.item, own_rate, levels)
                 cell.parameters = {d.name: self._root(f"{at}.{d.name}", d, inner.get(d.name)) for d in p.item.params}
-                level.children[p.name] = cell
+                level.parts[p.name] = cell
                 self.cells.append(cell)
             else:
                 child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled != "hold")
                 decided = p.enable or p.reset or p.trigger or p.enabling == "restart"
-                level.children[p.name] = child
+                level.parts[p.name] = child
                 self._open(p.item, child, at + ".", (*levels, child) if decided else levels, inner)
         return level
 
@@ -226,7 +226,7 @@ class Hierarchy:
             for name, source in level.diagram.outputs.items():
                 if source is None:
                     raise not_connected("output", f"{level.path}.{name}")
-            for name, child in level.children.items():
+            for name, child in level.parts.items():
                 part = level.diagram.parts[name]
                 for what, values in told_values(part).items():
                     for output, value in values.items():
@@ -294,7 +294,7 @@ class Hierarchy:
         with located(where) if "." in port.name else nullcontext():
             source, field = level.diagram.wire(part, port.name)
             if source is None:
-                driver: PortOf | str = self._stored(level, part, where, port.name)
+                driver: PortOf | str = PortOf(*stored(self.writers, level, part, port.name, where))
             else:
                 driver = level.field(source, field) if field else level.resolve(source)
         clash = mismatch(port, self._port(driver), driver)
@@ -302,36 +302,13 @@ class Hierarchy:
             raise DiagramError(clash[0], where, clash[1])
         return driver
 
-    def _stored(self, level: DiagramLevel, part: str, where: str, port: str) -> PortOf:
-        """Return the data store that feeds a StoreRead, or the StoreWrite that feeds a data store."""
-        field = port.removeprefix("u")  # ".roll" of a bus
-        item = level.diagram.parts[part].item
-        if isinstance(item, StoreRead):
-            return _matching(_store(level, item.store, where)[1], f"y{field}", where)
-        writer = self.writers.get(level.children[part])
-        if writer is not None:
-            return _matching(writer, f"y{field}", where)
-        remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
-        raise DiagramError("the input is not connected", where, remedy)
-
     def _find_writers(self, level: DiagramLevel) -> None:
         """Note who writes which data store, in a diagram and in those inside."""
-        for child in level.children.values():
+        for child in level.parts.values():
             if isinstance(child, DiagramLevel):
                 self._find_writers(child)
             elif isinstance(child.block, StoreWrite):
-                name = child.block.store
-                at, store = _store(level, name, child.path)
-                wired = at.diagram.connections.get((name, "u"))
-                other = self.writers[store].path if store in self.writers else wired
-                if other is not None:
-                    raise DiagramError(
-                        f"the data store {store.path} is written by {other} too",
-                        child.path,
-                        "a store has one writer: choose between them in front of it",
-                    )
-                self.writers[store] = child
-                for state in store.block.states:
+                for state in note_writer(self.writers, level, child).block.states:
                     child.initial[f"y{state.name.removeprefix('x')}"] = state.initial
 
     def _needs(self, item: PortOf) -> list[PortOf]:
@@ -408,7 +385,7 @@ class Hierarchy:
             found |= {f"{cell.path}.{port.name}": PortOf(cell, port.name) for port in cell.block.outputs}
         levels = [self.root]
         for level in levels:  # which grows on the way
-            below = [child for child in level.children.values() if isinstance(child, DiagramLevel)]
+            below = [child for child in level.parts.values() if isinstance(child, DiagramLevel)]
             levels += below
             for child in below:
                 for name, source in child.diagram.outputs.items():
@@ -426,24 +403,7 @@ class Hierarchy:
         fields = [p for p in self.signals if p.startswith(f"{path}.")]
         for name in (*parts, port):
             if isinstance(at, DiagramLevel):
-                at = at.children.get(name)
+                at = at.parts.get(name)
         if not fields or (at is not None and at.path == path):
             raise unknown_name("signal", path, sorted(self.signals), self.root.path)
         return {p: self.signals[p] for p in fields}
-
-
-def _matching(cell: Cell, port: str, where: str) -> PortOf:
-    names = [p.name for p in cell.block.outputs]
-    if port not in names:
-        what = f"{cell.path} has another type: its outputs are {nearest(port, names)}"
-        raise DiagramError(what, where, "declare both alike")
-    return PortOf(cell, port)
-
-
-def _store(level: DiagramLevel, name: str, where: str) -> tuple[DiagramLevel, Cell]:
-    """Return the data store of this name in a diagram or, nearest first, in those around it."""
-    for at in (level, *reversed(level.around)):
-        found = at.children.get(name)
-        if isinstance(found, Cell) and isinstance(found.block, DataStore):
-            return at, found
-    raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")

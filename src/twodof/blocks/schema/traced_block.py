@@ -18,7 +18,7 @@ from twodof.blocks.expressions.graph import (
     too_large,
     walk,
 )
-from twodof.blocks.expressions.numbers import FLOATS, KINDS, fits
+from twodof.blocks.expressions.numbers import KINDS, fits
 from twodof.blocks.namespaces import States
 from twodof.blocks.state_machine import Mode, StateMachine, Transition
 from twodof.blocks.state_machine.chart import ACTIONS, ELAPSED
@@ -112,21 +112,14 @@ def nodes_to_json(roots: Sequence[Expr]) -> tuple[list[list[Any]], dict[int, int
 
 
 def _node_to(item: Expr, number: dict[int, int]) -> list[Any]:
-    args = [number[id(a)] for a in item.args]
-    if item.op == "const":
-        value = item.data.hex() if item.kind in FLOATS else item.data
-        return ["const", [], item.kind, value]
-    if item.op in ("input", "state", "param"):
-        return [item.op, [], item.data]
-    if item.op == "bound":
-        return ["bound", [], item.kind, *item.data]
-    if item.op in ("build", "fold"):
-        return [item.op, args, *item.data]
-    if item.op == "convert":
-        return ["convert", args, item.kind]
+    kind = [item.kind] if item.op in ("const", "bound", "convert") else []
     if item.data is None or item.op == "tick":
-        return [item.op, args]
-    return [item.op, args, item.data]
+        data = []
+    elif isinstance(item.data, tuple):
+        data = [*item.data]
+    else:
+        data = [item.data.hex() if isinstance(item.data, float) else item.data]
+    return [item.op, [number[id(a)] for a in item.args], *kind, *data]
 
 
 def graph_from_json(block: TracedBlock, form: Mapping[str, Any], where: str) -> None:

@@ -96,7 +96,7 @@ def measure_coverage(
 
 
 def _levels(level: DiagramLevel) -> Iterator[DiagramLevel]:
-    for child in level.children.values():
+    for child in level.parts.values():
         if isinstance(child, DiagramLevel):
             yield child
             yield from _levels(child)

@@ -21,10 +21,10 @@ from twodof.blocks.diagram import (
     two_values,
 )
 from twodof.blocks.expressions.graph import leaves
-from twodof.blocks.library.delays import DataStore, StoreRead, StoreWrite
+from twodof.blocks.library.delays import StoreWrite, note_writer, stored
 from twodof.compile.program.flat_program import Condition, FlatParameter, FlatSignal, Node
 from twodof.compile.program.level import Level, scalar
-from twodof.errors import DiagramError, nearest
+from twodof.errors import DiagramError
 
 MAX_DEPTH = 64
 MAX_SIGNALS = 1_000_000  # as a bus of many fields at many borders of sub-diagrams would give
@@ -239,7 +239,8 @@ class FlatDiagram:
             with located(where) if "." in port.name else nullcontext():
                 source, field = level.diagram.wire(part, port.name)
                 if source is None:
-                    signal = self._stored(level, part, where, port.name)
+                    node, output = stored(self.writers, level, part, port.name, where)
+                    signal: FlatSignal = node.outputs[output]
                 elif field:
                     signal = self._field(level, source, field)
                 else:
@@ -260,33 +261,6 @@ class FlatDiagram:
         found = self.buses[key].get(field[1:])
         return level.resolve(level.diagram.field(source, field)) if found is None else found
 
-    def _stored(self, level: Level, part: str, where: str, port: str) -> FlatSignal:
-        """Return the signal of an unconnected input: of a data store, or of its writer."""
-        y = f"y{port.removeprefix('u')}"  # perhaps a field
-        item, node = level.diagram.parts[part].item, level.parts.get(part)
-        if isinstance(item, StoreRead):
-            return self._matching(self._store(level, item.store, where)[1], y, where)
-        if isinstance(item, DataStore) and node in self.writers:
-            return self._matching(self.writers[node], y, where)
-        remedy = f'connect it, or add StoreWrite("{part}")' if isinstance(item, DataStore) else "connect it"
-        raise DiagramError("the input is not connected", where, remedy)
-
-    def _matching(self, node: Node, output: str, where: str) -> FlatSignal:
-        if output not in node.outputs:
-            what = f"{node.path} has another type: its outputs are {nearest(output, node.outputs)}"
-            raise DiagramError(what, where, "declare both alike")
-        return node.outputs[output]
-
-    def _store(self, level: Level, name: str, where: str) -> tuple[Level, Node]:
-        """Return the nearest data store `name` at or around a level, with its level."""
-        at: Level | None = level
-        while at is not None:
-            found = at.parts.get(name)
-            if isinstance(found, Node) and isinstance(found.block, DataStore):
-                return at, found
-            at = at.parent
-        raise DiagramError(f"there is no data store {name!r} around it", where, "add a DataStore of this name")
-
     def _find_writers(self) -> None:
         """Find the writer of each data store: one at most."""
         for level in self.levels:
@@ -294,15 +268,7 @@ class FlatDiagram:
                 if not isinstance(node, Node) or not isinstance(node.block, StoreWrite):
                     continue
                 with self._reported():
-                    at, store = self._store(level, node.block.store, node.path)
-                    other = self.writers[store].path if store in self.writers else ""
-                    other = at.diagram.connections.get((node.block.store, "u"), other)
-                    if other:
-                        what = f"the data store {store.path} is written by {other} too"
-                        raise DiagramError(
-                            what, node.path, "a store has one writer: choose between them in front of it"
-                        )
-                    self.writers[store] = node
+                    store = note_writer(self.writers, level, node)
                     for signal, state in zip(node.outputs.values(), store.block.states, strict=False):
                         signal.initial = state.initial
 
