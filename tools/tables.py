@@ -256,7 +256,7 @@ def _onboard() -> Iterator[str]:
     yield "| topic | fields | is |"
     yield "|---|---|---|"
     for topic in PX4_TOPICS:
-        fields = ", ".join(f"`{field}`" for field in topic.fields)
+        fields = ", ".join(f"`{field}`" for field in topic.fields.split(";"))
         yield f"| `{topic.name}` | {fields} | {topic.text} |"
 
 

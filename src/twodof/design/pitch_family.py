@@ -68,9 +68,7 @@ class PitchFamily:
         k = len(self.uncertain)
         if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
             raise _error(f"the uncertain {listed(self.uncertain)}", f"name some of {', '.join(PARAMETERS)}, each once")
-        p = np.asarray(self.covariance, dtype=float)
-        if p.shape != (k, k) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
-            raise _error(f"a covariance of shape {p.shape}", f"give finite numbers, symmetric, ({k}, {k})")
+        p = check_covariance(self.covariance, k)
         if k and float(np.linalg.eigvalsh(_scaled(p)).min()) < -1e-6:
             raise _error("the covariance has a negative direction", "identify again, or give sigmas alone")
         for name in ("gust", "q_noise"):
@@ -129,7 +127,7 @@ class PitchFamily:
         values = {name: given[name] for name in (*PARAMETERS, "tau") if name in given}
         _check_complete(values, where)
         wanted = [label for label in _told_apart(labels) if _own(label) in PARAMETERS]
-        sigmas = np.array([max(_sigma(estimates[n], k) for k in ("sigma", "sigma_robust")) for n in wanted])
+        sigmas = np.array([max(sigma_in(estimates[n], k) for k in ("sigma", "sigma_robust")) for n in wanted])
         at = [labels.index(label) for label in wanted]
         correlation = np.array(document["correlation"], dtype=float)[np.ix_(at, at)]
         correlation = np.where(np.isfinite(correlation), correlation, np.eye(len(at)))
@@ -182,7 +180,9 @@ class PitchFamily:
             raise _error(f"{shown(count)} members", f"give 1 to {MOST_MEMBERS}")
         columns = {name: np.full(count, float(self.values[name])) for name in PARAMETERS}
         if self.uncertain:
-            drawn = self._rows(count, np.random.default_rng(seed))
+            centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
+            bounds = np.array([PARAMETERS[name] for name in self.uncertain])
+            drawn = draw_within(centre, self.root(), bounds, count, np.random.default_rng(seed))
             columns |= {name: drawn[:, i] for i, name in enumerate(self.uncertain)}
         return PitchMembers(**columns)
 
@@ -191,25 +191,6 @@ class PitchFamily:
         size = np.sqrt(np.diag(self.covariance))
         values, vectors = np.linalg.eigh(_scaled(self.covariance))
         return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
-
-    def _rows(self, count: int, rng: np.random.Generator) -> Array:
-        """(count, k) of the uncertain parameters."""
-        centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
-        bounds = np.array([PARAMETERS[name] for name in self.uncertain])
-        root = self.root()
-        kept = np.zeros((0, len(centre)))
-        tried = 0
-        while len(kept) < count:
-            rows = centre + rng.standard_normal((2 * count + 16, len(centre))) @ root.T
-            fine = ((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)
-            tried += len(rows)
-            kept = np.concatenate([kept, rows[fine]])
-            if len(kept) < (1.0 - _REFUSED) * tried:
-                raise _error(
-                    "most members that are drawn cannot be: the data hardly tell the parameters",
-                    "identify again, with more excitation or with w_n and xi held",
-                )
-        return kept[:count]
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, which `from_json` reads back."""
@@ -239,6 +220,32 @@ class PitchFamily:
             )
         except (KeyError, TypeError, ValueError) as reason:
             raise _error(f"it is not a family ({reason!s:.80})", "give what a promise holds", where) from reason
+
+
+def check_covariance(covariance: Array, size: int, where: str = "PitchFamily") -> Array:
+    """Check that a covariance is finite and symmetric, (size, size), and return it. Raises ParameterError."""
+    p = np.asarray(covariance, dtype=float)
+    if p.shape != (size, size) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
+        raise _error(f"a covariance of shape {p.shape}", f"give finite numbers, symmetric, ({size}, {size})", where)
+    return p
+
+
+def draw_within(centre: Array, root: Array, bounds: Array, count: int, rng: np.random.Generator) -> Array:
+    """Draw (count, k) parameters around `centre` (k,); those beyond `bounds` (k, 2) are drawn again.
+
+    `root` (k, k) is a square root of the covariance. Raises ParameterError where most draws are beyond the bounds.
+    """
+    kept, tried = np.zeros((0, len(centre))), 0
+    while len(kept) < count:
+        rows = centre + rng.standard_normal((2 * count + 16, len(centre))) @ root.T
+        kept = np.concatenate([kept, rows[((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)]])
+        tried += len(rows)
+        if len(kept) < (1.0 - _REFUSED) * tried:
+            raise _error(
+                "most members that are drawn cannot be: the data hardly tell the parameters",
+                "identify again, with more excitation or with w_n and xi held",
+            )
+    return kept[:count]
 
 
 def _told_apart(labels: Iterable[str]) -> list[str]:
@@ -271,7 +278,8 @@ def _check_complete(values: Mapping[str, float], where: str) -> None:
         )
 
 
-def _sigma(row: Mapping[str, Any], name: str) -> float:
+def sigma_in(row: Mapping[str, Any], name: str) -> float:
+    """Return a standard deviation of an estimate's row; 0 where it is missing or not finite."""
     value = row.get(name)
     return float(value) if value is not None and math.isfinite(value) else 0.0
 

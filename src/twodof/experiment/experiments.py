@@ -19,6 +19,10 @@ SETPOINT = MappingProxyType(
 )
 """The set-point that an excitation is added to, by mode."""
 
+LOOP = MappingProxyType({"open-loop": "M", "rate": "q", "attitude": "theta", "velocity": "v", "position": "x"})
+"""The outermost loop of each mode, by its name in `Drone.excite`."""
+LOOP_MODES: Mapping[str, str] = MappingProxyType({loop: mode for mode, loop in LOOP.items()})
+
 UNIT = MappingProxyType({"open-loop": "-", "rate": "rad/s", "attitude": "rad", "velocity": "m/s", "position": "m"})
 
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.errors import ExperimentError, LinkLost, Rejected, Timeout
-from twodof.experiment.experiments import Experiment, Script, on_wire, script
+from twodof.experiment.experiments import LOOP, Experiment, Script, on_wire, script
 from twodof.experiment.flight import (
     MARGIN,
     PITCH_MARGIN,
@@ -33,9 +33,6 @@ from twodof.signals import PERIOD
 
 Progress = Callable[[str, float], None]
 """Callback with the current phase and the share of the flight that is done, 0 to 1."""
-
-LOOP = {"open-loop": "M", "rate": "q", "attitude": "theta", "velocity": "v", "position": "x"}
-"""Loop of each mode, by its name in `Drone.excite`."""
 
 WATCH = round(0.1 / PERIOD)
 """Control steps between two checks from the ground; the failsafe on board checks every step."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import ExperimentError
 from twodof.excitation import Excitation, from_dict
-from twodof.experiment.experiments import SETPOINT, UNIT
+from twodof.experiment.experiments import LOOP_MODES, SETPOINT, Experiment
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES, NONE
 from twodof.flight.gains import DEFAULT, Gains
 from twodof.signals import HOVER, MODES, OFF, PERIOD
@@ -24,9 +24,6 @@ LONGEST_S = 120.0
 BEFORE_S = 0.2
 AFTER_S = 1.0
 """Hover before the excitation, and flight after it [s]."""
-
-LOOP_MODES: Mapping[str, str] = {"M": "open-loop", "q": "rate", "theta": "attitude", "v": "velocity", "x": "position"}
-"""The mode in which each loop of `Drone.excite` is the outermost."""
 
 _EACH = 5
 Array = NDArray[np.float64]
@@ -89,7 +86,10 @@ def predict(
     At `thrust` 0 the rig rests before. `rings` locks the cart. Raises ExperimentError for an unknown loop, a wrong
     unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
     """
-    mode = _mode(excitation, loop, thrust, rings)
+    if loop not in LOOP_MODES:
+        raise ExperimentError(f"no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
+    mode = LOOP_MODES[loop]
+    Experiment("prediction", mode, excitation, rings, thrust)  # refuses what cannot be flown
     values = dict(rig) if isinstance(rig, Mapping) else load_rig_or_model(rig)
     begin = round(BEFORE_S / PERIOD) + (0 if thrust > 0.0 else ARMING)
     lasts = min(excitation.duration, LONGEST_S) + AFTER_S
@@ -148,23 +148,6 @@ def _before(thrust: float, rings: bool) -> int:
     if thrust == 0.0:
         return OFF
     return MODES.index("attitude" if rings else "position")
-
-
-def _mode(excitation: Excitation, loop: str, thrust: float, rings: bool) -> str:
-    if loop not in LOOP_MODES:
-        raise ExperimentError(f"no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
-    mode = LOOP_MODES[loop]
-    if excitation.unit != UNIT[mode]:
-        raise ExperimentError(
-            f"an excitation in {excitation.unit!r} for the loop of {loop}", "loop", f"give it in {UNIT[mode]!r}"
-        )
-    if not 0.0 <= thrust <= 1.0:
-        raise ExperimentError(f"thrust {thrust:g}", "thrust", "give 0 to 1; the drone hovers at 0.4")
-    if thrust == 0.0 and mode != "open-loop":
-        raise ExperimentError("a closed loop without thrust", "thrust", "give thrust, or excite the moment")
-    if rings and mode in ("velocity", "position"):
-        raise ExperimentError(f"the loop of {loop} with the cart locked", "rings", "free the rings")
-    return mode
 
 
 def _failsafe(

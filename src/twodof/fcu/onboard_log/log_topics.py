@@ -57,8 +57,11 @@ def row_names() -> tuple[str, ...]:
 
 
 Rows = NDArray[np.void]
-Value = Callable[[Rows], Any] | float
-"""What a field holds: something of the rows (n,), or always the same number."""
+Value = str | float | tuple[str | float, ...] | Callable[[Rows], Any]
+"""What a field holds: a column of the rows, a number, several of them side by side, or a function of the rows.
+
+A minus sign before a column's name negates it.
+"""
 
 BATTERY_TICKS, STATUS_TICKS = 125, 125
 MOTOR_PAIRS = ("fore", "aft", "fore", "aft")
@@ -82,39 +85,23 @@ def _changed(rows: Rows) -> NDArray[np.bool_]:
 
 
 class LoggedTopic(NamedTuple):
-    """A topic of PX4: `text` says what it holds and when, `fields` what stands behind the time stamp.
+    """A topic of PX4: `text` says what it holds and when, `fields` what stands behind the time stamp, as in ULog.
 
-    A field is its type and name, as in ULog, with what it holds. `when` chooses the steps in which it is written,
-    `stamp` says when it was measured [us] if not at the step.
+    `values` are what the fields hold, 0 where it names none. `when` chooses the steps in which it is written, `stamp`
+    says when it was measured [us] if not at the step.
     """
 
     name: str
     text: str
-    fields: dict[str, Value]
+    fields: str
+    values: dict[str, Value]
     when: Callable[[Rows], NDArray[np.bool_]] = _always
-    stamp: Callable[[Rows], Any] = lambda rows: rows["timestamp"]
+    stamp: Value = "timestamp"
 
     @property
     def format(self) -> str:
         """Return ULog's description of its records."""
-        return "uint64_t timestamp;" + "".join(f"{field};" for field in self.fields)
-
-
-def _of(name: str) -> Value:
-    return lambda rows: rows[name]
-
-
-def _vector(*names: str) -> Value:
-    """Put columns side by side; "" is 0, and a minus sign before a name negates it."""
-
-    def columns(rows: Rows) -> NDArray[np.float64]:
-        made = np.zeros((len(rows), len(names)))
-        for place, name in enumerate(names):
-            if name:
-                made[:, place] = -rows[name[1:]] if name.startswith("-") else rows[name]
-        return made
-
-    return columns
+        return f"uint64_t timestamp;{self.fields};"
 
 
 def _quaternion(name: str) -> Value:
@@ -125,13 +112,6 @@ def _quaternion(name: str) -> Value:
         return np.stack([np.cos(rows[name] / 2.0), zero, np.sin(rows[name] / 2.0), zero], axis=-1)
 
     return turned
-
-
-def _motors(rows: Rows) -> NDArray[np.float64]:
-    control = np.full((len(rows), 12), np.nan)
-    for motor, pair in enumerate(MOTOR_PAIRS):
-        control[:, motor] = rows[pair]
-    return control
 
 
 def _measured_us(rows: Rows) -> NDArray[np.int64]:
@@ -150,145 +130,118 @@ def _nav_state(rows: Rows) -> NDArray[np.uint8]:
     return np.asarray(states[np.clip(rows["asked_mode"], 0, len(MODES) - 1)])
 
 
-_SAMPLED: dict[str, Value] = {"uint64_t timestamp_sample": _of("timestamp")}
-_THRUST: dict[str, Value] = {"float[3] thrust_body": _vector("", "", "-T")}
-
-
-def _unset(kind: str, *names: str) -> dict[str, Value]:
-    """Return fields that are always 0."""
-    return {f"{kind} {name}": 0 for name in names}
-
-
 PX4_TOPICS: tuple[LoggedTopic, ...] = (
     LoggedTopic(
         "sensor_combined",
         "accelerometer and gyro, each sample of the IMU",
+        "float[3] gyro_rad;uint32_t gyro_integral_dt;int32_t accelerometer_timestamp_relative;"
+        "float[3] accelerometer_m_s2;uint32_t accelerometer_integral_dt",
         {
-            "float[3] gyro_rad": _vector("gyro_x", "gyro_y", "gyro_z"),
-            "uint32_t gyro_integral_dt": 4000,
-            "int32_t accelerometer_timestamp_relative": 0,
-            "float[3] accelerometer_m_s2": _vector("acc_x", "acc_y", "acc_z"),
-            "uint32_t accelerometer_integral_dt": 4000,
+            "gyro_rad": ("gyro_x", "gyro_y", "gyro_z"),
+            "gyro_integral_dt": 4000,
+            "accelerometer_m_s2": ("acc_x", "acc_y", "acc_z"),
+            "accelerometer_integral_dt": 4000,
         },
         lambda rows: rows["imu_new"] != 0,
     ),
     LoggedTopic(
         "vehicle_angular_velocity",
         "estimated pitch rate, each step",
-        {**_SAMPLED, "float[3] xyz": _vector("", "q", "")},
+        "uint64_t timestamp_sample;float[3] xyz",
+        {"timestamp_sample": "timestamp", "xyz": (0.0, "q", 0.0)},
     ),
     LoggedTopic(
         "vehicle_attitude",
         "estimated pitch as a quaternion, each step",
-        {
-            **_SAMPLED,
-            "float[4] q": _quaternion("theta"),
-            "float[4] delta_q_reset": 0,
-            "uint8_t quat_reset_counter": 0,
-        },
+        "uint64_t timestamp_sample;float[4] q;float[4] delta_q_reset;uint8_t quat_reset_counter",
+        {"timestamp_sample": "timestamp", "q": _quaternion("theta")},
     ),
     LoggedTopic(
         "vehicle_local_position",
         "estimated place and speed on the rail, 100 Hz",
-        {
-            **_SAMPLED,
-            "bool xy_valid": 1,
-            "bool z_valid": 0,
-            "bool v_xy_valid": 1,
-            "bool v_z_valid": 0,
-            "float x": _of("x"),
-            "float y": 0,
-            "float z": 0,
-            "float vx": _of("v"),
-            **_unset("float", "vy", "vz", "ax", "ay", "az", "heading"),
-            "float dist_bottom": np.nan,
-        },
+        "uint64_t timestamp_sample;bool xy_valid;bool z_valid;bool v_xy_valid;bool v_z_valid;float x;float y;float z;"
+        "float vx;float vy;float vz;float ax;float ay;float az;float heading;float dist_bottom",
+        {"timestamp_sample": "timestamp", "xy_valid": 1, "v_xy_valid": 1, "x": "x", "vx": "v", "dist_bottom": np.nan},
         lambda rows: is_published(rows["tick"].astype(np.int64) - 1),
     ),
     LoggedTopic(
         "vehicle_attitude_setpoint",
         "pitch set-point in use and thrust, each step",
-        {"float yaw_sp_move_rate": 0, "float[4] q_d": _quaternion("theta0"), **_THRUST},
+        "float yaw_sp_move_rate;float[4] q_d;float[3] thrust_body",
+        {"q_d": _quaternion("theta0"), "thrust_body": (0.0, 0.0, "-T")},
     ),
     LoggedTopic(
         "vehicle_rates_setpoint",
         "pitch-rate set-point in use, each step",
-        {"float roll": 0, "float pitch": _of("q0"), "float yaw": 0, **_THRUST},
+        "float roll;float pitch;float yaw;float[3] thrust_body",
+        {"pitch": "q0", "thrust_body": (0.0, 0.0, "-T")},
     ),
     LoggedTopic(
         "vehicle_local_position_setpoint",
         "position and velocity set-point in use, each step",
-        {
-            "float x": _of("x0"),
-            "float y": 0,
-            "float z": 0,
-            "float vx": _of("v0"),
-            **_unset("float", "vy", "vz", "yaw", "yawspeed"),
-        },
+        "float x;float y;float z;float vx;float vy;float vz;float yaw;float yawspeed",
+        {"x": "x0", "vx": "v0"},
     ),
     LoggedTopic(
-        "vehicle_torque_setpoint", "moment M as it flies, each step", {**_SAMPLED, "float[3] xyz": _vector("", "M", "")}
+        "vehicle_torque_setpoint",
+        "moment M as it flies, each step",
+        "uint64_t timestamp_sample;float[3] xyz",
+        {"timestamp_sample": "timestamp", "xyz": (0.0, "M", 0.0)},
     ),
     LoggedTopic(
         "vehicle_thrust_setpoint",
         "thrust T as it flies, each step",
-        {**_SAMPLED, "float[3] xyz": _vector("", "", "-T")},
+        "uint64_t timestamp_sample;float[3] xyz",
+        {"timestamp_sample": "timestamp", "xyz": (0.0, 0.0, "-T")},
     ),
     LoggedTopic(
         "actuator_motors",
         "the four motors' commands, each step; motors 1 and 3 are the fore pair, 2 and 4 the aft pair",
-        {**_SAMPLED, "uint16_t reversible_flags": 0, "float[12] control": _motors},
+        "uint64_t timestamp_sample;uint16_t reversible_flags;float[12] control",
+        {"timestamp_sample": "timestamp", "control": (*MOTOR_PAIRS, *(np.nan,) * 8)},
     ),
     LoggedTopic(
         "distance_sensor",
         "range, each sample, stamped when it was measured",
-        {
-            "uint32_t device_id": 0,
-            "float min_distance": 0.0,
-            "float max_distance": 1.3,
-            "float current_distance": _of("dist"),
-            "float variance": 0,
-            "int8_t signal_quality": -1,
-            **_unset("uint8_t", "type", "orientation"),
-        },
+        "uint32_t device_id;float min_distance;float max_distance;float current_distance;float variance;"
+        "int8_t signal_quality;uint8_t type;uint8_t orientation",
+        {"max_distance": 1.3, "current_distance": "dist", "signal_quality": -1},
         lambda rows: rows["dist_new"] != 0,
         _measured_us,
     ),
     LoggedTopic(
         "battery_status",
         "voltage and charge, 2 Hz",
+        "bool connected;float voltage_v;float current_a;float remaining;uint8_t cell_count;uint8_t warning",
         {
-            "bool connected": 1,
-            "float voltage_v": _of("voltage"),
-            "float current_a": -1.0,
-            "float remaining": _of("charge"),
-            "uint8_t cell_count": 3,
-            "uint8_t warning": _battery_warning,
+            "connected": 1,
+            "voltage_v": "voltage",
+            "current_a": -1.0,
+            "remaining": "charge",
+            "cell_count": 3,
+            "warning": _battery_warning,
         },
         lambda rows: rows["tick"] % BATTERY_TICKS == 0,
     ),
     LoggedTopic(
         "vehicle_status",
         "armed or not, PX4's mode, whether the failsafe acts: each change, and 2 Hz",
+        "uint64_t armed_time;uint8_t arming_state;uint8_t nav_state;uint8_t nav_state_user_intention;"
+        "uint8_t vehicle_type;bool failsafe",
         {
-            "uint64_t armed_time": 0,
-            "uint8_t arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
-            "uint8_t nav_state": _nav_state,
-            "uint8_t nav_state_user_intention": _nav_state,
-            "uint8_t vehicle_type": 1,
-            "bool failsafe": lambda rows: rows["action"] != 0,
+            "arming_state": lambda rows: np.where(rows["armed"] != 0, _ARMED, _DISARMED),
+            "nav_state": _nav_state,
+            "nav_state_user_intention": _nav_state,
+            "vehicle_type": 1,
+            "failsafe": lambda rows: rows["action"] != 0,
         },
         _changed,
     ),
     LoggedTopic(
         "actuator_armed",
         "armed, and whether arming is possible: each change, and 2 Hz",
-        {
-            "bool armed": _of("armed"),
-            "bool prearmed": 0,
-            "bool ready_to_arm": lambda rows: rows["causes"] == 0,
-            "bool lockdown": 0,
-        },
+        "bool armed;bool prearmed;bool ready_to_arm;bool lockdown",
+        {"armed": "armed", "ready_to_arm": lambda rows: rows["causes"] == 0},
         _changed,
     ),
 )
@@ -300,7 +253,17 @@ def records(topic: LoggedTopic, layout: np.dtype[np.void], rows: Rows) -> Rows:
     made = np.zeros(len(chosen), dtype=layout)
     if len(chosen):
         with np.errstate(over="ignore", invalid="ignore"):  # the pitch of infinity is NaN, beyond float32 is infinite
-            made["timestamp"] = topic.stamp(chosen)
-            for field, value in topic.fields.items():
-                made[field.split()[1]] = value(chosen) if callable(value) else value
+            for name, value in {"timestamp": topic.stamp, **topic.values}.items():
+                made[name] = _held(value, chosen)
     return made
+
+
+def _held(value: Value, rows: Rows) -> Any:
+    match value:
+        case str():
+            return -rows[value[1:]] if value.startswith("-") else rows[value]
+        case tuple():
+            return np.stack([np.broadcast_to(_held(one, rows), len(rows)) for one in value], axis=-1)
+        case float() | int():
+            return value
+    return value(rows)

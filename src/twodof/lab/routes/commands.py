@@ -12,8 +12,8 @@ from pydantic import Field
 from twodof.errors import ExperimentError, TwodofError
 from twodof.excitation import Excitation, Multisine, from_dict
 from twodof.experiment import EXPERIMENTS
-from twodof.experiment.experiments import UNIT
-from twodof.experiment.prediction import LOOP_MODES, predicted
+from twodof.experiment.experiments import LOOP, LOOP_MODES, UNIT
+from twodof.experiment.prediction import predicted
 from twodof.flight.gains import DEFAULT, GAIN_NAMES, Gains
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router
@@ -195,7 +195,6 @@ def _multisine(given: dict[str, Any]) -> Excitation:
 excitations_router = lab_router("/api/excitations", "excitations")
 PREDICT_S = 30.0
 """The first time it compiles the closed loop."""
-_LOOPS = {mode: loop for loop, mode in LOOP_MODES.items()}
 
 
 class AskedPreview(AskedExcitation):
@@ -213,7 +212,7 @@ async def excitations() -> list[dict[str, Any]]:
         {
             "name": one.name,
             "text": one.text,
-            "loop": _LOOPS[one.mode],
+            "loop": LOOP[one.mode],
             "thrust": one.thrust,
             "rings": one.rings,
             "excitation": one.excitation.to_dict(),

@@ -1,6 +1,5 @@
 """Promise of a step of the velocity or the position, by flights of an identified family on the virtual rig."""
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -13,7 +12,7 @@ from twodof.blocks import Diagram
 from twodof.compile.builder import build
 from twodof.compile.instances import Instances
 from twodof.compile.machine import CompiledProgram
-from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_family import PitchFamily, check_covariance, draw_within, sigma_in
 from twodof.design.promise import LEVEL, STEPS, Promise, check_numbers
 from twodof.design.specification import Requirement, Specification, requirements
 from twodof.errors import CompileError, ParameterError, shown
@@ -29,7 +28,6 @@ Array = NDArray[np.float64]
 
 RAIL = ("k_v", "p_v")
 _BOUNDS: Mapping[str, tuple[float, float]] = {"k_v": (0.1, 100.0), "p_v": (0.0, 50.0)}
-_REFUSED = 0.5  # of the draws
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +48,7 @@ class RailFamily:
         for name, (low, high) in _BOUNDS.items():
             if not low <= getattr(self, name) <= high:
                 raise _error("RailFamily", f"{name} = {getattr(self, name)!r}", f"{low:g} to {high:g} is possible")
-        p = np.asarray(self.covariance, dtype=float)
-        if p.shape != (2, 2) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
-            raise _error("RailFamily", f"a covariance of shape {p.shape}", "give finite numbers, symmetric, (2, 2)")
+        p = check_covariance(self.covariance, len(RAIL), "RailFamily")
         if (np.diag(p) < 0.0).any() or float(np.linalg.det(p)) < -1e-12 * float(np.prod(np.diag(p)) + 1e-300):
             raise _error("RailFamily", "the covariance has a negative direction", "identify again")
 
@@ -68,7 +64,7 @@ class RailFamily:
                 raise TypeError(shown(rail))
             rows: Mapping[str, Any] = rail["estimates"]
             at = [list(rows).index(name) for name in RAIL]
-            sigma = np.array([max(_sigma(rows[n], key) for key in ("sigma", "sigma_robust")) for n in RAIL])
+            sigma = np.array([max(sigma_in(rows[n], key) for key in ("sigma", "sigma_robust")) for n in RAIL])
             correlation = np.array(rail["correlation"], dtype=float)[np.ix_(at, at)]
             correlation = np.where(np.isfinite(correlation), correlation, np.eye(2))
             k_v, p_v = (float(rows[name]["value"]) for name in RAIL)
@@ -109,18 +105,7 @@ class RailFamily:
         bounds = np.array([_BOUNDS[name] for name in RAIL])
         values, vectors = np.linalg.eigh(np.asarray(self.covariance, dtype=float))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
-        kept, tried = np.zeros((0, 2)), 0
-        while len(kept) < count:
-            rows = np.array([self.k_v, self.p_v]) + rng.standard_normal((2 * count + 16, 2)) @ root.T
-            kept = np.concatenate([kept, rows[((rows >= bounds[:, 0]) & (rows <= bounds[:, 1])).all(axis=1)]])
-            tried += len(rows)
-            if len(kept) < (1.0 - _REFUSED) * tried:
-                raise _error(
-                    "RailFamily",
-                    "most carts that are drawn cannot be: the data hardly tell k_v and p_v",
-                    "identify again",
-                )
-        return kept[:count]
+        return draw_within(np.array([self.k_v, self.p_v]), root, bounds, count, rng)
 
     def to_json(self) -> dict[str, Any]:
         """Plain data, which `from_json` reads back."""
@@ -133,11 +118,6 @@ class RailFamily:
         pitch = PitchFamily.from_json(data["pitch"], where)
         covariance = np.array(data["covariance"], dtype=float)
         return cls(pitch, float(data["k_v"]), float(data["p_v"]), covariance, str(data["base"]))
-
-
-def _sigma(row: Mapping[str, Any], name: str) -> float:
-    value = row.get(name)
-    return float(value) if value is not None and math.isfinite(value) else 0.0
 
 
 HOLD = 8.0
