@@ -59,6 +59,14 @@ class BlockSymbol:
     title: str = ""
     own_heads: bool = False
 
+    def path(self, style: str, d: str) -> None:
+        """Draw a path with this class."""
+        self.shapes.append(f'<path class="{style}" d="{d}"/>')
+
+    def write(self, x: float, y: float, text: str, size: float = PORT, anchor: str = "middle", style: str = "") -> None:
+        """Write a text; see `SymbolText`."""
+        self.texts.append(SymbolText(x, y, text, size, anchor, style))
+
 
 def terminal(name: str, side: str, remark: str) -> BlockSymbol:
     """Return the symbol of an input or output of the diagram."""
@@ -66,13 +74,15 @@ def terminal(name: str, side: str, remark: str) -> BlockSymbol:
     small = shortened(remark, SMALL, MOST)
     inner = text_width(label, NAME, True) + (text_width(small, SMALL) + 6.0 if small else 0.0)
     width, middle = float(round(inner + 22.0)), 0.5 * TERMINAL
-    point = f"M8 0H{width - 8:g}L{width:g} {middle:g}L{width - 8:g} {TERMINAL:g}H8A8 {middle:g} 0 0 1 8 0Z"
-    texts = [SymbolText(9.0, middle + 4.0, label, NAME, "start", "name")]
-    if small:
-        texts.append(SymbolText(15.0 + text_width(label, NAME, True), middle + 3.5, small, SMALL, "start", "soft"))
     left, right = ([], [middle]) if side == "in" else ([middle], [])
-    shape = f'<path class="terminal" d="{point}"/>'
-    return BlockSymbol(Box(width, TERMINAL, left, right, side), [shape], texts, name)
+    made = BlockSymbol(Box(width, TERMINAL, left, right, side), title=name)
+    made.path(
+        "terminal", f"M8 0H{width - 8:g}L{width:g} {middle:g}L{width - 8:g} {TERMINAL:g}H8A8 {middle:g} 0 0 1 8 0Z"
+    )
+    made.write(9.0, middle + 4.0, label, NAME, "start", "name")
+    if small:
+        made.write(15.0 + text_width(label, NAME, True), middle + 3.5, small, SMALL, "start", "soft")
+    return made
 
 
 def symbol(part: Part, pins: Sequence[str], flip: bool = False) -> BlockSymbol:
@@ -167,25 +177,24 @@ def _rectangle(
     right = max((text_width(n, PORT) for n in named), default=0.0)
     widest = max([text_width(name, NAME, True), *(text_width(t, SMALL) for t in small), left + right + 18.0])
     width = float(round(widest + 18.0))
-    texts = [SymbolText(0.5 * width, 16.0, name, NAME, "middle", "name")]
-    y = 16.0
-    for t in small:
-        y += LINE
-        texts.append(SymbolText(0.5 * width, y, t, SMALL, "middle", "soft"))
-    top = y + 17.0
+    top = 33.0 + LINE * len(small)
     rows = [top + ROW * i for i in range(max(len(inputs), len(outputs)))]
     height = top + ROW * len(rows) - 5.0
-    wired = len(inputs) - sum(1 for what in CONDITIONS if getattr(part, what))
-    for i, (at, n) in enumerate(zip(rows, inputs, strict=False)):
-        texts.append(SymbolText(7.0, at, n, PORT, "start", "" if i < wired else "italic"))
-    texts += [SymbolText(width - 7.0, at, n, PORT, "end") for at, n in zip(rows, named, strict=False)]
-    shapes = [f'<rect class="{style}" width="{width:g}" height="{height:g}" rx="4"/>']
-    rule = top - 14.0
-    if rows:
-        shapes.append(f'<path class="rule" d="M0 {rule:g}H{width:g}"/>')
     heights = [at - 4.0 for at in rows]
     box = Box(width, height, heights[: len(inputs)], heights[: len(outputs)])
-    return BlockSymbol(box, shapes, texts, f"{part.name}: {kind}".rstrip(": "))
+    made = BlockSymbol(box, title=f"{part.name}: {kind}".rstrip(": "))
+    made.shapes.append(f'<rect class="{style}" width="{width:g}" height="{height:g}" rx="4"/>')
+    if rows:
+        made.path("rule", f"M0 {top - 14.0:g}H{width:g}")
+    made.write(0.5 * width, 16.0, name, NAME, "middle", "name")
+    for i, t in enumerate(small, 1):
+        made.write(0.5 * width, 16.0 + LINE * i, t, SMALL, "middle", "soft")
+    wired = len(inputs) - sum(1 for what in CONDITIONS if getattr(part, what))
+    for i, (at, n) in enumerate(zip(rows, inputs, strict=False)):
+        made.write(7.0, at, n, PORT, "start", "" if i < wired else "italic")
+    for at, n in zip(rows, named, strict=False):
+        made.write(width - 7.0, at, n, PORT, "end")
+    return made
 
 
 def _starts(part: Part) -> list[str]:
@@ -199,24 +208,31 @@ def _rate(part: Part) -> list[str]:
     return [f"every {divider} ticks" + (f" from {offset}" if offset else "")]
 
 
-def _labelled(part: Part, block: Block, width: float) -> BlockSymbol:
-    """Return an empty symbol of this width with its name below and pins at half its height."""
-    unit = _unit(block)
-    label = part.name + (f" [{unit}]" if unit else "") + "".join(f" · {r}" for r in _rate(part))
-    label = shortened(label, SMALL, MOST)
+def _label(part: Part, block: Block) -> str:
+    """Return the text below a symbol: the part's name, its unit and its rate."""
+    unit = str(grouped(block.outputs)[0].unit) if block.outputs else ""
+    return shortened(part.name + (f" [{unit}]" if unit else "") + "".join(f" · {r}" for r in _rate(part)), SMALL, MOST)
+
+
+def _labelled(part: Part, block: Block, width: float, outline: str) -> tuple[BlockSymbol, float]:
+    """Return a symbol of this width with its name below and pins at half its height, and the left edge of its outline.
+
+    `outline` is that of a shape at the origin, within the width and HIGH.
+    """
+    label = _label(part, block)
     wide = float(round(max(width, text_width(label, SMALL) + 2.0)))
-    middle = 0.5 * HIGH
+    middle, left = 0.5 * HIGH, 0.5 * (wide - width)
     inputs, outputs = grouped(block.inputs), grouped(block.outputs)
-    box = Box(wide, HIGH + 15.0, [middle] * len(inputs), [middle] * len(outputs))
-    made = BlockSymbol(box, [], [SymbolText(0.5 * wide, HIGH + 11.0, label, SMALL, "middle", "soft")], part.name)
-    left = 0.5 * (wide - width)
+    made = BlockSymbol(Box(wide, HIGH + 15.0, [middle] * len(inputs), [middle] * len(outputs)), title=part.name)
+    made.write(0.5 * wide, HIGH + 11.0, label, SMALL, "middle", "soft")
     if left >= 1.0:  # the name is wider than the shape: wires go on to it
         for ports, x1, x2 in ((inputs, 0.0, left), (outputs, wide - left, wide)):
             for port in ports:
-                made.shapes.append(f'<path class="{wire_class(port)}" d="M{x1:g} {middle:g}H{x2:g}"/>')
+                made.path(wire_class(port), f"M{x1:g} {middle:g}H{x2:g}")
         made.own_heads = True
         made.shapes += [arrow(left, middle, 1, 0)] * len(inputs)
-    return made
+    made.shapes.append(outline.format(left=left, right=left + width, width=width))
+    return made, left
 
 
 def wire_class(port: Port | None) -> str:
@@ -229,39 +245,32 @@ def wire_class(port: Port | None) -> str:
     return "wire" + (" array" if port.width is not None else "") + kind
 
 
-def _unit(block: Block) -> str:
-    port = grouped(block.outputs)[0] if block.outputs else None
-    return "" if port is None else str(port.unit)
-
-
 def _sum(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
     signs = block.signs
     if len(signs) > 3:
         return None
-    label = shortened(part.name + (f" [{_unit(block)}]" if _unit(block) else ""), SMALL, MOST)
+    label = _label(part, block)
     width = float(round(max(4.0 * RADIUS + 2.0, text_width(label, SMALL) + 2.0)))
-    above = len(signs) == 3 or (len(signs) == 2 and flip)
-    below = len(signs) == 3 or (len(signs) == 2 and not flip)
-    x, y = 0.5 * width, RADIUS + 2.0 + (14.0 if above else 0.0)
     places = {1: "l", 2: "lt" if flip else "lb", 3: "tlb"}[len(signs)]
-    foot = y + RADIUS + (14.0 if below else 0.0)
+    x, y = 0.5 * width, RADIUS + 2.0 + (14.0 if "t" in places else 0.0)
+    foot = y + RADIUS + (14.0 if "b" in places else 0.0)
     heights = {"l": y, "t": y - RADIUS - 12.0, "b": foot}
-    made = BlockSymbol(Box(width, foot + 15.0, [heights[p] for p in places], [y]), [], [], part.name)
-    made.own_heads = True
-    made.shapes.append(f'<path class="wire" d="M{x + RADIUS:g} {y:g}H{width:g}"/>')
+    box = Box(width, foot + 15.0, [heights[p] for p in places], [y])
+    made = BlockSymbol(box, title=part.name, own_heads=True)
+    made.path("wire", f"M{x + RADIUS:g} {y:g}H{width:g}")
     for p, sign in zip(places, signs, strict=True):
         mark = "+" if sign == "+" else "−"
         if p == "l":
-            made.shapes += [f'<path class="wire" d="M0 {y:g}H{x - RADIUS - 4:g}"/>', arrow(x - RADIUS, y, 1, 0)]
-            made.texts.append(SymbolText(x - RADIUS - 7.0, y - 4.0, mark, VALUE))
+            made.path("wire", f"M0 {y:g}H{x - RADIUS - 4:g}")
+            made.shapes.append(arrow(x - RADIUS, y, 1, 0))
+            made.write(x - RADIUS - 7.0, y - 4.0, mark, VALUE)
         else:
             down = 1 if p == "t" else -1
-            end = y - down * (RADIUS + 4.0)
-            made.shapes.append(f'<path class="wire" d="M0 {heights[p]:g}H{x:g}V{end:g}"/>')
+            made.path("wire", f"M0 {heights[p]:g}H{x:g}V{y - down * (RADIUS + 4.0):g}")
             made.shapes.append(arrow(x, y - down * RADIUS, 0, down))
-            made.texts.append(SymbolText(x + 9.0, y + (-RADIUS - 3.0 if p == "t" else RADIUS + 12.0), mark, VALUE))
+            made.write(x + 9.0, y + (-RADIUS - 3.0 if p == "t" else RADIUS + 12.0), mark, VALUE)
     made.shapes.append(f'<circle class="block" cx="{x:g}" cy="{y:g}" r="{RADIUS:g}"/>')
-    made.texts.append(SymbolText(0.5 * width, foot + 11.0, label, SMALL, "middle", "soft"))
+    made.write(x, foot + 11.0, label, SMALL, "middle", "soft")
     return made
 
 
@@ -287,13 +296,15 @@ def _special(part: Part, block: Any, flip: bool) -> BlockSymbol | None:
     return _framed(part, block, _FORMULAS[kind](part, block), fraction=True) if kind in _FORMULAS else None
 
 
+_FRAME = f'<rect class="block" x="{{left:g}}" width="{{width:g}}" height="{HIGH:g}" rx="3"/>'
+
+
 def _gain(part: Part, block: Any) -> BlockSymbol:
     value = shortened(value_text(part, block, "k"), VALUE, 90.0)
     width = float(round(max(44.0, (text_width(value, VALUE) + 6.0) / 0.56)))
-    made = _labelled(part, block, width)
-    left = 0.5 * (made.box.width - width)
-    made.shapes.append(f'<path class="block" d="M{left:g} 0L{left + width:g} 22L{left:g} 44Z"/>')
-    made.texts.append(SymbolText(left + 4.0, 26.5, value, VALUE, "start"))
+    triangle = '<path class="block" d="M{left:g} 0L{right:g} 22L{left:g} 44Z"/>'
+    made, left = _labelled(part, block, width, triangle)
+    made.write(left + 4.0, 26.5, value, VALUE, "start")
     return made
 
 
@@ -302,55 +313,39 @@ def _framed(part: Part, block: Block, lines: Sequence[str], fraction: bool = Fal
     inner = max(text_width(t, VALUE) for t in lines)
     if inner > MOST:
         return None
-    made, _ = _boxed(part, block, float(round(max(46.0, inner + 18.0))))
+    made, _ = _labelled(part, block, float(round(max(46.0, inner + 18.0))), _FRAME)
     middle = 0.5 * made.box.width
-    if len(lines) == 1:
-        made.texts.append(SymbolText(middle, 26.5, lines[0], VALUE))
-        return made
-    if fraction:
-        made.shapes.append(f'<path class="bar" d="M{middle - 0.5 * inner - 3:g} 22H{middle + 0.5 * inner + 3:g}"/>')
-    made.texts += [SymbolText(middle, 16.5, lines[0], VALUE), SymbolText(middle, 36.0, lines[1], VALUE)]
+    if fraction and len(lines) > 1:
+        made.path("bar", f"M{middle - 0.5 * inner - 3:g} 22H{middle + 0.5 * inner + 3:g}")
+    for y, line in zip((26.5,) if len(lines) == 1 else (16.5, 36.0), lines, strict=True):
+        made.write(middle, y, line, VALUE)
     return made
-
-
-def _boxed(part: Part, block: Block, width: float) -> tuple[BlockSymbol, float]:
-    """Return an empty box of this width with its name below, and its left edge."""
-    made = _labelled(part, block, width)
-    left = 0.5 * (made.box.width - width)
-    made.shapes.append(f'<rect class="block" x="{left:g}" width="{width:g}" height="{HIGH:g}" rx="3"/>')
-    return made, left
 
 
 def _graph(part: Part, block: Block, path: str) -> BlockSymbol:
     """Return a box with a small graph on axes, and two limits below and above, if it has them."""
     limits = ("low", "high") if type(block).type_name in _LIMITED else ()
     texts = [shortened(value_text(part, block, name), SMALL, 60.0) for name in limits]
-    inner = max((text_width(t, SMALL) for t in texts), default=0.0)
-    made, left = _boxed(part, block, float(round(50.0 + (inner + 4.0 if texts else 0.0))))
+    inner = max((text_width(t, SMALL) + 4.0 for t in texts), default=0.0)
+    made, left = _labelled(part, block, float(round(50.0 + inner)), _FRAME)
     axes = '<path class="axes" d="M5 22H45M25 5V39"/>'
     made.shapes.append(f'<g transform="translate({left:g} 0)">{axes}<path class="bar" d="{path}"/></g>')
-    made.texts += [
-        SymbolText(left + 48.0, y, t, SMALL, "start", "soft") for y, t in zip((38.0, 14.0), texts, strict=False)
-    ]
+    for y, t in zip((38.0, 14.0), texts, strict=False):
+        made.write(left + 48.0, y, t, SMALL, "start", "soft")
     return made
 
 
 def _polynomial(values: Any, variable: str, falling: bool = True) -> str:
     """Coefficients in descending powers (or, not `falling`, ascending powers of 1/variable) as text."""
-    terms = []
-    degree = len(values) - 1
+    text = ""
     for i, c in enumerate(values):
-        power = degree - i if falling else -i
-        if c == 0.0 and len(values) > 1:
+        power = len(values) - 1 - i if falling else -i
+        if c == 0.0:
             continue
-        factor = "" if abs(c) == 1.0 and power else _number(abs(c))
         base = "" if power == 0 else variable if power == 1 else variable + str(power).translate(_SUPERSCRIPT)
         sign = "−" if c < 0 else "+"
-        terms.append((sign, factor + base))
-    if not terms:
-        return "0"
-    first = ("−" if terms[0][0] == "−" else "") + terms[0][1]
-    return first + "".join(f" {sign} {term}" for sign, term in terms[1:])
+        text += (f" {sign} " if text else sign.strip("+")) + ("" if abs(c) == 1.0 and power else _number(abs(c))) + base
+    return text or "0"
 
 
 def _rational(variable: str, falling: bool = True) -> _Formula:
