@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.toolchains import PACKAGES, need
 from twodof.compile.px4.controller import EXACT
 from twodof.compile.px4.export import Px4Module
-from twodof.compile.px4.work_item import FIELDS
+from twodof.compile.px4.work_item import TOPICS
 
 STAND_IN = Path(__file__).parent / "stand_in"
 DEADLINE = 120.0
@@ -41,6 +41,8 @@ _TYPES = {
     "float32": "float",
     "bool": "bool",
 }
+
+FIELDS = {topic: row["fields"] for topic, row in TOPICS.items()}
 
 
 _CONSTANTS = {"vehicle_command": {"VEHICLE_CMD_COMPONENT_ARM_DISARM": 400}}

@@ -1,7 +1,7 @@
 """A module's controller: its C in float32 behind a small interface, and the uORB message of each of its steps."""
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from twodof.blocks.diagram import Diagram
@@ -221,25 +221,22 @@ def source(names: ModuleNames, found: MessageFields, rows: Sequence[ExportedPara
         table=_table(names, rows),
         assignments=_assignments(rows, layout),
         inputs=_copies(
-            (
+            [
                 (f"own->u.{layout.inputs[signal].name}", f"in->{f.name}", f.width)
                 for signal, f in zip(made.program.inputs.values(), found.inputs, strict=True)
-            ),
+            ],
             "in",
         ),
         outputs=_copies(
-            ((f"out->{f.name}", f"own->y.{layout.outputs[f.path].name}", f.width) for f in found.outputs), "out"
+            [(f"out->{f.name}", f"own->y.{layout.outputs[f.path].name}", f.width) for f in found.outputs], "out"
         ),
         unpacked=_words(
-            found.inputs,
-            "in->{name} = words[{at}] != 0u;",
-            "memcpy(&in->{name}, words + {at}, sizeof in->{name});",
-            "in",
+            found.inputs, "in->{name} = {word} != 0u;", "memcpy(&in->{name}, {place}, sizeof in->{name});", "in"
         ),
         packed=_words(
             found.outputs,
-            "words[{at}] = out->{name} ? 1u : 0u;",
-            "memcpy(words + {at}, &out->{name}, sizeof out->{name});",
+            "{word} = out->{name} ? 1u : 0u;",
+            "memcpy({place}, &out->{name}, sizeof out->{name});",
             "out",
         ),
     )
@@ -275,25 +272,22 @@ def _integer(value: float) -> str:
 def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str:
     members = {parameter.path: member for parameter, member in layout.parameters.items()}
     lines = {False: "", True: ""}
+    values = {"real": "real", "bool": "integer != 0"}
     for i, row in enumerate(rows):
         if not row.path:
             continue
         element = "" if row.index is None else f"[{row.index}]"
-        value = {
-            "real": f"values[{i}].real",
-            "int32": f"values[{i}].integer",
-            "uint32": f"(uint32_t)values[{i}].integer",
-            "bool": f"values[{i}].integer != 0",
-        }[row.kind]
         member = members[row.path]
-        cast = f"({C_TYPES[member.kind]})" if member.kind in STORED else ""
+        stored = member.kind in STORED or row.kind == "uint32"
+        cast = f"({C_TYPES[member.kind if member.kind in STORED else row.kind]})" if stored else ""
+        value = f"{cast}values[{i}].{values.get(row.kind, 'integer')}"
         indent = "        " if row.fixed else "    "
-        lines[row.fixed] += f"{indent}own->candidate.{member.name}{element} = {cast}{value};\n"
+        lines[row.fixed] += f"{indent}own->candidate.{member.name}{element} = {value};\n"
     starting = f"    if (starting) {{\n{lines[True]}    }}\n" if lines[True] else ""
     return lines[False] + starting
 
 
-def _copies(pairs: Iterable[tuple[str, str, int | None]], unused: str) -> str:
+def _copies(pairs: Sequence[tuple[str, str, int | None]], unused: str) -> str:
     """Return lines that copy origins to targets: scalars, or arrays of the given width."""
     lines = [
         f"    {to} = {origin};\n" if width is None else f"    memcpy({to}, {origin}, sizeof {to});\n"
@@ -306,10 +300,9 @@ def _words(members: Sequence[MessageField], flag: str, whole: str, unused: str) 
     """Return lines that copy `members` from or to words of 32 bits: `flag` for a bool, `whole` for other kinds."""
     lines, at = [], 0
     for f in members:
-        if f.kind == "bool":
-            elements = [f.name] if f.width is None else [f"{f.name}[{i}]" for i in range(f.width)]
-            lines += [f"    {flag.format(name=name, at=at + i)}\n" for i, name in enumerate(elements)]
-        else:
-            lines.append(f"    {whole.format(name=f.name, at=at)}\n")
+        names = [f.name] if f.width is None else [f"{f.name}[{i}]" for i in range(f.width)]
+        for i, name in enumerate(names if f.kind == "bool" else [f.name]):
+            line = flag if f.kind == "bool" else whole
+            lines.append(f"    {line.format(name=name, word=f'words[{at + i}]', place=f'words + {at}')}\n")
         at += f.words
     return "".join(lines) or f"    (void)words;\n    (void){unused};\n"

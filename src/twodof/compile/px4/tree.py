@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from twodof.errors import CompileError, LogError
+from twodof.errors import CompileError, LogError, listed
 from twodof.flightlog.atomic import atomic_write
 
 MANIFEST = "twodof-px4.json"
@@ -91,11 +91,8 @@ def write_tree(folder: Path, files: Mapping[str, str], force: bool = False) -> N
                 old.rename(target)
             raise
     except OSError as refusal:
-        raise CompileError(
-            f"cannot be written: {refusal.strerror or refusal}",
-            str(folder),
-            "nothing was changed; choose another place",
-        ) from refusal
+        what = f"cannot be written: {refusal.strerror or refusal}"
+        raise CompileError(what, str(folder), "nothing was changed; choose another place") from refusal
     finally:
         shutil.rmtree(fresh, ignore_errors=True)
         if target.exists():  # otherwise `old` is all there is
@@ -110,17 +107,12 @@ def _check_place(target: Path, folder: Path, force: bool) -> None:
     if not any(target.iterdir()):
         return
     if read_manifest(target) is None:
-        raise LogError(
-            "is a folder with something else in it", str(folder), "name a new or an empty folder, or an earlier export"
-        )
+        remedy = "name a new or an empty folder, or an earlier export"
+        raise LogError("is a folder with something else in it", str(folder), remedy)
     other = strangers(target)
     if other and not force:
-        listed = ", ".join(other[:5]) + (f" and {len(other) - 5} more" if len(other) > 5 else "")
-        raise LogError(
-            f"has files that were added or changed since the export: {listed}",
-            str(folder),
-            "save them elsewhere, or give --force to lose them",
-        )
+        what = f"has files that were added or changed since the export: {listed(other, 5)}"
+        raise LogError(what, str(folder), "save them elsewhere, or give --force to lose them")
 
 
 ERROR, WARNING = "error", "warning"
@@ -191,8 +183,7 @@ def _export(folder: Path) -> Iterator[_Row]:
         (WARNING, strangers(folder), "was changed since the export"),
     ):
         if paths:
-            more = f" and {len(paths) - 5} more" if len(paths) > 5 else ""
-            yield level, f"{what}: {', '.join(paths[:5])}{more}", folder, "export the diagram again"
+            yield level, f"{what}: {listed(paths, 5)}", folder, "export the diagram again"
 
 
 def _version(root: Path) -> Iterator[Any]:

@@ -5,7 +5,7 @@ which is another class after v1.17, so that one text serves all versions.
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from types import MappingProxyType
@@ -23,49 +23,18 @@ _TABLES: Mapping[str, Any] = tomllib.loads(resources.files(__package__).joinpath
 class Reading:
     """Source of an input: its topics, a description, its value in C++, its type and unit."""
 
-    topics: tuple[str, ...]
+    topics: Sequence[str]
     text: str
     value: str
     kind: str = "real"
     unit: str = ""
 
 
-@dataclass(frozen=True)
-class Commanding:
-    """Common part of the modules that command the same: see `topics.toml`."""
-
-    writes: tuple[str, ...]
-    finite: tuple[str, ...]
-    when: str
-    wanted: str
-    safe: str
-
-
-def _frozen(row: dict[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in row.items()}
-
-
-# Of each topic the fields that a module may touch, with their types.
-FIELDS: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {topic: row["fields"] for topic, row in _TABLES["topics"].items()}
-)
-# The topics that are read into a member of the class; of some of them a test whether they may be used.
-MEMBERS: Mapping[str, str] = MappingProxyType(
-    {topic: row["member"] for topic, row in _TABLES["topics"].items() if "member" in row}
-)
-FRESH: Mapping[str, str] = MappingProxyType(
-    {topic: row["fresh"] for topic, row in _TABLES["topics"].items() if "fresh" in row}
-)
-INPUTS: Mapping[str, Reading] = MappingProxyType(
-    {name: Reading(**_frozen(row)) for name, row in _TABLES["inputs"].items()}
-)
-SHARED: Mapping[str, str] = MappingProxyType(_TABLES["shared"])
+# Of each topic the fields that a module may touch, the class's member that keeps it, and a test of its age.
+TOPICS: Mapping[str, Any] = MappingProxyType(_TABLES["topics"])
+INPUTS: Mapping[str, Reading] = MappingProxyType({name: Reading(**row) for name, row in _TABLES["inputs"].items()})
 OUTPUTS: Mapping[str, str] = MappingProxyType(_TABLES["outputs"])
-_COMMANDING = {name: Commanding(**_frozen(row)) for name, row in _TABLES["commands"].items()}
-MOTORS = _COMMANDING["motors"].finite
-
-# A module of PX4 -> the topic that it alone advertises, from its start to its end.
-SIGNS: Mapping[str, str] = MappingProxyType(_TABLES["signs"])
+MOTORS = tuple(_TABLES["commands"]["motors"]["finite"])
 
 
 @dataclass(frozen=True)
@@ -104,7 +73,7 @@ class ModuleRole:
 
         `vehicle_attitude_setpoint` is not among them: mavlink and mc_att_control publish it too, and never end.
         """
-        signs = {SIGNS[module]: module for module in self.stops}
+        signs = {_TABLES["signs"][module]: module for module in self.stops}
         others = () if self.commands == "attitude" else self.writes
         return {**dict.fromkeys(others, "another module"), **signs}
 
@@ -114,14 +83,15 @@ class ModuleRole:
         return tuple(sorted({*self.signs, "vehicle_command", "vehicle_status"}))
 
     @property
-    def commanding(self) -> Commanding:
-        """The part in common with all modules that command the same."""
-        return _COMMANDING[self.commands]
+    def commanding(self) -> Mapping[str, Any]:
+        """The part in common with all modules that command the same: see `topics.toml`."""
+        common: Mapping[str, Any] = _TABLES["commands"][self.commands]
+        return common
 
     @property
     def writes(self) -> tuple[str, ...]:
         """The topics published, in the order in which they are."""
-        return self.commanding.writes
+        return tuple(self.commanding["writes"])
 
 
 def role(program: FlatProgram) -> ModuleRole:
@@ -130,49 +100,42 @@ def role(program: FlatProgram) -> ModuleRole:
     Raises DiagramError, with the known names, for an input that PX4 has nothing for. It does so for a port of another
     type, width or unit, and for outputs that command nothing or too much.
     """
+
+    def refused(what: str, remedy: str) -> DiagramError:
+        return DiagramError(what, program.name, remedy)
+
     for name, signal in program.inputs.items():
         reading = INPUTS.get(name)
         if reading is None:
-            raise DiagramError(
-                f"PX4 has nothing for its input {name!r}", program.name, f"inputs may be {', '.join(INPUTS)}"
-            )
+            raise refused(f"PX4 has nothing for its input {name!r}", f"inputs may be {', '.join(INPUTS)}")
         if (signal.kind, signal.width) != (reading.kind, None):
             width = "" if signal.width is None else f" of {signal.width}"
-            raise DiagramError(
-                f"its input {name!r} is {signal.kind}{width}", program.name, f"make it {reading.kind}, a scalar"
-            )
+            raise refused(f"its input {name!r} is {signal.kind}{width}", f"make it {reading.kind}, a scalar")
         if signal.unit and reading.unit and signal.unit != reading.unit:
-            raise DiagramError(f"its input {name!r} is in {signal.unit}", program.name, f"PX4 gives {reading.unit}")
+            raise refused(f"its input {name!r} is in {signal.unit}", f"PX4 gives {reading.unit}")
     if not program.inputs:
-        raise DiagramError("it has no inputs", program.name, f"give it some of {', '.join(INPUTS)}")
-    found = tuple(name for name in OUTPUTS if name in program.outputs)
+        raise refused("it has no inputs", f"give it some of {', '.join(INPUTS)}")
+    inputs, found = tuple(program.inputs), tuple(name for name in OUTPUTS if name in program.outputs)
     for name in found:
-        signal = program.outputs[name]
-        if (signal.kind, signal.width) != ("real", None):
-            raise DiagramError(f"its output {name!r} is not a real scalar", program.name, "make it one")
+        if (program.outputs[name].kind, program.outputs[name].width) != ("real", None):
+            raise refused(f"its output {name!r} is not a real scalar", "make it one")
     moved = [name for name in MOTORS if name in found]
-    inputs = tuple(program.inputs)
     if moved and (len(moved) < len(MOTORS) or "M" in found):
-        raise DiagramError(
-            f"it commands {', '.join(found)}", program.name, "command all of motor_1 to motor_4 and no M, or only M"
-        )
+        raise refused(f"it commands {', '.join(found)}", "command all of motor_1 to motor_4 and no M, or only M")
     if moved:
         return ModuleRole("motors", inputs, found, ("control_allocator",))
     if "M" in found and "M_0" in inputs:
-        raise DiagramError("it reads M_0 and gives M", program.name, "M_0 is for a diagram that commands the motors")
+        raise refused("it reads M_0 and gives M", "M_0 is for a diagram that commands the motors")
     if "M" in found:
         above = ("mc_pos_control",) if "thrust" in found else ()
         return ModuleRole("torque", inputs, found, ("mc_rate_control", *above))
     if "theta_0" in found and "thrust" in found:
         circular = [name for name in ("theta_0", "thrust_0") if name in inputs]
         if circular:
-            raise DiagramError(
-                f"it reads {' and '.join(circular)}, which it commands itself", program.name, "remove that input"
-            )
+            raise refused(f"it reads {' and '.join(circular)}, which it commands itself", "remove that input")
         return ModuleRole("attitude", inputs, found, ("mc_pos_control",))
-    raise DiagramError(
+    raise refused(
         f"its outputs ({', '.join(program.outputs) or 'none'}) command nothing in PX4",
-        program.name,
         "give it M; M and thrust; thrust and theta_0; or motor_1, motor_2, motor_3, motor_4",
     )
 
@@ -186,8 +149,8 @@ def work_item_header(names: ModuleNames, role: ModuleRole) -> str:
     topics = sorted({*role.reads, *role.writes, *role.asides, names.module})
     read = _kept(role)
     members = ["    float _thrust_setpoint{0.f};"] if role.thrust_setpoint else []
-    members += [f"    {topic}_s {MEMBERS[topic]}{{}};" for topic in read]
-    members += [f"    uORB::Subscription {MEMBERS[topic]}_sub{{ORB_ID({topic})}};" for topic in read]
+    members += [f"    {topic}_s {TOPICS[topic]['member']}{{}};" for topic in read]
+    members += [f"    uORB::Subscription {TOPICS[topic]['member']}_sub{{ORB_ID({topic})}};" for topic in read]
     output = f"{names.class_name}Output"
     return fill(
         "work_item.hpp",
@@ -220,7 +183,7 @@ def work_item(names: ModuleNames, role: ModuleRole, found: MessageFields) -> str
 
 def _kept(role: ModuleRole) -> list[str]:
     """Return the topics whose latest value the class keeps."""
-    return [topic for topic in role.reads if topic in MEMBERS]
+    return [topic for topic in role.reads if "member" in TOPICS[topic]]
 
 
 def _message(found: MessageFields) -> str:
@@ -240,12 +203,19 @@ def _input_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) ->
     # What is measured, all reals but the set-points, must be finite.
     members = {f.path: f.name for f in found.inputs if f.kind == "real" and not f.path.endswith("_0")}
     measured = [members[path] for path in INPUTS if path in members]
-    tests = [FRESH[topic] for topic in read if topic in FRESH] + [f"PX4_ISFINITE(_in.{name})" for name in measured]
+    tests = [TOPICS[topic]["fresh"] for topic in read if "fresh" in TOPICS[topic]] + [
+        f"PX4_ISFINITE(_in.{name})" for name in measured
+    ]
     body = "".join(f"    _in.{f.name} = {_value(role, f.path)};\n" for f in found.inputs)
-    body = "".join(f"    const bool {name} = {value};\n" for name, value in SHARED.items() if name in body) + body
+    body = (
+        "".join(f"    const bool {name} = {value};\n" for name, value in _TABLES["shared"].items() if name in body)
+        + body
+    )
     return {
         "pitch_of": fill("pitch_of.cpp", names) if "pitch_of" in body else "",
-        "updates": "\n".join(f"    {MEMBERS[topic]}_sub.update(&{MEMBERS[topic]});" for topic in read),
+        "updates": "\n".join(
+            f"    {TOPICS[topic]['member']}_sub.update(&{TOPICS[topic]['member']});" for topic in read
+        ),
         "thrust": fill("thrust_setpoint.cpp", names) if role.thrust_setpoint else "",
         "sound": "\n           && ".join(tests) or "true",
         "inputs": body if "rates." in body else f"    (void)rates;\n{body}",
@@ -268,7 +238,7 @@ def _own_thrust(role: ModuleRole) -> bool:
 def _command_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) -> dict[str, str]:
     """Return the fields that judge the commands and publish them."""
     members = {f.path: f"_out.{f.name}" for f in found.outputs if f.name.startswith("out_")}
-    finite = [members[name] for name in role.outputs if name in role.commanding.finite]
+    finite = [members[name] for name in role.outputs if name in role.commanding["finite"]]
     if role.commands == "motors":
         limited = (f"limited({members[name]}, 0.f, 1.f)" for name in MOTORS)
         values = {"motors": "\n".join(f"    motors.control[{i}] = _active ? {v} : NAN;" for i, v in enumerate(limited))}
@@ -284,6 +254,6 @@ def _command_fields(names: ModuleNames, role: ModuleRole, found: MessageFields) 
         values = {"moment": members["M"], "thrust": thrust}
     return {
         "finite": " && ".join(f"PX4_ISFINITE({member})" for member in finite),
-        "wanted": f"    {role.commanding.wanted}",
+        "wanted": f"    {role.commanding['wanted']}",
         "commands": fill(f"command_{role.commands}.cpp", names, **values),
     }
