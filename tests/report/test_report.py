@@ -308,7 +308,7 @@ def test_page_shows_the_names_and_numbers_given(whole: Content, page: str) -> No
 @pytest.mark.long
 def test_figures_take_the_colours_of_the_page(whole: Content, page: str) -> None:
     drawings = re.findall(r"<svg.*?</svg>", page, flags=re.DOTALL)
-    assert len(drawings) == 1 + sum(len(one.figures) + len(one.checks) for one in whole.subjects)
+    assert len(drawings) == 1 + sum(len(one.figures) + len(one.fits) for one in whole.subjects)
     declared = set(re.findall(r"(--[\w-]+):", page))
     for drawing in drawings:
         ElementTree.fromstring(drawing.replace("<svg ", '<svg xmlns:xlink="http://www.w3.org/1999/xlink" ', 1))

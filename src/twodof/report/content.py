@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.identify.validate import Comparison
+from twodof.identify.estimate import Estimate
 
 Array = NDArray[np.float64]
 # Each role of a line has its own colour and stroke, the same in every figure.
@@ -120,38 +120,15 @@ class Figure:
 
 
 @dataclass(frozen=True, eq=False)
-class FitCheck:
-    """Residuals of a grey-box fit: one output of the identification data, and of validation data.
-
-    `unit` is the output's; `note` explains the meaning of the residual tests for the standard deviations.
-    """
-
-    experiment: str
-    unit: str
-    identification: Comparison
-    validation: Sequence[Comparison] = ()
-    note: str = ""
-
-
-@dataclass(frozen=True, eq=False)
 class Subject:
-    """One machine, virtual or real, and all results about it."""
+    """One machine, virtual or real, and all results about it; `fits` are its grey-box fits by experiment."""
 
     name: str
     text: str
     rows: Sequence[ParameterRow]
     figures: Sequence[Figure] = ()
-    checks: Sequence[FitCheck] = ()
+    fits: Mapping[str, Estimate] = field(default_factory=dict)
     doubts: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Erratum:
-    """A place in the paper, the printed text, and the finding of this work."""
-
-    place: str
-    printed: str
-    shown: str
 
 
 @dataclass(frozen=True)
@@ -170,12 +147,16 @@ class ReportTable:
 
 @dataclass(frozen=True, eq=False)
 class Content:
-    """The whole report; `provenance` lists versions, seeds and files, so that the run can be repeated."""
+    """The whole report.
+
+    `errata` are the paper's: place, printed text and finding of each. `provenance` lists versions, seeds and files, so
+    that the run can be repeated.
+    """
 
     title: str
     lead: str
     findings: Sequence[str]
     subjects: Sequence[Subject]
-    errata: Sequence[Erratum] = ()
+    errata: Sequence[tuple[str, str, str]] = ()
     tables: Sequence[ReportTable] = ()
     provenance: Mapping[str, str] = field(default_factory=dict)

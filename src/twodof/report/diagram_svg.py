@@ -36,10 +36,26 @@ def escape(text: str) -> str:
     return escape_html("".join(c if c.isprintable() else " " for c in text))
 
 
-def picture(**fields: str) -> str:
-    """Return the SVG document `diagram.svg` with its fields filled in."""
+def document(
+    name: str, about: str, described: str, size: tuple[float, float], drawing: Sequence[str], legend: Sequence[str] = ()
+) -> str:
+    """Return an SVG document: a heading with `about`, below it the drawing of this size, and the legend."""
+    about = shortened(about, 12.0, 700.0)
+    head = 50.0 if about else 34.0
+    width = max(size[0], text_width(name, 17.0, True) + 32.0, text_width(about, 12.0) + 32.0)
+    height = size[1] + head + (20.0 if legend else 0.0)
+    key = ["", f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
     template = resources.files(__package__).joinpath("diagram.svg").read_text(encoding="utf-8")
-    return Template(template).substitute(**fields)
+    return Template(template).substitute(
+        width=f"{width:g}",
+        height=f"{height:g}",
+        title=escape(name),
+        described=escape(described[:2000]),
+        about=f'\n<text class="soft" x="16" y="44" font-size="12">{escape(about)}</text>' if about else "",
+        head=f"{head:g}",
+        drawing="\n".join(drawing),
+        legend="\n".join(key),
+    )
 
 
 @dataclass
@@ -77,23 +93,11 @@ def find(diagram: Diagram, path: str) -> Diagram:
 def to_svg(diagram: Diagram, depth: int = 0) -> str:
     """Return the picture as text; the same diagram gives the same bytes. Raises DiagramError as `draw` does."""
     drawing = draw(diagram, depth)
-    about = shortened(diagram.text, 12.0, 700.0)
-    title_width = max(text_width(diagram.name, 17.0, True), text_width(about, 12.0)) + 32.0
-    head = 50.0 if about else 34.0
-    legend = _legend(drawing)
-    width, height = max(drawing.placed.width, title_width), drawing.placed.height + head + (20.0 if legend else 0.0)
-    said = f'\n<text class="soft" x="16" y="44" font-size="12">{escape(about)}</text>' if about else ""
-    key = ["", f'<g transform="translate(16 {height - 16:g})">', *legend, "</g>"] if legend else []
-    return picture(
-        width=f"{width:g}",
-        height=f"{height:g}",
-        title=escape(diagram.name),
-        described=escape(_described(diagram)),
-        about=said,
-        head=f"{head:g}",
-        drawing="\n".join(_written(drawing)),
-        legend="\n".join(key),
-    )
+    tops = [port.name for port in grouped(diagram.inputs.values())]
+    inputs, parts, outputs = (", ".join(names) or "none" for names in (tops, diagram.parts, diagram.outputs))
+    described = f"Block diagram {diagram.name} with the inputs {inputs}, the parts {parts} and the outputs {outputs}."
+    size = drawing.placed.width, drawing.placed.height
+    return document(diagram.name, diagram.text, described, size, _written(drawing), _legend(drawing))
 
 
 def to_inline_svg(diagram: Diagram, title: str) -> str:
@@ -125,13 +129,6 @@ def _legend(drawing: Drawing) -> list[str]:
             lines.append(f'<text class="soft" x="{x + 34:g}" y="3.5" font-size="10">{meaning}</text>')
             x += 90.0
     return lines
-
-
-def _described(diagram: Diagram) -> str:
-    tops = [port.name for port in grouped(diagram.inputs.values())]
-    inputs, parts, outputs = (", ".join(names) or "none" for names in (tops, diagram.parts, diagram.outputs))
-    text = f"Block diagram {diagram.name} with the inputs {inputs}, the parts {parts} and the outputs {outputs}."
-    return text[:2000]
 
 
 def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawing:

@@ -9,15 +9,14 @@ import numpy as np
 
 from twodof.compile.diagram_test.assertions import Judgement, element_of
 from twodof.compile.diagram_test.scenario import ScenarioResult
+from twodof.identify.estimate import Estimate
 from twodof.identify.validate import Correlation
 from twodof.report.content import (
     Content,
-    Erratum,
     Figure,
     FigureBand,
     FigureLine,
     FigurePoint,
-    FitCheck,
     Panel,
     ParameterRow,
     ReportTable,
@@ -30,6 +29,9 @@ from twodof.report.wording import deviation, plain, say, with_sigma
 
 MAX_FIGURES = 50
 """Most failed tests that are drawn."""
+
+_UNITS = {"velocity": "m"}
+"""Unit of an experiment's output, if it is not rad/s."""
 
 _KEY = {
     "measured": "measured",
@@ -51,14 +53,12 @@ def to_html(content: Content) -> str:
         ("errata", "Errata of the paper", "".join(_errata_section(content.errata))),
         ("provenance", "Provenance", _provenance_table(content)),
     ]
-    sections = [section for section in sections if section[2]]
-    links = "".join(
-        f'<li><a href="#{anchor}">{escape(name.partition(":")[0])}</a></li>' for anchor, name, _ in sections
-    )
+    links, body = "", ""
+    for anchor, name, inner in sections:
+        if inner:
+            links += f'<li><a href="#{anchor}">{escape(name.partition(":")[0])}</a></li>'
+            body += f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>'
     findings = "".join(f"<li>{_tied(finding)}</li>" for finding in content.findings)
-    body = "".join(
-        f'<section id="{anchor}"><h2>{escape(name)}</h2>{inner}</section>' for anchor, name, inner in sections
-    )
     main = f'<nav aria-label="Contents"><ul>{links}</ul></nav>\n<main>{body}</main>'
     return page(content.title, content.lead, main, f'<ul class="findings">{findings}</ul>')
 
@@ -83,10 +83,8 @@ def _parameter_table(rows: Sequence[ParameterRow]) -> str:
         cells += [_found(row.simple, row.truth), _found(row.greybox, row.truth, row.greybox_sigma)]
         if repeated:
             cells.append("–" if row.greybox_spread is None else f"± {plain(row.greybox_spread, 2)}")
-        lines.append(
-            f'<tr><th scope="row"><i>{row.symbol}</i> <small>{escape(row.text)}</small></th>'
-            f"<td>{escape(row.unit) or '–'}</td>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>"
-        )
+        symbol = f"<i>{row.symbol}</i> <small>{escape(row.text)}</small>"
+        lines.append(_row(symbol, escape(row.unit) or "–", *cells))
     return _table(heads, "".join(lines))
 
 
@@ -95,6 +93,13 @@ def _table(heads: Sequence[str], body: str, style: str = "") -> str:
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     named = f' class="{style}"' if style else ""
     return f'<div class="scroll"><table{named}><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _row(head: str, *cells: str, left: int = 0) -> str:
+    """Return a row of a table; its first `left` cells are text, set to the left."""
+    looks = [' class="left"'] * left + [""] * len(cells)
+    body = "".join(f"<td{look}>{cell}</td>" for look, cell in zip(looks, cells, strict=False))
+    return f'<tr><th scope="row">{head}</th>{body}</tr>'
 
 
 def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.nan) -> str:
@@ -106,10 +111,7 @@ def _found(estimate: Uncertain | None, truth: float | None, sigma: float = math.
 
 
 def _free_table(table: ReportTable) -> str:
-    body = "".join(
-        f'<tr><th scope="row">{escape(row[0])}</th>' + "".join(f"<td>{escape(cell)}</td>" for cell in row[1:]) + "</tr>"
-        for row in table.rows
-    )
+    body = "".join(_row(*map(escape, row)) for row in table.rows)
     return f'<p class="text">{table.text}</p>{_table([escape(name) for name in table.heads], body)}'
 
 
@@ -150,25 +152,23 @@ def _key(roles: Sequence[str], kind: str) -> str:
 
 
 def _residual_section(subjects: Sequence[Subject]) -> Iterator[str]:
-    checks = [(subject, check) for subject in subjects for check in subject.checks]
-    if not checks:
+    fits = [(subject, name, fit) for subject in subjects for name, fit in subject.fits.items()]
+    if not fits:
         return
     yield f'<p class="text">{say("residuals")}</p>'
     heads = ("Machine", "Experiment", "Output", "FIT", "VAF", "RMSE", "FIT, validation", "White", "Free of the input")
     lines = []
-    for subject, check in checks:
-        fit = check.identification
-        validation = ", ".join(f"{other.fit_percent:.1f} %" for other in check.validation) or "–"
-        lines.append(
-            f'<tr><th scope="row">{escape(subject.name)}</th><td class="left">{escape(check.experiment)}</td>'
-            f"<td>{escape(fit.output)}</td><td>{fit.fit_percent:.1f} %</td><td>{fit.vaf:.1f} %</td>"
-            f"<td>{plain(fit.rmse, 3)} {escape(check.unit)}</td><td>{validation}</td>"
-            f"<td>{_verdict(fit.whiteness)}</td><td>{_verdict(*fit.inputs.values())}</td></tr>"
-        )
+    for subject, name, estimate in fits:
+        fit = estimate.identification[0]
+        figures = (f"{fit.fit_percent:.1f} %", f"{fit.vaf:.1f} %", f"{plain(fit.rmse, 3)} {_UNITS.get(name, 'rad/s')}")
+        validation = ", ".join(f"{other.fit_percent:.1f} %" for other in estimate.validation) or "–"
+        verdicts = _verdict(fit.whiteness), _verdict(*fit.inputs.values())
+        cells = (escape(name), escape(fit.output), *figures, validation, *verdicts)
+        lines.append(_row(escape(subject.name), *cells, left=1))
     yield _table(heads, _tied("".join(lines)), "break")
     yield _grid(len(subjects))
-    for subject, check in checks:
-        yield _residual_card(subject, check)
+    for subject, name, estimate in fits:
+        yield _residual_card(subject, name, estimate)
     yield "</div>"
 
 
@@ -182,15 +182,23 @@ def _verdict(*tests: Correlation | None) -> str:
     return f"{word} <span>{outside} of {lags} outside, {allowed} allowed</span>"
 
 
-def _residual_card(subject: Subject, check: FitCheck) -> str:
-    fit = check.identification
-    title = f"{subject.name}: {check.experiment}, {fit.output}"
+def _residual_card(subject: Subject, name: str, estimate: Estimate) -> str:
+    fit = estimate.identification[0]
+    title = f"{subject.name}: {name}, {fit.output}"
     tests = {} if fit.whiteness is None else {"residual with itself": fit.whiteness}
     tests |= {f"residual with {name}": test for name, test in fit.inputs.items()}
     if not tests:
         return ""
     drawing = correlation_figure(tests, escape(f"Residuals, {title}", quote=True))
-    return f"<figure><h3>{escape(title)}</h3>{drawing}<figcaption>{check.note}</figcaption></figure>"
+    return f"<figure><h3>{escape(title)}</h3>{drawing}<figcaption>{_note(estimate)}</figcaption></figure>"
+
+
+def _note(estimate: Estimate) -> str:
+    """Return the meaning of the residual tests for the standard deviations."""
+    if estimate.white:
+        return say("white")
+    shared = [label for label in estimate.labels if label not in estimate.local]
+    return say("coloured", wider=max(estimate.sigma(label) / estimate.cramer_rao(label) for label in shared))
 
 
 def _doubt_section(subjects: Sequence[Subject]) -> Iterator[str]:
@@ -200,12 +208,9 @@ def _doubt_section(subjects: Sequence[Subject]) -> Iterator[str]:
             yield f'<h3>{escape(subject.name)}</h3><ul class="text">{items}</ul>'
 
 
-def _errata_section(errata: Sequence[Erratum]) -> Iterator[str]:
+def _errata_section(errata: Sequence[tuple[str, str, str]]) -> Iterator[str]:
     if errata:
-        lines = "".join(
-            f'<tr><th scope="row">{e.place}</th><td class="left">{e.printed}</td><td class="left">{e.shown}</td></tr>'
-            for e in errata
-        )
+        lines = "".join(_row(*row, left=2) for row in errata)
         yield _table(("Where", "Printed", "What this work shows"), lines, "prose")
 
 

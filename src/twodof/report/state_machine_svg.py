@@ -16,7 +16,7 @@ from twodof.blocks.expressions.graph import machine_text
 from twodof.blocks.state_machine import Mode, StateMachine
 from twodof.blocks.state_machine.chart import ACTIONS
 from twodof.drawing.text_width import shortened, text_width
-from twodof.report.diagram_svg import escape, find, picture, text_element
+from twodof.report.diagram_svg import document, find, text_element
 from twodof.report.symbols import SymbolText, arrow
 
 LINE, SLOT, PAD = 16.0, 24.0, 12.0  # heights of a line of text, of an end of a transition, and around them
@@ -112,20 +112,10 @@ def draw_machine(machine: StateMachine) -> MachineDrawing:
 def machine_svg(machine: StateMachine, name: str) -> str:
     """Return the picture as text; the same machine gives the same bytes. Raises DiagramError as `draw_machine` does."""
     drawing = draw_machine(machine)
-    about = shortened((cleandoc(machine.__doc__ or "") if not machine.label else "").partition("\n")[0], 12.0, 700.0)
-    head = 50.0 if about else 34.0
-    said = f'\n<text class="soft" x="16" y="44" font-size="12">{escape(about)}</text>' if about else ""
+    about = (cleandoc(machine.__doc__ or "") if not machine.label else "").partition("\n")[0]
     modes, ways = ", ".join(drawing.boxes), ", ".join(t.text for t in machine.chart.transitions) or "none"
-    return picture(
-        width=f"{max(drawing.width, text_width(name, 17.0, True) + 32.0, text_width(about, 12.0) + 32.0):g}",
-        height=f"{drawing.height + head:g}",
-        title=escape(name),
-        described=escape(f"State machine {name} with the modes {modes} and the transitions {ways}."[:2000]),
-        about=said,
-        head=f"{head:g}",
-        drawing="\n".join(_written(drawing, machine)),
-        legend="",
-    )
+    described = f"State machine {name} with the modes {modes} and the transitions {ways}."
+    return document(name, about, described, (drawing.width, drawing.height), _written(drawing, machine))
 
 
 def _place(boxes: dict[str, ModeBox], mode: Mode, x: float, y: float, width: float, inner: float) -> float:

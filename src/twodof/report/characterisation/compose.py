@@ -17,7 +17,7 @@ from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PAPER_VELOCITY_SIMPLE, PitchRate, Velocity
 from twodof.report.characterisation.characterise import Characterisation
 from twodof.report.characterisation.paper_figures import figures
-from twodof.report.content import Content, Erratum, FitCheck, ParameterRow, ReportTable, Subject, Uncertain
+from twodof.report.content import Content, ParameterRow, ReportTable, Subject, Uncertain
 from twodof.report.wording import plain, say, text, with_sigma
 
 _PAPER = (
@@ -86,25 +86,9 @@ def subject(machine: CharacterisedMachine) -> Subject:
         machine.text,
         rows(machine),
         list(figures(machine.found)),
-        list(_checks(machine.found)),
+        machine.found.fits,
         [*machine.remarks, *_doubts(machine.found)],
     )
-
-
-def _checks(found: Characterisation) -> list[FitCheck]:
-    units = {"velocity": "m"}
-    return [
-        FitCheck(name, units.get(name, "rad/s"), estimate.identification[0], estimate.validation, _note(estimate))
-        for name, estimate in found.fits.items()
-    ]
-
-
-def _note(estimate: Estimate) -> str:
-    if estimate.white:
-        return say("white")
-    shared = [label for label in estimate.labels if label not in estimate.local]
-    wider = max(estimate.sigma(label) / estimate.cramer_rao(label) for label in shared)
-    return say("coloured", wider=wider)
 
 
 def _doubts(found: Characterisation) -> list[str]:
@@ -239,8 +223,8 @@ def _response(plant: DelayedStateSpace, excitation: Excitation, duration: float)
     return plant.zero_order_hold(_STEP_S).simulate(excitation.at(time))
 
 
-def errata() -> list[Erratum]:
-    """Return the paper's errors with the figures that show them, in the order of its pages."""
+def errata() -> list[tuple[str, str, str]]:
+    """Return place, printed text and finding of each of the paper's errors, in the order of its pages."""
     pitch, simple, greybox = PAPER_PITCH_RATE, PAPER_VELOCITY_SIMPLE, PAPER_VELOCITY_GREYBOX
     peak = unit_peak()
     rows = text("errata.toml").format(
@@ -256,4 +240,4 @@ def errata() -> list[Erratum]:
         travels=[doublet_travel(model, 20.0, 1.0) for model in (simple, greybox)],
         read=read_by_hand(),
     )
-    return [Erratum(**row) for row in tomllib.loads(rows)["errata"]]
+    return [(row["place"], row["printed"], row["shown"]) for row in tomllib.loads(rows)["errata"]]

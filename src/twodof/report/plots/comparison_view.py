@@ -31,7 +31,6 @@ _PROMISED: Mapping[str, tuple[str, float]] = {
 }
 _MOST_STEPS = 4
 """Most steps over the bands of a promise in one picture."""
-_UNIT = {"rate": "deg/s", "attitude": "deg", "velocity": "m/s", "position": "m"}
 
 
 class Align(StrEnum):
@@ -154,7 +153,7 @@ def step_rows(steps: Mapping[str, Sequence[FlownStep]]) -> list[tuple[str, ...]]
     rows: list[tuple[str, ...]] = []
     for name, found in steps.items():
         for step in found:
-            scale, unit, figures = PANELS[_PANEL_OF[step.loop]][0], _UNIT[step.loop], step.figures
+            (scale, unit, _), figures = PANELS[_PANEL_OF[step.loop]], step.figures
             # A set-point of 0 may be logged as 1e-16.
             before, after = (round(scale * level, 9) + 0.0 for level in (step.before, step.after))
             change = f"{before:.3g} to {after:.3g} {unit}"
