@@ -19,7 +19,6 @@ HEADERS = ("program.h", "semihosting.h", "server.h")
 SCRIPT = "image.ld"
 CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
-SAME = ("aeabi", "memory", "boot", "server")  # in every image
 MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
 
 FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
@@ -31,8 +30,6 @@ ZIG = (
 )
 LINK = ("-nostdlib", "-static", "-Wl,--gc-sections", "-T", SCRIPT)
 OPTIMISE = "-O2"
-_compiled: dict[tuple[str, ...], dict[str, bytes]] = {}
-"""What a compiler has made of `SAME` in this process: they take most of the time of a small program's image."""
 
 
 def find_cross_compiler(name: str | None = None) -> Compiler:
@@ -91,33 +88,19 @@ def build_image(
         f'#include "program.h"\n\n{table}\nconst Program programs[] = {{\n{rows}}};\n'
         f"const uint32_t program_count = {len(names)};\n"
     )
-    common = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
-    common |= {**helpers.FILES, "memory.c": MEMORY}
-    files = {**common, "program.c": source, "dispatch.c": dispatch}
+    files = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
+    files |= {**helpers.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
-    firmware = (*compiler.command, compiler.identity(), *options, *common.values())
-    key = (
-        *(part for item in sorted(files.items()) for part in item),
-        compiler.identity(),
-        *options,
-        optimise,
-        *flags,
-        *libraries,
-    )
+    texts = (part for item in sorted(files.items()) for part in item)
+    key = (*texts, compiler.identity(), *options, optimise, *flags, *libraries)
 
     def make(target: Path) -> None:
         folder = target.parent
         for name, text in files.items():
             (folder / name).write_text(text, encoding="utf-8")
-        known = _compiled.get(firmware, {})
-        for name, data in known.items():
-            (folder / name).write_bytes(data)
         for name in MODULES:
             more = (optimise, *flags) if name == "program" else (OPTIMISE,)
-            if f"{name}.o" not in known:
-                _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
-        outputs = (folder / f"{name}.{kind}" for name in SAME for kind in ("o", "su"))
-        _compiled[firmware] = {file.name: file.read_bytes() for file in outputs if file.exists()}
+            _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
         objects = [f"{name}.o" for name in MODULES]
         libgcc = () if compiler.name == "zig" else ("-lgcc",)
         _command(compiler, (*options, *LINK, *objects, *libraries, *libgcc, "-o", "image.elf"), folder)
@@ -139,13 +122,8 @@ def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None
     if done.returncode:
         said = done.stderr.decode("utf-8", "replace").strip()[-2000:]
         if re.search(r"overflowed by|will not fit in region", said):
-            raise CompileError(
-                f"code and constants do not fit into the 4 MB there are: {said[-300:]}",
-                compiler.name,
-                "build fewer diagrams at once, or with -Os",
-            )
-        raise CompileError(
-            f"it refused what was generated: {said or f'exit status {done.returncode}'}",
-            compiler.name,
-            "check that the compiler works; if it does, this is a fault of twodof",
-        )
+            what = f"code and constants do not fit into the 4 MB there are: {said[-300:]}"
+            raise CompileError(what, compiler.name, "build fewer diagrams at once, or with -Os")
+        what = f"it refused what was generated: {said or f'exit status {done.returncode}'}"
+        remedy = "check that the compiler works; if it does, this is a fault of twodof"
+        raise CompileError(what, compiler.name, remedy)

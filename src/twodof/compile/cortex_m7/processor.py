@@ -98,9 +98,9 @@ class Board:
         """End the process and remove its files."""
         self._close()
 
-    def transact(self, name: str, parts: list[bytes | memoryview], expected: int) -> tuple[bytes, tuple[int, int]]:
+    def transact(self, name: str, parts: Sequence[bytes], expected: int) -> tuple[bytes, tuple[int, int]]:
         """Send `parts`, receive frames until the last one. See `Processor.run` for the errors."""
-        pending = [memoryview(part).cast("B") for part in parts if len(part)]
+        pending = memoryview(b"".join(parts))
         received = bytearray()
         data = bytearray()
         heard = time.monotonic()
@@ -108,17 +108,13 @@ class Board:
             ended = self._process.poll() is not None  # asked first: what it said before its end is then there to read
             left = SILENCE - (time.monotonic() - heard)
             if left <= 0 and not ended:
-                raise ControllerFault(
-                    f"the emulated processor said nothing for {SILENCE:g} s", name, "is the machine overloaded?"
-                )
-            waiting = [self._out] if pending else []
+                what = f"the emulated processor said nothing for {SILENCE:g} s"
+                raise ControllerFault(what, name, "is the machine overloaded?")
+            waiting = [self._out] if len(pending) else []
             readable, writable, _ = select.select([self._in], waiting, [], 0.0 if ended else min(left, 1.0))
             if writable and not ended:
                 with suppress(BlockingIOError):
-                    sent = os.write(self._out, pending[0][:_PIPE])
-                    pending[0] = pending[0][sent:]
-                    if not pending[0]:
-                        pending.pop(0)
+                    pending = pending[os.write(self._out, pending[:_PIPE]) :]
             if not readable:
                 if ended:
                     raise self._ended(name)
@@ -133,10 +129,9 @@ class Board:
             received += chunk
             last = self._frames(name, received, data, expected)
             if last is not None:
-                if len(data) != expected or pending:
-                    raise ControllerFault(
-                        f"the answer has {len(data)} bytes, expected {expected}", name, "report this as a fault"
-                    )
+                if len(data) != expected or len(pending):
+                    what = f"the answer has {len(data)} bytes, expected {expected}"
+                    raise ControllerFault(what, name, "report this as a fault")
                 return bytes(data), last
 
     def _frames(self, name: str, received: bytearray, data: bytearray, expected: int) -> tuple[int, int] | None:
@@ -288,13 +283,12 @@ class Processor:
         name, sizes = self.image.names[program], self.image.sizes[program]
         need = sum(sizes[1:]) + ROWS + 64
         if need > POOL:
-            raise CompileError(
-                f"its structs need {need} bytes; the board has {POOL}", name, "make its delays and tables shorter"
-            )
+            what = f"its structs need {need} bytes; the board has {POOL}"
+            raise CompileError(what, name, "make its delays and tables shorter")
         if not 0 <= steps <= MOST_STEPS:
             raise CompileError(f"{steps} steps at once", name, f"at most {MOST_STEPS}")
         request = struct.pack("<11I", operation, program, steps, u_rows, y_rows, watch, *sizes)
-        parts: list[bytes | memoryview] = [request, *(np.ascontiguousarray(part).view(np.uint8).data for part in sent)]
+        parts = [request, *(part.tobytes() for part in sent)]
         with self._lock:
             if self._board is None:
                 self._board = Board(self.emulator, self.image.elf, self.counting)

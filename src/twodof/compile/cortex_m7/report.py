@@ -242,11 +242,8 @@ class CortexM7Report:
 
     def to_json(self) -> dict[str, Any]:
         """Return the figures as a JSON object."""
-        return {
-            "name": self.name,
-            "precision": self.precision,
-            "compiler": self.compiler,
-            "optimise": self.optimise,
+        own = {"name": self.name, "precision": self.precision, "compiler": self.compiler, "optimise": self.optimise}
+        return own | {
             "flash_bytes": self.flash,
             "flash_bytes_step": self.step.flash,
             "flash_bytes_image": self.image.flash,
