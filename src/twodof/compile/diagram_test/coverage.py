@@ -81,7 +81,7 @@ def measure_coverage(
     """
     plans = [plan(diagram, scenario, dt) for scenario in scenarios]
     hierarchy = Reference(diagram, dt, precision, (), integrator).hierarchy
-    levels = [level for level in _levels(hierarchy.root) if level.signals]
+    levels = list(dict.fromkeys(level for cell in hierarchy.cells for level in cell.levels))
     deciding = {str(s) for level in levels for s in level.signals if isinstance(s, PortOf)}
     paths = sorted(deciding.union(*(p.paths for p in plans)))
     program = Reference(diagram, dt, precision, paths, integrator)
@@ -93,13 +93,6 @@ def measure_coverage(
         for level in levels:
             found.add(_of_level(level, columns, planned))
     return found
-
-
-def _levels(level: DiagramLevel) -> Iterator[DiagramLevel]:
-    for child in level.parts.values():
-        if isinstance(child, DiagramLevel):
-            yield child
-            yield from _levels(child)
 
 
 def _of_level(level: DiagramLevel, columns: dict[str, NDArray[np.generic]], planned: Plan) -> Coverage:
@@ -209,46 +202,39 @@ class _Observer:
                 self.taken[decision].add(side)
 
 
-@dataclass
-class _Turns:
-    """Sides that the turns of a loop took, and ids of the used values that were computed before the loop."""
-
-    taken: set[tuple[Decision, int]] = field(default_factory=set)
-    before: set[int] = field(default_factory=set)
-
-
 class _Sight:
-    """Sides that one evaluation took. Loop bodies are evaluated first; their sides wait until the loop counts."""
+    """Sides that one evaluation took. Loop bodies are evaluated first; their sides wait until the loop counts.
+
+    For a loop's turns there are, by the ids of its results, the sides that they took and the ids of the used values
+    that were computed before the loop.
+    """
 
     def __init__(self, known: Mapping[int, Decision]) -> None:
         self._known = known
-        self._waiting: dict[tuple[int, ...], _Turns] = {}
+        self._turns: dict[tuple[int, ...], tuple[set[tuple[Decision, int]], set[int]]] = {}
 
     def __call__(self, roots: Sequence[Expr], order: Sequence[Expr], values: Mapping[int, Any]) -> None:
         """Note the nodes computed for `roots`, arguments first, and all values by id."""
-        bodies = {id(item): _key(item.bodies) for item in order if item.op in LOOPS}
-        within = {key: self._waiting.pop(key, _Turns()) for key in set(bodies.values())}
-        turns = self._waiting.setdefault(_key(roots), _Turns())
+        loops = {id(item): tuple(map(id, item.bodies)) for item in order if item.op in LOOPS}
+        within = {bodies: self._turns.pop(bodies, (set(), set())) for bodies in set(loops.values())}
+        taken, before = self._turns.setdefault(tuple(map(id, roots)), (set(), set()))
         counts = set(map(id, roots))
         for item in reversed(order):
             if id(item) not in counts:
                 continue
             if id(item) in self._known:
-                turns.taken.add((self._known[id(item)], 0 if values[id(item)] else 1))
-            if id(item) in bodies:
-                turns.taken |= within[bodies[id(item)]].taken
-                counts |= within[bodies[id(item)]].before
+                taken.add((self._known[id(item)], 0 if values[id(item)] else 1))
+            if id(item) in loops:
+                sides, used = within[loops[id(item)]]
+                taken |= sides
+                counts |= used
             if item.op == "where":
                 counts.add(id(item.args[0]))
                 counts.add(id(item.args[1] if values[id(item.args[0])] else item.args[2]))
             else:
                 counts.update(map(id, item.outside))
-        turns.before |= counts.difference(map(id, order))
+        before |= counts.difference(map(id, order))
 
     def taken(self, roots: Sequence[Expr]) -> set[tuple[Decision, int]]:
         """Return the sides that the evaluation of `roots` took."""
-        return self._waiting.get(_key(roots), _Turns()).taken
-
-
-def _key(roots: Sequence[Expr]) -> tuple[int, ...]:
-    return tuple(map(id, roots))
+        return self._turns[tuple(map(id, roots))][0] if roots else set()

@@ -3,7 +3,7 @@
 See docs/how-to/check-a-diagram.md for the assumptions on delays, rates, counters, noise and kinks.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,8 @@ from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import plain
 from twodof.blocks.expressions.numbers import FLOATS
-from twodof.compile.linear.integer_states import Coordinates, IntegerStates
 from twodof.compile.linear.linear_model import LinearModel
-from twodof.compile.linear.operating_point import OperatingPoint, Parts, elements
+from twodof.compile.linear.operating_point import OperatingPoint, elements
 from twodof.compile.linear.slopes import Matrices, Slopes, observed, spread
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal
 from twodof.compile.program.lower import lower
@@ -24,7 +23,6 @@ from twodof.errors import DiagramError
 
 Array = NDArray[np.float64]
 
-MAX_STATES = 1500
 TIME = ("auto", "continuous", "discrete")
 OTHER_PERIODS = (1, 63, 1000)  # at which a model must be the same, if anything reads the tick
 
@@ -62,73 +60,51 @@ def linearize(
     """
     if time not in TIME:
         raise DiagramError(f"time={time!r}", diagram.name, f"use one of {', '.join(TIME)}")
-    chosen_outputs = list(outputs) if outputs is not None else None
-    wanted = [*(chosen_outputs or []), *(inputs or [])]
+    wanted = [*(outputs or []), *(inputs or [])]
     paths = [p for p in dict.fromkeys(wanted) if not diagram.gives(p) and p not in diagram.inputs]
     program = lower(diagram, dt, paths)
     _refuse_triggers(program)
     point = OperatingPoint(program, at or {})
+    ports = {**program.inputs, **program.outputs}
+    own = {name: s for name, s in program.outputs.items() if name in program.own}
+    sources, ends = _signals(program, inputs, program.inputs, program.inputs), _signals(program, outputs, ports, own)
     with numbers.precision("float64"):
-        work = _Linearization(program, point, program.own, inputs, chosen_outputs, keep_all)
+        work = _Linearization(program, point, sources, ends, keep_all)
         work.settle()
         if trim:
             continuous = work.is_continuous("auto") and work.manifold() is not None
-            move_to_equilibrium(program.name, work.slopes, free, continuous)
+            move_to_equilibrium(work, free, continuous)
             work.settle()
         elif free:
             raise DiagramError("inputs are free without trim", diagram.name, "ask for trim too")
         return work.model(time, keep_all)
 
 
-class _Linearization:
-    """Program at a point with its seeds (states, then inputs) and the wanted inputs and outputs."""
+def _signals(
+    program: FlatProgram,
+    names: Sequence[str] | None,
+    ports: Mapping[str, FlatSignal],
+    usual: Mapping[str, FlatSignal],
+) -> dict[str, FlatSignal]:
+    """Return the signals of these names, ports or paths; without names the real ones of the `usual`."""
+    if names is None:
+        return {name: s for name, s in usual.items() if s.kind in FLOATS}
+    found = {}
+    for name in names:
+        signal = ports.get(name) or program.signals.get(name)
+        if signal is None:
+            raise unknown_name("signal", name, [*ports, *program.signals], program.name)
+        if signal.kind not in FLOATS:
+            what = f"{name!r} is {signal.kind}"
+            raise DiagramError(what, program.name, "a linear model has real inputs and outputs")
+        found[name] = signal
+    return found
 
-    def __init__(
-        self,
-        program: FlatProgram,
-        point: OperatingPoint,
-        ports: Iterable[str],
-        inputs: Sequence[str] | None,
-        outputs: Sequence[str] | None,
-        keep_all: bool,
-    ) -> None:
-        self.program = program
-        self.ports = frozenset(ports)  # the diagram's own outputs
-        self.point = point
-        self.name = program.name
-        self.inputs = self._inputs(inputs)
-        self.outputs = self._outputs(outputs)
-        cut = {s for s in self.inputs.values() if s.node is not None}
-        self.parts = Parts(program, self.outputs, cut, keep_all)
-        point.tick = self.parts.start(point.tick)
-        self.whole = IntegerStates(program, point, self.parts)
-        self.coordinates = Coordinates(point, self.whole, self.parts, self.parts.held(self.outputs.values()))
-        if self.coordinates.size > MAX_STATES:
-            raise DiagramError(
-                f"its model has {self.coordinates.size} states",
-                self.name,
-                f"at most {MAX_STATES}: shorten the delays, or cut signals",
-            )
-        self.slopes = Slopes(program, point, self.parts, self.coordinates, self.inputs, self.outputs)
-        self.held: Mapping[str, str] = {}
 
-    def _inputs(self, names: Sequence[str] | None) -> dict[str, FlatSignal]:
-        if names is None:
-            return {n: s for n, s in self.program.inputs.items() if s.kind in FLOATS}
-        return {name: self._signal(name, self.program.inputs) for name in names}
+class _Linearization(Slopes):
+    """Slopes of a program at a point, and the linear model that they make."""
 
-    def _outputs(self, names: Sequence[str] | None) -> dict[str, FlatSignal]:
-        if names is None:
-            return {n: s for n, s in self.program.outputs.items() if s.kind in FLOATS and n in self.ports}
-        return {name: self._signal(name, {**self.program.inputs, **self.program.outputs}) for name in names}
-
-    def _signal(self, name: str, ports: Mapping[str, FlatSignal]) -> FlatSignal:
-        found = ports.get(name) or self.program.signals.get(name)
-        if found is None:
-            raise unknown_name("signal", name, [*ports, *self.program.signals], self.name)
-        if found.kind not in FLOATS:
-            raise DiagramError(f"{name!r} is {found.kind}", self.name, "a linear model has real inputs and outputs")
-        return found
+    held: Mapping[str, str]
 
     def settle(self) -> None:
         """Bring whole-number states to where they stay, and continuous states to where projections put them.
@@ -136,14 +112,14 @@ class _Linearization:
         Signals of slower rates are held as they would be after some time at the point.
         """
         self._rest()
-        self.whole.settle(lambda: self.slopes.step(rested=True, slopes=False))
-        self.held = self.whole.check_held(self.slopes.step(rested=True, slopes=False))
-        step = self.slopes.step(slopes=False)
+        self.whole.settle(lambda: self.step(rested=True, slopes=False))
+        self.held = self.whole.check_held(self.step(rested=True, slopes=False))
+        step = self.step(slopes=False)
         self.point.put(step.projected(step.continuous()))
         self._rest()
 
     def _rest(self) -> None:
-        made = self.slopes.step(rested=True, slopes=False).made
+        made = self.step(rested=True, slopes=False).made
         self.point.held = {s: plain(v) for s, v in made.items() if s.node is not None}
 
     def is_continuous(self, time: str) -> bool:
@@ -164,7 +140,7 @@ class _Linearization:
         for node, name in self.coordinates.keys:
             if not any(s.name == name for s in node.continuous):
                 return f"the state {node.path}.{name} is discrete"
-        step = self.slopes.step()
+        step = self.step()
         for node in self.parts.integrated:
             for s in node.drivers.values():
                 if s not in step.read:
@@ -183,7 +159,7 @@ class _Linearization:
         states in their own right.
         """
         size = self.coordinates.size
-        p = self._ordered(self.slopes.matrices("projection"), 0).change[:, :size]
+        p = self._ordered(self.matrices("projection"), 0).change[:, :size]
         kept = [j for j in range(size) if p[:, j].any()]
         if not np.array_equal(p[np.ix_(kept, kept)], np.eye(len(kept))):
             return None
@@ -196,7 +172,7 @@ class _Linearization:
     def model(self, time: str, keep_all: bool) -> LinearModel:
         """Return the model, checked at other phases of integer states that go round."""
         continuous = self.is_continuous(time)
-        found = self._ordered(self.slopes.matrices("slope" if continuous else "next"), 0 if continuous else 1)
+        found = self._ordered(self.matrices("slope" if continuous else "next"), 0 if continuous else 1)
         n = self.coordinates.size
         names = self.coordinates.names()
         left_out = self._elsewhere()
@@ -239,7 +215,7 @@ class _Linearization:
             dict(zip(outputs, map(float, found.made), strict=True)),
             left_out,
             self.name,
-            {**self.held, **_idle(a, b, c, d, inputs, outputs, sorted(self.slopes.rounded))},
+            {**self.held, **_idle(a, b, c, d, inputs, outputs, sorted(self.rounded))},
         )
 
     def _elsewhere(self) -> dict[str, str]:
@@ -255,13 +231,13 @@ class _Linearization:
     def _input_values(self, s: FlatSignal) -> list[float]:
         if s.node is None:
             return self.point.input_values([s])
-        return [float(m.value) for m in elements(self.slopes.step(slopes=False).made[s])]
+        return [float(m.value) for m in elements(self.step(slopes=False).made[s])]
 
     def _check_phases(self, found: Matrices) -> None:
         """Raise DiagramError if the model changes while a write index or a counter goes round."""
         for shift in self.whole.phases():
             with self.whole.turned(shift):
-                other = self._ordered(self.slopes.matrices("next", strict=False), 1)
+                other = self._ordered(self.matrices("next", strict=False), 1)
             if not found.agree(other):
                 raise DiagramError(
                     "a whole-number state moves, and the model with it",
@@ -277,7 +253,7 @@ class _Linearization:
         for periods in OTHER_PERIODS:
             with self.point.kept():
                 self.point.tick += periods * self.parts.period
-                other = self._ordered(self.slopes.matrices(what, strict=False), 0 if what == "slope" else 1)
+                other = self._ordered(self.matrices(what, strict=False), 0 if what == "slope" else 1)
             same = np.allclose(found.change, other.change) and np.allclose(found.output, other.output)
             if not same:
                 raise DiagramError(
@@ -344,7 +320,7 @@ def _needed(
     return [j for j in staying if seen[j]]
 
 
-def move_to_equilibrium(name: str, slopes: Slopes, free: Sequence[str], continuous: bool) -> None:
+def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -> None:
     """Move the point's states, and the inputs in `free`, to an equilibrium near it: of dx/dt, or of the step map.
 
     With inputs that are free, the states that `at` gave stay. Raises DiagramError if no equilibrium is found.
@@ -352,7 +328,7 @@ def move_to_equilibrium(name: str, slopes: Slopes, free: Sequence[str], continuo
     point, coordinates, inputs = slopes.point, slopes.coordinates, slopes.inputs
     for own in free:
         if own not in inputs or inputs[own].node is not None:
-            raise DiagramError(f"{own!r} is not an input to free", name, "name a real input")
+            raise DiagramError(f"{own!r} is not an input to free", slopes.name, "name a real input")
     size = coordinates.size
     moving = [j for j, given in enumerate(coordinates.given()) if not (free and given)]
     columns = list(moving)
@@ -404,7 +380,7 @@ def move_to_equilibrium(name: str, slopes: Slopes, free: Sequence[str], continuo
         which = worst if continuous else now[worst]
         raise DiagramError(
             f"no equilibrium was found: {_name(slopes, which)} still changes by {left[worst]:.3g}",
-            name,
+            slopes.name,
             "start nearer to one with `at`, or free an input that can hold it",
         )
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, plain
 from twodof.blocks.expressions.numbers import FLOATS
-from twodof.compile.linear.integer_states import Coordinates
+from twodof.compile.linear.integer_states import Coordinates, IntegerStates
 from twodof.compile.linear.operating_point import OperatingPoint, Parts, States, elements
 from twodof.compile.linear.tangent import TangentStep, seeded
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key
@@ -18,6 +18,7 @@ from twodof.errors import DiagramError
 Array = NDArray[np.float64]
 
 WHAT = ("next", "slope", "projection")  # of the states: after a period, their derivatives, after the jumps
+MAX_STATES = 1500
 DIRECTIONS = 8  # tried at a tie beside those across each
 SAME = 1e-9  # relative: what two branches that agree may differ by, rounded on their ways
 NEAR = 0.9  # the cosine of the angle between two borders that count as one
@@ -71,27 +72,36 @@ class _Visit:
 
 
 class Slopes:
-    """The slopes of a program at a point by its seeds: the coordinates, then the inputs."""
+    """The slopes of a program at a point by its seeds: the coordinates, then the inputs.
+
+    With `everything` all nodes take part, not only those that `outputs` depend on.
+    """
 
     def __init__(
         self,
         program: FlatProgram,
         point: OperatingPoint,
-        parts: Parts,
-        coordinates: Coordinates,
         inputs: Mapping[str, FlatSignal],
         outputs: Mapping[str, FlatSignal],
+        everything: bool,
     ) -> None:
         self.program = program
+        self.name = program.name
         self.point = point
-        self.parts = parts
-        self.coordinates = coordinates
         self.inputs = inputs
         self.outputs = outputs
-        self.size = coordinates.size
+        cut = {s for s in inputs.values() if s.node is not None}
+        self.parts = Parts(program, outputs, cut, everything)
+        point.tick = self.parts.start(point.tick)
+        self.whole = IntegerStates(program, point, self.parts)
+        self.coordinates = Coordinates(point, self.whole, self.parts, self.parts.held(outputs.values()))
+        self.size = self.coordinates.size
+        if self.size > MAX_STATES:
+            remedy = f"at most {MAX_STATES}: shorten the delays, or cut signals"
+            raise DiagramError(f"its model has {self.size} states", self.name, remedy)
         self.seeds = self.size + sum(s.width or 1 for s in inputs.values())
-        self._whole = [(n, s) for n in parts.nodes for s in n.block.states if s.kind not in FLOATS]
-        self._paths = {n.path for n in parts.nodes}
+        self._whole = [(n, s) for n in self.parts.nodes for s in n.block.states if s.kind not in FLOATS]
+        self._paths = {n.path for n in self.parts.nodes}
         self.rounded: set[str] = set()  # the paths of blocks in which a slope ended in a rounding
 
     def step(self, direction: Slope | None = None, rested: bool = False, slopes: bool = True) -> TangentStep:
