@@ -20,15 +20,15 @@ OUT = PROJECT / "out" / "play"
 
 def page(built: Path) -> str:
     """The page, of what Vite has built in `built` (play.html, play.js, play.css)."""
-    program = play_program()
+    wasm, told = play_program()
     text = (built / "play.html").read_text(encoding="utf-8")
     # What Vite links to is put in instead.
     text = re.sub(r"\s*<(?:script|link)[^>]*\bplay\.(?:js|css)\"[^>]*>(?:</script>)?", "", text)
     script = (built / "play.js").read_text(encoding="utf-8").replace("</script", r"<\/script")
     styles = (built / "play.css").read_text(encoding="utf-8").replace("</style", r"<\/style")
-    module = base64.b64encode(program.module).decode("ascii")
+    module = base64.b64encode(wasm).decode("ascii")
     # In JSON a "<" may be written so, and no text in it can end the element.
-    data = json.dumps(program.data, separators=(",", ":")).replace("<", r"\u003c")
+    data = json.dumps(told, separators=(",", ":")).replace("<", r"\u003c")
     parts = (
         f'<script type="text/plain" id="play-module">{html.escape(module)}</script>',
         f'<script type="application/json" id="play-data">{data}</script>',

@@ -115,16 +115,16 @@ def test_the_diagram_page_flies_the_native_bits(tmp_path: Path) -> None:
             assert before in text, f"{name} has changed: {before} is not in it"
             texts.append(text.replace(before, after, 1))
         loop = portable_loop(from_json(text))
-        logged = [f"{loop.prefix}{path}" for path in loop.signals]
+        logged = [f"{loop['prefix']}{path}" for path in loop["signals"]]
         flights, shapes = [], []
         for one in texts:
             diagram = from_json(one)
             assert to_json(diagram) == one
-            flights.append({"text": one, "signals": native(diagram, loop.template, logged)})
+            flights.append({"text": one, "signals": native(diagram, loop["template"], logged)})
             blocks = written_blocks(one)
             shapes += [[json.dumps(blocks[part]), answer] for part, answer in shapes_of(diagram)]
         assert len({json.dumps(flight["signals"]) for flight in flights}) == len(flights), "a change changes nothing"
-        given.append({"loop": loop.to_json(), "shapes": shapes, "flights": flights, "steps": STEPS})
+        given.append({"loop": loop, "shapes": shapes, "flights": flights, "steps": STEPS})
     passes("diagram/flown_as_native.test.ts", "VITE_TWODOF_LOOPS", given, len(CASES), tmp_path)
 
 
@@ -147,8 +147,7 @@ def _inputs(ticks: int, per_step: int) -> dict[str, np.ndarray]:
 
 def test_play_flies_the_native_bits(tmp_path: Path) -> None:
     toolchains.need("cc")
-    play = play_program()
-    data = play.data
+    module, data = play_program()
     ticks = PLAY_STEPS * data["ticks"]
     inputs = _inputs(ticks, data["ticks"])
     parameters = {**data["rigs"]["lab"], **data["starts"]["rest"]["parameters"], "rig.noise": 1.0, "rig.seed": 7.0}
@@ -168,7 +167,7 @@ def test_play_flies_the_native_bits(tmp_path: Path) -> None:
 
     flight = {
         "table": data["table"],
-        "module": base64.b64encode(play.module).decode(),
+        "module": base64.b64encode(module).decode(),
         "parameters": parameters,
         "states": states,
         "ticks": ticks,

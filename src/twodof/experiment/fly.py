@@ -98,7 +98,7 @@ def fly(
             experiment.name,
             "set the rings, then fly",
         )
-    model = laboratory if laboratory is not None else _model(rig.name)
+    model = laboratory if laboratory is not None else Laboratory(rig.name if rig.name in NAMES else "lab")
     if x_start is None:
         x_start = 0.0 if experiment.rings else model.start(experiment)
     room = model.parameters["rail_stop"] - MARGIN
@@ -114,7 +114,9 @@ def fly(
     flown_seed = seed if rig.virtual else 0
     what = _flies(drone)
     with _listening(drone, what) as heard, drone.batch(COLUMNS) as rows, _truth(drone) as truth:
-        course = _Course(experiment, plan, x_start, drone, rows, model.parameters, progress or _silent)
+        course = _Course(
+            experiment, plan, x_start, drone, rows, model.parameters, progress or (lambda text, share: None)
+        )
 
         def flight(reason: str) -> Flight:
             known = (truth.ticks, truth.values) if truth is not None else ()
@@ -204,19 +206,10 @@ def _listening(drone: Drone, what: ActiveController) -> Iterator[_Heard]:
         yield heard
 
 
-def _model(name: str) -> Laboratory:
-    """Return the virtual rig of the drone's name, else "lab"."""
-    return Laboratory(name if name in NAMES else "lab")
-
-
 def _in_words(causes: str) -> str:
     """Translate the failsafe's causes into sentences."""
     texts = {cause.name: cause.text for cause in CAUSES}
     return "; ".join(texts.get(name.strip(), name.strip()) for name in causes.split(","))
-
-
-def _silent(text: str, share: float) -> None:
-    """Ignore the progress."""
 
 
 @dataclass

@@ -10,24 +10,23 @@ answer holds at most `ANSWER` and `ANSWER_PER_BYTE` of samples and `MOST_TEXT` o
 """
 
 import atexit
-import fcntl
 import gc
 import importlib
 import json
 import math
+import mmap
 import os
 import resource
-import select
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,8 +44,6 @@ ANSWER = 64 << 20
 ANSWER_PER_BYTE = 5
 MOST_ANSWER = 1 << 30
 MOST_TEXT = 8 << 20
-_ANSWER_TIME_S = 5.0
-_PIPE_BYTES = 1 << 20
 _KINDS = ("<f8", "<u8", "|u1")
 _REMEDY = "this is not a flight log, or it is damaged: export or record it again"
 
@@ -126,34 +123,26 @@ class Fence:
     def _ask(self, request: dict[str, Any], file: int, size: int) -> tuple[Any, list[NDArray[Any]]]:
         where = request["where"]
         seconds = WALL_FACTOR * _processor_time(size)
-        end = time.monotonic() + seconds
-        whole = False
         if self._warm is None:
             self._warm = _WarmProcess()
-        control = self._warm.control
-        ours, theirs = os.pipe()
-        with suppress(AttributeError, OSError):  # of Linux; an answer comes in fewer parts
-            fcntl.fcntl(ours, fcntl.F_SETPIPE_SZ, _PIPE_BYTES)
+        control, status = self._warm.control, b""
+        control.settimeout(seconds)
         try:
-            try:
-                socket.send_fds(control, [json.dumps(request).encode() + b"\n"], [file, theirs])
-            finally:
-                os.close(theirs)
-            found = None
-            with suppress(EOFError):
-                found = _receive(ours, size, end)
-            status = _status(control, end)
-            whole = True
+            with _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER)) as answer:
+                socket.send_fds(control, [json.dumps(request).encode() + b"\n"], [file, answer.fileno()])
+                status = control.recv(100)
+                if not status:
+                    raise EOFError
+                found = None if int(status) else _unpacked(answer)
         except TimeoutError:
             raise LogError(f"is not read within {seconds:g} s", where, _REMEDY) from None
-        except (OSError, EOFError) as reason:
+        except (OSError, EOFError, ValueError) as reason:
             raise LogError(f"the process that reads files has ended: {reason}", where, "try again") from reason
         finally:
-            os.close(ours)
-            if not whole:
+            if not status:
                 self.close()
         if found is None:
-            raise LogError(*_how_it_ended(status, size, where))
+            raise LogError(*_how_it_ended(int(status), size, where))
         plain, arrays = found
         if "error" in plain:
             what, where, remedy = plain["error"]
@@ -194,8 +183,8 @@ def serve(descriptor: int) -> None:
         control.sendall(b"%d\n" % os.waitstatus_to_exitcode(status))
 
 
-def _answer(reader: Reader, request: dict[str, Any], file: int, pipe: int) -> None:
-    """Run a reader within the limits and write its answer into the pipe."""
+def _answer(reader: Reader, request: dict[str, Any], file: int, answer: int) -> None:
+    """Run a reader within the limits and write its answer."""
     size, where = request["size"], request["where"]
     _limit(size)
     try:
@@ -203,7 +192,7 @@ def _answer(reader: Reader, request: dict[str, Any], file: int, pipe: int) -> No
             data = stream.read(size)
         plain, arrays = reader(data, where, *request["arguments"])
         parts = _packed({"answer": plain}, arrays)
-        if len(parts[0]) > MOST_TEXT or sum(map(len, parts[1:])) > _most_answer(size):
+        if len(parts[0]) > MOST_TEXT or sum(map(len, parts)) > os.fstat(answer).st_size:
             raise MemoryError
     except LogError as reason:
         parts = _packed({"error": [reason.what, reason.where, reason.remedy]}, ())
@@ -214,10 +203,9 @@ def _answer(reader: Reader, request: dict[str, Any], file: int, pipe: int) -> No
     except Exception as reason:  # noqa: BLE001  a library may raise anything on what it does not expect
         what = f"cannot be read: {type(reason).__name__}: {reason!s:.200}"
         parts = _packed({"error": [what, where, _REMEDY]}, ())
-    with os.fdopen(pipe, "wb") as stream:
-        stream.write(len(parts[0]).to_bytes(8, "little"))
+    with mmap.mmap(answer, sum(map(len, parts))) as memory:
         for part in parts:
-            stream.write(part)
+            memory.write(part)
     os._exit(0)
 
 
@@ -243,10 +231,6 @@ def _processor_time(size: int) -> int:
     return CPU_S + math.ceil(size / BYTES_PER_S)
 
 
-def _most_answer(size: int) -> int:
-    return min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER)
-
-
 def _too_large(size: int) -> str:
     return f"asks for more memory than a file of {size} bytes may"
 
@@ -255,48 +239,32 @@ def _packed(plain: dict[str, Any], arrays: Sequence[NDArray[Any]]) -> list[bytes
     """Return the parts of an answer: its JSON, then the bytes of each array."""
     shapes = [[one.dtype.str, one.shape] for one in arrays]
     text = json.dumps({**plain, "arrays": shapes}, allow_nan=False).encode()
-    return [text, *(np.ascontiguousarray(one).data.cast("B") for one in arrays if one.size)]
+    return [
+        len(text).to_bytes(8, "little") + text,
+        *(np.ascontiguousarray(one).data.cast("B") for one in arrays if one.size),
+    ]
 
 
-def _receive(pipe: int, size: int, end: float) -> tuple[dict[str, Any], list[NDArray[Any]]]:
-    """Return an answer. Raises EOFError where it is not whole, TimeoutError at the time `end`."""
-    length = bytearray(8)
-    _fill(pipe, memoryview(length), end)
-    text = bytearray(min(int.from_bytes(length, "little"), MOST_TEXT))
-    _fill(pipe, memoryview(text), end)
-    plain = json.loads(text)
-    left = _most_answer(size)
+def _empty_file(size: int) -> IO[bytes]:
+    """Return a file of zeros without a name, in memory where the system has such files."""
+    own = hasattr(os, "memfd_create")
+    file = os.fdopen(os.memfd_create("answer"), "w+b") if own else tempfile.TemporaryFile()  # noqa: SIM115
+    file.truncate(size)
+    return file
+
+
+def _unpacked(answer: IO[bytes]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+    """Return an answer. Raises EOFError where it is not whole."""
+    left = answer.seek(0, os.SEEK_END)
+    answer.seek(0)
+    plain = json.loads(answer.read(min(int.from_bytes(answer.read(8), "little"), MOST_TEXT)))
     arrays = []
     for kind, shape in plain["arrays"]:
         left -= math.prod(shape) * np.dtype(kind).itemsize
         if left < 0 or kind not in _KINDS:
             raise EOFError
-        array = np.empty(shape, kind)
-        if array.size:
-            _fill(pipe, array.data.cast("B"), end)
-        arrays.append(array)
+        arrays.append(np.fromfile(answer, kind, math.prod(shape)).reshape(shape))
     return plain, arrays
-
-
-def _fill(pipe: int, buffer: memoryview, end: float) -> None:
-    waiting = select.poll()
-    waiting.register(pipe, select.POLLIN)
-    while buffer:
-        if not waiting.poll(max(0.0, 1e3 * (end - time.monotonic()))):
-            raise TimeoutError
-        count = os.readv(pipe, [buffer])
-        if not count:
-            raise EOFError
-        buffer = buffer[count:]
-
-
-def _status(control: socket.socket, end: float) -> int:
-    """Return the exit code of the child, negative for a signal."""
-    control.settimeout(max(_ANSWER_TIME_S, end - time.monotonic()))
-    line = control.recv(100)
-    if not line:
-        raise EOFError
-    return int(line)
 
 
 def _how_it_ended(status: int, size: int, where: str) -> tuple[str, str, str]:

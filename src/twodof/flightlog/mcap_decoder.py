@@ -16,7 +16,6 @@ from typing import TypeVar
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.records import Attachment as AttachmentRecord
 from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Metadata, Schema, Statistics
@@ -47,17 +46,6 @@ _BEFORE_CODEC = RECORD_HEAD_BYTES + 28
 _INDEX_BYTES = 16
 _RUN = 256
 """Most messages that become a table at once."""
-_DAMAGE = (
-    LogError,
-    McapError,
-    LookupError,
-    ValueError,
-    TypeError,
-    RuntimeError,
-    MemoryError,
-    struct.error,
-    zstandard.ZstdError,
-)
 Record = TypeVar("Record", bound=McapRecord)
 
 
@@ -169,7 +157,7 @@ class _Walk:
                 if self._salvage and op not in (_IN_SUMMARY if self._in_summary else _IN_DATA):
                     raise ValueError("it does not belong there")
                 self._record(op, at, start, end)
-            except _DAMAGE as reason:
+            except Exception as reason:  # noqa: BLE001  the library may raise anything on damaged bytes
                 why = reason.what if isinstance(reason, LogError) else f"{reason!s:.200}"
                 what = f"the {_NAMES.get(op, f'record {op:#04x}')} at byte {at} is damaged: {why}" if end else why
                 end = self._after_damage(at, end) if self._salvage else at
@@ -196,7 +184,7 @@ class _Walk:
                 return end
         for found in _CODEC.finditer(self._raw, at + 1 + _BEFORE_CODEC):
             candidate = found.start() - _BEFORE_CODEC
-            with suppress(*_DAMAGE):
+            with suppress(Exception):
                 op, start, stop = _frame(self._data, candidate)
                 if op == Opcode.CHUNK and _chunk(self._raw[start:stop])[1]:
                     return candidate

@@ -8,7 +8,6 @@ checksum is verified each time.
 import hashlib
 import os
 import threading
-import time
 import urllib.request
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ from twodof.flightlog.atomic import atomic_write
 
 VARIABLE = "TWODOF_FLIGHT_DATA"
 MAX_BYTES = 1 << 26
-_CHUNK = 1 << 16
 
 _RAW = "https://raw.githubusercontent.com/MattiaDiMauro"
 _COURSE = (
@@ -175,22 +173,15 @@ def download(row: PublicLog, folder: Path, deadline_s: float) -> Path:
 
 def _receive(url: str, deadline_s: float) -> bytes | Exception:
     """Return the content of an address, or the exception that prevented it."""
-    data = bytearray()
-    end = time.monotonic() + deadline_s
     try:
         with urllib.request.urlopen(url, timeout=deadline_s) as reply:
-            while part := reply.read(_CHUNK):
-                data += part
-                if len(data) > MAX_BYTES:
-                    return ValueError(f"more than {MAX_BYTES} bytes")
-                if time.monotonic() > end:
-                    return TimeoutError()
+            data: bytes = reply.read(MAX_BYTES + 1)
     except (OSError, ValueError) as reason:  # URLError, HTTP errors and time-outs are kinds of OSError
         cause = getattr(reason, "reason", None)  # of a URLError: of a connection that did not come in time, say
         return cause if isinstance(cause, TimeoutError) else reason
     except HTTPException:
         return ValueError("the answer is not HTTP")
-    return bytes(data)
+    return data if len(data) <= MAX_BYTES else ValueError(f"more than {MAX_BYTES} bytes")
 
 
 def _folders() -> list[Path]:

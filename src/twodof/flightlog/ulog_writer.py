@@ -9,7 +9,8 @@ type (one letter) and that many bytes.
 
 import re
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from struct import Struct, error
 from types import MappingProxyType
@@ -86,7 +87,8 @@ class ULogWriter(AppendOnlyFile):
         self._where = str(path)
         self._records: dict[str, tuple[int, Struct]] = {}
         self._layouts: dict[str, np.dtype[np.void]] = {}
-        head = HEADER.pack(MAGIC, 1, _whole(start_us, 64, self._where)) + _message("B", bytes(40))
+        with _fitting(self._where):
+            head = HEADER.pack(MAGIC, 1, start_us) + _message("B", bytes(40))
         added = b""
         for number, (name, description) in enumerate(described.items()):
             head += _message("F", f"{name}:{description}".encode("ascii", "replace"))
@@ -108,12 +110,10 @@ class ULogWriter(AppendOnlyFile):
 
         Raises LogError for a name without a format or values that do not fit it, RecordingError after a failure.
         """
-        try:
-            self.layout(name)
-            number, packing = self._records[name]
+        self.layout(name)
+        number, packing = self._records[name]
+        with _fitting(f"{self._where}: {name}"):
             payload = packing.pack(number, timestamp_us, *values)
-        except (error, TypeError, OverflowError) as reason:
-            raise LogError(f"{shown(values)} at {shown(timestamp_us)}: {reason}", f"{self._where}: {name}") from reason
         return self._put(_message("D", payload), timestamp_us)
 
     def layout(self, name: str) -> np.dtype[np.void]:
@@ -138,19 +138,19 @@ class ULogWriter(AppendOnlyFile):
 
     def dropout(self, lost_ms: int, timestamp_us: int) -> bool:
         """Log that nothing could be logged for `lost_ms` before `timestamp_us`."""
-        return self._put(_dropout(lost_ms), _whole(timestamp_us, 64, self._where))
+        return self._put(_dropout(lost_ms), timestamp_us)
 
     def text(self, level: str, timestamp_us: int, line: str) -> bool:
         """Log a line of text of a level of LEVELS. Raises LogError for another level."""
         if level not in LEVELS:
             raise LogError(f"no level {shown(level)}", self._where, f"use {', '.join(LEVELS)}")
-        stamp = _whole(timestamp_us, 64, self._where)
-        body = Struct("<BQ").pack(ord("0") + LEVELS[level], stamp) + line.encode()[:1000]
-        return self._put(_message("L", body), stamp)
+        with _fitting(self._where):
+            body = Struct("<BQ").pack(ord("0") + LEVELS[level], timestamp_us) + line.encode()[:1000]
+        return self._put(_message("L", body), timestamp_us)
 
     def parameter(self, name: str, value: float, timestamp_us: int) -> bool:
         """Log a change of a parameter. Raises LogError for a value that ULog cannot hold."""
-        return self._put(self._parameter(name, value), _whole(timestamp_us, 64, self._where))
+        return self._put(self._parameter(name, value), timestamp_us)
 
     def _put(self, made: bytes, stamp_us: int, count: int = 1) -> bool:
         with self._changed:
@@ -170,16 +170,14 @@ class ULogWriter(AppendOnlyFile):
         if isinstance(value, str):
             raw = value.encode()[:10_000]
             return _keyed("I", f"char[{max(len(raw), 1)}] {key}", raw or b"\0")
-        return _keyed("I", f"int64_t {key}", Struct("<q").pack(_whole(value, 64, self._where, signed=True)))
+        with _fitting(f"{self._where}: {key}"):
+            return _keyed("I", f"int64_t {key}", Struct("<q").pack(value))
 
     def _parameter(self, name: str, value: float) -> bytes:
         _named(name, self._where)
-        if isinstance(value, int):
-            return _keyed("P", f"int32_t {name}", Struct("<i").pack(_whole(value, 32, self._where, signed=True)))
-        try:
-            return _keyed("P", f"float {name}", Struct("<f").pack(value))
-        except (error, OverflowError, TypeError) as reason:
-            raise LogError(f"{shown(value)}: {reason}", f"{self._where}: {name}", "give a float32") from reason
+        kind, letter = ("int32_t", "<i") if isinstance(value, int) else ("float", "<f")
+        with _fitting(f"{self._where}: {name}"):
+            return _keyed("P", f"{kind} {name}", Struct(letter).pack(value))
 
     def _take(self) -> bytes | None:
         taken, self._buffer = bytes(self._buffer), bytearray()
@@ -187,9 +185,6 @@ class ULogWriter(AppendOnlyFile):
 
     def _encode(self, taken: object) -> bytes:
         return (taken if isinstance(taken, bytes) else b"") + MARK
-
-    def _ending(self) -> bytes:
-        return b""
 
 
 def record_layout(name: str, description: str, where: str) -> np.dtype[np.void]:
@@ -240,12 +235,13 @@ def _keyed(letter: str, key: str, value: bytes) -> bytes:
     return _message(letter, bytes((len(key),)) + key.encode() + value)
 
 
-def _whole(value: int, bits: int, where: str, signed: bool = False) -> int:
-    low = -(1 << (bits - 1)) if signed else 0
-    if not isinstance(value, int) or not low <= value < low + (1 << bits):
-        what = f"{shown(value)} is not a whole number of {bits} bits"
-        raise LogError(what, where, "give a smaller one" if signed else "give whole microseconds from 0")
-    return value
+@contextmanager
+def _fitting(where: str) -> Iterator[None]:
+    """Turn what `struct` raises for numbers that do not fit into a LogError."""
+    try:
+        yield
+    except (error, TypeError, OverflowError) as reason:
+        raise LogError(f"a number does not fit: {reason}", where, "give numbers that the format can hold") from reason
 
 
 MOST = 249

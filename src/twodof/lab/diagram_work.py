@@ -125,7 +125,7 @@ def template(text: str) -> str:
 
 def compiled(text: str, rig: str) -> dict[str, Any]:
     """Return the diagram in its closed loop as WebAssembly, to be run in the reader's browser."""
-    return portable_loop(from_json(text), rig=rig).to_json()
+    return portable_loop(from_json(text), rig=rig)
 
 
 _CLOSED = {"attitude_control": ("motors", "rate", "attitude"), "position_control": ("velocity", "position")}

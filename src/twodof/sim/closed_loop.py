@@ -4,7 +4,6 @@ import functools
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,16 +30,6 @@ from twodof.sim.drone_estimator import HISTORY, drone_estimator, settled
 
 SETTLE_STEPS = 25_000
 """Steps at rest after which the estimator's covariances stand: the gyro's bias settles within some tens of seconds."""
-
-FLIGHT_FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {
-        "joint": ("estimator.filter", "estimator.filter"),
-        "fixed-gain": ("estimator.pitch", "estimator.position"),
-        "drone": ("estimator.filter", "estimator.filter"),
-        "kalman": ("estimator.pitch", "estimator.position"),
-    }
-)
-"""Paths in the flight code of the blocks that estimate pitch and position, by the position filter's name."""
 
 _COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
 _ARMED = 1000  # more than any count of samples that the flight code waits for after arming
@@ -112,11 +101,12 @@ class InitialState:
             states |= {f"rotors.{name}": float(speed), f"rotors.{name}_ring": ring.tolist()}
         return states
 
-    def flight_states(self, position_filter: str, known: Iterable[str]) -> dict[str, Any]:
+    def flight_states(self, known: Iterable[str]) -> dict[str, Any]:
         """States of the flight code, to be set once it was reset, of those that it has (`known`)."""
         known = frozenset(known)
         estimate = {"theta": self.theta, "x": self.x, "v": self.v} | dict(self.estimates)
-        pitch, position = FLIGHT_FILTERS[position_filter]
+        joint = "estimator.filter.theta" in known
+        pitch, position = ("estimator.filter",) * 2 if joint else ("estimator.pitch", "estimator.position")
         states: dict[str, Any] = {
             "previous.theta": estimate["theta"],
             f"{pitch}.theta": estimate["theta"],
@@ -126,7 +116,7 @@ class InitialState:
             "estimator.publisher.v": estimate["v"],
         }
         states |= {path: True for path in (f"{pitch}.started", f"{position}.started") if path in known}
-        if position_filter == "drone":
+        if f"{position}.turning" in known:  # the real drone's estimator
             ago = PERIOD * np.arange(-HISTORY, 0)
             level = np.full(HISTORY, estimate["theta"])
             own = settled(level, estimate["x"] + estimate["v"] * ago, np.full(HISTORY, estimate["v"]))
@@ -166,11 +156,6 @@ READ = frozenset(name for name, _, _, _ in INPUTS)
 
 ARMING = 25
 """Steps after a start with the motors off until `fly` arms: the range sensor has then given a sample."""
-
-FILTERS: Mapping[str, tuple[str, str]] = MappingProxyType(
-    {name: (f"flight.{pitch}", f"flight.{position}") for name, (pitch, position) in FLIGHT_FILTERS.items()}
-)
-"""Paths of the blocks that estimate pitch and position, by the position filter's name."""
 
 FLIGHT, CASCADE = "flight.", "flight.cascade."
 """Where the flight code's parameters are in the closed loop, and those of the cascade."""
@@ -291,8 +276,6 @@ class ClosedLoop:
         }
         self.tune(gains)
         self.machine.set_many({f"flight.{path}": value for path, value in (tuning or {}).items()})
-        self.filters = FILTERS[position_filter]
-        self.position_filter = position_filter
         self.states = frozenset(_state_paths(diagram))
         self._flight_states = {path.removeprefix(FLIGHT) for path in self.states if path.startswith(FLIGHT)}
         self.inputs = (*SETPOINTS, *(SAFETY if failsafe else ()))
@@ -344,7 +327,7 @@ class ClosedLoop:
         at.check(float(get("rig.pitch_stop")), float(get("rig.rail_stop")))
         rig = at.rig_states(float(get("rig.delay")), float(get("rig.lag")))
         states = {f"rig.{path}": value for path, value in rig.items()}
-        states |= {f"{FLIGHT}{path}": value for path, value in at.flight_states(self.position_filter, known).items()}
+        states |= {f"{FLIGHT}{path}": value for path, value in at.flight_states(known).items()}
         return at.rig_parameters(), states | self._settled | dict(at.states)
 
     def _settle(self) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -15,7 +15,7 @@ from twodof.blocks.schema.json_form import from_json
 from twodof.errors import LogError, TwodofError
 from twodof.flight.gains import Gains
 from twodof.flight.templates import TEMPLATES, check_template
-from twodof.flightlog.events import SETPOINTS, Stretch, mode_at, modes
+from twodof.flightlog.events import SETPOINTS, Event, Stretch, mode_at, modes, window
 from twodof.flightlog.log import FlightLog
 from twodof.signals import MODES, PERIOD, VELOCITY
 
@@ -57,11 +57,8 @@ class FlownParameters:
                 values = row.get("parameters") if isinstance(row, Mapping) else None
                 inside = values if isinstance(values, Mapping) else {}
                 tuning |= {f"{template}.{path}": value for path, value in inside.items()}
-        changes = provenance.get("changes")
-        rows = (
-            [(float(row[0]), row[1], row[2]) for row in changes if _is_change(row)] if isinstance(changes, list) else []
-        )
-        return cls(Gains.flown(provenance), tuple(sorted(rows)), found, tuning, tuple(unknown))
+        changes = tuple(sorted(_changes(provenance.get("changes"))))
+        return cls(Gains.flown(provenance), changes, found, tuning, tuple(unknown))
 
     def gains_in_flight(self, start: Gains) -> list[tuple[float, Gains]]:
         """Each time [s] at which the gains changed, and those that flew from then on, from those at the `start`."""
@@ -87,22 +84,16 @@ def _diagram(template: str, row: object) -> Diagram | None:
     return diagram
 
 
-def _is_change(row: object) -> bool:
-    match row:
-        case [time, str(), value]:
-            return _is_number(time) and _is_number(value)
-    return False
-
-
-def _is_number(value: object) -> bool:
-    """Return whether a value is a finite number that float32 holds, and not a bool."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < _MOST
+def _changes(rows: object) -> Iterator[Change]:
+    """Yield the changes whose numbers are finite and fit float32."""
+    for row in rows if isinstance(rows, list) else ():
+        match row:
+            case [int() | float() as time, str() as name, int() | float() as value]:
+                if abs(time) < _MOST and abs(value) < _MOST and not isinstance(value, bool):
+                    yield float(time), name, value
 
 
 Floats = NDArray[np.float64]
-
-BEFORE, AFTER = 0.3, 2.0
-"""Default window [s]: from before the first set-point step to after the last."""
 
 MAX_STEPS = 450_000
 """Longest window that is simulated: half an hour."""
@@ -168,12 +159,8 @@ def default_window(log: FlightLog) -> tuple[float, float]:
     if best is None:
         raise LogError("no set-point steps in it", log.source, "give a window with --window T0 T1")
     _, stretch, times = best
-    first, last = float(times[0]), float(times[-1])
-    start, end = log.span
-    for a, b in log.armed():
-        if a <= first <= b:
-            start, end = a, b
-    return max(first - BEFORE, start), min(last + AFTER, end)
+    ends = [Event(float(time), "step", stretch.mode, 0.0, 0.0) for time in times[[0, -1]]]
+    return window(log, ends)
 
 
 def _steps(log: FlightLog, stretch: Stretch) -> Floats:

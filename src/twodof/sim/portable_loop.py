@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import functools
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks import Diagram
@@ -13,7 +12,7 @@ from twodof.compile.builder import emit_program
 from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.flatten import FlatDiagram
 from twodof.compile.program.lower import lower
-from twodof.compile.wasm.module import WasmModule, compile_module
+from twodof.compile.wasm.module import compile_module
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.flight.failsafe.state_machine import STATES
 from twodof.flight.gains import DEFAULT, Gains
@@ -28,41 +27,13 @@ MOST_LOGGED = 600
 """Elements of signals inside the diagram that the module gives out at each tick; the outermost come first."""
 
 
-@dataclass(frozen=True)
-class PortableLoop:
-    """The closed loop with one controller as a module, for a host that sets `parameters`, `init`s, and sets `states`.
-
-    `prefix` is where the controller's parameters and signals are, "flight.cascade.attitude_control.". `signals` are
-    the paths within the controller of what the module gives out of it; `given` are the outputs that its inputs read, by
-    name. The rotors run in hover then.
-    """
-
-    module: WasmModule
-    template: str
-    prefix: str
-    parameters: dict[str, Any]
-    states: dict[str, Any]
-    signals: tuple[str, ...]
-    given: dict[str, str]
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain data; the module in base 64."""
-        return {
-            "module": base64.b64encode(self.module.data).decode("ascii"),
-            "interface": self.module.interface(),
-            "template": self.template,
-            "prefix": self.prefix,
-            "parameters": self.parameters,
-            "states": self.states,
-            "signals": list(self.signals),
-            "given": self.given,
-            "setpoints": list(SETPOINTS),
-            "ticks": TICKS,
-        }
-
-
-def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab", optimise: str = "-O1") -> PortableLoop:
+def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab") -> dict[str, Any]:
     """Compile `controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
+
+    Returns plain data for a host that sets `parameters`, `init`s, and sets `states`; the rotors run in hover then.
+    `module` is in base 64. `prefix` is where the controller's parameters and signals are,
+    "flight.cascade.attitude_control.". `signals` are the paths within the controller of what the module gives out of
+    it; `given` are the outputs that its inputs read, by name.
 
     It is compiled, not run: what comes from elsewhere runs only where the module does. Bits are those of `ClosedLoop`
     with `start(InitialState(hover=True))` on every target. Raises DiagramError for a diagram that fits no template,
@@ -70,17 +41,27 @@ def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab",
     """
     template = check_template(controller).name
     prefix = f"{FLIGHT if template == MOTOR.name else CASCADE}{template}."
-    signals = tuple(_chosen(lower(controller, PERIOD)))
+    signals = list(_chosen(lower(controller, PERIOD)))
     loop = closed_loop(gains, controllers=[controller])
     given = _given(loop, prefix.removesuffix("."))
     emitted = emit_program(
         loop, BASE_DT, log=[*(f"{prefix}{path}" for path in signals), *dict.fromkeys(given.values())]
     )
-    module = compile_module([emitted], optimise=optimise)
+    module = compile_module([emitted], optimise="-O1")
     wanted, states = _start(gains, rig)
     known = emitted.flat.parameters
-    parameters = {path: value for path, value in wanted.items() if path in known}
-    return PortableLoop(module, template, prefix, parameters, dict(states), signals, given)
+    return {
+        "module": base64.b64encode(module.data).decode("ascii"),
+        "interface": module.interface(),
+        "template": template,
+        "prefix": prefix,
+        "parameters": {path: value for path, value in wanted.items() if path in known},
+        "states": dict(states),
+        "signals": signals,
+        "given": given,
+        "setpoints": list(SETPOINTS),
+        "ticks": TICKS,
+    }
 
 
 @functools.lru_cache(8)
@@ -117,23 +98,13 @@ def _given(loop: Diagram, place: str) -> dict[str, str]:
     return found
 
 
-@dataclass(frozen=True)
-class PlayProgram:
-    """`module` is the .wasm of the closed loop with its failsafe, in float64.
-
-    `data` is JSON: `table` (`WasmModule.interface`), `ticks` of a control step, the names of `modes`, failsafe
-    `states`, `actions` and `causes`; `rigs` (parameters by path), `starts` (`parameters` and `states` by path, for
-    "rest" and "hover"), and `texts` (what parameters are, by path).
-    """
-
-    module: bytes
-    data: dict[str, Any]
-
-
-def play_program() -> PlayProgram:
+def play_program() -> tuple[bytes, dict[str, Any]]:
     """Return the rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
 
-    Raises CompileError without a compiler for WebAssembly.
+    That is the .wasm, in float64, and JSON: `table` (`WasmModule.interface`), `ticks` of a control step, the names of
+    `modes`, failsafe `states`, `actions` and `causes`; `rigs` (parameters by path), `starts` (`parameters` and `states`
+    by path, for "rest" and "hover"), and `texts` (what parameters are, by path). Raises CompileError without a compiler
+    for WebAssembly.
     """
     emitted = emit_program(closed_loop(failsafe=True), BASE_DT)
     module = compile_module([emitted])
@@ -158,4 +129,4 @@ def play_program() -> PlayProgram:
         "starts": starts,
         "texts": texts,
     }
-    return PlayProgram(module.data, data)
+    return module.data, data

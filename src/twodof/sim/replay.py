@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -89,8 +89,7 @@ def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64
     for at, _, _ in flown.changes:
         unsure |= np.abs(paired.time - at) <= UNSURE_S
     if flown.controllers and not flown.unknown:
-        user = replay_user(log, paired, flown, precision, unsure)
-        return _result(paired, precision, user.replayed, user.compared)
+        return _result(paired, precision, *replay_user(log, paired, flown, precision, unsure))
     start = flown.gains or DEFAULT
     program = build(cascade(start), dt=PERIOD, precision=precision, log=tuple(_TERMS))
     changes = flown.gains_in_flight(start)
@@ -255,17 +254,12 @@ def _add_to_integral(machine: Any, loop: str, offset: float) -> None:
 _ELEMENT = re.compile(r"(.+)\[(\d{1,6})\]")
 
 
-class UserReplay(NamedTuple):
-    """Outputs (n,) by channel on the steps of the log, and flags (n,) where they may be compared."""
-
-    replayed: dict[str, Floats]
-    compared: dict[str, Flags]
-
-
 def replay_user(
     log: FlightLog, paired: AlignedLog, flown: FlownParameters, precision: str, unsure: Flags
-) -> UserReplay:
+) -> tuple[dict[str, Floats], dict[str, Flags]]:
     """Run the cascade with the user's controllers over the whole log, at its modes and set-points.
+
+    Returns the outputs (n,) by channel on the steps of the log, and flags (n,) where they may be compared.
 
     What a user's controller remembers is known where it is reset: with no thrust, and just after. So it is compared
     from there up to the first missing sample, except the `unsure` steps (n,). M is not compared where a user's motor
@@ -275,7 +269,7 @@ def replay_user(
     another channel, CompileError where a sandbox is missing, and ControllerFault where a step uses up its fuel.
     """
     if "mode" not in log.channels:
-        return UserReplay({}, {})
+        return {}, {}
     inputs, lost = _inputs(log, paired)
     machine = build(_diagram(flown), dt=PERIOD, precision=precision, target="wasm").machine()
     _tune(machine, flown.tuning)
@@ -293,7 +287,7 @@ def replay_user(
     names = ["q0", "theta0", "T"] if MOTOR.name in flown.controllers else ["M", "q0", "theta0", "T"]
     active = {name: paired.active[name] for name in names if paired.active[name].any()}
     replayed = {name: np.asarray(out[name], dtype=np.float64) for name in active}
-    return UserReplay(replayed, {name: flags & known for name, flags in active.items()})
+    return replayed, {name: flags & known for name, flags in active.items()}
 
 
 def _diagram(flown: FlownParameters) -> Diagram:

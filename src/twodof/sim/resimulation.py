@@ -17,7 +17,7 @@ from twodof.parameters import ParameterSet
 from twodof.rig.parameters import lab, load_rig
 from twodof.rig.steady_state import model_parameters, moment_gain, rail_force, trim_moment, velocity_gain
 from twodof.signals import GRAVITY, HOVER, PERIOD, Q_AGE
-from twodof.sim.closed_loop import FILTERS, ClosedLoop, InitialState
+from twodof.sim.closed_loop import FLIGHT, ClosedLoop, InitialState
 from twodof.sim.drone_estimator import HISTORY, settled
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
 
@@ -109,7 +109,7 @@ def _check(rig: Mapping[str, float], given: Mapping[str, float]) -> None:
 CHANNELS = ("theta", "q", "x", "v")
 """Logged estimates that are compared; of a 1DoF log, those that it holds."""
 
-_FILTER = FILTERS["drone"][1]
+_FILTER = f"{FLIGHT}estimator.filter"
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,6 @@
 
 import asyncio
 import functools
-import math
-import operator
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from operator import itemgetter
@@ -11,7 +9,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from twodof.blocks import Diagram
-from twodof.blocks.noise import SEEDS
 from twodof.compile import CompiledProgram, build
 from twodof.compile.stepper import Stepper
 from twodof.errors import CompileError, ExperimentError, ParameterError
@@ -76,7 +73,6 @@ class VirtualRig:
         self.machine = program.machine()
         self.machine.set_many(dict((lab() if parameters is None else parameters).snapshot()) | dict(conditions or {}))
         self._stepper = Stepper(self.machine, ("fore", "aft"), _OUTPUTS)
-        self._position_filter = ""
         self._flight_states: frozenset[str] = frozenset()
         self._settled: Mapping[str, Any] = {}
         self._stopped = False
@@ -106,7 +102,7 @@ class VirtualRig:
         then starts from there.
         """
         states = code.machine.program.states
-        self._position_filter, self._flight_states = code.position_filter, frozenset(states)
+        self._flight_states = frozenset(states)
         estimator = [path for path in code.machine.parameters if path.startswith("estimator.")]
         key = repr(
             (
@@ -145,17 +141,8 @@ class VirtualRig:
 
         Raises ParameterError, and changes nothing, for a place beyond the rail, a seed or a noise that cannot be.
         """
-        values: dict[str, Any] = {}
-        if seed is not None:
-            if isinstance(seed, bool) or not 0 <= operator.index(seed) < SEEDS:
-                raise ParameterError(f"{seed!r:.40} is not a seed", "seed", f"give an integer 0 to {SEEDS - 1}")
-            values["seed"] = operator.index(seed)
-        if noise is not None:
-            if not (math.isfinite(noise) and noise >= 0.0):
-                raise ParameterError(f"a noise of {noise!r:.40}", "noise", "give 0 (none) or more; 1 is the rig's own")
-            values["noise"] = float(noise)
-        if rings is not None:
-            values["rings"] = bool(rings)
+        asked = {"seed": seed, "noise": noise, "rings": rings}
+        values = {name: value for name, value in asked.items() if value is not None}
         start = InitialState(x=float(x))
         try:
             start.check(float(self.machine.get("pitch_stop")), float(self.machine.get("rail_stop")))
@@ -199,7 +186,7 @@ class VirtualRig:
         self._look()
         if not self._flight_states:
             return {}
-        return start.flight_states(self._position_filter, self._flight_states) | dict(self._settled)
+        return start.flight_states(self._flight_states) | dict(self._settled)
 
     def _take_conditions(self) -> None:
         self._seed, self._rings = int(self.machine.get("seed")), bool(self.machine.get("rings"))
