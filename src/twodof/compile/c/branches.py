@@ -20,7 +20,6 @@ WORTH = 10  # operations from which on a branch costs less than computing what m
 WORTH_OF_FLAG = 4  # where the processor guesses right: a mode or a flag seldom changes, two reals are seldom the same
 SLOW = {"div": 4, "sqrt": 4, "call": CALL}  # cost in simple operations
 DEEPEST = 24  # branches within one another
-MOST_ROUNDS = 4  # attempts at moving shared nodes before two branches on one condition
 MOST_ALIKE = 32  # choices that are tried for sharing one branch
 WALKED = 20  # nodes visited for each node of the graph, in the search for choices that share a branch
 TRUE, FALSE = (node("const", "bool", (), value) for value in (True, False))
@@ -102,17 +101,13 @@ def steps(
     if not any(item.op in ("where", "and", "or") for item in order):
         return order
     plan = _Plan([item for item in order if id(item) not in hand], args, always, hand, optional, in_loop)
-    at_hand = [item for item in order if id(item) in hand]
-    for _ in range(MOST_ROUNDS):
-        if not plan.worth:
-            return order
-        found = plan.all_steps()
-        if not plan.clashes:
-            return at_hand + found
-        plan.raised |= plan.clashes
-    plan.worth -= plan.clashing
+    if not plan.worth:
+        return order
     found = plan.all_steps()
-    return order if plan.clashes else at_hand + found
+    if plan.clashing:
+        plan.worth -= plan.clashing
+        found = plan.all_steps()
+    return order if plan.clashing else [item for item in order if id(item) in hand] + found
 
 
 class _Plan:
@@ -146,9 +141,7 @@ class _Plan:
         self.always = {id(item) for item in always}
         self.rank = {id(item): i for i, item in enumerate(order)}
         self._kept: list[Expr] = []
-        self.raised: set[int] = set()  # nodes that two branches on one condition share: computed before both
-        self.clashes: set[int] = set()
-        self.clashing: set[int] = set()  # conditions of such branches
+        self.clashing: set[int] = set()  # conditions of which two branches share a node
         self._leave_out(optional)
         self.worth = {id(d.condition) for d in self.decisions.values()}
         self.outermost: dict[tuple[int, bool], _Place] = {}
@@ -200,10 +193,7 @@ class _Plan:
         """Find the innermost place of each node that is around all of its readers."""
         place: dict[int, _Place | None] = dict.fromkeys(self.always)
         for item in reversed(self.order):
-            own = place.setdefault(id(item), None)
-            if id(item) in self.raised and own is not None:
-                own = place[id(item)] = own.around
-            for a, here in self._reads(item, own):
+            for a, here in self._reads(item, place.setdefault(id(item), None)):
                 place[id(a)] = _common(place[id(a)], here) if id(a) in place else here
         self.place = place
 
@@ -267,7 +257,7 @@ class _Plan:
         """Return the steps, each node in its place."""
         self.outermost = {}
         self._place()
-        self.clashes, self.clashing = set(), set()
+        self.clashing = set()
         self.done: set[int] = set()
         self.budget = WALKED * len(self.order)
         return self._level([item for item in self.order if self.place[id(item)] is None], None)
@@ -352,7 +342,6 @@ class _Plan:
                 elif id(a) in self.done:
                     if strict:
                         return None
-                    self.clashes.add(id(a))
                     self.clashing.add(id(own.condition))
                 else:
                     found[id(a)] = a

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Any
 
 from twodof.blocks.expressions.expr import LEAVES, LOOPS, Expr, node
@@ -30,6 +31,9 @@ from twodof.compile.program.flat_program import FlatSignal, Node
 WIDEST_LINE = 150  # an expression that would be longer becomes two
 SMALL_ARRAY = 16  # up to here a copy is cheaper than a choice
 MOST_CHOICES = 4  # stores in a row that are read by choices: more are copied, as each reader would choose among all
+
+
+THEN, OTHERWISE = attrgetter("then"), attrgetter("otherwise")
 
 
 def _bracketed(item: Text, loosest: int) -> str:
@@ -324,27 +328,14 @@ class Renderer:
             place or self._variable_name(item, choice) for place, (item, choice) in zip(given, decided, strict=True)
         ]
         test = batch.texts[id(branch.condition)]
-        # Where one side gives only what is at hand, the variables have it before the `if`, which has no `else` then.
-        first = None
-        if not any(given):
-            if not branch.otherwise and not any(_loaded(d.otherwise) for _, d in decided):
-                first = False
-            elif not branch.then and not any(_loaded(d.then) for _, d in decided):
-                first = True
-        for (item, d), name, known in zip(decided, names, given, strict=True):
+        for (item, _), name, known in zip(decided, names, given, strict=True):
             if not known:
-                value = EMPTY if first is None else batch.texts[id(d.then if first else d.otherwise)]
-                self.declare(name, item.kind, value)
-        sides: list[list[Statement]] = [[], []]
-        if first is not True:
-            sides[0] = self._side(batch, branch.then, [(n, d.then) for n, (_, d) in zip(names, decided, strict=True)])
-        if first is not False:
-            rows = [(n, d.otherwise) for n, (_, d) in zip(names, decided, strict=True)]
-            sides[1] = self._side(batch, branch.otherwise, rows)
-        text = test.text
-        if first:
-            text, sides = (f"!{text}" if test.binding == ATOM else f"!({text})"), sides[::-1]
-        self.out.append(IfStatement(text, *sides, owner=self.owner, reads=test.reads))
+                self.declare(name, item.kind)
+        sides = [
+            self._side(batch, found, [(name, side(d)) for name, (_, d) in zip(names, decided, strict=True)])
+            for found, side in ((branch.then, THEN), (branch.otherwise, OTHERWISE))
+        ]
+        self.out.append(IfStatement(test.text, *sides, owner=self.owner, reads=test.reads))
         self.owner = outer
         for (item, _), name in zip(decided, names, strict=True):
             batch.texts[id(item)] = self.know(item, Text(name, ATOM, frozenset((name_of(name),))))
@@ -653,7 +644,3 @@ class Renderer:
             else:
                 self.named[key] = text
         self._undo = outer
-
-
-def _loaded(side: Expr) -> bool:
-    return side.op in ("input", "state", "param")

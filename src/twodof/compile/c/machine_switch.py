@@ -24,7 +24,6 @@ from twodof.compile.c.statements import (
     Statement,
     SwitchStatement,
     Text,
-    constant,
     name_of,
 )
 from twodof.compile.program.flat_program import FlatSignal, Node
@@ -126,7 +125,7 @@ class MachineSwitch:
     def _stay(self, leaf: Leaf) -> None:
         for mode, outputs, variables in self._stays(leaf):
             renderer = self._renderer(mode)
-            renderer.assign([(self.targets[name], e) for name, e in outputs.items()])
+            renderer.assign([(self.targets[name], e) for name, e in self._of(outputs).items()])
             self._change(renderer, variables)
 
     def _transitions(self, routes: Sequence[Route]) -> None:
@@ -141,7 +140,7 @@ class MachineSwitch:
             if guard.op == "const":  # it is the last one
                 self._take(route)
                 break
-            test = renderer.text(guard)
+            test = renderer.text(self.scope.graph.of(self.node, guard))
             with self._collecting() as then:
                 self._take(route)
             branch = IfStatement(test.text, then, owner=self.node, reads=test.reads)
@@ -186,31 +185,19 @@ class MachineSwitch:
         self._change(self._renderer(mode), values)
 
     def _change(self, renderer: Renderer, values: Mapping[str, Expr]) -> None:
-        commit(renderer, changed(self.node, values, self.states.__getitem__))
+        commit(renderer, changed(self.node, self._of(values), self.states.__getitem__))
 
     def _renderer(self, mode: Mode) -> Renderer:
         """Return a fresh one for each action: what it names is another value once the variables have changed."""
         clock = owner_clock(mode in self.chart.outers)
-
-        def leaf(item: Expr) -> Text:
-            if item.op == "input":
-                found = self.signal(self.node.drivers[item.data])
-            elif item.op == "state":
-                found = self.states[clock if item.data == ELAPSED else item.data]
-                return Text(found, reads=frozenset((name_of(found), found)))
-            elif item.op == "param":
-                found = self.scope.given(self.node, item.data)
-            elif item.op == "tick":
-                found = "s->tick"
-            else:
-                dt = self.scope.program.dt * (self.node.rate.divider if item.data == "dt" else 1)
-                return constant(dt, item.kind, self.scope.precision)
-            return Text(found, reads=frozenset((name_of(found),)))
-
-        made = self.scope.renderer(self.outer.names, Leaves(leaf, owner=lambda item: self.node))
+        text = self.scope.leaf(self.signal, lambda _, name: self.states[clock if name == ELAPSED else name])
+        made = self.scope.renderer(self.outer.names, Leaves(text, owner=lambda item: self.node))
         made.out = self.outer.out
         made.owner = self.node
         return made
+
+    def _of(self, values: Mapping[str, Expr]) -> dict[str, Expr]:
+        return {name: self.scope.graph.of(self.node, e) for name, e in values.items()}
 
 
 def _case(leaf: Leaf, body: list[Statement]) -> Case:

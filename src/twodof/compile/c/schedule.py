@@ -14,16 +14,18 @@ from twodof.compile.program.lower import inputs_of
 class Segment:
     """Actions of one guard that are computed together, and one that stands behind them.
 
-    `behind` sets states to their initial values, or is the whole tick of a state machine.
+    `behind` sets states to their initial values, or is the whole tick of a state machine. `updates` are the blocks
+    whose states are replaced at the end of the segment, before `behind`.
     """
 
     guard: Guard
     actions: list[Action] = field(default_factory=list)
     behind: Action | None = None
+    updates: list[Node] = field(default_factory=list)
 
 
 class Schedule:
-    """The segments of a tick, by groups of one guard; `updates` are the blocks that are updated at its end.
+    """The segments of a tick, by groups of one guard; `last` are the blocks that are updated at its end.
 
     A signal that is not `fixed` is computed where it is first needed.
     """
@@ -37,7 +39,12 @@ class Schedule:
         for group in program.tick:
             self.groups.append(self._divided(group))
         self.end = len(self.segments)
-        self.updates = [node for node in program.nodes if changes(node) and node not in self.machines]
+        self.last: list[Node] = []
+        self._updated: dict[Node, int] = {}
+        for node in program.nodes:
+            if changes(node) and node not in self.machines:
+                at = self._updated[node] = self._update(node)
+                (self.segments[at].updates if at < self.end else self.last).append(node)
         self.fixed = self._fixed(program, layout)
 
     def _divided(self, group: Group) -> list[Segment]:
@@ -75,6 +82,20 @@ class Schedule:
         needed = [s for s in inputs_of(node, node.block.graph.expressions) if s.node is not None]
         return all(s in self._at for s in (*needed, *node.starts))
 
+    def _update(self, node: Node) -> int:
+        """Return the segment at whose end a block's states are replaced: nothing reads the old ones any more.
+
+        Blocks that always run wait until the end of the tick.
+        """
+        if node.guard.always or node.continuous:
+            return self.end
+        read = [s for s in inputs_of(node, node.trace.update.values()) if s in self.live]
+        own = [s for s in node.outputs.values() if s in self.live]
+        before: list[FlatSignal | Start] = [*read, *own, *node.starts]
+        first = max((self._at[x] for x in before), default=0)
+        found = (k for k in range(first, self.end) if self.segments[k].guard == node.guard)
+        return next(found, self.end)
+
     def _fixed(self, program: FlatProgram, layout: MemoryLayout) -> set[FlatSignal]:
         """Return the signals that are computed where they stand in the order: they are read in several places."""
         sites: dict[FlatSignal, set[int]] = {s: set() for s in self.live}
@@ -89,7 +110,8 @@ class Schedule:
             read((s for c in node.conditions for s in c.signals), self.end)
             if node not in self.machines:
                 machine = isinstance(node.block, StateMachine)
-                read(node.drivers.values() if machine else inputs_of(node, node.trace.update.values()), self.end)
+                used = node.drivers.values() if machine else inputs_of(node, node.trace.update.values())
+                read(used, self._updated.get(node, self.end))
         fixed: set[FlatSignal] = set()
         for k in reversed(range(self.end)):
             segment = self.segments[k]

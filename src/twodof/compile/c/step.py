@@ -161,6 +161,7 @@ class StepEmitter:
         for s in edges:
             for name in self.fractions[s]:
                 self._set_edge(s, name, next(texts))
+        self._updates(segment.updates)
         self._pending.difference_update(fixed)
         if behind is not None:
             self._behind(segment, behind.node)
@@ -207,7 +208,7 @@ class StepEmitter:
     def updates(self) -> None:
         """Add the updates of states. A block's own are the only ones that its update reads."""
         by_guard: dict[Guard, list[Node]] = {}
-        for node in self.schedule.updates:
+        for node in self.schedule.last:
             by_guard.setdefault(node.guard, []).append(node)
         for guard in sorted(by_guard, key=lambda g: not g.always):
             with self.renderer.within() as body:
