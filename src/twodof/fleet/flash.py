@@ -242,21 +242,14 @@ def flash(
     one that is unstable on the virtual rig (`trial_flight`). Raises CompileError, and what `open_target` and the drone
     raise.
     """
-    say = say or _silent
     check_target(to)
-    kind = check_template(diagram).name
-    say("compiling", 0.0)
-    costs = controller_costs(diagram, precision)
-    say("flying on the virtual rig", 0.4)
-    trial = trial_flight(diagram, kind)
+    kind, costs, trial, remarks = _examined(diagram, precision, "native", say or (lambda what, share: None))
     if trial.fault and not (force or dry_run):
         raise ExperimentError(
             f"unstable on the virtual rig: {trial.fault}",
             diagram.name,
             f"nothing was flashed; mend it with `twodof diagram margins`, or use {FORCE} (in Python force=True)",
         )
-    say("flashing", 0.9)
-    remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
     warnings = () if px4 is None else _checked(diagram, px4)
     with open_target(to, kind, out, key) as there:
         if not dry_run:
@@ -265,8 +258,18 @@ def flash(
     return FlashReport(diagram, kind, costs, there.origin, changes, remarks, warnings, there.place, trial)
 
 
-def _silent(text: str, share: float) -> None:
-    """Ignore the progress."""
+def _examined(
+    diagram: Diagram, precision: str, target: str, say: Callable[[str, float], None]
+) -> tuple[str, ControllerCosts, TrialFlight, tuple[str, ...]]:
+    """Return template, costs, trial flight and remarks."""
+    kind = check_template(diagram).name
+    say("compiling", 0.0)
+    costs = controller_costs(diagram, precision, target)
+    say("flying on the virtual rig", 0.4)
+    trial = trial_flight(diagram, kind, target)
+    say("flashing" if target == "native" else "comparing", 0.9)
+    remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
+    return kind, costs, trial, remarks
 
 
 def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
@@ -309,13 +312,7 @@ def rehearse(
     `before` is the active diagram, None the stock controller. Raises what `flash` raises, except for an unstable
     diagram: `trial` reports that.
     """
-    kind = check_template(diagram).name
-    say("compiling", 0.0)
-    costs = controller_costs(diagram, "float32", target)
-    say("flying on the virtual rig", 0.4)
-    trial = trial_flight(diagram, kind, target)
-    say("comparing", 0.9)
-    remarks = tuple(f"{r.where}: {r.what} ({r.remedy})" for r in check_diagram(diagram, PERIOD).remarks)
+    kind, costs, trial, remarks = _examined(diagram, "float32", target, say)
     return Rehearsal(kind, costs, trial, remarks, difference(before or starter(STOCK[kind]), diagram))
 
 

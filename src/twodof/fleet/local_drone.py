@@ -4,7 +4,6 @@ import asyncio
 import errno
 import pwd
 import socket
-from collections.abc import Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,8 +77,13 @@ def port_owner(kind: str, port: int) -> str:
 
     Of another user's process the system shows the user alone.
     """
-    for inode, user in _sockets(kind, port):
-        return _process(f"socket:[{inode}]") or f"a process of {_name(user)}"
+    for table in _TABLES[kind]:
+        with suppress(OSError):
+            for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
+                columns = line.split()
+                there = int(columns[_PORT].rpartition(":")[2], 16) == port
+                if there and (kind == "UDP" or columns[_STATE] == _LISTENING):
+                    return _process(f"socket:[{columns[_INODE]}]") or f"a process of {_name(int(columns[_USER]))}"
     return ""
 
 
@@ -88,57 +92,29 @@ def with_port_owner(error: LinkError) -> LinkError:
     with suppress(LinkError):
         address = parse(error.where)
         port = address.port if address.listens else address.bind_port
-        who = (
-            port_owner("TCP" if address.kind.startswith("tcp") else "UDP", port)
-            if port and "in use" in error.what
-            else ""
-        )
-        if who:
+        kind = "TCP" if address.kind.startswith("tcp") else "UDP"
+        if port and "in use" in error.what and (who := port_owner(kind, port)):
             return LinkError(error.what, error.where, f"end {who}, or choose another port")
     return error
 
 
-def _sockets(kind: str, port: int) -> Iterator[tuple[str, int]]:
-    """Yield inode and user of each socket bound to the port."""
-    for table in _TABLES[kind]:
-        with suppress(OSError):
-            for line in (_PROC / "net" / table).read_text().splitlines()[1:]:
-                columns = line.split()
-                there = int(columns[_PORT].rpartition(":")[2], 16) == port
-                if there and (kind == "UDP" or columns[_STATE] == _LISTENING):
-                    yield columns[_INODE], int(columns[_USER])
-
-
-def _process(link: str) -> str:
+def _process(socket_name: str) -> str:
     """Return the process that holds a socket, "" if it is another user's."""
-    wanted = Path(link)
     for folder in _PROC.glob("[0-9]*"):
         with suppress(OSError):
-            if any(_link(one) == wanted for one in (folder / "fd").iterdir()):
+            # A descriptor that was closed in the meantime resolves to itself.
+            if any(one.resolve().name == socket_name for one in (folder / "fd").iterdir()):
                 if _CHILD in _words(folder):  # its supervisor would restart it
                     folder = _PROC / (folder / "stat").read_text().rpartition(")")[2].split()[1]
-                return f"process {folder.name} ({_command(folder)})"
+                words = _words(folder)
+                if words[0].rpartition("/")[2].startswith("python") and words[1:]:
+                    words = [words[1].rpartition("/")[2], *words[2:]]
+                return f"process {folder.name} ({printable(' '.join(' '.join(words).split()))[:_MOST_SHOWN]})"
     return ""
-
-
-def _link(descriptor: Path) -> Path | None:
-    """Return the file of a descriptor, None if it was closed in the meantime."""
-    with suppress(OSError):
-        return descriptor.readlink()
-    return None
 
 
 def _words(folder: Path) -> list[str]:
     return (folder / "cmdline").read_bytes().decode(errors="replace").rstrip("\0").split("\0")
-
-
-def _command(folder: Path) -> str:
-    """Return the command line without the interpreter."""
-    words = _words(folder)
-    if words[0].rpartition("/")[2].startswith("python") and words[1:]:
-        words = [words[1].rpartition("/")[2], *words[2:]]
-    text = " ".join(words)
-    return "".join(c if c.isprintable() else "?" for c in text)[:_MOST_SHOWN]
 
 
 def _name(user: int) -> str:

@@ -84,6 +84,18 @@ class ChildProcess:
                 self.said.append(text)
         return await self.process.wait()
 
+    async def may_restart(self, status: int, tell: Callable[[str], None], consequence: str) -> bool:
+        """Note the end of the process and `tell` it; return True after a pause, False if it ended too often."""
+        self.ended.append(asyncio.get_running_loop().time())
+        often = len(self.ended) > MOST_RESTARTS and self.ended[-1] - self.ended[0] < WITHIN_S
+        # The last lines of a process that was killed from outside do not tell the reason.
+        last = f"; last output:{indented_lines(self.said)}" if self.said and status != -signal.SIGKILL else ""
+        what = f", too often: {consequence}" if often else " and is restarted"
+        tell(f"{self.name} ended with status {status}{what}{last}")
+        if not often:
+            await asyncio.sleep(AGAIN_S)
+        return not often
+
     async def end(self) -> None:
         """Terminate the process, and kill it after `END_S`."""
         process = self.process
@@ -150,18 +162,7 @@ class LocalFleet:
             child.arguments = [one for one in child.arguments if one != "--fresh"]
 
     async def _keep(self, child: ChildProcess) -> None:
-        clock = asyncio.get_running_loop()
-        while True:
-            status = await child.wait()
-            child.ended.append(clock.time())
-            # The last lines of a process that was killed from outside do not tell the reason.
-            last = f"; last output:{indented_lines(child.said)}" if child.said and status != -signal.SIGKILL else ""
-            often = len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S
-            if often:
-                self._tell(f"{child.name} ended with status {status}, too often: the whole fleet ends{last}")
-                return
-            self._tell(f"{child.name} ended with status {status} and is restarted{last}")
-            await asyncio.sleep(AGAIN_S)
+        while await child.may_restart(await child.wait(), self._tell, "the whole fleet ends"):
             try:
                 await self._begin(child)
             except LinkError as error:
@@ -240,21 +241,14 @@ class LocalPage:
         return self._child.listening.is_set()
 
     async def _keep(self) -> None:
-        child, clock = self._child, asyncio.get_running_loop()
-        while True:
+        child, goes_on = self._child, True
+        while goes_on:
             await child.start()
             status = await child.wait()
-            child.ended.append(clock.time())
-            first = not child.listening.is_set()
-            if first:  # a restart would fail in the same way
+            if not child.listening.is_set():  # a restart would fail in the same way
                 self._tell(f"there is no page: {child_error(list(child.said), child.name, status)}")
                 return
-            if len(child.ended) > MOST_RESTARTS and child.ended[-1] - child.ended[0] < WITHIN_S:
-                self._tell(f"{child.name} ended with status {status}, too often: the drones go on without a page")
-                return
-            last = f"; last output:{indented_lines(child.said)}" if child.said else ""
-            self._tell(f"{child.name} ended with status {status} and is restarted{last}")
-            await asyncio.sleep(AGAIN_S)
+            goes_on = await child.may_restart(status, self._tell, "the drones go on without a page")
 
 
 def page_port(wanted: int, host: str) -> int:

@@ -231,17 +231,15 @@ class Stamps:
     def _use(self, stamp: int) -> None:
         """Note a used stamp. Wait for the disk only if the stored stamp is already behind."""
         self._used = stamp
-        if self._path is None or self._pool is None or stamp <= self._stored - MARGIN // 2:
+        if self._path is None or self._pool is None:
             return
-        late = stamp > self._stored
-        if self._writing is not None and (late or self._writing[1].done()):
+        while self._stored < min(stamp + MARGIN // 2, HIGHEST) and time.monotonic() >= self._retry_at:
+            if self._writing is None:
+                ahead = min(HIGHEST, stamp + MARGIN)
+                self._writing = ahead, self._pool.submit(_write, self._path, ahead)
+            if stamp <= self._stored and not self._writing[1].done():
+                return
             self._finish_write()
-        behind = stamp > self._stored - MARGIN // 2
-        if self._writing is None and behind and time.monotonic() >= self._retry_at:
-            ahead = min(HIGHEST, stamp + MARGIN)
-            self._writing = ahead, self._pool.submit(_write, self._path, ahead)
-            if late:
-                self._finish_write()
 
     def _finish_write(self) -> None:
         if self._writing is None:
@@ -258,17 +256,17 @@ class Stamps:
 
 def _lock(path: Path) -> int:
     """Lock the file beside `path` for this process and return its descriptor."""
-    descriptor = -1
+    remedy = "give each process a file of its own"
     try:
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
         descriptor = os.open(f"{path}.lock", flags, 0o600)
+    except OSError as error:
+        raise LinkError(f"cannot be locked: {error.strerror}", str(path), remedy) from error
+    try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        if descriptor >= 0:
-            os.close(descriptor)
-        taken = isinstance(error, BlockingIOError)
-        what = "another process signs with these time stamps" if taken else f"cannot be locked: {error.strerror}"
-        raise LinkError(what, str(path), "give each process a file of its own") from error
+        os.close(descriptor)
+        raise LinkError("another process signs with these time stamps", str(path), remedy) from error
     return descriptor
 
 

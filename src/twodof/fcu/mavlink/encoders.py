@@ -241,8 +241,12 @@ class TelemetryEncoders:
         self.messages = self._encoders.keys()
         self.news: dict[int, int] = {}
         self.restart()
-        for row in (*STEP_MESSAGES, *self._judged()):
-            self._add_of_step(row)
+        for row in STEP_MESSAGES:
+            self._add_of_step(*row)
+        sensors = (f"onboard_control_sensors_{part}" for part in ("present", "enabled", "health"))
+        power = ("load", "voltage_battery", "current_battery", "battery_remaining")
+        self._add_of_step("SYS_STATUS", (*sensors, *power), self._sys_status)
+        self._add_of_step("TWODOF_SAFETY", (), self._safety)
         self._add("HEARTBEAT", self._heartbeat)
         self._add("SYSTEM_TIME", lambda: (time.time_ns() // 1000, controller.tick * TICK_MS & MASK_32))
         # The middle of the rail. A rig indoors has no place on the globe: latitude and longitude are 0.
@@ -308,17 +312,10 @@ class TelemetryEncoders:
 
         self.add(name, encode)
 
-    def _add_of_step(self, row: StepMessage) -> None:
-        self._add(row.name, lambda: None if self._step is None else row.values(self._step), *row.fields)
-
-    def _judged(self) -> tuple[StepMessage, ...]:
-        """Return the messages of a step that need more than the step."""
-        sensors = tuple(f"onboard_control_sensors_{part}" for part in ("present", "enabled", "health"))
-        power = ("load", "voltage_battery", "current_battery", "battery_remaining")
-        return (
-            StepMessage("SYS_STATUS", (*sensors, *power), self._sys_status),
-            StepMessage("TWODOF_SAFETY", (), self._safety),
-        )
+    def _add_of_step(
+        self, name: str, fields: tuple[str, ...], values: Callable[[ControlStep], tuple[Any, ...]]
+    ) -> None:
+        self._add(name, lambda: None if self._step is None else values(self._step), *fields)
 
     def _sys_status(self, s: ControlStep) -> tuple[Any, ...]:
         """Return health and battery; the load is the share of a control period that a step takes."""
@@ -343,24 +340,20 @@ class TelemetryEncoders:
 
     def _distance_sensor(self) -> tuple[Any, ...] | None:
         """Return the range in whole centimetres."""
-        if self._range is None:
+        tof = self._tof()
+        if tof is None:
             return None
-        dist = self._range.dist
-        centimetres = round(min(max(dist * 100.0, 0.0), float(LONGEST_CM))) if isfinite(dist) else LONGEST_CM
-        stamp = self._range_us(self._range) // 1000 & MASK_32
-        return stamp, *RANGE_CM, centimetres, BACKWARD, UNKNOWN_VARIANCE
+        us, _, dist, valid = tof
+        centimetres = round(min(max(dist * 100.0, 0.0), float(LONGEST_CM))) if valid else LONGEST_CM
+        return us // 1000 & MASK_32, *RANGE_CM, centimetres, BACKWARD, UNKNOWN_VARIANCE
 
     def _tof(self) -> tuple[Any, ...] | None:
-        """Return the range, not rounded."""
+        """Return when the range was measured [us], its tick, the range, not rounded, and whether it is valid."""
         if self._range is None:
             return None
-        dist = self._range.dist
-        return self._range_us(self._range), self.news[TOF] & MASK_32, dist, int(isfinite(dist))
-
-    def _range_us(self, sample: SensorSample) -> int:
-        """Return when the range was measured [us]."""
-        late = round(sample.dist_age * 1e6) if 0.0 <= sample.dist_age <= OLDEST_S else 0
-        return max(0, self.news[TOF] * TICK_US - late)
+        tick, dist, age = self.news[TOF], self._range.dist, self._range.dist_age
+        late = round(age * 1e6) if 0.0 <= age <= OLDEST_S else 0
+        return max(0, tick * TICK_US - late), tick & MASK_32, dist, int(isfinite(dist))
 
     def _timing(self) -> tuple[Any, ...]:
         now = self._controller.timing

@@ -11,7 +11,7 @@ import struct
 from collections import OrderedDict
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from twodof.errors import ParameterError, listed
 from twodof.fcu.command.command_lease import Source
@@ -196,7 +196,6 @@ BEGIN, COMMIT, ROLL_BACK = range(3)
 LONGEST_TICKS = 15_000
 """A transaction that is not ended within a minute is forgotten."""
 MOST_OPEN = 16
-MOST_ANSWERS = 32
 
 
 class TransactionAnswer(NamedTuple):
@@ -210,23 +209,23 @@ class TransactionAnswer(NamedTuple):
 
 @dataclass
 class Transaction:
-    """A sender's PARAM_SETs that are kept back; `fault` is the first that cannot be."""
+    """A sender's PARAM_SETs that are kept back; `fault` is the first that cannot be.
+
+    `ended` is the action that ended it, BEGIN while it is open; `answer` is what the sender was told then.
+    """
 
     number: int
     begun: int
     values: dict[str, float] = field(default_factory=dict)
     fault: tuple[int, str] | None = None
-
-    @property
-    def count(self) -> int:
-        """Return the number of different parameters that have come."""
-        return len(self.values) + (self.fault is not None)
+    ended: int = BEGIN
+    answer: TransactionAnswer | None = None
 
 
 class TransactionService(Service):
     """Stands before `parameters` and keeps back what belongs to a transaction.
 
-    Each sender has at most one open. A message that comes again, with the number of what was done already, gets the
+    Each sender has at most one. A message that comes again, with the number of what was done already, gets the
     same answer and does nothing. A COMMIT that overtakes some of its PARAM_SETs leaves the transaction open for them,
     and the client sends it again.
     """
@@ -234,8 +233,7 @@ class TransactionService(Service):
     def __init__(self, vehicle: Vehicle, parameters: ParameterService) -> None:
         super().__init__(vehicle, {"TWODOF_PARAM_TRANSACTION": self._answer})
         self._parameters = parameters
-        self._open: OrderedDict[Source, Transaction] = OrderedDict()
-        self._answered: OrderedDict[tuple[Source, int, int], TransactionAnswer] = OrderedDict()
+        self._latest: OrderedDict[Source, Transaction] = OrderedDict()
         self._pack = Packer("TWODOF_PARAM_TRANSACTION", "transaction", "count", "action", "result", "param_id")
         self._tick = 0
 
@@ -244,19 +242,15 @@ class TransactionService(Service):
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
-        while self._open:
-            oldest = next(iter(self._open))
-            if 0 <= step.tick - self._open[oldest].begun <= LONGEST_TICKS:
-                break
-            del self._open[oldest]
+        while self._latest and step.tick - next(iter(self._latest.values())).begun > LONGEST_TICKS:
+            self._latest.popitem(last=False)
 
     def restart(self) -> None:
-        self._open.clear()
-        self._answered.clear()
+        self._latest.clear()
 
     def _keep(self, received: Received) -> bool:
-        transaction = self._open.get(source(received))
-        if transaction is None or text(received.message.param_id) == HASH_NAME:
+        transaction = self._latest.get(source(received))
+        if transaction is None or transaction.ended != BEGIN or text(received.message.param_id) == HASH_NAME:
             return False
         if not self._vehicle.addressed(received.message):
             return False
@@ -269,51 +263,37 @@ class TransactionService(Service):
 
     def _answer(self, received: Received) -> None:
         got, sender = received.message, source(received)
-        if got.action > ROLL_BACK:
-            return
-        key = (sender, got.action, got.transaction)
         if got.action == BEGIN:
-            # Begun again is begun anew; its old answers no longer count.
-            for done in [done for done in self._answered if done[0] == sender and done[2] == got.transaction]:
-                del self._answered[done]
-            self._open.pop(sender, None)
-            self._open[sender] = Transaction(got.transaction, self._tick)
-            if len(self._open) > MOST_OPEN:
-                self._open.popitem(last=False)
+            self._latest.pop(sender, None)
+            self._latest[sender] = Transaction(got.transaction, self._tick)
+            if len(self._latest) > MOST_OPEN:
+                self._latest.popitem(last=False)
             answer = TransactionAnswer(NO_ERROR)
-        elif key in self._answered:
-            answer = self._answered[key]
+        elif got.action in (COMMIT, ROLL_BACK):
+            answer = self._end(got, sender)
         else:
-            answer = self._end(received, sender)
-            if answer.result != READ_FAIL:  # what is still under way may come yet
-                self._answered[key] = answer
-                if len(self._answered) > MOST_ANSWERS:
-                    self._answered.popitem(last=False)
+            return
+        if answer.why:
             self._vehicle.explain(received.peer, answer.why)
         name = answer.name.encode()[:16]
         self._vehicle.send(self._pack(got.transaction, answer.have, got.action, answer.result, name), received.peer)
 
-    def _end(self, received: Received, sender: Source) -> TransactionAnswer:
-        got = received.message
-        transaction = self._open.get(sender)
-        if transaction is None or transaction.number != got.transaction:
+    def _end(self, got: Any, sender: Source) -> TransactionAnswer:
+        found = self._latest.get(sender)
+        if found is None or found.number != got.transaction or found.ended not in (BEGIN, got.action):
             return TransactionAnswer(READ_FAIL, why=f"there is no open transaction {got.transaction}")
-        if got.action == ROLL_BACK:
-            del self._open[sender]
-            return TransactionAnswer(NO_ERROR, transaction.count)
-        return self._commit(transaction, sender, got.count)
-
-    def _commit(self, transaction: Transaction, sender: Source, count: int) -> TransactionAnswer:
-        have = transaction.count
-        if transaction.fault is None and have != count:
-            return TransactionAnswer(
-                READ_FAIL, have, why=f"{have} of {count} parameters have come; nothing was changed yet"
-            )
-        del self._open[sender]
-        if transaction.fault is not None:
-            error, name = transaction.fault
-            return TransactionAnswer(
-                error, have, name, f"{name}: no such parameter, or of another type; nothing was changed"
-            )
-        error, name, why = self._parameters.change(transaction.values, sender)
-        return TransactionAnswer(error, have, name, why)
+        if found.answer is not None:
+            return found.answer
+        have = len(found.values) + (found.fault is not None)
+        answer = TransactionAnswer(NO_ERROR, have)
+        if got.action == COMMIT and found.fault is not None:
+            why = f"{found.fault[1]}: no such parameter, or of another type; nothing was changed"
+            answer = TransactionAnswer(found.fault[0], have, found.fault[1], why)
+        elif got.action == COMMIT and have != got.count:
+            why = f"{have} of {got.count} parameters have come; nothing was changed yet"
+            return TransactionAnswer(READ_FAIL, have, why=why)
+        elif got.action == COMMIT:
+            error, name, why = self._parameters.change(found.values, sender)
+            answer = TransactionAnswer(error, have, name, why)
+        found.ended, found.answer = got.action, answer._replace(why="")
+        return answer
