@@ -30,9 +30,7 @@ class Assembled:
         self.sent: list[Any] = []
         self.steps: list[ControlStep] = []
         self._sequence = 0
-        server = self.drone.server
-        server.send = self._send  # type: ignore[method-assign]
-        server.alive = lambda peer: True  # type: ignore[method-assign]
+        self.drone.assembly.px4.vehicle.send = self._send
         self.drone.controller.tick = self.drone.controller.granted = tick
         self.run()
 

@@ -159,7 +159,7 @@ def test_given_up_it_goes_to_who_asks_and_back() -> None:
 @on_virtual_time
 async def test_the_real_failsafe_refuses_arming_by_name() -> None:
     async with VirtualDrone("paper", {"rings": True}, lockstep=True) as drone:
-        drone.controller.set_parameters({"failsafe.battery.low": 50.0})
+        drone.controller.code.set_parameters({"failsafe.battery.low": 50.0})
         await drone.listen("memin://empty")
         async with Connection(await open_transport("mem://empty"), 250, 190) as one:
             pilot = Client(one)

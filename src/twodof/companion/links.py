@@ -19,7 +19,7 @@ from twodof.link.transport.tcp import TcpTransport
 from twodof.link.transport.udp import UdpTransport
 from twodof.link.transport.url import Ports, parse
 
-OPEN_S = 2.0
+OPEN_S, WAIT_S = 2.0, 60.0
 FIRST_BACK_OFF_S, LONGEST_BACK_OFF_S = 0.1, 2.0
 VEHICLE_SILENT_S = 3.0
 """Without a frame for so long the flight controller counts as lost; its heartbeat comes each second."""
@@ -81,23 +81,15 @@ class CompanionLink(ABC):
         self.transport = await open_transport(self.url, OPEN_S)
 
     async def read(self) -> LinkLost:
-        """Hand packets to `take` until the link is lost, and return why. Raises LinkError for a fault of ours."""
-        lost: asyncio.Future[LinkLost] = asyncio.get_running_loop().create_future()
-
-        def taken(packet: Packet) -> None:
-            try:
-                self.take(packet)
-            except BaseException:  # the event loop reports it; the task that waits for `lost` must end too
-                if not lost.done():
-                    lost.set_exception(LinkError("a frame was not passed on", self.url, "report the fault"))
-                raise
-
-        def ended(reason: LinkLost) -> None:
-            if not lost.done():
-                lost.set_result(reason)
-
-        self.transport.hand_to(taken, ended)
-        return await lost
+        """Hand packets to `take` until the link is lost, and return why."""
+        try:
+            while True:
+                packet = await self.transport.receive(WAIT_S)
+                while packet is not None:
+                    self.take(packet)
+                    packet = self.transport.receive_now()
+        except LinkLost as reason:
+            return reason
 
     async def back_off(self, stood: bool) -> None:
         """Wait before the link is opened again; each wait is longer, until the link was open for a while (`stood`)."""

@@ -113,7 +113,7 @@ class ActiveConfiguration:
         remarks = self._store.carry(self.code.user_parameters)
         own = self._store.user_values()
         self._values = self._store.flying() | own
-        self._controller.set_parameters(own)
+        self.code.set_parameters(own)
         return [*remarks, *self._hidden()]
 
     @property
@@ -131,7 +131,7 @@ class ActiveConfiguration:
         changed = {name: value for name, value in values.items() if value != self._values[name]}
         self._values = values
         if changed:
-            self._controller.set_parameters(changed)
+            self._controller.code.set_parameters(changed)
 
     def _hidden(self) -> list[str]:
         """Return remarks on the users' parameters that are not shown."""

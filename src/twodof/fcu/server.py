@@ -94,23 +94,17 @@ class Server:
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
         """Send to one peer, or to all; a message that a peer refuses, or that does not fit, is dropped and counted."""
-        if peer is None:
-            for connection in self.connections:
-                self._send(message, connection, None)
-        elif isinstance(peer, Peer):
-            self._send(message, peer.connection, peer.there)
+        one = peer if isinstance(peer, Peer) else None
+        for connection in self.connections if one is None else (one.connection,):
+            try:
+                connection.send(message, None if one is None else one.there)
+            except LinkError:
+                self._dropped += 1
 
     @property
     def lost(self) -> int:
         """Return the number of messages lost to full queues, closed links and values that fit no field."""
         return self._dropped + sum(connection.transport.counts.dropped_out for connection in self.connections)
-
-    def alive(self, peer: Hashable) -> bool:
-        """Return whether a peer is still connected."""
-        if not isinstance(peer, Peer):
-            return False
-        transport = peer.connection.transport
-        return not transport.closed and peer.there in transport.peers
 
     async def run(self) -> None:
         """Run until it is cancelled; raises any exception of the control loop or a service."""
@@ -196,12 +190,6 @@ class Server:
         if step.tick % PEERS_TICKS == 0:
             self._look_for_gone()
 
-    def _send(self, message: Any, connection: Connection, there: Hashable | None) -> None:
-        try:
-            connection.send(message, there)
-        except LinkError:
-            self._dropped += 1
-
     async def _open(self, url: str) -> Connection:
         connection = Connection(await open_transport(url), self.system, AUTOPILOT, self.signing)
         connection.transport.keeps = lambda there: self._is_pilots(Peer(connection, there))
@@ -226,13 +214,11 @@ class Server:
                             end = time.monotonic() + TURN_S
                         received = connection.receive_now()
             self.connections.remove(connection)
-            connection = await self._open_again(url)
-
-    async def _open_again(self, url: str) -> Connection:
-        while True:
-            with suppress(LinkError):
-                return await self._open(url)
-            await asyncio.sleep(REOPEN_S)
+            while connection.transport.closed:
+                with suppress(LinkError):
+                    connection = await self._open(url)
+                    break
+                await asyncio.sleep(REOPEN_S)
 
     async def _take(self, connection: Connection, received: Received) -> None:
         peer = Peer(connection, received.peer)
@@ -253,7 +239,9 @@ class Server:
             await self._run_granted()
 
     def _look_for_gone(self) -> None:
-        for peer in [peer for peer in self._peers if not self.alive(peer)]:
-            del self._peers[peer]
-            for service in self.services:
-                service.gone(peer)
+        for peer in [*self._peers]:
+            transport = peer.connection.transport
+            if transport.closed or peer.there not in transport.peers:
+                del self._peers[peer]
+                for service in self.services:
+                    service.gone(peer)

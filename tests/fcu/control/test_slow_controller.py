@@ -144,7 +144,7 @@ def test_a_change_of_its_parameters_does_not_step_it_at_once(slow: Slow) -> None
     slow.during = range(10**9)
     made = flown(slow, 10, Script(change=lambda _tick, _asked: ControlInput()))
     for number in range(200):
-        made.set_parameters({"attitude_control.k_q": 0.1 + 0.0001 * number})
+        made.code.set_parameters({"attitude_control.k_q": 0.1 + 0.0001 * number})
         went_on(slow, made, made.tick + 1)
     assert len(slow.stepped) <= 2
     slow.during = range(0)

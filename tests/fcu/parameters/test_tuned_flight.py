@@ -37,7 +37,7 @@ def test_a_change_acts_in_the_next_tick_and_runs_prepare(trusted: bool, precisio
     left, changed = (controller(FlightCode([tuned()], trusted, precision=precision)) for _ in range(2))
     for made in (left, changed):
         fly(made, AT)
-    changed.set_parameters({ABOVE: 1.0})
+    changed.code.set_parameters({ABOVE: 1.0})
     steps = [fly(made, UNTIL) for made in (left, changed)]
     assert [step.M for step in steps[0][:AT]] == [step.M for step in steps[1][:AT]]
     before, after = steps[0][AT].M, steps[1][AT].M
@@ -51,7 +51,7 @@ def test_a_change_acts_in_the_next_tick_and_runs_prepare(trusted: bool, precisio
 def test_a_value_of_which_prepare_makes_nan_is_handled_as_a_moment_that_is_no_number(trusted: bool) -> None:
     made = controller(FlightCode([tuned()], trusted))
     fly(made, AT)
-    made.set_parameters({ABOVE: 0.0, BELOW: 0.0})
+    made.code.set_parameters({ABOVE: 0.0, BELOW: 0.0})
     steps = fly(made, UNTIL)
     for step in steps[AT:]:
         assert math.isfinite(step.M)
@@ -75,7 +75,7 @@ def test_what_has_stopped_in_its_sandbox_takes_gains_and_begins_anew_with_its_ow
     made = controller(FlightCode([_exhausting()], fuel=15_000), Script(disarm_at=AT + 50))
     fly(made, AT + 10)
     assert "fuel" in made.code.user_fault
-    made.set_parameters({"ATT_KP": 3.0, f"{KIND}.gain": 0.5})
+    made.code.set_parameters({"ATT_KP": 3.0, f"{KIND}.gain": 0.5})
     assert "fuel" in made.code.user_fault, "armed, it stays stopped"
     fly(made, AT + 60)
     assert made.code.user_fault == ""
@@ -168,7 +168,7 @@ def test_a_sandbox_that_stops_in_prepare_is_replaced_and_takes_the_value_once_it
         raise ControllerFault("it used up its fuel", "prepare")
 
     monkeypatch.setattr(sandbox.machine.instance, "prepare", stops)
-    made.set_parameters({ABOVE: 3.0, "ATT_KP": 3.0})
+    made.code.set_parameters({ABOVE: 3.0, "ATT_KP": 3.0})
     assert "fuel" in made.code.user_fault
     steps = fly(made, AT + 40)
     assert all(step.action == LEVEL and step.armed and math.isfinite(step.M) for step in steps[AT + 1 :])
@@ -191,7 +191,7 @@ def test_in_real_time_the_time_of_a_change_is_part_of_the_next_step(monkeypatch:
         prepare()
 
     monkeypatch.setattr(sandbox.machine.instance, "prepare", slow)
-    made.set_parameters({ABOVE: 3.0})
+    made.code.set_parameters({ABOVE: 3.0})
     steps = fly(made, UNTIL)
     assert sandbox.late_steps == 1
     assert all(step.action == LEVEL and step.reason == BIT["own_failed"] for step in steps[AT + 1 :])

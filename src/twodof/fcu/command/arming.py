@@ -34,8 +34,8 @@ class ArmingControl:
         self.killed_by = killed_by
         self.answer = DONE
         self._vehicle = vehicle
-        self._setpoints = setpoints
-        self._lease = lease
+        self.setpoints = setpoints
+        self.lease = lease
         self._unfit = unfit
         self._from = 0
 
@@ -55,11 +55,11 @@ class ArmingControl:
         step = self._vehicle.step
         if step is None:
             return None
-        return step.causes & ~BIT["link_lost"] if self._lease.link_alive else step.causes
+        return step.causes & ~BIT["link_lost"] if self.lease.link_alive else step.causes
 
     def arm(self, source: Source) -> CommandResult:
         """Ask the failsafe to arm; IN_PROGRESS if nothing speaks against it: `answer` has the answer a tick later."""
-        result = self._lease.take(source, "arming")
+        result = self.lease.take(source, "arming")
         if not result.accepted:
             return result
         if self.pending:
@@ -75,23 +75,23 @@ class ArmingControl:
 
     def disarm(self, source: Source) -> CommandResult:
         """Stop the motors in the next tick for every source: on this rig that is the safe state."""
-        if self._lease.holder == source:
-            self._lease.take(source)  # which renews it
+        if self.lease.holder == source:
+            self.lease.take(source)  # which renews it
         self.withdraw()
-        self._setpoints.rest("disarmed", self._vehicle.now)
+        self.setpoints.rest("disarmed", self._vehicle.now)
         return DONE
 
     def kill(self, source: Source) -> CommandResult:
         """Stop the motors in the next tick for every source, and hold the drone disarmed until `release`."""
         self.killed_by = source
         self.withdraw()
-        self._setpoints.rest("killed", self._vehicle.now)
+        self.setpoints.rest("killed", self._vehicle.now)
         self._vehicle.remark(MavSeverity.CRITICAL, f"killed by system {source[0]}, component {source[1]}")
         return DONE
 
     def release(self, source: Source) -> CommandResult:
         """Take a kill back, which a disarming does not, since every program disarms at its end. It arms nothing."""
-        result = self._lease.take(source, "release")
+        result = self.lease.take(source, "release")
         if result.accepted and self.killed_by is not None:
             self.killed_by = None
             self._vehicle.remark(MavSeverity.WARNING, f"released by system {source[0]}, component {source[1]}")
@@ -100,7 +100,7 @@ class ArmingControl:
     def stand(self, why: str, tick: int) -> None:
         """Stop the motors without a command."""
         self.withdraw()
-        self._setpoints.rest(why, tick)
+        self.setpoints.rest(why, tick)
         self._vehicle.remark(MavSeverity.CRITICAL, why)
 
     def pull(self, tick: int) -> CommandResult:
@@ -140,7 +140,7 @@ class ArmingControl:
         return self._against_arming(self.missing) or self._unfit()
 
     def _against_arming(self, causes: int | None) -> str:
-        rig, mode = self._vehicle.rig, self._setpoints.custom_mode
+        rig, mode = self._vehicle.rig, self.setpoints.custom_mode
         if self.killed_by is not None:
             system, component = self.killed_by
             return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
@@ -151,6 +151,6 @@ class ArmingControl:
         names = dict.fromkeys(named_causes(causes))
         if rig.rings and modes.BY_NUMBER[mode].moves_cart:
             names["rings_wrong"] = None
-        if self._setpoints.asks(self._vehicle.now):
+        if self.setpoints.asks(self._vehicle.now):
             names["not_idle"] = None
         return ", ".join(names)

@@ -42,23 +42,15 @@ from twodof.signals import ATTITUDE, OPEN_LOOP, VELOCITY
 
 
 class ExcitationControl:
-    """Decides over the excitation of `setpoints.player`.
+    """Decides over the excitation of `setpoints.player`, for a commander.
 
     `level_thrust` gives the thrust of a level hold, with which an excitation flies where none is in use.
     """
 
-    def __init__(
-        self,
-        vehicle: VehicleState,
-        setpoints: SetpointManager,
-        arming: ArmingControl,
-        lease: CommandLease,
-        level_thrust: Callable[[], float],
-    ) -> None:
+    def __init__(self, vehicle: VehicleState, arming: ArmingControl, level_thrust: Callable[[], float]) -> None:
         self._vehicle = vehicle
-        self._setpoints = setpoints
         self._arming = arming
-        self._lease = lease
+        self._setpoints, self._lease = arming.setpoints, arming.lease
         self._level_thrust = level_thrust
 
     @property
@@ -164,7 +156,7 @@ class Commander:
         vehicle, lease = self._vehicle, self.lease
         self._setpoints = setpoints = SetpointManager(openloop_revision)
         self.arming = ArmingControl(vehicle, setpoints, lease, lambda: self.unfit(), killed_by)
-        self.excitation = ExcitationControl(vehicle, setpoints, self.arming, lease, self._level_thrust)
+        self.excitation = ExcitationControl(vehicle, self.arming, self._level_thrust)
         self._input = ControlInput()
 
     @property
@@ -311,9 +303,8 @@ class Commander:
 
     def _hand_over(self) -> None:
         """Forget set-points sent ahead and a pending arming, as the lease has changed hands."""
-        if waiting := self._setpoints.waiting:
-            self.refused[RefusalReason.LEASE] += waiting
-        self._setpoints.forget_ahead("who started it has lost the lease")
+        if waited := self._setpoints.forget_ahead("who started it has lost the lease"):
+            self.refused[RefusalReason.LEASE] += waited
         if self.arming.pending:
             self.arming.withdraw()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import insort
 from collections.abc import Mapping
+from operator import itemgetter
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -88,15 +89,6 @@ CAPACITY = 256
 _LONG_AGO = -10 * FRESH
 
 
-class QueuedSetpoint(NamedTuple):
-    """A set-point that waits for `tick`; `said` is the open-loop message that it came of."""
-
-    tick: int
-    setpoint: SetPoint
-    kind: str
-    said: OpenLoopState | None
-
-
 class SetpointManager:
     """Mode, set-points in use and on offer, those that wait for their tick, and the player of excitations.
 
@@ -109,7 +101,8 @@ class SetpointManager:
         self.values = ControlInput()  # none but while armed: nothing of before flies
         self.openloop = OpenLoopState(revision=openloop_revision)
         self.changed = True
-        self._queue: list[QueuedSetpoint] = []  # by tick; those of one tick as they came
+        # Set-points that wait for a tick, in its order, with their kinds; those of one tick as they came.
+        self._queue: list[tuple[int, SetPoint, str, OpenLoopState | None]] = []
         self._on_board = False  # level hold or an excitation gives set-points, at every tick
         self._fresh = False  # one came for the next tick
         self._offer = NOTHING  # what messages have asked for since the mode was entered, for offboard
@@ -150,23 +143,18 @@ class SetpointManager:
         if armed and not self.player.playing:
             self._use(self.values.with_setpoint(setpoint), tick, said)
 
-    @property
-    def waiting(self) -> int:
-        """Return the number of set-points that wait for their tick."""
-        return len(self._queue)
-
     def queue(self, tick: int, setpoint: SetPoint, kind: str, said: OpenLoopState | None = None) -> bool:
         """Keep a set-point until `tick`; return False if too many wait."""
         if len(self._queue) >= CAPACITY:
             return False
-        insort(self._queue, QueuedSetpoint(tick, setpoint, kind, said), key=lambda one: one.tick)
+        insort(self._queue, (tick, setpoint, kind, said), key=itemgetter(0))
         return True
 
     def take_due(self, tick: int, armed: bool) -> None:
         """Take the set-points that waited for `tick` or an earlier one."""
-        while self._queue and self._queue[0].tick <= tick:
-            due = self._queue.pop(0)
-            self.take(due.setpoint, due.kind, tick, armed, due.said)
+        while self._queue and self._queue[0][0] <= tick:
+            _, setpoint, kind, said = self._queue.pop(0)
+            self.take(setpoint, kind, tick, armed, said)
 
     def enter(self, custom_mode: int, level_thrust: float, tick: int, armed: bool) -> None:
         """Change the mode. If armed, level hold flies from the next tick on, and offboard the set-point on offer."""
@@ -187,13 +175,18 @@ class SetpointManager:
         """Note where the stick is held at `tick`."""
         self._stick, self._stick_at = (pitch, thrust), tick
 
-    def forget_ahead(self, why: str) -> None:
-        """Forget set-points that wait or are on offer, as another client steers; the one in use flies on."""
+    def forget_ahead(self, why: str) -> int:
+        """Forget set-points that wait or are on offer, as another client steers; the one in use flies on.
+
+        Returns how many waited.
+        """
+        waited = len(self._queue)
         self._queue.clear()
         self._offer, self._said, self._offered = NOTHING, None, _LONG_AGO
         self._latest, self._latest_at, self._stick_at = ControlInput(), _LONG_AGO, _LONG_AGO
         if self.player.waiting:
             self.player.finish(REFUSED, why)
+        return waited
 
     def begin_play(self, level_thrust: float, tick: int) -> None:
         """Begin the waiting excitation: about the set-point in use if its loop flies, else about 0."""

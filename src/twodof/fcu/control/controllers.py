@@ -12,7 +12,6 @@ from twodof.fcu.control.flight_code import FlightCode
 from twodof.flight.controller_store import STOCK, ControllerStore
 from twodof.flight.starters import load_diagram, starter
 from twodof.flight.templates import TEMPLATES, by_kind
-from twodof.flightlog.atomic import atomic_write
 
 
 class ControllerIdentity(NamedTuple):
@@ -76,46 +75,37 @@ class Controllers:
 
     def keep(self, uploaded: Mapping[str, Diagram]) -> None:
         """Let `uploaded`, and no others, fly after a restart too. Raises LogError where the disk refuses."""
-        if self._kept is None:
-            return
-        for kind in TEMPLATES:
-            if kind in uploaded:
-                self._kept.flash(uploaded[kind])
-            else:
-                self._kept.remove(kind)
+        _fill(self._kept, uploaded)
 
     def restore(self) -> None:
         """Set the uploads back to those that fly: one that could not be built goes.
 
         Raises LogError or DiagramError where the disk refuses.
         """
-        if self.uploads is None or self._kept is None:
-            return
-        for kind in TEMPLATES:
-            try:
-                flies = self._kept.file(kind).read_bytes()
-            except FileNotFoundError:
-                self.uploads.remove(kind)
-                continue
-            except OSError as refusal:
-                raise DiagramError(
-                    f"cannot be read: {refusal.strerror}", str(self._kept.file(kind)), "send it again"
-                ) from refusal
-            with atomic_write(self.uploads.file(kind)) as file:
-                file.write(flies)
+        if self._kept is not None:
+            _fill(self.uploads, self._kept.flashed())
 
     def forget(self) -> None:
         """Delete all uploads. Raises as `restore`."""
-        for slot in (self.uploads, self._kept):
-            if slot is not None:
-                for kind in TEMPLATES:
-                    slot.remove(kind)
+        _fill(self.uploads, {})
+        _fill(self._kept, {})
 
     def _built(self, uploaded: Mapping[str, Diagram]) -> FlightCode:
         stock = {kind for kind, diagram in uploaded.items() if to_json(diagram) == to_json(starter(STOCK[kind]))}
         flying = [diagram for kind, diagram in (self._given | dict(uploaded)).items() if kind not in stock]
         trusted = self._trusted and not uploaded
         return FlightCode(flying, trusted, self._position_filter, self._precision, self._fuel)
+
+
+def _fill(store: ControllerStore | None, diagrams: Mapping[str, Diagram]) -> None:
+    """Let a folder hold these diagrams by kind, and no others."""
+    if store is None:
+        return
+    for kind in TEMPLATES:
+        if kind in diagrams:
+            store.flash(diagrams[kind])
+        else:
+            store.remove(kind)
 
 
 def controller_identity(code: FlightCode) -> ControllerIdentity:

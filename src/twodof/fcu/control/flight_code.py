@@ -231,20 +231,14 @@ class FlightCode:
             )
 
     def _read_limits(self) -> None:
-        self._limits = {name: float(self.machine.get(path)) for name, path in _LIMITS.items()}
+        limits = {name: float(self.machine.get(path)) for name, path in _LIMITS.items()}
+        self._limits = limits | {"thrust": 1.0, "M_open": 1.0, "ax0": math.inf}
 
     def _limited(self, asked: ControlInput) -> ControlInput:
         """Return the set-points as the failsafe passes them to controllers inside."""
-        limits = self._limits
-        return asked._replace(
-            x0=_within(asked.x0, limits["x0"]),
-            v0=_within(asked.v0, limits["v0"]),
-            theta0=_within(asked.theta0, limits["theta0"]),
-            q0=_within(asked.q0, limits["q0"]),
-            thrust=max(0.0, _within(asked.thrust, 1.0)),
-            M_open=_within(asked.M_open, 1.0),
-            ax0=asked.ax0 if math.isfinite(asked.ax0) else 0.0,
-        )
+        values: dict[str, Any] = {name: _within(getattr(asked, name), limit) for name, limit in self._limits.items()}
+        values["thrust"] = max(0.0, values["thrust"])
+        return asked._replace(**values)
 
 
 @cache

@@ -3,7 +3,7 @@
 import secrets
 import time
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol, TypeVar, cast
 
@@ -168,10 +168,6 @@ class FlightController:
     def grant(self, until: int) -> None:
         """Let time run up to the tick `until`, which is not run; an earlier one changes nothing."""
         self.granted = max(self.granted, min(until, self.tick + MOST_GRANTED))
-
-    def set_parameters(self, values: Mapping[str, Any]) -> None:
-        """Set all of `values`, or none, before the next tick; see `FlightCode.set_parameters`."""
-        self.code.set_parameters(values)
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None

@@ -3,7 +3,7 @@
 import time
 from collections.abc import Iterable, Mapping
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 from twodof.blocks import Diagram
 from twodof.compile import CompiledProgram, build
@@ -30,25 +30,11 @@ MEASURED, ASKED = (
 OUTPUTS = ("fore", "aft", "M", "T", "x0", "v0", "theta0", "q0")
 
 
-class SandboxOutput(NamedTuple):
-    """Commands of the controllers, and the set-points that they used.
-
-    `late` says that they were stopped or out of time, and that the rest is not to fly.
-    """
-
-    late: bool
-    fore: float
-    aft: float
-    M: float
-    T: float
-    x0: float
-    v0: float
-    theta0: float
-    q0: float
-
+SandboxOutput = tuple[Any, ...]
+"""Whether the controllers were stopped or out of time, so that the rest is not to fly; then `OUTPUTS`."""
 
 _measured, _asked = attrgetter(*MEASURED), attrgetter(*ASKED)
-_NOTHING = SandboxOutput(True, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+_NOTHING: SandboxOutput = (True, *(0.0,) * len(OUTPUTS))
 
 
 class Sandbox:
@@ -148,7 +134,7 @@ class Sandbox:
         began = time.thread_time_ns() if self.timed else 0
         try:
             given = asked._replace(in_reset=in_reset)
-            asked_for = self._stepper.step((*_measured(sample), *_asked(given)))
+            commands = self._stepper.step((*_measured(sample), *_asked(given)))
         except ControllerFault as fault:
             self.fault = str(fault)
             return _NOTHING
@@ -156,13 +142,13 @@ class Sandbox:
         self._spent = 0
         if used > BUDGET_NS:
             self._overran(used)
-            return SandboxOutput(True, *asked_for)
+            return True, *commands
         if tries:
             self.fault = ""
         self._good += 1
         if self._good >= GOOD:
             self._pause = 0
-        return SandboxOutput(False, *asked_for)
+        return False, *commands
 
     def _overran(self, used: int) -> None:
         took = f"{self.name} took {used * 1e-6:.1f} ms of the processor for a step"

@@ -6,8 +6,9 @@ yaw, sideways, up) is 0. The rest of the fields is as https://mavlink.io/en/mess
 
 import time
 from collections.abc import Callable
+from functools import partial
 from math import cos, isfinite, nan, sin
-from typing import Any, NamedTuple
+from typing import Any
 
 from twodof.fcu.command.commander import Commander
 from twodof.fcu.control.controllers import ControllerIdentity
@@ -30,14 +31,6 @@ LIPO, ALL_FUNCTIONS, CHARGE_OK, CHARGE_LOW, CHARGE_CRITICAL = 1, 1, 1, 2, 3
 UNKNOWN_16, UNKNOWN_SIGNED_16 = 0xFFFF, 0x7FFF
 LIFTED, GROUNDED = 2, 1
 """MAV_LANDED_STATE."""
-
-
-class StepMessage(NamedTuple):
-    """A message, those of its fields that are not always 0, in the order of the wire, and their values at a step."""
-
-    name: str
-    fields: tuple[str, ...]
-    values: Callable[[ControlStep], tuple[Any, ...]]
 
 
 def boot_ms(step: ControlStep) -> int:
@@ -122,37 +115,32 @@ def _estimator_status(s: ControlStep) -> tuple[Any, ...]:
     return s.tick * TICK_US, 0 if lost else 1 if s.causes & BIT["range_lost"] else 1 | 2 | 8
 
 
-_Q = ("q1", "q2", "q3", "q4")
-_CELLS = ("current_consumed", "energy_consumed", "temperature", "voltages", "current_battery")
-_PACK = ("battery_function", "type", "battery_remaining", "charge_state")
-_POSE, _TWIST = ("time_usec", "x", "q"), ("vx", "vz", "pitchspeed")
-_FRAMES = ("pose_covariance", "velocity_covariance", "frame_id", "child_frame_id", "estimator_type")
-_SERVOS = tuple(f"servo{number}_raw" for number in range(1, 5))
+_PACK = "battery_function type battery_remaining charge_state"
 
-STEP_MESSAGES = (
-    StepMessage("ATTITUDE", ("time_boot_ms", "pitch", "pitchspeed"), lambda s: (boot_ms(s), s.theta, s.q)),
-    StepMessage(
-        "ATTITUDE_QUATERNION", ("time_boot_ms", *_Q, "pitchspeed"), lambda s: (boot_ms(s), *quaternion(s.theta), s.q)
+STEP_MESSAGES: tuple[tuple[str, str, Callable[[ControlStep], tuple[Any, ...]]], ...] = (
+    ("ATTITUDE", "time_boot_ms pitch pitchspeed", lambda s: (boot_ms(s), s.theta, s.q)),
+    ("ATTITUDE_QUATERNION", "time_boot_ms q1 q2 q3 q4 pitchspeed", lambda s: (boot_ms(s), *quaternion(s.theta), s.q)),
+    ("LOCAL_POSITION_NED", "time_boot_ms x vx", lambda s: (boot_ms(s), s.x, s.v)),
+    (
+        "ODOMETRY",
+        "time_usec x q vx vz pitchspeed pose_covariance velocity_covariance frame_id child_frame_id estimator_type",
+        _odometry,
     ),
-    StepMessage("LOCAL_POSITION_NED", ("time_boot_ms", "x", "vx"), lambda s: (boot_ms(s), s.x, s.v)),
-    StepMessage("ODOMETRY", (*_POSE, *_TWIST, *_FRAMES), _odometry),
-    StepMessage("ATTITUDE_TARGET", ("time_boot_ms", "q", "body_pitch_rate", "thrust", "type_mask"), _attitude_target),
-    StepMessage(
-        "POSITION_TARGET_LOCAL_NED",
-        ("time_boot_ms", "x", "vx", "afx", "type_mask", "coordinate_frame"),
-        _position_target,
+    ("ATTITUDE_TARGET", "time_boot_ms q body_pitch_rate thrust type_mask", _attitude_target),
+    ("POSITION_TARGET_LOCAL_NED", "time_boot_ms x vx afx type_mask coordinate_frame", _position_target),
+    ("SERVO_OUTPUT_RAW", "time_usec servo1_raw servo2_raw servo3_raw servo4_raw", _servo_output),
+    # What the mixer was given: M as pitch, T as thrust.
+    ("ACTUATOR_CONTROL_TARGET", "time_usec controls", lambda s: (s.tick * TICK_US, 0.0, s.M, 0.0, s.T, *(0.0,) * 4)),
+    ("VFR_HUD", "airspeed groundspeed throttle", _vfr_hud),
+    (
+        "BATTERY_STATUS",
+        f"current_consumed energy_consumed temperature voltages current_battery {_PACK}",
+        _battery_status,
     ),
-    StepMessage("SERVO_OUTPUT_RAW", ("time_usec", *_SERVOS), _servo_output),
-    StepMessage(  # what the mixer was given: M as pitch, T as thrust
-        "ACTUATOR_CONTROL_TARGET",
-        ("time_usec", "controls"),
-        lambda s: (s.tick * TICK_US, 0.0, s.M, 0.0, s.T, *(0.0,) * 4),
-    ),
-    StepMessage("VFR_HUD", ("airspeed", "groundspeed", "throttle"), _vfr_hud),
-    StepMessage("BATTERY_STATUS", (*_CELLS, *_PACK), _battery_status),
-    StepMessage("EXTENDED_SYS_STATE", ("landed_state",), _landed_state),
-    StepMessage("ESTIMATOR_STATUS", ("time_usec", "flags"), _estimator_status),
+    ("EXTENDED_SYS_STATE", "landed_state", _landed_state),
+    ("ESTIMATOR_STATUS", "time_usec flags", _estimator_status),
 )
+"""Messages of a step, those of their fields that are not always 0, in the order of the wire, and their values."""
 
 
 HEARTBEAT, HIGHRES_IMU, DISTANCE_SENSOR = 0, 105, 132
@@ -199,13 +187,10 @@ SEED_MASK = 0xFFFFFFFFFFFFFFFF
 NOBODY = (0, 0)
 
 
-def hindering(step: ControlStep) -> int:
-    """Return the causes that prevent arming, or are faults in flight."""
-    return step.causes & ~ON_THE_GROUND if step.armed else step.causes
-
-
-def health(causes: int) -> int:
-    """onboard_control_sensors_health for a mask of causes."""
+def health(causes: int, armed: bool) -> int:
+    """onboard_control_sensors_health for a mask of causes; in flight some are as they should be."""
+    if armed:
+        causes &= ~ON_THE_GROUND
     sound = PRESENT | FENCE
     for bits, sensors in UNHEALTHY:
         if causes & bits:
@@ -241,26 +226,27 @@ class TelemetryEncoders:
         self.messages = self._encoders.keys()
         self.news: dict[int, int] = {}
         self.restart()
-        for row in STEP_MESSAGES:
-            self._add_of_step(*row)
-        sensors = (f"onboard_control_sensors_{part}" for part in ("present", "enabled", "health"))
-        power = ("load", "voltage_battery", "current_battery", "battery_remaining")
-        self._add_of_step("SYS_STATUS", (*sensors, *power), self._sys_status)
-        self._add_of_step("TWODOF_SAFETY", (), self._safety)
+        sensors = "onboard_control_sensors_present onboard_control_sensors_enabled onboard_control_sensors_health"
+        for name, fields, values in (
+            *STEP_MESSAGES,
+            ("SYS_STATUS", f"{sensors} load voltage_battery current_battery battery_remaining", self._sys_status),
+            ("TWODOF_SAFETY", "", self._safety),
+        ):
+            self._add(name, partial(self._of_step, values), fields)
         self._add("HEARTBEAT", self._heartbeat)
         self._add("SYSTEM_TIME", lambda: (time.time_ns() // 1000, controller.tick * TICK_MS & MASK_32))
         # The middle of the rail. A rig indoors has no place on the globe: latitude and longitude are 0.
         self._add("HOME_POSITION", lambda: (1.0, 0.0, 0.0, 0.0), "q")
-        imu = ("xacc", "yacc", "zacc", "xgyro", "ygyro", "zgyro")
-        self._add("HIGHRES_IMU", self._highres_imu, "time_usec", *imu, *ABSENT, "fields_updated")
-        distances = ("min_distance", "max_distance", "current_distance")
-        self._add("DISTANCE_SENSOR", self._distance_sensor, "time_boot_ms", *distances, "orientation", "covariance")
+        imu = "time_usec xacc yacc zacc xgyro ygyro zgyro"
+        self._add("HIGHRES_IMU", self._highres_imu, f"{imu} {' '.join(ABSENT)} fields_updated")
+        distances = "min_distance max_distance current_distance"
+        self._add("DISTANCE_SENSOR", self._distance_sensor, f"time_boot_ms {distances} orientation covariance")
         self._add("TWODOF_TOF", self._tof)
         self._pack_rig = Packer("TWODOF_RIG")
         self.add("TWODOF_RIG", self.rig)
         self._add("TWODOF_TIMING", self._timing)
-        self._add("TWODOF_LEASE", self._lease, "duration_ms", "holder_system", "holder_component", "tuning_withheld")
-        self._add("TWODOF_OPENLOOP", self._openloop, "tick", "M", "T", "openloop", "enableM", "enableT")
+        self._add("TWODOF_LEASE", self._lease, "duration_ms holder_system holder_component tuning_withheld")
+        self._add("TWODOF_OPENLOOP", self._openloop, "tick M T openloop enableM enableT")
         if truth is not None:
             self._add("TWODOF_TRUTH", lambda: (controller.tick * TICK_US, *truth(), controller.tick & MASK_32))
 
@@ -303,8 +289,8 @@ class TelemetryEncoders:
             hardware.seed & SEED_MASK, what.diagram, tick, TICK_US, flags, *names, controller.started_as, what.changed
         )
 
-    def _add(self, name: str, values: Callable[[], tuple[Any, ...] | None], *fields: str) -> None:
-        pack = Packer(name, *fields)
+    def _add(self, name: str, values: Callable[[], tuple[Any, ...] | None], fields: str = "") -> None:
+        pack = Packer(name, *fields.split())
 
         def encode() -> Packed | None:
             given = values()
@@ -312,16 +298,14 @@ class TelemetryEncoders:
 
         self.add(name, encode)
 
-    def _add_of_step(
-        self, name: str, fields: tuple[str, ...], values: Callable[[ControlStep], tuple[Any, ...]]
-    ) -> None:
-        self._add(name, lambda: None if self._step is None else values(self._step), *fields)
+    def _of_step(self, values: Callable[[ControlStep], tuple[Any, ...]]) -> tuple[Any, ...] | None:
+        return None if self._step is None else values(self._step)
 
     def _sys_status(self, s: ControlStep) -> tuple[Any, ...]:
         """Return health and battery; the load is the share of a control period that a step takes."""
         load = round(min(max(self._controller.timing.step_mean / TICK_US, 0.0), 1.0) * 1000.0)
         volts, charge = millivolts(s.sample.voltage), percent(s.sample.charge)
-        return PRESENT, PRESENT, health(hindering(s)), load, volts, -1, charge
+        return PRESENT, PRESENT, health(s.causes, s.armed), load, volts, -1, charge
 
     def _safety(self, s: ControlStep) -> tuple[Any, ...]:
         killed_by = self._commander.arming.killed_by

@@ -101,22 +101,12 @@ MOST_CLIENTS = 32
 A_TICK, A_TICK_ARMED = 16, 2
 """Packets of bursts that are sent in a control period, to all clients: .9 MB/s, and little while it flies."""
 
-_ONCE = (
-    FtpOperation.OPEN_RO,
-    FtpOperation.CREATE,
-    FtpOperation.WRITE,
-    FtpOperation.TERMINATE,
-    FtpOperation.RESET,
-    FtpOperation.REMOVE,
-)
-"""Not carried out again when they come again; what only reads is."""
+_READING = (FtpOperation.NONE, FtpOperation.LIST, FtpOperation.READ, FtpOperation.BURST, FtpOperation.CRC32)
+"""Carried out again when they come again; the others get the same answer."""
 
 _REFUSED = (
-    FtpOperation.CREATE_FOLDER,
-    FtpOperation.REMOVE_FOLDER,
-    FtpOperation.OPEN_WO,
-    FtpOperation.TRUNCATE,
-    FtpOperation.RENAME,
+    *(FtpOperation.CREATE_FOLDER, FtpOperation.REMOVE_FOLDER),
+    *(FtpOperation.OPEN_WO, FtpOperation.TRUNCATE, FtpOperation.RENAME),
 )
 
 MOST_UPLOADING = 2
@@ -189,7 +179,7 @@ class FileTransfer(Service):
             if len(client.waiting) < MOST_WAITING and request != client.request and request not in client.waiting:
                 client.waiting.append(request)
             return
-        if request == client.request and request.op in _ONCE and client.answer is not None:  # its answer got lost
+        if request == client.request and request.op not in _READING and client.answer is not None:  # it got lost
             self._send((client.peer, client.source), client.answer)
             return
         client.request, client.answer = request, None

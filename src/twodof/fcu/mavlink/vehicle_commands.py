@@ -2,11 +2,10 @@
 
 import asyncio
 import gc
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable
 from contextlib import suppress
 from typing import Any
 
-from twodof.blocks import Diagram
 from twodof.compile.wasm.target import check_ready
 from twodof.errors import CompileError, ParameterError, RefusalReason, TwodofError
 from twodof.fcu.command.command_lease import DONE, CommandResult, denied, failed, rejected, unsupported
@@ -258,31 +257,25 @@ class ReloadCommand:
         return self._result
 
     async def _build(self) -> None:
-        made = failed("the program itself has a fault: report it")
+        flies, made = False, failed("the program itself has a fault: report it")
         try:
             code, uploaded = await asyncio.to_thread(self._controllers.build_uploaded)
             self._controller.replace(code)
             self._flies()
+            flies = True
             # Only what flies is kept: else a restart would bring what this command refused.
-            made = await self._kept(uploaded)
+            await asyncio.to_thread(self._controllers.keep, uploaded)
+            made = DONE
             gc.collect()
             gc.freeze()  # see `Server`: not in flight
         except TwodofError as error:
-            made = failed(str(error))
+            made = failed(f"it flies until a restart and is not stored: {error}" if flies else str(error))
         finally:
             if not made.accepted:
                 with suppress(TwodofError):  # a disk that refuses changes nothing of what flies
                     await asyncio.to_thread(self._controllers.restore)
             self._result = made
             self._commands.poll()
-
-    async def _kept(self, uploaded: Mapping[str, Diagram]) -> CommandResult:
-        """Store the flying controllers, and return whether they fly after a restart."""
-        try:
-            await asyncio.to_thread(self._controllers.keep, uploaded)
-        except TwodofError as refusal:
-            return failed(f"it flies until a restart and is not stored: {refusal}")
-        return DONE
 
 
 def _equipped() -> CommandResult:

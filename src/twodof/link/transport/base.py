@@ -79,8 +79,6 @@ class Inbox:
         self._end: LinkLost | None = None
         self.stops_first = False
         self.on_taken: Callable[[Hashable], None] | None = None
-        self._taker: Callable[[Packet], None] | None = None
-        self._on_end: Callable[[LinkLost], None] | None = None
 
     @property
     def full(self) -> bool:
@@ -92,9 +90,6 @@ class Inbox:
         data, peer, _ = packet
         self._counts.packets_in += 1
         self._counts.bytes_in += len(data)
-        if self._taker is not None:
-            self._taker(packet)
-            return
         queue = self._queues.setdefault(peer, _Queue())
         queue.packets.append(data)
         queue.size += len(data)
@@ -159,10 +154,7 @@ class Inbox:
 
     def end(self, reason: LinkLost) -> None:
         """End the queue; the first reason stays."""
-        if self._end is None:
-            self._end = reason
-            if self._on_end is not None:
-                self._on_end(reason)
+        self._end = self._end or reason
         self._wake()
 
     def from_anywhere(self, call: Callable[[_Given], None], given: _Given) -> None:
@@ -172,29 +164,15 @@ class Inbox:
         elif not self._loop.is_closed():
             self._loop.call_soon_threadsafe(call, given)
 
-    def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
-        """Hand waiting and further packets to `taker`, and the end to `on_end`."""
-        while self._queues or self._ahead:
-            taker(self._take())
-        self._taker, self._on_end = taker, on_end
-        if self._end is not None:
-            on_end(self._end)
-
     def take(self) -> Packet | None:
         """Return the next packet, None if there is none now. Raises LinkLost if none will come."""
-        if self._queues or self._ahead:
-            return self._take()
-        if self._end is not None:
-            raise LinkLost(self._end.what, self._end.where, self._end.remedy)
-        return None
-
-    def _take(self) -> Packet:
-        """Take the next packet of a queue that is not empty."""
         packet = self.take_ahead()
-        if packet is None:
+        if packet is None and self._queues:
             packet = self._oldest(self._next())
             if self.on_taken is not None:
                 self.on_taken(packet.peer)
+        if packet is None and self._end is not None:
+            raise LinkLost(self._end.what, self._end.where, self._end.remedy)
         return packet
 
     async def wait(self, timeout: float) -> Packet | None:
@@ -307,14 +285,6 @@ class Transport(ABC):
     def receive_ahead(self) -> Packet | None:
         """Return the next of these frames, None if there is none."""
         return self._inbox.take_ahead()
-
-    def hand_to(self, taker: Callable[[Packet], None], on_end: Callable[[LinkLost], None]) -> None:
-        """Hand each packet to `taker` as it comes, from now on, with those that wait: nobody `receive`s any more.
-
-        It spares a router waking a task for each packet. `on_end` is called once when the link is closed or lost, at
-        once if it is. Neither may raise.
-        """
-        self._inbox.hand_to(taker, on_end)
 
     async def close(self) -> None:
         """Close it now; a second call does nothing. A task that waits in `receive` gets LinkLost."""
