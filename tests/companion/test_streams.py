@@ -8,12 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.companion.ends import SYSTEM, Ends, names
+from tests.link.batches import batch
 from twodof.companion.client import EVERY, GROUPS, PROFILES, CompanionClient, profile
 from twodof.gcs.full_rate import BatchRows
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.dialect import PROFILES as VEHICLE_PROFILES
 from twodof.link.mavlink.framing import decode
-from twodof.link.mavlink.messages import batch, channel_mask
+from twodof.link.mavlink.messages import channel_mask
 
 TO = {"target_system": SYSTEM, "target_component": 1}
 ATTITUDE, BATCH = 30, 54203

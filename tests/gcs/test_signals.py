@@ -10,11 +10,12 @@ import pytest
 
 from tests.faults.virtual_time import run_virtual
 from tests.gcs.peer import Peer, flight
+from tests.link.batches import batch
 from twodof.errors import LogError, Timeout
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.full_rate import BatchRows, TruthRows
 from twodof.gcs.telemetry import DECODERS, TelemetrySample
-from twodof.link.mavlink.messages import batch, channel_mask, message
+from twodof.link.mavlink.messages import channel_mask, message
 from twodof.signals import TOPICS
 
 

@@ -15,8 +15,6 @@ from dataclasses import asdict, dataclass
 from io import FileIO
 from pathlib import Path
 
-from twodof.errors import shown
-
 CONFINE = Path(__file__).with_name("process_limits.py")
 LONGEST_LINE = 2000
 READ_BYTES = 65_536
@@ -210,9 +208,6 @@ def _signal(group: int, number: int) -> None:
 
 
 def _ended(status: int) -> str:
-    if status <= 128:
-        return f"ended with status {status}"
-    try:
+    if status - 128 in [*signal.Signals]:
         return f"ended by {signal.Signals(status - 128).name}"
-    except ValueError:
-        return f"ended with status {shown(status)}"
+    return f"ended with status {status}"

@@ -197,16 +197,12 @@ class Router:
     def answer(self, client: CompanionClient, sent: Any, component: int = COMPANION) -> None:
         """Send a message to one client as the companion, or in the name of another `component` of the drone."""
         identity = (self.system, component)
-        lost = self._behind[identity].lost if identity in self._behind else 0
-        client.write(self.encoded(sent, component, client.number(identity, lost)))
+        client.write(self.encoded(sent, component, client.number(identity, self._lost(identity))))
 
-    def encoded(self, sent: Any, component: int = COMPANION, sequence: int = 0) -> bytes:
-        """Encode a message of the drone's system, signed if there is a key."""
-        return self._encoded(sent, (self.system, component), sequence)
-
-    def _encoded(self, sent: Any, identity: Identity, sequence: int) -> bytes:
+    def encoded(self, sent: Any, component: int = COMPANION, sequence: int = 0, system: int = 0) -> bytes:
+        """Encode a message of the drone's system, or of another, signed if there is a key."""
         signing = (self.signing.outgoing(),) if self.signing is not None else ()
-        return encode(sent, *identity, sequence, *signing)
+        return encode(sent, system or self.system, component, sequence, *signing)
 
     def _meet(self, client: CompanionClient, identity: Identity, now: float) -> None:
         """Note the identity of a client. It gets what this identity asked for from another address before."""
@@ -275,7 +271,7 @@ class Router:
         for name, value in self._interval_fields(number, union).items():
             if name.startswith("param"):
                 setattr(sent, name, value)
-        return self._encoded(sent, (frame.system, frame.component), frame.sequence)
+        return self.encoded(sent, frame.component, frame.sequence, frame.system)
 
     def _interval_fields(self, number: int, wish: Wish) -> dict[str, float]:
         """Return the fields of command 511 for a wish."""
@@ -316,12 +312,15 @@ class Router:
             if before not in (0, got.start):
                 self.started()
 
+    def _lost(self, identity: Identity) -> int:
+        there = self._behind.get(identity)
+        return 0 if there is None else there.lost
+
     def _deliver(self, client: CompanionClient, frame: Frame) -> None:
-        there = self._behind.get((frame.system, frame.component))
-        client.deliver(frame, there.lost if there is not None else 0)
+        client.deliver(frame, self._lost((frame.system, frame.component)))
 
     def _to_vehicle(self, sent: Any) -> None:
-        raw = self._encoded(sent, (self.system, COMPANION), self._sequence)
+        raw = self.encoded(sent, sequence=self._sequence)
         if self.line.offer(self, raw, self.clock(), stale_s=inf):
             self._sequence = (self._sequence + 1) & 0xFF
 

@@ -1,7 +1,7 @@
 """The queue to the flight controller: kills first, a turn for every client, and no more than the line carries.
 
-A frame that fits goes out at once. Beyond that each client has a queue of its own, served in turn by bytes (deficit
-round robin: Shreedhar and Varghese, 1995), so that a client that floods loses its own frames only.
+A frame that fits goes out at once. Beyond that each client has a queue of its own. The client of which the fewest bytes
+were sent is served next, so that a client that floods loses its own frames only.
 """
 
 from collections import deque
@@ -14,8 +14,6 @@ from twodof.link.transport.base import Transport
 MOST_QUEUED_BYTES = 128 << 10
 STALE_S = 1.0
 """An older set-point does harm, and would keep the lease of a dead client alive."""
-# Not less than the longest frame.
-QUANTUM = 300
 # How far a serial line may be ahead [s]: a kill cannot overtake what its driver holds.
 AHEAD_S = 0.01
 # The same for the buffer of a network connection.
@@ -41,9 +39,11 @@ class UplinkCounts:
 
 @dataclass(slots=True)
 class _Queue:
+    """Waiting frames of a client with their deadlines, their bytes, and the bytes that were sent of it."""
+
+    served: int
     frames: deque[tuple[float, bytes]] = field(default_factory=deque)
     size: int = 0
-    credit: int = 0
 
 
 class UplinkQueue:
@@ -59,7 +59,7 @@ class UplinkQueue:
         self.overhead = overhead
         self._free_at = 0.0  # when the line will have sent what it was given
         self._urgent: dict[tuple[Hashable, Hashable], bytes] = {}
-        self._queues: dict[Hashable, _Queue] = {}  # in the order of their turns; none is empty
+        self._queues: dict[Hashable, _Queue] = {}  # none is empty
 
     def connect(self, transport: Transport) -> None:
         """Start with an open link."""
@@ -95,7 +95,9 @@ class UplinkQueue:
             return True
         if not self.waiting and self._room(now):
             return self._send(raw, now)
-        queue = self._queues.setdefault(source, _Queue())
+        queue = self._queues.get(source)
+        if queue is None:  # as if it had waited with the others
+            queue = self._queues[source] = _Queue(min((one.served for one in self._queues.values()), default=0))
         if queue.size + len(raw) > MOST_QUEUED_BYTES:
             self.counts.crowded_out += 1
             return False
@@ -109,20 +111,17 @@ class UplinkQueue:
         while self._urgent and self._room(now):
             self._send(self._urgent.pop(next(iter(self._urgent))), now)
         while self._queues and not self._urgent and self._room(now):
-            source, queue = next(iter(self._queues.items()))
-            while queue.frames and now > queue.frames[0][0]:
-                queue.size -= len(queue.frames.popleft()[1])
-                self.counts.stale += 1
-            if queue.frames and len(queue.frames[0][1]) <= queue.credit:
-                raw = queue.frames.popleft()[1]
-                queue.size -= len(raw)
-                queue.credit -= len(raw)
-                self._send(raw, now)
-            elif queue.frames:
-                queue.credit += QUANTUM
-                self._queues[source] = self._queues.pop(source)  # behind the turns of the others
+            source = min(self._queues, key=lambda one: self._queues[one].served)
+            queue = self._queues[source]
+            deadline, raw = queue.frames.popleft()
+            queue.size -= len(raw)
             if not queue.frames:
                 del self._queues[source]
+            if now > deadline:
+                self.counts.stale += 1
+            else:
+                queue.served += len(raw)
+                self._send(raw, now)
         if not self.waiting:
             return None
         return max(self._free_at - AHEAD_S - now, POLL_S / 4) if self.rate is not None else POLL_S

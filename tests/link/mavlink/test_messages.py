@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tests.link.batches import batch
 from twodof.errors import LinkError
 from twodof.excitation import Doublet, Excitation, Steps
 from twodof.link.mavlink.framing import Parser, decode, encode
 from twodof.link.mavlink.messages import (
     ExcitationReceiver,
-    batch,
     batch_rows,
     channel_bits,
     channel_mask,
@@ -69,8 +69,6 @@ def test_a_batch_of_nonsense_is_empty_or_bounded() -> None:
     assert batch_rows(message("TWODOF_BATCH", channels=7, rows=255))[1].shape == (20, 3)
     with pytest.raises(LinkError, match=r"no channel 'imu.giro_y'.*IMU_GYRO_Y"):
         channel_mask(["imu.giro_y"])
-    with pytest.raises(LinkError, match="for 1 channels"):
-        batch(0, 1, np.zeros((3, 2), np.float32))
 
 
 EXCITATIONS: list[Excitation] = [

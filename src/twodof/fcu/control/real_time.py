@@ -30,7 +30,7 @@ class Pacer:
         self._begin = 0
         self._done = 0
         self._waiter: asyncio.Future[None] | None = None
-        self._timer: int | None = None
+        self._timer = -1  # none
         self._loop = asyncio.get_running_loop()
         if sys.platform == "linux":
             self._timer = _timer("create", time.CLOCK_MONOTONIC, _NONBLOCK | _CLOEXEC)
@@ -44,24 +44,20 @@ class Pacer:
         """
         if not self._begin:
             self._begin = time.monotonic_ns()
-            if self._timer is not None:
+            if self._timer >= 0:
                 times = (divmod(at, 10**9) for at in (self.period_ns, self._begin + self.period_ns))
                 setting = _Setting(*(_Time(*parts) for parts in times))
                 _timer("settime", self._timer, _ABSOLUTE, ctypes.byref(setting), None)
-        due = self._due()
-        while due <= 0:
-            self._waiter = self._loop.create_future()
-            handle = None
-            if self._timer is None:
+        while (due := self._due()) <= 0:
+            if self._timer < 0:
                 at = self._begin + (self._done + 1) * self.period_ns
-                handle = self._loop.call_later((at - time.monotonic_ns()) * 1e-9, self._wake)
+                await asyncio.sleep((at - time.monotonic_ns()) * 1e-9)
+                continue
+            self._waiter = self._loop.create_future()
             try:
                 await self._waiter
             finally:
                 self._waiter = None
-                if handle is not None:
-                    handle.cancel()
-            due = self._due()
         self.late_ns = time.monotonic_ns() - self._begin - (self._done + 1) * self.period_ns
         left_out = max(0, due - MOST_CATCH_UP)
         self.missed += left_out
@@ -70,21 +66,17 @@ class Pacer:
 
     def close(self) -> None:
         """Close the timer."""
-        if self._timer is not None:
+        if self._timer >= 0:
             self._loop.remove_reader(self._timer)
             os.close(self._timer)
-            self._timer = None
+            self._timer = -1
 
     def _due(self) -> int:
         return (time.monotonic_ns() - self._begin) // self.period_ns - self._done
 
     def _fired(self) -> None:
-        if self._timer is not None:
-            with suppress(BlockingIOError):
-                os.read(self._timer, 8)
-        self._wake()
-
-    def _wake(self) -> None:
+        with suppress(BlockingIOError):
+            os.read(self._timer, 8)
         if self._waiter is not None and not self._waiter.done():
             self._waiter.set_result(None)
 

@@ -1,6 +1,7 @@
 """Batches: TWODOF_BATCH carries every sample of chosen channels to a client that asks, several ticks in a message."""
 
 from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from math import isfinite, nan
 from operator import attrgetter
 from typing import Any
@@ -26,11 +27,6 @@ def published(tick: int) -> bool:
     return 2 * tick % 5 < 2
 
 
-def _new(when: str) -> Callable[[ControlStep], bool]:
-    """Return what tells the steps in which a signal is new, by `Topic.when`."""
-    return (lambda s: published(s.tick)) if when == "published" else attrgetter(f"sample.{when}")
-
-
 def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], float]]:
     """Return channel -> its value at a step, NaN where it has no new sample."""
 
@@ -42,9 +38,11 @@ def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], f
         if name == "mode":
             return lambda s: float(s.asked.mode)
         read: Callable[[Any], float] = attrgetter(f"sample.{name}" if name in SensorSample._fields else name)
+        if row.when == "published":
+            return lambda s: read(s) if published(s.tick) else nan
         if not row.when:
             return read
-        new = _new(row.when)
+        new = attrgetter(f"sample.{row.when}")
         return lambda s: read(s) if new(s) else nan
 
     return {
@@ -54,19 +52,22 @@ def channel_readers(commander: Commander) -> dict[str, Callable[[ControlStep], f
     }
 
 
+@dataclass(slots=True)
 class BatchSubscription:
     """The channels of one client, and the rows that wait to be sent."""
 
-    def __init__(self, peer: Hashable, mask: int, every: int, read: list[Callable[[ControlStep], float]]) -> None:
-        self.peer = peer
-        self.mask = mask
-        self.every = every
-        self.read = read
-        # As many rows as fit, but no more than are due within the longest wait.
-        self.most = max(1, min(BATCH_VALUES // len(read), LATEST_TICKS // every + 1))
-        self.values: list[float] = []
-        self.rows = 0
-        self.begun = 0
+    peer: Hashable
+    mask: int
+    every: int
+    read: list[Callable[[ControlStep], float]]
+    values: list[float] = field(default_factory=list)
+    rows: int = 0
+    begun: int = 0
+
+    @property
+    def full(self) -> bool:
+        """Return whether no more rows fit, or as many wait as are due within the longest wait."""
+        return self.rows >= min(BATCH_VALUES // len(self.read), LATEST_TICKS // self.every + 1)
 
 
 class BatchService(Service):
@@ -83,7 +84,7 @@ class BatchService(Service):
         self._readers = sorted((bit, read[name]) for name, bit in channel_bits().items())
         self._all = sum(bit for bit, _ in self._readers)
         self._subscriptions: dict[Hashable, BatchSubscription] = {}
-        vehicle.bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.client.peer, None))
+        vehicle.bus.subscribe(ClientLeft, lambda left: self._subscriptions.pop(left.peer, None))
 
     def after(self, step: ControlStep) -> None:
         for subscription in self._subscriptions.values():
@@ -93,7 +94,7 @@ class BatchService(Service):
                 subscription.begun = step.tick & MASK_32
             subscription.values += [read(step) for read in subscription.read]
             subscription.rows += 1
-            if subscription.rows == subscription.most:
+            if subscription.full:
                 self._flush(subscription)
 
     def restart(self) -> None:

@@ -2,7 +2,6 @@
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from twodof.fcu.command.command_lease import Source
@@ -20,30 +19,22 @@ _SWEEP_TICKS = 250
 _ABOUT_MESSAGES = (MavCmd.GET_MESSAGE_INTERVAL, MavCmd.SET_MESSAGE_INTERVAL, MavCmd.REQUEST_MESSAGE)
 
 
-@dataclass(slots=True)
-class ConnectedClient:
-    """A peer that has spoken, and the tick at which it did so last."""
-
-    peer: Hashable
-    heard: int
-
-
 class ClientJoined(NamedTuple):
     """A peer has spoken for the first time."""
 
-    client: ConnectedClient
+    peer: Hashable
 
 
 class ClientRecognised(NamedTuple):
     """A client has sent a message of twodof's own, or asked for one. Others would count these messages as lost."""
 
-    client: ConnectedClient
+    peer: Hashable
 
 
 class ClientLeft(NamedTuple):
     """A client's link has closed, or it was silent for too long."""
 
-    client: ConnectedClient
+    peer: Hashable
 
 
 class Clients(Service):
@@ -55,43 +46,36 @@ class Clients(Service):
 
     def __init__(self, vehicle: Vehicle) -> None:
         super().__init__(vehicle)
-        self.known: dict[Hashable, ConnectedClient] = {}
+        self._heard: dict[Hashable, int] = {}  # the tick at which each peer spoke last
         self._tick = 0
 
     def handle(self, received: Received) -> bool:
-        client = self.known.get(received.peer)
-        if client is None:
-            client = self._welcome(received.peer)
-        client.heard = self._tick
-        if client.peer not in self._vehicle.know_ours and _knows(received):
-            self._vehicle.know_ours.add(client.peer)
-            self._vehicle.bus.publish(ClientRecognised(client))
+        peer, vehicle = received.peer, self._vehicle
+        if peer not in self._heard:
+            if len(self._heard) >= MOST_CLIENTS:
+                self.gone(min(self._heard, key=self._heard.__getitem__))
+            vehicle.bus.publish(ClientJoined(peer))
+        self._heard[peer] = self._tick
+        if peer not in vehicle.know_ours and _knows(received):
+            vehicle.know_ours.add(peer)
+            vehicle.bus.publish(ClientRecognised(peer))
         return False
 
     def after(self, step: ControlStep) -> None:
         self._tick = step.tick
         if step.tick % _SWEEP_TICKS == 0 and not self._vehicle.lockstep:
-            for client in [*self.known.values()]:
-                if step.tick - client.heard > SILENT_TICKS:
-                    self.gone(client.peer)
+            for peer, heard in [*self._heard.items()]:
+                if step.tick - heard > SILENT_TICKS:
+                    self.gone(peer)
 
     def gone(self, peer: Hashable) -> None:
-        client = self.known.pop(peer, None)
-        if client is not None:
+        if self._heard.pop(peer, None) is not None:
             self._vehicle.know_ours.discard(peer)
-            self._vehicle.bus.publish(ClientLeft(client))
+            self._vehicle.bus.publish(ClientLeft(peer))
 
     def restart(self) -> None:
         self._tick = 0
-        for client in self.known.values():
-            client.heard = 0
-
-    def _welcome(self, peer: Hashable) -> ConnectedClient:
-        if len(self.known) >= MOST_CLIENTS:
-            self.gone(min(self.known.values(), key=lambda one: one.heard).peer)
-        client = self.known[peer] = ConnectedClient(peer, self._tick)
-        self._vehicle.bus.publish(ClientJoined(client))
-        return client
+        self._heard = dict.fromkeys(self._heard, 0)
 
 
 def _knows(received: Received) -> bool:

@@ -14,16 +14,11 @@ from twodof.link.mavlink.dialect import MavCmd, MavResult, MavSeverity
 from twodof.link.mavlink.framing import stops_motors
 from twodof.link.mavlink.messages import message
 
-_QUESTIONS = frozenset(
-    {
-        MavCmd.GET_HOME_POSITION,
-        MavCmd.GET_MESSAGE_INTERVAL,
-        MavCmd.REQUEST_MESSAGE,
-        MavCmd.REQUEST_PROTOCOL_VERSION,
-        MavCmd.REQUEST_AUTOPILOT_CAPABILITIES,
-    }
+_QUESTIONS = (
+    *(MavCmd.GET_HOME_POSITION, MavCmd.GET_MESSAGE_INTERVAL, MavCmd.REQUEST_MESSAGE),
+    *(MavCmd.REQUEST_PROTOCOL_VERSION, MavCmd.REQUEST_AUTOPILOT_CAPABILITIES),
 )
-_ANSWERED_AGAIN = _QUESTIONS | {MavCmd.SET_MESSAGE_INTERVAL}
+_ANSWERED_AGAIN = (*_QUESTIONS, MavCmd.SET_MESSAGE_INTERVAL)
 """They are answered as often as they come."""
 
 LATEST_TICKS = 125
@@ -153,14 +148,8 @@ class CommandService(Service):
         """Answer a command that was carried out, also one that came in another message."""
         if command.what in self._pending and not self._vehicle.lockstep and command.number not in self._slow:
             return
-        answer = message(
-            "COMMAND_ACK",
-            command=command.number,
-            result=result.result,
-            result_param2=result.reason,
-            **target(command.source),
-        )
-        self._vehicle.send(answer, command.peer)
+        answer = {"command": command.number, "result": result.result, "result_param2": result.reason}
+        self._vehicle.send(message("COMMAND_ACK", **answer, **target(command.source)), command.peer)
         if not result.accepted and not result.in_progress:
             # QGroundControl opens a message box for an error or worse; the others it only lists.
             arms = command.number == MavCmd.COMPONENT_ARM_DISARM

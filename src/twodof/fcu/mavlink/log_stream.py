@@ -133,14 +133,9 @@ class LogStreamService(Service):
                 yield None
                 continue
             stream.answered = False
-            sent = message(
-                "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA",
-                **target(stream.client),
-                sequence=stream.sequence,
-                length=len(piece.data),
-                first_message_offset=piece.first,
-                data=piece.data,
-            )
+            name = "LOGGING_DATA_ACKED" if piece.described else "LOGGING_DATA"
+            part = {"first_message_offset": piece.first, "length": len(piece.data), "data": piece.data}
+            sent = message(name, sequence=stream.sequence, **part, **target(stream.client))
             yield sent
             for waited in range(AGAIN_PORTIONS * (MOST_AGAIN + 1) if piece.described else 0):
                 if stream.answered:

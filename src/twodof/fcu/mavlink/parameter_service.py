@@ -48,7 +48,7 @@ class ParameterService(Service):
         self._commander, self._store = vehicle.commander, vehicle.store
         self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
         self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
-        vehicle.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.client.peer, None))
+        vehicle.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.peer, None))
         vehicle.bus.subscribe(ParametersChanged, self._announce)
         vehicle.bus.subscribe(ParametersRelisted, self._relist)
 

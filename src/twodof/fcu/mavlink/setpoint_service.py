@@ -2,8 +2,9 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
+from functools import partial
 from math import isnan
-from typing import Any, NamedTuple
+from typing import Any
 
 from twodof.errors import RefusalReason
 from twodof.fcu.command.command_lease import DONE as ACCEPTED
@@ -87,13 +88,8 @@ STATUS_TICKS = 250
 REASON_BYTES = 80
 
 
-class ExcitationDefinition(NamedTuple):
-    """Which definition pieces belong to."""
-
-    sender: Source
-    transfer: int
-    crc: int
-    total: int
+Definition = tuple[Source, int, int, int]
+"""Which definition pieces belong to: sender, transfer, checksum, length."""
 
 
 class ExcitationService(Service):
@@ -132,7 +128,7 @@ class ExcitationService(Service):
         self._begin(None)
         self._tick, self._revision = 0, self._commander.excitation.player.revision
 
-    def _begin(self, coming: ExcitationDefinition | None) -> None:
+    def _begin(self, coming: Definition | None) -> None:
         """Wait for the pieces of this definition; None: of any."""
         self._coming = coming
         self._receiver = ExcitationReceiver()
@@ -159,14 +155,16 @@ class ExcitationService(Service):
         taken = self._commander.lease.take(sender, "excitation")
         if not taken.accepted:
             return taken
-        definition = ExcitationDefinition(sender, got.transfer, got.crc, got.total)
+        definition = sender, got.transfer, got.crc, got.total
         if definition != self._coming:
             self._begin(definition)
         if not self._whole:
             before = self._receiver.received
             data = self._receiver.take(got)
             if data is not None:
-                self._write_out(definition, data)
+                self._whole = True
+                if not self._background.submit(partial(prepare, data), partial(self._made, definition)):
+                    self._refuse(definition, "too many wait to be written out")
             elif self._receiver.received != before:
                 self._send(peer, got.transfer, RECEIVING)
         elif self._refused:
@@ -175,23 +173,17 @@ class ExcitationService(Service):
             self._tell_player(peer)
         return taken
 
-    def _write_out(self, definition: ExcitationDefinition, data: bytes) -> None:
-        self._whole = True
-        if not self._background.submit(lambda: prepare(data), lambda made: self._made(definition, made)):
-            self._refuse(definition, "too many wait to be written out")
-
-    def _made(self, definition: ExcitationDefinition, made: object) -> None:
-        if not isinstance(made, SampledExcitation):
-            self._refuse(definition, str(made))
-            return
-        answer = self._commander.excitation.define(definition.sender, definition.transfer, made)
+    def _made(self, definition: Definition, made: object) -> None:
+        answer = denied(str(made))
+        if isinstance(made, SampledExcitation):
+            answer = self._commander.excitation.define(*definition[:2], made)
         if not answer.accepted:
             self._refuse(definition, answer.text)
 
-    def _refuse(self, definition: ExcitationDefinition, reason: str) -> None:
+    def _refuse(self, definition: Definition, reason: str) -> None:
         if definition == self._coming:
             self._refused = reason
-        self._send(None, definition.transfer, REFUSED, reason)
+        self._send(None, definition[1], REFUSED, reason)
 
     def _tell_changes(self) -> None:
         if self._commander.excitation.player.revision != self._revision:
@@ -205,16 +197,7 @@ class ExcitationService(Service):
     def _send(
         self, peer: Hashable | None, transfer: int, state: int, reason: str = "", start: int = 0, end: int = 0
     ) -> None:
-        self._vehicle.send(
-            message(
-                "TWODOF_EXCITE_STATUS",
-                tick=self._tick & MASK_32,
-                start_tick=start & MASK_32,
-                end_tick=end & MASK_32,
-                transfer=transfer,
-                received=self._receiver.received if self._coming is not None else 0,
-                state=state,
-                reason=reason.encode()[:REASON_BYTES],
-            ),
-            peer,
-        )
+        ticks = {"tick": self._tick & MASK_32, "start_tick": start & MASK_32, "end_tick": end & MASK_32}
+        received = self._receiver.received if self._coming is not None else 0
+        what = {"transfer": transfer, "received": received, "state": state, "reason": reason.encode()[:REASON_BYTES]}
+        self._vehicle.send(message("TWODOF_EXCITE_STATUS", **ticks, **what), peer)

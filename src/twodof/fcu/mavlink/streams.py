@@ -110,8 +110,8 @@ class StreamService(Service):
         self._intervals: dict[Hashable, dict[int, int]] = {}  # of each client's messages
         self._streams: list[MessageStream] | None = None  # None: to be planned
         self._tick = -1
-        vehicle.bus.subscribe(ClientJoined, lambda joined: self._begin(joined.client.peer, ours=False))
-        vehicle.bus.subscribe(ClientRecognised, lambda known: self._begin(known.client.peer, ours=True))
+        vehicle.bus.subscribe(ClientJoined, lambda joined: self._begin(joined.peer, ours=False))
+        vehicle.bus.subscribe(ClientRecognised, lambda known: self._begin(known.peer, ours=True))
         vehicle.bus.subscribe(ClientLeft, self._leave)
         commands.on(MavCmd.SET_MESSAGE_INTERVAL, self._set)
         commands.on(MavCmd.GET_MESSAGE_INTERVAL, self._get)
@@ -150,7 +150,7 @@ class StreamService(Service):
         self._streams = None
 
     def _leave(self, left: ClientLeft) -> None:
-        self._intervals.pop(left.client.peer, None)
+        self._intervals.pop(left.peer, None)
         self._streams = None
 
     def _planned(self, tick: int) -> list[MessageStream]:
@@ -224,7 +224,7 @@ class Heartbeat(Service):
         super().__init__(vehicle, {"HEARTBEAT": None})
         self._telemetry = telemetry
         self._said: tuple[int, int, int] | None = None
-        vehicle.bus.subscribe(ClientJoined, lambda joined: self._send(joined.client.peer))
+        vehicle.bus.subscribe(ClientJoined, lambda joined: self._send(joined.peer))
         vehicle.bus.subscribe(CommandHandled, lambda _: self._send_if_changed())
 
     def after(self, step: ControlStep) -> None:

@@ -132,19 +132,13 @@ class ModeService(Service):
         wanted = whole(command.params[1])
         if not 0 <= wanted <= len(MODES):
             return None
-        return [
-            message(
-                "AVAILABLE_MODES",
-                number_modes=len(MODES),
-                mode_index=place,
-                standard_mode=row.standard_mode,
-                custom_mode=row.custom_mode,
-                properties=row.properties,
-                mode_name=row.name.encode()[:34],
-            )
-            for place, row in enumerate(MODES, start=1)
-            if wanted in (0, place)
-        ]
+        found = []
+        for place, row in enumerate(MODES, start=1):
+            if wanted in (0, place):
+                mode = {"standard_mode": row.standard_mode, "custom_mode": row.custom_mode, "mode_name": row.name}
+                place_of = {"number_modes": len(MODES), "mode_index": place}
+                found.append(message("AVAILABLE_MODES", **place_of, **mode, properties=row.properties))
+        return found
 
 
 LOAD, SAVE, RESET_CONFIG, RESET_SENSORS, RESET_ALL = range(5)

@@ -90,15 +90,14 @@ class ParameterStore(Mapping[str, float]):
 
     def row(self, name: str) -> VehicleParameter:
         """Return type, bounds, unit and text of the parameter `name`. Raises ParameterError for an unknown one."""
-        index = self._index.get(name)
-        if index is None:
-            raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
-        return self.rows[index]
+        return self.rows[self.index(name)]
 
     def index(self, name: str) -> int:
         """Return the place of `name` in `rows`, PARAM_VALUE's param_index. Raises ParameterError for an unknown one."""
-        self.row(name)
-        return self._index[name]
+        index = self._index.get(name)
+        if index is None:
+            raise ParameterError("no such parameter", str(name)[:40], f"there are {len(self.rows)}: list them")
+        return index
 
     def flying(self) -> dict[str, float]:
         """Return the flight code's values by their paths in it; a flag is a bool."""
@@ -154,10 +153,18 @@ class ParameterStore(Mapping[str, float]):
         outside its bounds. While `armed`, a parameter that only changes disarmed is a fault too.
         """
         good, faults = self._set.check(self._as_carried(changes))
-        faults += self._locked(good, armed)
+        locked = [name for name, value in good.items() if self.row(name).disarmed and value != self._set[name]]
+        faults += [f"{name}: is changed only while disarmed" for name in locked if armed]
         if faults:
             raise ParameterError("; ".join(faults), "parameters", "nothing was changed")
-        self._change(good)
+        before = self._set.snapshot()
+        self._set.update(good)
+        main = {row.name: row.of or row.name for row in self.rows}
+        changed = {name: self._set[key] for name, key in main.items() if self._set[key] != before[key]}
+        if changed:
+            if self._file is not None:
+                self._file.write(self._kept())
+            self.bus.publish(ParametersChanged(changed))
 
     def reset(self, armed: bool = False) -> None:
         """Set all to their defaults. Raises ParameterError as `update` does."""
@@ -198,28 +205,6 @@ class ParameterStore(Mapping[str, float]):
         """Return values as wire and file carry them: of a float the shortest decimal that float32 keeps."""
         floats = {name for name in values if name in self._index and self.row(name).kind == "float"}
         return {name: float32_decimal(value) if name in floats else value for name, value in values.items()}
-
-    def _locked(self, values: Mapping[str, float], armed: bool) -> list[str]:
-        """Return the faults of changing `values` (by main name) while `armed`."""
-        if not armed:
-            return []
-        return [
-            f"{name}: is changed only while disarmed"
-            for name, value in values.items()
-            if self.row(name).disarmed and value != self._set[name]
-        ]
-
-    def _change(self, values: Mapping[str, float]) -> None:
-        before = self._set.snapshot()
-        self._set.update(values)
-        after = self._set.snapshot()
-        main = {row.name: row.of or row.name for row in self.rows}
-        changes = {name: after[key] for name, key in main.items() if after[key] != before[key]}
-        if not changes:
-            return
-        if self._file is not None:
-            self._file.write(self._kept())
-        self.bus.publish(ParametersChanged(changes))
 
     def _list(self) -> None:
         """Sort all rows as PX4 does, by name."""

@@ -134,30 +134,6 @@ def channel_mask(columns: Sequence[str]) -> int:
     return mask
 
 
-def batch(tick: int, mask: int, rows: NDArray[np.float32], every: int = 1) -> list[Any]:
-    """Pack samples (n, channels of `mask` by rising bit) into as few TWODOF_BATCH as hold them.
-
-    The first is at `tick`, the others are `every` ticks apart.
-
-    Raises LinkError if the width of `rows` is not the number of channels.
-    """
-    width = mask.bit_count()
-    if rows.ndim != 2 or rows.shape[1] != width or not 1 <= width <= BATCH_VALUES:
-        raise LinkError(f"rows of shape {rows.shape} for {width} channels", "TWODOF_BATCH", "give (n, channels)")
-    most = BATCH_VALUES // width
-    return [
-        message(
-            "TWODOF_BATCH",
-            channels=mask,
-            tick=(tick + at * every) & 0xFFFFFFFF,
-            values=rows[at : at + most].ravel().tolist(),
-            rows=len(rows[at : at + most]),
-            every=every,
-        )
-        for at in range(0, len(rows), most)
-    ]
-
-
 def batch_rows(received: Any) -> tuple[NDArray[np.uint32], NDArray[np.float32]]:
     """Return ticks (n,) and samples (n, channels by rising bit) of a TWODOF_BATCH; empty if its numbers are invalid."""
     width = int(received.channels).bit_count()
