@@ -6,7 +6,7 @@ motion leads into. Source: Griewank, On stable piecewise linearization, Optimiza
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.expr import Expr, convert
-from twodof.blocks.expressions.graph import OPERATIONS
+from twodof.blocks.expressions.graph import OPERATIONS, followed
 from twodof.blocks.expressions.numbers import FLOATS, Int32, Integer, Vector
 from twodof.errors import DiagramError
 
@@ -102,50 +102,26 @@ class Tangent:
         self.block = ""
 
     def evaluate(
-        self,
-        roots: Sequence[Expr],
-        leaf: Callable[[Expr], Value],
-        memo: dict[Any, Value] | None = None,
-        bound: Mapping[Any, Value] | None = None,
+        self, roots: Sequence[Expr], leaf: Callable[[Expr], Value], memo: dict[Any, Value] | None = None
     ) -> list[Value]:
         """Return the values of `roots`, given those of their leaves; `memo` keeps values by the node's id.
 
         Raises DiagramError for bit patterns, which have no derivative.
         """
-        run = _Run(leaf, {0: {} if memo is None else memo}, bound or {})
-        return self._evaluate(roots, run)
 
-    def _evaluate(self, roots: Sequence[Expr], run: "_Run") -> list[Value]:
-        stack = [(r, False) for r in reversed(roots)]
-        while stack:
-            item, ready = stack.pop()
-            known = run.known(item.loops)
-            if id(item) in known:
-                continue
-            if ready:
-                known[id(item)] = self._compute(item, self._values(item.outside, run), run)
-            else:
-                stack.append((item, True))
-                stack.extend((a, False) for a in reversed(item.outside))
-        return self._values(roots, run)
+        def compute(item: Expr, args: list[Value]) -> Value:
+            if item.op == "const":
+                return Dual(numbers.cast(item.data, item.kind))
+            return self._compute(item, args) if args else leaf(item)
 
-    def _values(self, items: Sequence[Expr], run: "_Run") -> list[Value]:
-        return [run.known(item.loops)[id(item)] for item in items]
+        return followed(roots, compute, _build, _fold, {} if memo is None else memo)
 
-    def _compute(self, item: Expr, args: list[Value], run: "_Run") -> Value:
+    def _compute(self, item: Expr, args: list[Value]) -> Value:
         op = item.op
-        if op == "const":
-            return Dual(numbers.cast(item.data, item.kind))
-        if op == "bound":
-            return run.bound[item.data]
-        if op in ("build", "fold"):
-            return self._loop(item, args, run)
         if op == "vector":
             return tuple(_scalar(a) for a in args)
         if op in ("select", "store"):
             return _element(op, args)
-        if not args:
-            return run.leaf(item)
         duals = [_scalar(a) for a in args]
         if all(d.slope is None for d in duals):
             return Dual(self._number(item, [d.value for d in duals]))
@@ -222,45 +198,17 @@ class Tangent:
         beside = _STEPS[name](x + 0.25 * side) if abs(x) < 2.0**50 else x
         return convert(numbers.cast(float(beside), "real"), item.kind)
 
-    def _loop(self, item: Expr, starts: list[Value], run: "_Run") -> Value:
-        length, depth, *which = item.data
-        bodies = item.bodies
-        if item.op == "build":
-            turns = (run.turn(depth, [Dual(Int32(i))]) for i in range(length))
-            made = (self._evaluate(bodies, turn)[0] for turn in turns)
-            return tuple(v for one in made for v in (one if isinstance(one, tuple) else (one,)))
-        # All results of one loop come from one run of it.
-        known = run.known(item.loops)
-        key = ("fold", length, depth, *map(id, item.args))
-        if key not in known:
-            carried = starts
-            for i in range(length):
-                carried = self._evaluate(bodies, run.turn(depth, [Dual(Int32(i)), *carried]))
-            known[key] = tuple(_scalar(c) for c in carried)
-        results: Any = known[key]
-        result: Value = results[which[0]]
-        return result
+
+def _build(length: int, element: Callable[[Dual], Value]) -> Value:
+    made = (element(Dual(Int32(i))) for i in range(length))
+    return tuple(v for one in made for v in (one if isinstance(one, tuple) else (one,)))
 
 
-@dataclass(frozen=True)
-class _Run:
-    """An evaluation within the turns of some loops: `memos` keeps values by the loops that they change with.
-
-    What does not change in a loop is computed once, before its first turn or in it.
-    """
-
-    leaf: Callable[[Expr], Value]
-    memos: dict[int, dict[Any, Value]]  # by the innermost loop whose variables are read: its depth + 1, or 0
-    bound: Mapping[Any, Value]
-
-    def known(self, reads: int) -> dict[Any, Value]:
-        """Return the values known of expressions that read the variables of these loops."""
-        return self.memos.setdefault(reads.bit_length(), {})
-
-    def turn(self, depth: int, variables: Sequence[Value]) -> "_Run":
-        """Evaluate a turn of the loop at `depth`."""
-        outer = {level: self.memos.setdefault(level, {}) for level in range(depth + 1)}
-        return _Run(self.leaf, outer, {**self.bound, **{(depth, j): v for j, v in enumerate(variables)}})
+def _fold(length: int, initial: list[Value], step: Callable[..., list[Value]]) -> tuple[Dual, ...]:
+    carried = initial
+    for i in range(length):
+        carried = step(Dual(Int32(i)), *carried)
+    return tuple(map(_scalar, carried))
 
 
 def _scalar(value: Value) -> Dual:

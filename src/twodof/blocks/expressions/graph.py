@@ -130,44 +130,62 @@ def evaluate(
     and then the whole.
     """
 
-    def values_of(roots: Sequence[Expr], bound: Mapping[Any, Any], known: Mapping[int, Any]) -> list[Any]:
-        values = dict(known)
-        order = scope(roots, known)
-        for item in order:
-            values[id(item)] = compute(item, [values[id(a)] for a in item.outside], bound, values)
-        if sight is not None:
-            sight(roots, order, values)
-        return [values[id(r)] for r in roots]
-
-    def compute(item: Expr, args: list[Any], bound: Mapping[Any, Any], values: Mapping[int, Any]) -> Any:
+    def compute(item: Expr, args: list[Any]) -> Any:
         op = item.op
         if op in OPERATIONS:
             return OPERATIONS[op](*args)
         if op == "const":
             return item if recording() else numbers.cast(item.data, item.kind)
-        if op == "bound":
-            return bound[item.data]
         if op == "convert":
             return convert(args[0], item.kind)
         if op == "bits":
             return bits_of(args[0], item.data)
         if op == "call":
             return functions[item.data](*args)
-        if op == "vector":
-            return vector(args)
-        if op not in LOOPS:
-            return leaf_value(item)
+        return vector(args) if op == "vector" else leaf_value(item)
+
+    return followed(roots, compute, array_of, fold, {}, sight)
+
+
+def followed(
+    roots: Sequence[Expr],
+    compute: Callable[[Expr, list[Any]], Any],
+    build: Callable[..., Any],
+    fold: Callable[..., tuple[Any, ...]],
+    known: dict[Any, Any],
+    sight: Sight | None = None,
+) -> list[Any]:
+    """Follow a graph from its leaves to `roots`, and return their values.
+
+    `compute` gives the value of a node from those of its arguments. `build` and `fold` run loops as `array_of` and
+    `fold` do. `known` are the values computed before, by the node's id; the new ones are added. `sight`: as `evaluate`.
+    """
+
+    def values_of(roots: Sequence[Expr], bound: Mapping[Any, Any], values: dict[Any, Any]) -> list[Any]:
+        order = scope(roots, values)
+        for item in order:
+            values[id(item)] = value_of(item, [values[id(a)] for a in item.outside], bound, values)
+        if sight is not None:
+            sight(roots, order, values)
+        return [values[id(r)] for r in roots]
+
+    def value_of(item: Expr, args: list[Any], bound: Mapping[Any, Any], values: Mapping[int, Any]) -> Any:
+        if item.op == "bound":
+            return bound[item.data]
+        if item.op not in LOOPS:
+            return compute(item, args)
         length, depth, *which = item.data
-        known = {id(e): values[id(e)] for e in unchanging(item)}
+        before = {id(e): values[id(e)] for e in unchanging(item)}
 
         def turn(*carried: Any) -> list[Any]:
-            return values_of(item.bodies, {**bound, **{(depth, j): v for j, v in enumerate(carried)}}, known)
+            variables = {(depth, j): v for j, v in enumerate(carried)}
+            return values_of(item.bodies, {**bound, **variables}, dict(before))
 
-        if op == "build":
-            return array_of(length, lambda i: turn(i)[0])
+        if item.op == "build":
+            return build(length, lambda i: turn(i)[0])
         return fold(length, args, turn)[which[0]]
 
-    return values_of(roots, {}, {})
+    return values_of(roots, {}, known)
 
 
 def free_bounds(roots: Sequence[Expr]) -> dict[int, frozenset[tuple[int, int, str]]]:
