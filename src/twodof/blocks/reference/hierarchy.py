@@ -169,8 +169,10 @@ class Hierarchy:
     def __init__(self, diagram: Diagram) -> None:
         self.parameters: dict[str, Param] = {}
         self.cells: list[Cell] = []
+        self.levels: list[DiagramLevel] = []  # each before those inside it
         self.writers: dict[Cell | DiagramLevel, Cell] = {}  # of data stores
-        self.root = self._open(diagram, DiagramLevel(diagram, diagram.name, None, ""), "", (), {})
+        self.root = DiagramLevel(diagram, diagram.name, None, "")
+        self._open(self.root, (), {})
         for cell in self.cells:
             steady_trace(cell.block, cell.path)
         self._connect()
@@ -180,15 +182,9 @@ class Hierarchy:
         self._check_rates()
         self.continuous_schedule = self._continuous()
 
-    def _open(
-        self,
-        diagram: Diagram,
-        level: DiagramLevel,
-        prefix: str,
-        levels: tuple[DiagramLevel, ...],
-        bound: dict[str, str],
-    ) -> DiagramLevel:
-        path = level.path
+    def _open(self, level: DiagramLevel, levels: tuple[DiagramLevel, ...], bound: dict[str, str]) -> None:
+        self.levels.append(level)
+        diagram, path, prefix = level.diagram, level.path, f"{level.path}." if level.parent else ""
         if prefix.count(".") > MAX_DEPTH:
             raise DiagramError(f"sub-diagrams are nested more than {MAX_DEPTH} deep", path, "flatten the diagram")
         roots = {name: self._root(prefix + name, p, bound.get(name)) for name, p in diagram.params.items()}
@@ -208,8 +204,7 @@ class Hierarchy:
                 child = DiagramLevel(p.item, at, level, p.name, rate=own_rate, resets_outputs=p.disabled != "hold")
                 decided = p.enable or p.reset or p.trigger or p.enabling == "restart"
                 level.parts[p.name] = child
-                self._open(p.item, child, at + ".", (*levels, child) if decided else levels, inner)
-        return level
+                self._open(child, (*levels, child) if decided else levels, inner)
 
     def _root(self, path: str, declared: Param, bound: str | None) -> str:
         if bound is None:
@@ -219,10 +214,12 @@ class Hierarchy:
         return bound
 
     def _connect(self) -> None:
-        self._find_writers(self.root)
-        stack = [self.root]
-        while stack:
-            level = stack.pop()
+        for level in self.levels:
+            for cell in level.parts.values():
+                if isinstance(cell, Cell) and isinstance(cell.block, StoreWrite):
+                    for state in note_writer(self.writers, level, cell).block.states:
+                        cell.initial[f"y{state.name.removeprefix('x')}"] = state.initial
+        for level in self.levels:
             for name, source in level.diagram.outputs.items():
                 if source is None:
                     raise not_connected("output", f"{level.path}.{name}")
@@ -232,7 +229,6 @@ class Hierarchy:
                     for output, value in values.items():
                         self._hold(child, output, value, what)
                 if isinstance(child, DiagramLevel):
-                    stack.append(child)
                     child.enable = self._condition(level, part.enable, child.path, "enable")
                     child.reset = self._condition(level, part.reset, child.path, "reset")
                     trigger = self._condition(level, part.trigger, child.path, "trigger")
@@ -301,15 +297,6 @@ class Hierarchy:
         if clash is not None:
             raise DiagramError(clash[0], where, clash[1])
         return driver
-
-    def _find_writers(self, level: DiagramLevel) -> None:
-        """Note who writes which data store, in a diagram and in those inside."""
-        for child in level.parts.values():
-            if isinstance(child, DiagramLevel):
-                self._find_writers(child)
-            elif isinstance(child.block, StoreWrite):
-                for state in note_writer(self.writers, level, child).block.states:
-                    child.initial[f"y{state.name.removeprefix('x')}"] = state.initial
 
     def _needs(self, item: PortOf) -> list[PortOf]:
         cell = item.cell
@@ -383,27 +370,18 @@ class Hierarchy:
         found: dict[str, PortOf | str] = {}
         for cell in self.cells:
             found |= {f"{cell.path}.{port.name}": PortOf(cell, port.name) for port in cell.block.outputs}
-        levels = [self.root]
-        for level in levels:  # which grows on the way
-            below = [child for child in level.parts.values() if isinstance(child, DiagramLevel)]
-            levels += below
-            for child in below:
-                for name, source in child.diagram.outputs.items():
-                    found |= child.spread(f"{child.path}.{name}", source) if source else {}
-                if len(found) > MAX_SIGNALS:
-                    raise DiagramError(f"more than {MAX_SIGNALS} signals", self.root.path, "use arrays")
+        for level in self.levels[1:]:
+            for name, source in level.diagram.outputs.items():
+                found |= level.spread(f"{level.path}.{name}", source) if source else {}
+            if len(found) > MAX_SIGNALS:
+                raise DiagramError(f"more than {MAX_SIGNALS} signals", self.root.path, "use arrays")
         return found
 
     def signal(self, path: str) -> dict[str, PortOf | str]:
         """Return the port of the signal at "part.sub.port", or the fields of a bus. Raises DiagramError without one."""
         if path in self.signals:
             return {path: self.signals[path]}
-        *parts, port = path.split(".")
-        at: DiagramLevel | Cell | None = self.root
-        fields = [p for p in self.signals if p.startswith(f"{path}.")]
-        for name in (*parts, port):
-            if isinstance(at, DiagramLevel):
-                at = at.parts.get(name)
-        if not fields or (at is not None and at.path == path):
+        fields = {p: port for p, port in self.signals.items() if p.startswith(f"{path}.")}
+        if not fields or path in {*(cell.path for cell in self.cells), *(level.path for level in self.levels[1:])}:
             raise unknown_name("signal", path, sorted(self.signals), self.root.path)
-        return {p: self.signals[p] for p in fields}
+        return fields
