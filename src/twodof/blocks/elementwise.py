@@ -92,54 +92,54 @@ def search(breakpoints: Any, length: int, value: Any) -> Any:
     return fold((length - 1).bit_length(), [int32(0), int32(length - 1)], halve)[0]
 
 
-def comparable(kind: Any, operation: str, block: str) -> Any:
+def comparable(kind: Any, operation: str) -> Any:
     """`kind` if its values can be compared so: numbers anyhow, members of an enumeration for == and !=; else raise."""
-    if enumeration_of(kind, block) is None:
-        return one_of(kind, ORDERED, block, "kind")
-    one_of(operation, ("==", "!="), block, "operation on an enumeration")
+    if enumeration_of(kind) is None:
+        return one_of(kind, ORDERED, "kind")
+    one_of(operation, ("==", "!="), "operation on an enumeration")
     return kind
 
 
-def one_of(value: Any, choices: Sequence[str], block: str, argument: str) -> str:
-    """`value` if it is one of `choices`; else DiagramError."""
+def one_of(value: Any, choices: Sequence[str], argument: str) -> str:
+    """`value` if it is one of `choices`; else DiagramError, which the block's constructor locates."""
     if value not in choices:
-        raise DiagramError(f"{argument}={value!r:.80}", block, f"use one of {', '.join(choices)}")
+        raise DiagramError(f"{argument}={value!r:.80}", "", f"use one of {', '.join(choices)}")
     return str(value)
 
 
-def count(value: Any, low: int, high: int, block: str, argument: str) -> int:
+def count(value: Any, low: int, high: int, argument: str) -> int:
     """`value` if it is an integer within [low, high]; else DiagramError."""
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise DiagramError(f"{argument}={value!r:.80}", block, f"give an integer within {low} .. {high}")
+        raise DiagramError(f"{argument}={value!r:.80}", "", f"give an integer within {low} .. {high}")
     return value
 
 
-def port_series(number: int, block: str) -> list[str]:
+def port_series(number: int) -> list[str]:
     """Return the names of `number` ports of one sort: a to z, then u27, u28, ... by their number.
 
     Raises DiagramError for more than a block may have. (Two letters would give `as`, `if`, `in`, `is` and `or`. Python
     does not take these as keywords of a call.)
     """
-    count(number, 1, MAX_PORTS, block, "number of ports")
+    count(number, 1, MAX_PORTS, "number of ports")
     return [*LETTERS[:number], *(f"u{i}" for i in range(len(LETTERS) + 1, number + 1))]
 
 
-def counts(values: Any, low: int, high: int, block: str, argument: str) -> list[int]:
+def counts(values: Any, low: int, high: int, argument: str) -> list[int]:
     """`values` if they are a list of integers within [low, high]; else DiagramError."""
     if not isinstance(values, (list, tuple)):
-        raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of integers within {low} .. {high}")
-    return [count(value, low, high, block, argument) for value in values]
+        raise DiagramError(f"{argument}={values!r:.80}", "", f"give a list of integers within {low} .. {high}")
+    return [count(value, low, high, argument) for value in values]
 
 
-def sized(name: str, shape: Any, block: str, kind: Kind = "real", unit: str = "") -> Port:
+def sized(name: str, shape: Any, kind: Kind = "real", unit: str = "") -> Port:
     """Return the port of an array with `shape` (n,) or (rows, columns); raise DiagramError for another shape."""
     if not isinstance(shape, (list, tuple)) or len(shape) not in (1, 2):
-        raise DiagramError(f"the shape {shape!r:.80} of {name}", block, "write [n], or [rows, columns]")
-    sizes = [count(n, 1, MAX_WIDTH, block, f"the shape of {name}") for n in shape]
+        raise DiagramError(f"the shape {shape!r:.80} of {name}", "", "write [n], or [rows, columns]")
+    sizes = [count(n, 1, MAX_WIDTH, f"the shape of {name}") for n in shape]
     return Port(name, kind, sizes[0], unit) if len(sizes) == 1 else Port(name, kind, None, unit, (sizes[0], sizes[1]))
 
 
-def reals(values: Any, block: str, argument: str, least: int = 1, finite: bool = True) -> list[float]:
+def reals(values: Any, argument: str, least: int = 1, finite: bool = True) -> list[float]:
     """`values` as a list of at least `least` floats, none of them infinite unless `finite` is false.
 
     Raises DiagramError for anything else.
@@ -148,31 +148,31 @@ def reals(values: Any, block: str, argument: str, least: int = 1, finite: bool =
         isinstance(v, (int, float)) and not isinstance(v, bool) for v in values
     )
     if not good or len(values) < least:
-        raise DiagramError(f"{argument}={values!r:.80}", block, f"give a list of {least} or more numbers")
+        raise DiagramError(f"{argument}={values!r:.80}", "", f"give a list of {least} or more numbers")
     found = [float(v) for v in values]
     for i, v in enumerate(found):
         if finite and not math.isfinite(v):
-            raise DiagramError(f"{argument}[{i}] = {v} is not finite", block, "give finite numbers")
+            raise DiagramError(f"{argument}[{i}] = {v} is not finite", "", "give finite numbers")
     return found
 
 
-def matrix(rows: Any, height: int | None, width: int | None, block: str, argument: str) -> list[list[float]]:
+def matrix(rows: Any, height: int | None, width: int | None, argument: str) -> list[list[float]]:
     """`rows` as a list of rows of floats, with the height and width asked for (None: any); else DiagramError."""
     if not isinstance(rows, (list, tuple)) or not rows:
-        raise DiagramError(f"{argument}={rows!r:.80}", block, "give a list of rows")
-    found = [reals(row, block, f"{argument}[{i}]") for i, row in enumerate(rows)]
+        raise DiagramError(f"{argument}={rows!r:.80}", "", "give a list of rows")
+    found = [reals(row, f"{argument}[{i}]") for i, row in enumerate(rows)]
     columns = len(found[0]) if width is None else width
     if any(len(row) != columns for row in found) or len(found) != (len(found) if height is None else height):
         size = " x ".join("any" if n is None else str(n) for n in (height, width))
-        raise DiagramError(f"{argument} has rows {[len(row) for row in found]}", block, f"its size is {size}")
+        raise DiagramError(f"{argument} has rows {[len(row) for row in found]}", "", f"its size is {size}")
     return found
 
 
-def limit_params(limits: Sequence[float] | None, block: str, unit: str) -> list[Param]:
+def limit_params(limits: Sequence[float] | None, unit: str) -> list[Param]:
     """Return the parameters low and high of the pair `limits`, low <= high; none for None, else DiagramError."""
     if limits is None:
         return []
-    pair = reals(limits, block, "limits", 2, finite=False)
+    pair = reals(limits, "limits", 2, finite=False)
     if len(pair) != 2 or not pair[0] <= pair[1]:
-        raise DiagramError(f"limits={limits!r:.80}", block, "give [low, high] with low <= high, or None")
+        raise DiagramError(f"limits={limits!r:.80}", "", "give [low, high] with low <= high, or None")
     return [Param("low", pair[0], unit=unit), Param("high", pair[1], unit=unit)]

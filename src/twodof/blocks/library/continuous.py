@@ -35,7 +35,7 @@ class Integrator(OneOutput):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        bounds = limit_params(limits, "Integrator", unit)
+        bounds = limit_params(limits, unit)
         self.limited = bool(bounds)
         self.ports("u", width=width, unit=unit, input_unit="")
         self.params = [Param("initial", initial, width=width, unit=unit), *bounds]
@@ -70,7 +70,7 @@ class ResetLatch(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.rule = ResetRule(reset, initial, "ResetLatch", width)
+        self.rule = ResetRule(reset, initial, width)
         self.inputs = self.rule.inputs
         self.outputs = [Port("x0", width=width, unit=unit), Port("start", "bool")]
         self.params = [] if self.rule.external else [Param("initial", initial, width=width, unit=unit)]
@@ -99,7 +99,7 @@ class ResetIntegrator(Block):
     """
 
     def __init__(self, limits: Sequence[float] | None = None, width: int | None = None, unit: str = "") -> None:
-        bounds = limit_params(limits, "ResetIntegrator", unit)
+        bounds = limit_params(limits, unit)
         self.limited = bool(bounds)
         self.inputs = [Port("u", width=width), Port("x0", width=width, unit=unit), Port("start", "bool")]
         self.outputs = [Port("y", width=width, unit=unit)]
@@ -192,7 +192,7 @@ class TransferFunction(OneOutput):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        top, bottom = quotient("TransferFunction", numerator, denominator, least=2)
+        top, bottom = quotient(numerator, denominator, least=2)
         self.order = len(bottom) - 1
         self.top = len(top)
         self.direct = self.top == self.order + 1

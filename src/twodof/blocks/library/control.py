@@ -52,11 +52,11 @@ class Pid(Block):
         unit: str = "",
         output_unit: str = "",
     ) -> None:
-        self.integral_rule = one_of(integral, METHODS, "Pid", "integral")
-        self.derivative_rule = one_of(derivative, METHODS, "Pid", "derivative")
-        self.anti_windup = one_of(anti_windup, ANTI_WINDUP, "Pid", "anti_windup")
-        self.resets = one_of(reset, RESETS, "Pid", "reset")
-        bounds = limit_params(limits, "Pid", output_unit)
+        self.integral_rule = one_of(integral, METHODS, "integral")
+        self.derivative_rule = one_of(derivative, METHODS, "derivative")
+        self.anti_windup = one_of(anti_windup, ANTI_WINDUP, "anti_windup")
+        self.resets = one_of(reset, RESETS, "reset")
+        bounds = limit_params(limits, output_unit)
         self.limited = bool(bounds)
         if anti_windup != "none" and not self.limited:
             raise DiagramError("anti-windup without limits", "Pid", "give limits=[low, high]")

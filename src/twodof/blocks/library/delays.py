@@ -125,8 +125,8 @@ class Delay(_RingBuffer):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        bound = count(samples if bound is None else bound, 1, MAX_SAMPLES, "Delay", "bound")
-        count(samples, 1, bound, "Delay", "samples")
+        bound = count(samples if bound is None else bound, 1, MAX_SAMPLES, "bound")
+        count(samples, 1, bound, "samples")
         self._declare(bound, initial, kind, width, unit)
         self.params = [Param("samples", samples, "int32", unit="samples", low=1, high=bound), *self.params]
 
@@ -152,7 +152,7 @@ class VariableDelay(_RingBuffer):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self._declare(count(bound, 1, MAX_SAMPLES, "VariableDelay", "bound"), initial, kind, width, unit)
+        self._declare(count(bound, 1, MAX_SAMPLES, "bound"), initial, kind, width, unit)
         self.direct = direct
         self.inputs = [*self.inputs, Port("samples", "int32", unit="samples")]
 
@@ -185,7 +185,7 @@ class FractionalDelay(_RingBuffer):
         direct: bool = True,
         unit: str = "",
     ) -> None:
-        self._declare(count(samples, 1, MAX_SAMPLES, "FractionalDelay", "samples"), initial, "real", None, unit)
+        self._declare(count(samples, 1, MAX_SAMPLES, "samples"), initial, "real", None, unit)
         self.direct = direct
         self.params = [Param("delay", delay, unit="s", low=0.0), *self.params]
         self.derived = [Port("whole", "int32"), Port("fraction"), Port("fits", "bool")]
@@ -265,7 +265,7 @@ class StoreWrite(_Passes):
     """Writes u into the DataStore named `store` as its only writer; y = u."""
 
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.store = check_name(store, "StoreWrite")
+        self.store = check_name(store, "")
         self.ports("u", kind, width, unit)
 
 
@@ -276,7 +276,7 @@ class StoreRead(_Passes):
     crossing = True
 
     def __init__(self, store: str = "store", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.store = check_name(store, "StoreRead")
+        self.store = check_name(store, "")
         self.ports("u", kind, width, unit)
 
 

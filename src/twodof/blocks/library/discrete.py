@@ -30,9 +30,9 @@ class ResetRule:
     With "input" for an initial value it starts from the signal `x0`, also in its first sample, which has no edge.
     """
 
-    def __init__(self, reset: bool | str, initial: Any, block: str, width: int | None) -> None:
+    def __init__(self, reset: bool | str, initial: Any, width: int | None) -> None:
         named = {False: "none", True: "level"}[reset] if isinstance(reset, bool) else reset
-        self.reset = one_of(named, RESETS, block, "reset")
+        self.reset = one_of(named, RESETS, "reset")
         self.external = external = isinstance(initial, str) and initial == "input"
         at_edges = self.reset in EDGES
         self.inputs = [Port("clear", "bool")] if self.reset != "none" else []
@@ -81,9 +81,9 @@ class DiscreteIntegrator(Block):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.method = one_of(method, METHODS, "DiscreteIntegrator", "method")
-        bounds = limit_params(limits, "DiscreteIntegrator", unit)
-        self.limited, self.rule = bool(bounds), ResetRule(reset, initial, "DiscreteIntegrator", width)
+        self.method = one_of(method, METHODS, "method")
+        bounds = limit_params(limits, unit)
+        self.limited, self.rule = bool(bounds), ResetRule(reset, initial, width)
         external = self.rule.external
         self.inputs = [Port("u", width=width), *self.rule.inputs]
         self.outputs = [Port("y", width=width, unit=unit)]
@@ -138,20 +138,18 @@ class DiscreteDerivative(OneOutput):
         return u.u
 
 
-def quotient(
-    block: str, numerator: Any, denominator: Any, least: int = 1, proper: bool = True
-) -> tuple[list[float], list[float]]:
+def quotient(numerator: Any, denominator: Any, least: int = 1, proper: bool = True) -> tuple[list[float], list[float]]:
     """Return the coefficients of a transfer function as lists. Raises DiagramError if they do not define one."""
-    top, bottom = reals(numerator, block, "numerator"), reals(denominator, block, "denominator", least)
+    top, bottom = reals(numerator, "numerator"), reals(denominator, "denominator", least)
     if proper and len(top) > len(bottom):
         raise DiagramError(
-            "the numerator's degree is above the denominator's", block, "a proper transfer function can be computed"
+            "the numerator's degree is above the denominator's", "", "a proper transfer function can be computed"
         )
     if bottom[0] == 0.0:
-        raise DiagramError("the first coefficient of the denominator is 0", block, "leave zeros out")
+        raise DiagramError("the first coefficient of the denominator is 0", "", "leave zeros out")
     order = max(len(top), len(bottom)) - 1
     if order > MAX_ORDER:
-        raise DiagramError(f"order {order}", block, f"the order is at most {MAX_ORDER}")
+        raise DiagramError(f"order {order}", "", f"the order is at most {MAX_ORDER}")
     return top, bottom
 
 
@@ -212,7 +210,7 @@ class DiscreteFilter(_Rational):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        top, bottom = quotient("DiscreteFilter", numerator, denominator, proper=False)
+        top, bottom = quotient(numerator, denominator, proper=False)
         self._declare(top, bottom, 0, initial, unit)
 
 
@@ -231,7 +229,7 @@ class DiscreteTransferFunction(_Rational):
         initial: Any = 0.0,
         unit: str = "",
     ) -> None:
-        top, bottom = quotient("DiscreteTransferFunction", numerator, denominator)
+        top, bottom = quotient(numerator, denominator)
         self._declare(top, bottom, len(bottom) - len(top), initial, unit)
 
 
@@ -240,17 +238,16 @@ class LinearStateSpace(Block):
 
     def declare(self, A: Any, B: Any, C: Any, D: Any, initial: Any, unit: str, continuous: bool) -> None:
         """Declare ports, parameters and the state. Raises DiagramError for matrices that do not fit together."""
-        name = type(self).__name__
-        a = matrix(A, None, None, name, "A")
+        a = matrix(A, None, None, "A")
         self.size = n = len(a)
         parts = {
-            "A": matrix(A, n, n, name, "A"),
-            "B": matrix(B, n, None, name, "B"),
-            "C": matrix(C, None, n, name, "C"),
+            "A": matrix(A, n, n, "A"),
+            "B": matrix(B, n, None, "B"),
+            "C": matrix(C, None, n, "C"),
         }
         self.input_count, self.output_count, self.direct = len(parts["B"][0]), len(parts["C"]), D is not None
         if self.direct:
-            parts["D"] = matrix(D, self.output_count, self.input_count, name, "D")
+            parts["D"] = matrix(D, self.output_count, self.input_count, "D")
         self.inputs = [Port("u", width=None if self.input_count == 1 else self.input_count)]
         self.outputs = [Port("y", width=None if self.output_count == 1 else self.output_count, unit=unit)]
         self.params = [
@@ -306,7 +303,7 @@ class MovingAverage(OneOutput):
     """Mean of the last n = `samples` inputs: y[k] = (u[k] + u[k-1] + ... + u[k-n+1]) / n, u[k < 0] = initial."""
 
     def __init__(self, samples: int = 2, initial: float = 0.0, unit: str = "") -> None:
-        self.samples = count(samples, 2, 10_000, "MovingAverage", "samples")
+        self.samples = count(samples, 2, 10_000, "samples")
         self.ports("u", unit=unit)
         self.params = [Param("initial", initial, unit=unit)]
         self.derived = [Port("fill", width=self.samples - 1, unit=unit)]

@@ -44,8 +44,8 @@ class RecursiveLeastSquares(Block):
         initial: Any = 0.0,
         initial_sigma: Any = 1.0,
     ) -> None:
-        self.width = n = count(width, 1, MAX_UNKNOWNS, "RecursiveLeastSquares", "width")
-        self.every = count(every, 1, 1_000_000, "RecursiveLeastSquares", "every")
+        self.width = n = count(width, 1, MAX_UNKNOWNS, "width")
+        self.every = count(every, 1, 1_000_000, "every")
         self.inputs = [Port("phi", width=n), Port("y"), Port("learn", "bool")]
         self.outputs = [Port("theta", width=n), Port("sigma", width=n), Port("error")]
         self.params = [

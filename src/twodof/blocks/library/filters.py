@@ -84,7 +84,7 @@ class LowPass(_FirstOrder):
     """
 
     def __init__(self, cutoff: float = 10.0, method: str = "trapezoidal", initial: float = 0.0, unit: str = "") -> None:
-        self.method = one_of(method, LOW_PASS_METHODS, "LowPass", "method")
+        self.method = one_of(method, LOW_PASS_METHODS, "method")
         self.direct = method in ("backward", "trapezoidal")
         self._declare([Param("cutoff", cutoff, unit="Hz", low=0.0)], initial, unit)
 

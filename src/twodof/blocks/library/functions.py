@@ -67,7 +67,7 @@ class _Function(Pointwise):
     functions: Mapping[str, Function]
 
     def _declare(self, function: str, width: int | None, input_unit: str, unit: str) -> None:
-        self.function = one_of(function, list(self.functions), type(self).__name__, "function")
+        self.function = one_of(function, list(self.functions), "function")
         self.ports("u", "real", width, unit, input_unit)
 
     def of(self, p: Any, u: Any) -> Any:
@@ -142,7 +142,7 @@ class Remainder(Pointwise):
     """The remainder of a / b: a - b floor(a / b), with b's sign; for integers a % b, with a's sign (a % 0 = 0)."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.kind = one_of(kind, NUMERIC, "Remainder", "kind")
+        self.kind = one_of(kind, NUMERIC, "kind")
         self.ports("ab", kind, width, unit)
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
@@ -168,13 +168,13 @@ class Convert(Pointwise):
         unit: str = "",
         overflow: str | None = None,
     ) -> None:
-        self.source = one_of(source, KINDS, "Convert", "source")
-        self.enumeration = enumeration_of(target, "Convert")
-        self.target = "int32" if self.enumeration else one_of(target, KINDS, "Convert", "target")
-        self.rounding = one_of(rounding, list(ROUNDING), "Convert", "rounding")
+        self.source = one_of(source, KINDS, "source")
+        self.enumeration = enumeration_of(target)
+        self.target = "int32" if self.enumeration else one_of(target, KINDS, "target")
+        self.rounding = one_of(rounding, list(ROUNDING), "rounding")
         if overflow is not None:
-            one_of(overflow, OVERFLOW, "Convert", "overflow")
-            one_of(self.target, STORED, "Convert", "target with an overflow")
+            one_of(overflow, OVERFLOW, "overflow")
+            one_of(self.target, STORED, "target with an overflow")
         elif may_overflow(self.source, self.target):
             rule = f"overflow={' or '.join(map(repr, OVERFLOW))}"
             raise DiagramError(f"a {source} may not fit {self.target}", "Convert", f"say what happens then: {rule}")

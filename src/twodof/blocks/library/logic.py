@@ -37,8 +37,8 @@ class Compare(Pointwise):
     """y = (a operation b), a bool; `operation` is <, <=, >, >=, == or !=. A comparison with NaN is false, != true."""
 
     def __init__(self, operation: str = "<", kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.operation = one_of(operation, list(COMPARISONS), "Compare", "operation")
-        comparable(kind, operation, "Compare")
+        self.operation = one_of(operation, list(COMPARISONS), "operation")
+        comparable(kind, operation)
         self.inputs = [Port("a", kind, width, unit), Port("b", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
 
@@ -58,8 +58,8 @@ class CompareToConstant(Pointwise):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.operation = one_of(operation, list(COMPARISONS), "CompareToConstant", "operation")
-        comparable(kind, operation, "CompareToConstant")
+        self.operation = one_of(operation, list(COMPARISONS), "operation")
+        comparable(kind, operation)
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", "bool", width)]
         whole = kind in INTEGERS
@@ -77,8 +77,8 @@ class Logic(Pointwise):
     """
 
     def __init__(self, operation: str = "and", inputs: int = 2, width: int | None = None) -> None:
-        self.operation = one_of(operation, ("and", "or", "xor", *INVERTED), "Logic", "operation")
-        self.ports(port_series(1 if operation == "not" else inputs, "Logic"), "bool", width)
+        self.operation = one_of(operation, ("and", "or", "xor", *INVERTED), "operation")
+        self.ports(port_series(1 if operation == "not" else inputs), "bool", width)
 
     def of(self, p: Any, *values: Any) -> Any:
         y = reduce(BITWISE[INVERTED.get(self.operation, self.operation)], values)
@@ -93,8 +93,8 @@ class Bitwise(Pointwise):
     """
 
     def __init__(self, operation: str = "and", kind: str = "uint32", width: int | None = None) -> None:
-        self.operation = one_of(operation, list(BITWISE), "Bitwise", "operation")
-        self.ports("ab", one_of(kind, WORDS, "Bitwise", "kind"), width)
+        self.operation = one_of(operation, list(BITWISE), "operation")
+        self.ports("ab", one_of(kind, WORDS, "kind"), width)
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
         return BITWISE[self.operation](a, b)
@@ -108,7 +108,7 @@ class EdgeDetector(OneOutput):
     """
 
     def __init__(self, edge: str = "rising", initial: bool = False) -> None:
-        self.edge = one_of(edge, EDGES, "EdgeDetector", "edge")
+        self.edge = one_of(edge, EDGES, "edge")
         self.ports("u", "bool")
         self.params = [Param("initial", initial, "bool")]
         self.states = [State("x", "initial", "bool")]
@@ -144,7 +144,7 @@ class FlipFlop(Recurrent):
     """Set-reset flip-flop: `set` makes y true, `clear` false, else it stays; with both the `dominant` one counts."""
 
     def __init__(self, dominant: str = "clear", initial: bool = False) -> None:
-        self.dominant = one_of(dominant, ("set", "clear"), "FlipFlop", "dominant")
+        self.dominant = one_of(dominant, ("set", "clear"), "dominant")
         self.ports(("set", "clear"), "bool")
         self.params = [Param("initial", initial, "bool")]
         self.states = [State("x", "initial", "bool")]

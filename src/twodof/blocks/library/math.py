@@ -50,9 +50,9 @@ class Sum(Pointwise):
     def __init__(self, signs: str = "++", kind: str = "real", width: int | None = None, unit: str = "") -> None:
         if not isinstance(signs, str) or not signs or set(signs) - set("+-"):
             raise DiagramError(f"signs={signs!r:.80}", "Sum", 'give a + or - for each input, such as "+-"')
-        one_of(kind, NUMERIC, "Sum", "kind")
+        one_of(kind, NUMERIC, "kind")
         self.signs = signs
-        self.ports(port_series(len(signs), "Sum"), kind, width, unit)
+        self.ports(port_series(len(signs)), kind, width, unit)
 
     def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.signs[0] == "+" else -terms[0]
@@ -66,7 +66,7 @@ class SumOfElements(Block):
     """y = u[0] + u[1] + ... + u[width - 1], from left to right."""
 
     def __init__(self, width: int = 2, unit: str = "") -> None:
-        self.width = count(width, 2, MAX_WIDTH, "SumOfElements", "width")
+        self.width = count(width, 2, MAX_WIDTH, "width")
         self.inputs = [Port("u", width=width, unit=unit)]
         self.outputs = [Port("y", unit=unit)]
 
@@ -98,7 +98,7 @@ class MatrixGain(Block):
     """y = K u, `K` a list of rows, a parameter row after row; one column makes u a scalar, one row y."""
 
     def __init__(self, K: Sequence[Sequence[float]] = ((1.0,),), unit: str = "") -> None:
-        rows = matrix(K, None, None, "MatrixGain", "K")
+        rows = matrix(K, None, None, "K")
         self.rows, self.columns = len(rows), len(rows[0])
         self.inputs = [Port("u", width=None if self.columns == 1 else self.columns)]
         self.outputs = [Port("y", width=None if self.rows == 1 else self.rows, unit=unit)]
@@ -136,7 +136,7 @@ class Product(Pointwise):
         if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
             raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
         self.operations = operations
-        self.ports(port_series(len(operations), "Product"), "real", width, unit, "")
+        self.ports(port_series(len(operations)), "real", width, unit, "")
 
     def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.operations[0] == "*" else 1.0 / terms[0]
@@ -150,7 +150,7 @@ class Divide(Pointwise):
     """y = a / b; for the integer kinds it truncates and a / 0 = 0."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.kind = one_of(kind, NUMERIC, "Divide", "kind")
+        self.kind = one_of(kind, NUMERIC, "kind")
         self.ports("ab", kind, width, unit, "")
 
     def of(self, p: Any, a: Any, b: Any) -> Any:
@@ -178,11 +178,11 @@ class MatrixMultiply(Block):
     """
 
     def __init__(self, a: Sequence[int] = (2, 2), b: Sequence[int] = (2,), unit: str = "") -> None:
-        self.inputs = [sized("a", a, "MatrixMultiply"), sized("b", b, "MatrixMultiply")]
+        self.inputs = [sized("a", a), sized("b", b)]
         if a[-1] != b[0]:
             raise DiagramError(f"a={a!r:.80}, b={b!r:.80}", "MatrixMultiply", "a has as many columns as b has rows")
         left = [*a[:-1], *b[1:]]
-        self.outputs = [sized("y", left, "MatrixMultiply", unit=unit) if left else Port("y", unit=unit)]
+        self.outputs = [sized("y", left, unit=unit) if left else Port("y", unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.a @ u.b
@@ -193,8 +193,8 @@ class Transpose(Block):
     """The transpose y of the matrix u; `shape` is [rows, columns] of u."""
 
     def __init__(self, shape: Sequence[int] = (2, 2), kind: str = "real", unit: str = "") -> None:
-        self.inputs = [sized("u", shape, "Transpose", kind, unit)]
-        self.outputs = [sized("y", list(shape)[::-1], "Transpose", kind, unit)]
+        self.inputs = [sized("u", shape, kind, unit)]
+        self.outputs = [sized("y", list(shape)[::-1], kind, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
         return u.u.T
@@ -205,7 +205,7 @@ class Norm(Block):
     """y = the square root of the sum of the squares of u; `shape` is [n] or [rows, columns] of u."""
 
     def __init__(self, shape: Sequence[int] = (3,), unit: str = "") -> None:
-        self.inputs = [sized("u", shape, "Norm", unit=unit)]
+        self.inputs = [sized("u", shape, unit=unit)]
         self.outputs = [Port("y", unit=unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
@@ -217,7 +217,7 @@ class Polynomial(OneOutput):
     """y = c[0] u^n + c[1] u^(n-1) + ... + c[n] by Horner's rule, `coefficients` c."""
 
     def __init__(self, coefficients: Sequence[float] = (1.0, 0.0), unit: str = "") -> None:
-        c = reals(coefficients, "Polynomial", "coefficients")
+        c = reals(coefficients, "coefficients")
         self.length = len(c)
         self.ports("u", unit=unit, input_unit="")
         self.params = [Param("coefficients", c, width=self.length)]
@@ -234,7 +234,7 @@ class Abs(Pointwise):
     """y = |u|; for int32 the smallest number stays itself."""
 
     def __init__(self, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports("u", one_of(kind, NUMERIC, "Abs", "kind"), width, unit)
+        self.ports("u", one_of(kind, NUMERIC, "kind"), width, unit)
 
     def of(self, p: Any, u: Any) -> Any:
         return abs(u)
@@ -245,7 +245,7 @@ class Sign(Pointwise):
     """y = 1 for u > 0, -1 for u < 0, else u itself (0, or NaN)."""
 
     def __init__(self, kind: str = "real", width: int | None = None) -> None:
-        self.ports("u", one_of(kind, ("real", "int32"), "Sign", "kind"), width)
+        self.ports("u", one_of(kind, ("real", "int32"), "kind"), width)
 
     def of(self, p: Any, u: Any) -> Any:
         return where(u > 0, 1, where(u < 0, -1, u))
@@ -256,7 +256,7 @@ class Minimum(Pointwise):
     """y is the smallest of its inputs: minimum(minimum(a, b), c) with minimum(a, b) = a if a < b else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(port_series(inputs, "Minimum"), one_of(kind, ORDERED, "Minimum", "kind"), width, unit)
+        self.ports(port_series(inputs), one_of(kind, ORDERED, "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(minimum, inputs)
@@ -267,7 +267,7 @@ class Maximum(Pointwise):
     """y is the largest of its inputs: maximum(maximum(a, b), c) with maximum(a, b) = a if b < a else b."""
 
     def __init__(self, inputs: int = 2, kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        self.ports(port_series(inputs, "Maximum"), one_of(kind, ORDERED, "Maximum", "kind"), width, unit)
+        self.ports(port_series(inputs), one_of(kind, ORDERED, "kind"), width, unit)
 
     def of(self, p: Any, *inputs: Any) -> Any:
         return reduce(maximum, inputs)

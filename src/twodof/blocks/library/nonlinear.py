@@ -23,7 +23,7 @@ class Saturation(Pointwise):
         width: int | None = None,
         unit: str = "",
     ) -> None:
-        self.ports("u", one_of(kind, ORDERED, "Saturation", "kind"), width, unit)
+        self.ports("u", one_of(kind, ORDERED, "kind"), width, unit)
         self.params = [Param("low", low, kind, unit=unit), Param("high", high, kind, unit=unit)]
 
     def of(self, p: Any, u: Any) -> Any:

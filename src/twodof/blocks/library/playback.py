@@ -18,22 +18,20 @@ METHODS = ("hold", "linear")
 OUTSIDE = ("clip", "extrapolate")
 
 
-def _points(block: str, first: str, xs: Any, second: str, ys: Any) -> tuple[list[float], list[float]]:
+def _points(first: str, xs: Any, second: str, ys: Any) -> tuple[list[float], list[float]]:
     """Two lists of equal length, at least two points, the first increasing; else DiagramError."""
-    x, y = _increasing(block, first, xs), reals(ys, block, second, 2)
+    x, y = _increasing(first, xs), reals(ys, second, 2)
     if len(x) != len(y) or len(x) > MAX_POINTS:
-        raise DiagramError(
-            f"{len(x)} {first} and {len(y)} {second}", block, f"give as many of each, {MAX_POINTS} at most"
-        )
+        raise DiagramError(f"{len(x)} {first} and {len(y)} {second}", "", f"give as many of each, {MAX_POINTS} at most")
     return x, y
 
 
-def _increasing(block: str, name: str, values: Any) -> list[float]:
+def _increasing(name: str, values: Any) -> list[float]:
     """At least two numbers, each above the one before it; else DiagramError."""
-    x = reals(values, block, name, 2)
+    x = reals(values, name, 2)
     for i in range(1, len(x)):
         if not x[i - 1] < x[i]:
-            raise DiagramError(f"{name}[{i}] = {x[i]:g} is not above the one before it", block, f"let {name} increase")
+            raise DiagramError(f"{name}[{i}] = {x[i]:g} is not above the one before it", "", f"let {name} increase")
     return x
 
 
@@ -52,7 +50,7 @@ class Playback(Block):
         repeat: bool = False,
         unit: str = "",
     ) -> None:
-        column = reals(values, "Playback", "values")
+        column = reals(values, "values")
         if len(column) > MAX_POINTS:
             raise DiagramError(f"{len(column)} values", "Playback", f"at most {MAX_POINTS} are played")
         self.length, self.repeat = len(column), repeat
@@ -87,8 +85,8 @@ class Table(Block):
         method: str = "hold",
         unit: str = "",
     ) -> None:
-        self.method = one_of(method, METHODS, "Table", "method")
-        x, y = _points("Table", "times", times, "values", values)
+        self.method = one_of(method, METHODS, "method")
+        x, y = _points("times", times, "values", values)
         self.length = len(x)
         self.outputs = [Port("y", unit=unit)]
         self.params = [
@@ -126,8 +124,8 @@ class Lookup(OneOutput):
         input_unit: str = "",
         unit: str = "",
     ) -> None:
-        self.outside = one_of(outside, OUTSIDE, "Lookup", "outside")
-        b, v = _points("Lookup", "breakpoints", breakpoints, "values", values)
+        self.outside = one_of(outside, OUTSIDE, "outside")
+        b, v = _points("breakpoints", breakpoints, "values", values)
         self.length = len(b)
         self.ports("u", unit=unit, input_unit=input_unit)
         self.params = [
@@ -164,11 +162,11 @@ class Lookup2D(Block):
         column_unit: str = "",
         unit: str = "",
     ) -> None:
-        self.outside = one_of(outside, OUTSIDE, "Lookup2D", "outside")
-        a, b = _increasing("Lookup2D", "rows", rows), _increasing("Lookup2D", "columns", columns)
+        self.outside = one_of(outside, OUTSIDE, "outside")
+        a, b = _increasing("rows", rows), _increasing("columns", columns)
         if len(a) * len(b) > MAX_POINTS:
             raise DiagramError(f"{len(a)} x {len(b)} values", "Lookup2D", f"at most {MAX_POINTS} are looked up")
-        table = matrix(values, len(a), len(b), "Lookup2D", "values")
+        table = matrix(values, len(a), len(b), "values")
         self.shape = len(a), len(b)
         self.inputs = [Port("u", unit=row_unit), Port("w", unit=column_unit)]
         self.outputs = [Port("y", unit=unit)]

@@ -55,8 +55,8 @@ class Reshape(Block):
     def __init__(
         self, shape: Sequence[int] = (4,), to: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = ""
     ) -> None:
-        self.inputs = [sized("u", shape, "Reshape", kind, unit)]
-        self.outputs = [sized("y", to, "Reshape", kind, unit)]
+        self.inputs = [sized("u", shape, kind, unit)]
+        self.outputs = [sized("y", to, kind, unit)]
         if self.inputs[0].width != self.outputs[0].width:
             raise DiagramError(f"shape={shape!r:.80}, to={to!r:.80}", "Reshape", "both have as many elements")
 
@@ -69,7 +69,7 @@ class MultiportSwitch(Block):
     """y is the input that the int32 `index` selects, from 0 on. An index beyond the ends takes the first or last."""
 
     def __init__(self, inputs: int = 2, kind: Kind = "real", width: int | None = None, unit: str = "") -> None:
-        self.names = port_series(inputs, "MultiportSwitch")
+        self.names = port_series(inputs)
         self.inputs = [Port("index", "int32"), *(Port(name, kind, width, unit) for name in self.names)]
         self.outputs = [Port("y", kind, width, unit)]
 
@@ -90,7 +90,7 @@ class Mux(Block):
     """y = [a, b, c, ...]: an array of the scalar inputs."""
 
     def __init__(self, inputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
-        self.names = port_series(inputs, "Mux")
+        self.names = port_series(inputs)
         self.inputs = [Port(name, kind, unit=unit) for name in self.names]
         self.outputs = [Port("y", kind, len(self.names), unit)]
 
@@ -103,7 +103,7 @@ class Demux(Block):
     """a = u[0], b = u[1], ...: the elements of an array as scalar outputs."""
 
     def __init__(self, outputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
-        self.names = port_series(outputs, "Demux")
+        self.names = port_series(outputs)
         self.inputs = [Port("u", kind, len(self.names), unit)]
         self.outputs = [Port(name, kind, unit=unit) for name in self.names]
 
@@ -116,8 +116,8 @@ class Selector(Block):
     """y[i] = u[indices[i]], u of `width` elements, indices from 0; one index gives a scalar."""
 
     def __init__(self, width: int = 2, indices: Sequence[int] = (0,), kind: Kind = "real", unit: str = "") -> None:
-        self.indices = counts(indices, 0, count(width, 1, MAX_WIDTH, "Selector", "width") - 1, "Selector", "indices")
-        count(len(self.indices), 1, MAX_WIDTH, "Selector", "number of indices")
+        self.indices = counts(indices, 0, count(width, 1, MAX_WIDTH, "width") - 1, "indices")
+        count(len(self.indices), 1, MAX_WIDTH, "number of indices")
         self.inputs = [Port("u", kind, width, unit)]
         self.outputs = [Port("y", kind, None if len(self.indices) == 1 else len(self.indices), unit)]
 
@@ -144,8 +144,8 @@ class Concatenate(Block):
     """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
 
     def __init__(self, widths: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = "") -> None:
-        self.widths = counts(widths, 1, MAX_WIDTH, "Concatenate", "widths")
-        self.names = port_series(len(self.widths), "Concatenate")
+        self.widths = counts(widths, 1, MAX_WIDTH, "widths")
+        self.names = port_series(len(self.widths))
         self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
         self.outputs = [Port("y", kind, sum(self.widths), unit)]
 
@@ -158,7 +158,7 @@ class BusCreate(Block):
     """bus = the inputs as fields of a bus. An input has its field's name; one that is a bus itself is one input."""
 
     def __init__(self, bus: Any = ("a", "b")) -> None:
-        made = _bus(bus, "BusCreate")
+        made = _bus(bus)
         self.inputs = made.leaves
         self.outputs = [Port("bus", made)]
 
@@ -174,7 +174,7 @@ class BusSelect(Block):
     """
 
     def __init__(self, bus: Any = ("a", "b"), fields: Sequence[str] = ("a",)) -> None:
-        made = _bus(bus, "BusSelect")
+        made = _bus(bus)
         self.inputs = [Port("bus", made)]
         self.outputs = []
         self.sources: dict[str, str] = {}
@@ -199,7 +199,7 @@ class BusAssign(Block):
     """y = the bus u with some fields replaced by the inputs of their names; "rates.p" is replaced by `rates_p`."""
 
     def __init__(self, bus: Any = ("a", "b"), fields: Sequence[str] = ("a",)) -> None:
-        made = _bus(bus, "BusAssign")
+        made = _bus(bus)
         select = BusSelect(made, fields)
         self.sources = {source.removeprefix("bus."): name for name, source in select.sources.items()}
         self.inputs = [*expanded([Port("u", made)]), *select.outputs]
@@ -210,13 +210,13 @@ class BusAssign(Block):
         return {f"y.{name}": u[self.sources.get(name, f"u.{name}")] for name in self.leaves}
 
 
-def _bus(given: Any, block: str) -> Bus:
+def _bus(given: Any) -> Bus:
     """Return the bus that an argument describes: a Bus, its plain form, or a list of the names of real fields."""
     if isinstance(given, (list, tuple)) and all(isinstance(name, str) for name in given):
         given = Bus("bus", [Port(name) for name in given])
     kind = Port("bus", given).kind if isinstance(given, (Bus, Mapping)) else None
     if not isinstance(kind, Bus):
-        raise DiagramError(f"bus={given!r:.80}", block, 'give Bus("Name", [Port(...), ...]), or names of real fields')
+        raise DiagramError(f"bus={given!r:.80}", "", 'give Bus("Name", [Port(...), ...]), or names of real fields')
     return kind
 
 
@@ -229,7 +229,7 @@ class FirstTrue(Block):
     """
 
     def __init__(self, conditions: int = 2) -> None:
-        self.names = port_series(conditions, "FirstTrue")
+        self.names = port_series(conditions)
         self.inputs = [Port(name, "bool") for name in self.names]
         self.outputs = [Port(name, "bool") for name in (*self.names, "otherwise")]
 
@@ -250,10 +250,10 @@ class CaseChoice(Block):
     """
 
     def __init__(self, cases: Sequence[Sequence[int]] = ((0,), (1,))) -> None:
-        self.names = port_series(len(cases), "CaseChoice")
-        self.cases = [counts(values, -(2**31), 2**31 - 1, "CaseChoice", "case") for values in cases]
+        self.names = port_series(len(cases))
+        self.cases = [counts(values, -(2**31), 2**31 - 1, "case") for values in cases]
         for values in self.cases:
-            count(len(values), 1, MAX_WIDTH, "CaseChoice", "number of values of a case")
+            count(len(values), 1, MAX_WIDTH, "number of values of a case")
         self.inputs = [Port("u", "int32")]
         self.outputs = [Port(name, "bool") for name in (*self.names, "otherwise")]
 
@@ -277,7 +277,7 @@ class Merge(Recurrent):
     def __init__(
         self, inputs: int = 2, initial: Any = 0, kind: Kind = "real", width: int | None = None, unit: str = ""
     ) -> None:
-        self.names = port_series(inputs, "Merge")
+        self.names = port_series(inputs)
         self.ports(self.names, kind, width, unit)
         self.inputs = [*self.inputs, *(Port(f"{name}_acts", "bool") for name in self.names)]
         self.params = [Param("initial", initial, kind, width, unit)]

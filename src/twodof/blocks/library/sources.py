@@ -249,13 +249,13 @@ class _Random(Block):
 
     def declare(self, params: list[Param], seed: int, stream: int, width: int | None, unit: str) -> None:
         """Declare the output, and the parameters of the generator beside `params`."""
-        name, most = type(self).__name__, 2**32 - 1
-        self.width = width if width is None else count(width, 1, 4, name, "width")
+        most = 2**32 - 1
+        self.width = width if width is None else count(width, 1, 4, "width")
         self.outputs = [Port("y", width=width, unit=unit)]
         self.params = [
             *params,
-            Param("seed", count(seed, 0, most, name, "seed"), "uint32"),
-            Param("stream", count(stream, 0, most, name, "stream"), "uint32", text="one of its own for each source"),
+            Param("seed", count(seed, 0, most, "seed"), "uint32"),
+            Param("stream", count(stream, 0, most, "stream"), "uint32", text="one of its own for each source"),
         ]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:

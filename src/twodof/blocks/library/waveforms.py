@@ -93,14 +93,13 @@ class MultisineSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        name = "MultisineSource"
-        lines = counts(harmonics, 1, MAX_HARMONIC, name, "harmonics")
-        self.lines = count(len(lines), 1, MAX_LINES, name, "number of harmonics")
-        sizes, turns = reals(amplitudes, name, "amplitudes"), reals(phases, name, "phases")
+        lines = counts(harmonics, 1, MAX_HARMONIC, "harmonics")
+        self.lines = count(len(lines), 1, MAX_LINES, "number of harmonics")
+        sizes, turns = reals(amplitudes, "amplitudes"), reals(phases, "phases")
         if len(sizes) != self.lines or len(turns) != self.lines:
             raise DiagramError(
                 f"{len(sizes)} amplitudes and {len(turns)} phases for {self.lines} harmonics",
-                name,
+                "",
                 "give as many of each",
             )
         self.outputs = [Port("y", unit=unit)]
@@ -162,7 +161,7 @@ class SweepSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.law = one_of(law, LAWS, "SweepSource", "law")
+        self.law = one_of(law, LAWS, "law")
         least = 1e-9 if law == "logarithmic" else 0.0
         self.outputs = [Port("y", unit=unit)]
         self.params = [
@@ -215,12 +214,12 @@ class PrbsSource(Block):
         start: float = 0.0,
         unit: str = "",
     ) -> None:
-        self.order = count(order, min(TAPS), max(TAPS), "PrbsSource", "order")
+        self.order = count(order, min(TAPS), max(TAPS), "order")
         self.outputs = [Port("y", unit=unit)]
         self.params = [
             Param("clock", clock, unit="s", low=0.0),
             Param("amplitude", amplitude, unit=unit),
-            Param("seed", count(seed, 0, 2**32 - 1, "PrbsSource", "seed"), "uint32"),
+            Param("seed", count(seed, 0, 2**32 - 1, "seed"), "uint32"),
             Param("bias", bias, unit=unit),
             start_param(start),
         ]
