@@ -43,16 +43,22 @@ __all__ = [
 ]
 
 
+def _signs(given: Any, argument: str, known: str) -> str:
+    """`given` if it has one of two signs for each input; else DiagramError."""
+    if not isinstance(given, str) or not given or set(given) - set(known):
+        raise DiagramError(
+            f"{argument}={given!r:.80}", "", f'give a {" or ".join(known)} for each input, like "{known}"'
+        )
+    return given
+
+
 @library_block("sum")
 class Sum(Pointwise):
     """y = +- a +- b +- c ..., from left to right; `signs` has a + or - for each of the inputs a, b, c, ..."""
 
     def __init__(self, signs: str = "++", kind: str = "real", width: int | None = None, unit: str = "") -> None:
-        if not isinstance(signs, str) or not signs or set(signs) - set("+-"):
-            raise DiagramError(f"signs={signs!r:.80}", "Sum", 'give a + or - for each input, such as "+-"')
-        one_of(kind, NUMERIC, "kind")
-        self.signs = signs
-        self.ports(port_series(len(signs)), kind, width, unit)
+        self.signs = _signs(signs, "signs", "+-")
+        self.ports(port_series(len(signs)), one_of(kind, NUMERIC, "kind"), width, unit)
 
     def of(self, p: Any, *terms: Any) -> Any:
         total = terms[0] if self.signs[0] == "+" else -terms[0]
@@ -133,9 +139,7 @@ class Product(Pointwise):
     """
 
     def __init__(self, operations: str = "**", width: int | None = None, unit: str = "") -> None:
-        if not isinstance(operations, str) or not operations or set(operations) - set("*/"):
-            raise DiagramError(f"operations={operations!r:.80}", "Product", 'give a * or / for each input, like "*/"')
-        self.operations = operations
+        self.operations = _signs(operations, "operations", "*/")
         self.ports(port_series(len(operations)), "real", width, unit, "")
 
     def of(self, p: Any, *terms: Any) -> Any:

@@ -11,7 +11,7 @@ from twodof.blocks.bus import Bus, expanded
 from twodof.blocks.declarations import MAX_WIDTH, Param, Port, State
 from twodof.blocks.elementwise import Recurrent, count, counts, elementwise, port_series, sized
 from twodof.blocks.enumeration import Kind
-from twodof.blocks.expressions.arrays import flat_of, shaped, vector
+from twodof.blocks.expressions.arrays import concatenate, flat_of, shaped, vector
 from twodof.blocks.expressions.expr import int32, where
 from twodof.errors import DiagramError, nearest
 
@@ -90,12 +90,11 @@ class Mux(Block):
     """y = [a, b, c, ...]: an array of the scalar inputs."""
 
     def __init__(self, inputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
-        self.names = port_series(inputs)
-        self.inputs = [Port(name, kind, unit=unit) for name in self.names]
-        self.outputs = [Port("y", kind, len(self.names), unit)]
+        self.inputs = [Port(name, kind, unit=unit) for name in port_series(inputs)]
+        self.outputs = [Port("y", kind, inputs, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return vector([u[name] for name in self.names])
+        return vector([u[port.name] for port in self.inputs])
 
 
 @library_block("demux")
@@ -103,12 +102,11 @@ class Demux(Block):
     """a = u[0], b = u[1], ...: the elements of an array as scalar outputs."""
 
     def __init__(self, outputs: int = 2, kind: Kind = "real", unit: str = "") -> None:
-        self.names = port_series(outputs)
-        self.inputs = [Port("u", kind, len(self.names), unit)]
-        self.outputs = [Port(name, kind, unit=unit) for name in self.names]
+        self.outputs = [Port(name, kind, unit=unit) for name in port_series(outputs)]
+        self.inputs = [Port("u", kind, outputs, unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return {name: u.u[i] for i, name in enumerate(self.names)}
+        return {port.name: u.u[i] for i, port in enumerate(self.outputs)}
 
 
 @library_block("selector")
@@ -144,13 +142,12 @@ class Concatenate(Block):
     """y = the elements of a, then those of b, c, ...; `widths` are those of the inputs."""
 
     def __init__(self, widths: Sequence[int] = (2, 2), kind: Kind = "real", unit: str = "") -> None:
-        self.widths = counts(widths, 1, MAX_WIDTH, "widths")
-        self.names = port_series(len(self.widths))
-        self.inputs = [Port(n, kind, w, unit) for n, w in zip(self.names, self.widths, strict=True)]
-        self.outputs = [Port("y", kind, sum(self.widths), unit)]
+        sizes = counts(widths, 1, MAX_WIDTH, "widths")
+        self.inputs = [Port(n, kind, w, unit) for n, w in zip(port_series(len(sizes)), sizes, strict=True)]
+        self.outputs = [Port("y", kind, sum(sizes), unit)]
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
-        return vector([u[n][i] for n, w in zip(self.names, self.widths, strict=True) for i in range(w)])
+        return concatenate([u[port.name] for port in self.inputs])
 
 
 @library_block("bus_create")

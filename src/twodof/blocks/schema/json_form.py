@@ -204,16 +204,9 @@ def block_shape(block: Block) -> dict[str, Any]:
     both. A bound that is infinite is None, the values of an array stand as in memory. Raises DiagramError for a block
     that cannot be traced.
     """
-    plain = [
-        *(["input", declared_form(p)] for p in block.inputs),
-        *(["output", declared_form(p)] for p in block.outputs),
-        *(["state", declared_form(s)] for s in block.states),
-        *(["derived", declared_form(p)] for p in block.derived),
-        *(["parameter", declared_form(p) | {"value": None}] for p in block.params),
-        block.crossing,
-        graph_to_json(block.trace),
-    ]
-    text = json.dumps(plain, sort_keys=True, default=str)
+    declared = {key: [declared_form(d) for d in getattr(block, key)] for key in DECLARED["custom"]}
+    declared["params"] = [form | {"value": None} for form in declared["params"]]
+    text = json.dumps([declared, block.crossing, graph_to_json(block.trace)], sort_keys=True, default=str)
     digest = hashlib.sha256(f"{type(block).__qualname__} {text}".encode()).hexdigest()[:16]
     return {
         "inputs": [_port(p) for p in block.inputs],

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from types import NoneType
 from typing import Any
 
-from twodof.blocks.block import Block, Clock
+from twodof.blocks.block import Block
 from twodof.blocks.declarations import State, check_name, located, shape
 from twodof.blocks.elementary.functions import FUNCTIONS
 from twodof.blocks.expressions.arrays import shaped, vector
@@ -64,10 +64,17 @@ def member(data: Mapping[str, Any], key: str, kind: Any, where: str, default: An
     return value
 
 
+def _declare(block: Any, what: str, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool) -> None:
+    block.label = check_name(label, what)
+    block.crossing = crossing
+    for section, given in declared.items():
+        setattr(block, section, given)
+
+
 def _recorded(method: str) -> Any:
     """Return a method that recomputes a block's recorded expressions."""
 
-    def compute(self: "TracedBlock", *seen: Any) -> dict[str, Any]:
+    def compute(self: "TracedBlock | TracedMachine", *seen: Any) -> dict[str, Any]:
         u, x, p, t = seen if len(seen) == 4 else (None, None, *seen)
         found = computed_graphs(self.graphs[method], u, x, p, t)
         if method == "edges":
@@ -80,12 +87,11 @@ def _recorded(method: str) -> Any:
 class TracedBlock(Block):
     """A block whose methods recompute recorded expressions. `label` is the name of the class it was traced from."""
 
+    label: str
+
     def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
-        self.label = check_name(label, "custom block")
-        self.crossing = crossing
+        _declare(self, "custom block", label, declared, crossing)
         self.graphs: MethodGraphs = {method: {} for method in SECTIONS}
-        for section, given in declared.items():
-            setattr(self, section, given)
         self.shapes = dict.fromkeys(SECTIONS, matrices(self.states))
         self.shapes |= {"prepare": matrices(self.derived), "output": matrices(self.outputs)}
 
@@ -250,16 +256,11 @@ class TracedMachine(StateMachine):
     """A state machine whose guards and actions recompute recorded expressions."""
 
     def __init__(self, label: str, declared: Mapping[str, Sequence[Any]], crossing: bool = False) -> None:
-        self.label = check_name(label, "state machine")
-        self.crossing = crossing
-        for section, given in declared.items():
-            setattr(self, section, given)
-        self.prepared: dict[str, Expr] = {}
+        _declare(self, "state machine", label, declared, crossing)
+        self.graphs: MethodGraphs = {"prepare": {}}
+        self.shapes = {"prepare": matrices(self.derived)}
 
-    def prepare(self, p: Any, t: Clock) -> Any:
-        shapes = matrices(self.derived)
-        values = computed(list(self.prepared.values()), None, None, p, t)
-        return {n: shaped(value, shapes.get(n)) for n, value in zip(self.prepared, values, strict=True)}
+    prepare = _recorded("prepare")
 
 
 class RecordedFunction:
@@ -329,7 +330,7 @@ def machine_from_json(machine: TracedMachine, form: Mapping[str, Any], where: st
         guard = RecordedFunction({"": picked(made, t["when"], f"when of {text}", where)}, {})
         return Transition(t["from"], t["to"], guard, action(t["do"], f"do of {text}"))
 
-    machine.prepared = values(form["prepare"], "prepare")
+    machine.graphs["prepare"] = {name: (e,) for name, e in values(form["prepare"], "prepare").items()}
     with located(where):
         machine.modes = [mode(one) for one in form["modes"]]
         machine.transitions = [transition(one) for one in form["transitions"]]
@@ -347,7 +348,7 @@ def _check_size(machine: TracedMachine) -> None:
         return sum(sizes[id(e)] for f in functions if f is not None for e in f.given.exprs.values())
 
     each = len(machine.variables) + 4
-    total = sum(sizes_of(list(machine.prepared.values())))
+    total = sum(sizes_of(roots_of(machine.graphs)))
     for end in chart.leaves:
         total += each + size(chart.actions.get((m.name, "during")) for m in end.path)
         for route in chart.routes[end.number]:

@@ -155,7 +155,6 @@ class Chart:
             self._add(mode, None)
         if len(self.by_name) > MAX_MODES:
             raise DiagramError(f"more than {MAX_MODES} modes", "", "make several machines")
-        self.around = {leaf.mode.name: leaf.outer for leaf in self.leaves}
         for t in self.transitions:
             for name in (t.source, t.target):
                 if name not in self.by_name:
