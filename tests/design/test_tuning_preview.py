@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from twodof.blocks.schema.json_form import to_json
-from twodof.design.cascade import cascade_loops_of
+from twodof.design.cascade import CascadeLoops
+from twodof.design.pid import PidGains
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.promise import promise
@@ -36,12 +37,15 @@ def previewed(gains: Gains) -> TuningPreview:
 
 @pytest.mark.parametrize("gains", [STUDENT, DEFAULT])
 def test_loops_are_those_of_the_closed_forms(gains: Gains) -> None:
-    """Crossover and phase margin against the frequency responses of `cascade_loops_of`, which has no state space."""
-    found = previewed(gains).loops
-    other = cascade_loops_of(PitchRate(3.437, 0.0836, 358.5, 0.0113), gains, lag=0.0087)
-    for name, crossover in other.crossovers.items():
-        assert found[name].crossover == pytest.approx(crossover, rel=1e-6)
-        assert found[name].phase_margin == pytest.approx(other.phase_margins[name], abs=1e-6)
+    """Crossover and phase margin against the frequency responses of `CascadeLoops`, one loop within the other."""
+    found, rate = previewed(gains).loops, PidGains(*gains.rate)
+    other = CascadeLoops(PitchRate(3.437, 0.0836, 358.5, 0.0113), lag=0.0087)
+    for name, value in (
+        ("rate", other.rate(rate, found["rate"].crossover)),
+        ("attitude", gains.attitude * other.theta_by_q0(rate, found["attitude"].crossover)),
+    ):
+        assert abs(value) == pytest.approx(1.0, rel=1e-6)
+        assert found[name].phase_margin == pytest.approx(math.pi + np.angle(value), abs=1e-6)
     # broken at M: the gain that the margin names brings a pole of the whole loop to the circle
     increase = found["motors"].increase
     assert increase is not None

@@ -4,14 +4,15 @@ import cmath
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.design.margins import margins
 from twodof.design.pid import PidGains, pid_at, sampled_response, shaped_pid
-from twodof.design.pitch_family import PitchFamily
-from twodof.design.pitch_loop import PitchLoop
+from twodof.design.pitch_family import PitchFamily, PitchMembers
+from twodof.design.pitch_loop import PitchLoop, pitch_loops
 from twodof.design.sampled_controller import SampledController
 from twodof.design.specification import Specification
 from twodof.design.structured_hinf import System, structured_hinf
@@ -42,6 +43,15 @@ class CascadeDesign:
     gains: Gains
     crossovers: Mapping[str, float]
     phase_margins: Mapping[str, float]
+
+    @classmethod
+    def of(cls, pitch: PitchRate, gains: Gains, lag: float = 0.0) -> Self:
+        """Return the rate and attitude loops of `gains`, NaN where |L| is not 1."""
+        member = PitchMembers.of({"w_n": pitch.w_n, "xi": pitch.xi, "mu": pitch.mu, "dead_time": pitch.tau, "lag": lag})
+        loops = pitch_loops(member, gains)
+        found = {name: margins(loops[name]) for name in ("rate", "attitude")}
+        crossovers = {name: one.crossover for name, one in found.items()}
+        return cls(gains, crossovers, {name: one.phase_margin for name, one in found.items()})
 
     def to_json(self) -> dict[str, Any]:
         """Plain data."""
@@ -113,43 +123,24 @@ def cascade_design(
         rate = shaped_pid(pitch.mu, crossover)
     else:
         rate = pid_at(sampled_response(loops.plant, crossover, _Q), crossover, phase_margin, "PID")
-    first = crossover / separation
+    first, second, third = (crossover / separation**k for k in (1, 2, 3))
     attitude = pid_at(loops.theta_by_q0(rate, first), first, form="P").kp
-    at = {"rate": _crossing(lambda w: loops.rate(rate, w), crossover), "attitude": first}
-    around = {
-        "rate": loops.rate(rate, at["rate"]),
-        "attitude": attitude * loops.theta_by_q0(rate, first),
-    }
-    gains = replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude)
-    if velocity is not None:
-        second, third = first / separation, first / separation**2
-        speed = pid_at(loops.v_by_force(rate, attitude, second), second, math.radians(60.0), "PI")
-        place = pid_at(loops.x_by_v0(rate, attitude, speed, third), third, form="P").kp
-        gains = replace(gains, velocity=(speed.kp, speed.ki), position=place)
-        at |= {"velocity": second, "position": third}
-        around["velocity"] = complex(speed.response(second)[0]) * loops.v_by_force(rate, attitude, second)
-        around["position"] = place * loops.x_by_v0(rate, attitude, speed, third)
-    margins = {name: math.pi + float(np.angle(value)) for name, value in around.items()}
-    return CascadeDesign(gains, at, {name: (m + math.pi) % (2.0 * math.pi) - math.pi for name, m in margins.items()})
-
-
-def cascade_loops_of(pitch: PitchRate, gains: Gains, lag: float = 0.0) -> CascadeDesign:
-    """Return the rate and attitude loops of `gains`: crossover [rad/s] and margin [rad], NaN where |L| is not 1."""
-    loops, rate = CascadeLoops(pitch, None, lag), PidGains(*gains.rate)
-
-    def rate_loop(w: float) -> complex:
-        return loops.rate(rate, w)
-
-    def attitude_loop(w: float) -> complex:
-        return gains.attitude * loops.theta_by_q0(rate, w)
-
-    at = {
-        "rate": _crossing(rate_loop, max(1.0, gains.rate[0] * pitch.mu)),
-        "attitude": _crossing(attitude_loop, max(0.2, gains.attitude)),
-    }
-    around = {name: of(at[name]) for name, of in (("rate", rate_loop), ("attitude", attitude_loop))}
-    margins = {name: math.pi + float(np.angle(value)) for name, value in around.items()}
-    return CascadeDesign(gains, at, margins)
+    found = CascadeDesign.of(pitch, replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude), lag)
+    at = {"rate": found.crossovers["rate"] if phase_margin is None else crossover, "attitude": first}
+    found = replace(found, crossovers=at)
+    if velocity is None:
+        return found
+    pushed = loops.v_by_force(rate, attitude, second)
+    speed = pid_at(pushed, second, math.radians(60.0), "PI")
+    moved = loops.x_by_v0(rate, attitude, speed, third)
+    place = pid_at(moved, third, form="P").kp
+    around = {"velocity": complex(speed.response(second)[0]) * pushed, "position": place * moved}
+    phases = {name: math.remainder(math.pi + cmath.phase(value), 2.0 * math.pi) for name, value in around.items()}
+    return CascadeDesign(
+        replace(found.gains, velocity=(speed.kp, speed.ki), position=place),
+        {**found.crossovers, "velocity": second, "position": third},
+        {**found.phase_margins, **phases},
+    )
 
 
 def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
@@ -162,19 +153,6 @@ def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
     a = np.zeros((3, 3))
     a[:2, :2], a[:2, 2], a[2, 2] = plain.a, plain.b[:, 0], -1.0 / lag
     return DelayedStateSpace.of(a, [0.0, 0.0, 1.0 / lag], np.eye(2, 3), [[0.0], [0.0]], pitch.tau)
-
-
-def _crossing(around: Any, near: float) -> float:
-    """Return the frequency [rad/s] nearest to `near` where |L| is 1; NaN without one within a factor of 4."""
-    from scipy.optimize import brentq  # imported late: most commands start without it
-
-    grid = np.geomspace(near / 4.0, min(4.0 * near, 0.999 * math.pi / PERIOD), 200)
-    size = np.array([math.log(abs(around(float(w)))) for w in grid])
-    at = np.flatnonzero((size[:-1] >= 0.0) & (size[1:] < 0.0))
-    if not at.size:
-        return math.nan
-    k = int(at[np.argmin(np.abs(np.log(grid[at] / near)))])
-    return float(brentq(lambda w: math.log(abs(around(float(w)))), grid[k], grid[k + 1], xtol=1e-10))
 
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0, 0.1]), np.array([0.12, 0.5, 0.003, 15.0])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from twodof.blocks.diagram import Diagram
-from twodof.design.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_hinf, cascade_loops_of
+from twodof.design.cascade import SEPARATION, CascadeDesign, cascade_design, cascade_hinf
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import MEMBERS, Promise, promise
 from twodof.design.robustness import Robustness, robustness
@@ -93,7 +93,7 @@ def design_controller(
         made = cascade_design(plant, crossover, phase_margin=phase_margin, lag=v["lag"], separation=separation)
     else:
         best = cascade_hinf(family, specification, seed=seed, progress=lambda s: progress("the best gains", 0.3 * s))
-        made = cascade_loops_of(plant, best.gains, lag=v["lag"])
+        made = CascadeDesign.of(plant, best.gains, v["lag"])
     diagram = pid_attitude(made.gains, anti_windup) if method == "cascade" else lqg_attitude(family)
     flown = SampledController.of(diagram)
     sure = robustness(flown, family, seed=seed, progress=lambda s: progress("the worst member", 0.3 + 0.1 * s))

@@ -109,11 +109,8 @@ def pid_at(
     integral, derivative = (complex(v) for v in _parts(np.exp(1j * crossover * PERIOD), n))
     if form == "PI":
         gains = PidGains(*_solved(wanted, 1.0, integral), n=n)
-    elif form == "PD":
-        kp, kd = _solved(wanted, 1.0, derivative)
-        gains = PidGains(kp, 0.0, kd, n)
     else:
-        zero = integral_share * crossover
+        zero = integral_share * crossover if form == "PID" else 0.0
         kp, kd = _solved(wanted, 1.0 + zero * integral, derivative)
         gains = PidGains(kp, zero * kp, kd, n)
     _check_signs(gains, form, wanted, crossover)
@@ -135,10 +132,8 @@ def sampled_response(plant: DelayedStateSpace, omega: float, output: int = 0) ->
 
 def _parts(z: NDArray[np.complex128] | complex, n: float) -> tuple[Complex, Complex]:
     lag = 1.0 / n
-    return (
-        np.asarray(PERIOD * z / (z - 1.0), dtype=np.complex128),
-        np.asarray((z - 1.0) / ((lag + PERIOD) * z - lag), dtype=np.complex128),
-    )
+    both = (PERIOD * z / (z - 1.0), (z - 1.0) / ((lag + PERIOD) * z - lag))
+    return np.asarray(both[0], dtype=np.complex128), np.asarray(both[1], dtype=np.complex128)
 
 
 def _solved(wanted: complex, one: complex, other: complex) -> tuple[float, float]:
@@ -149,24 +144,15 @@ def _solved(wanted: complex, one: complex, other: complex) -> tuple[float, float
 
 
 def _check_signs(gains: PidGains, form: str, wanted: complex, crossover: float) -> None:
-    negative = [name for name in ("kp", "ki", "kd") if getattr(gains, name) < 0.0]
-    if not negative:
-        return
     phase = math.degrees(cmath.phase(wanted))
-    way = "lead" if phase > 0.0 else "lag"
-    remedy = (
-        "ask for a lower crossover or a smaller phase margin"
-        if phase > 0.0
-        else "ask for a larger phase margin, a higher crossover, or a form with fewer parts"
-    )
-    raise ParameterError(
-        f"a {form} cannot give {abs(phase):.1f} degrees of {way} at {crossover:g} rad/s: "
-        f"{', '.join(negative)} would be negative",
-        "pid",
-        remedy,
-    )
+    way, remedy = "lead", "ask for a lower crossover or a smaller phase margin"
+    if phase <= 0.0:
+        way, remedy = "lag", "ask for a larger phase margin, a higher crossover, or a form with fewer parts"
+    if negative := [name for name in ("kp", "ki", "kd") if getattr(gains, name) < 0.0]:
+        what = f"a {form} cannot give {abs(phase):.1f} degrees of {way} at {crossover:g} rad/s"
+        raise ParameterError(f"{what}: {', '.join(negative)} would be negative", "pid", remedy)
 
 
 def _positive(name: str, value: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 < value < math.inf:
+    if not 0.0 < value < math.inf:
         raise ParameterError(f"{name} = {shown(value)} is not a positive number", "pid", "give a finite number > 0")

@@ -33,6 +33,11 @@ class PitchMembers:
     dead_time: Array
     lag: Array
 
+    @classmethod
+    def of(cls, values: Mapping[str, float]) -> Self:
+        """Return the only member with these `values`."""
+        return cls(**{name: np.array([float(values[name])]) for name in PARAMETERS})
+
     def __len__(self) -> int:
         return int(self.mu.size)
 
@@ -169,7 +174,7 @@ class PitchFamily:
 
     def nominal(self) -> PitchMembers:
         """Return the estimate itself, as the only member."""
-        return PitchMembers(**{name: np.array([float(self.values[name])]) for name in PARAMETERS})
+        return PitchMembers.of(self.values)
 
     def draw(self, count: int, seed: int = NOISE_SEED) -> PitchMembers:
         """`count` members by the normal distribution of the estimate; those beyond `PARAMETERS` are drawn again.

@@ -78,30 +78,31 @@ class PitchLoop:
         return a, b
 
     @cached_property
-    def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """(A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
-
-        Inputs: theta_0 and the noise of q. Outputs: theta, the measured q, and M.
-        """
+    def _broken(self) -> tuple[Array, Array, Array]:
+        """(A, b, c) of plant and controller in a row, from the moment that acts to M: (n, m, m), (n, m), (m,)."""
         plant, b = self.plant
         k, (n, m) = self.controller, b.shape
         size = len(k.a)
         read = np.zeros((2, m))
         read[0, m - 1], read[1, Q] = 1.0, 1.0
         a = np.zeros((n, m + size, m + size))
-        moment = np.concatenate([k.d[:, 1:] @ read, k.c], axis=1)[0]
-        given = np.array([k.d[0, 0], k.d[0, 2]])
-        a[:, :m, :m] = plant
-        a[:, :m] += b[:, :, None] * moment
-        a[:, m:, :m], a[:, m:, m:] = k.b[:, 1:] @ read, k.a
-        drive = np.zeros((n, m + size, 2))
-        drive[:, :m] = b[:, :, None] * given
-        drive[:, m:] = k.b[:, [0, 2]]
-        c = np.zeros((n, 3, m + size))
+        a[:, :m, :m], a[:, m:, :m], a[:, m:, m:] = plant, k.b[:, 1:] @ read, k.a
+        return a, np.pad(b, ((0, 0), (0, size))), np.concatenate([k.d[:, 1:] @ read, k.c], axis=1)[0]
+
+    @cached_property
+    def matrices(self) -> tuple[Array, Array, Array, Array]:
+        """(A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
+
+        Inputs: theta_0 and the noise of q. Outputs: theta, the measured q, and M.
+        """
+        a, b, moment = self._broken
+        given, (n, m) = self.controller.d[0, [0, 2]], b.shape
+        drive = b[:, :, None] * given
+        drive[:, m - len(self.controller.a) :] = self.controller.b[:, [0, 2]]
+        c, d = np.zeros((n, 3, m)), np.zeros((n, 3, 2))
         c[:, 0, THETA], c[:, 1, Q], c[:, 2] = 1.0, 1.0, moment
-        d = np.zeros((n, 3, 2))
         d[:, 1, 1], d[:, 2] = 1.0, given
-        return a, drive, c, d
+        return a + b[:, :, None] * moment, drive, c, d
 
     def poles(self) -> Complex:
         """Return the poles of each member in the z plane, (n, m), without the gust's."""
@@ -117,27 +118,17 @@ class PitchLoop:
 
         From (theta_0, a moment added to M ahead of the delay) to (theta, the M of the controller).
         """
-        _, b = self.plant
         a, drive, c, d = (part[0] for part in self.matrices)
         kept = np.delete(np.arange(len(a)), GUST)
-        added = np.concatenate([b[0], np.zeros(len(a) - len(b[0]))])
-        both = np.stack([drive[:, 0], added], axis=1)
+        both = np.stack([drive[:, 0], self._broken[1][0]], axis=1)
         through = np.array([[0.0, 0.0], [d[2, 0], 0.0]])
         return a[np.ix_(kept, kept)], both[kept], c[[0, 2]][:, kept], through
 
     def loop_transfer(self) -> LoopTransfer:
         """L of the first member, broken at M."""
-        plant, b = self.plant
-        k, m = self.controller, b.shape[1]
-        size = len(k.a)
-        read = np.zeros((2, m))
-        read[0, m - 1], read[1, Q] = 1.0, 1.0
-        a, drive = np.zeros((m + size, m + size)), np.zeros((m + size, 1))
-        a[:m, :m], a[m:, :m], a[m:, m:] = plant[0], k.b[:, 1:] @ read, k.a
-        drive[:m, 0] = b[0]
-        out = -np.concatenate([k.d[:, 1:] @ read, k.c], axis=1)
-        kept = np.delete(np.arange(m + size), GUST)
-        return LoopTransfer(a[np.ix_(kept, kept)], drive[kept], out[:, kept], 0.0, PERIOD)
+        a, b, c = self._broken
+        kept = np.delete(np.arange(len(c)), GUST)
+        return LoopTransfer(a[0][np.ix_(kept, kept)], b[0][kept, None], -c[None, kept], 0.0, PERIOD)
 
     def theta_response(self, omega: Array) -> Complex:
         """From theta_0 to theta at `omega` [rad/s], closed: (n, k)."""

@@ -130,7 +130,9 @@ def robustness(
     if radius >= 1.0:
         worst, margin = next(drone for drone, size in found if size == radius), DiskMargin(0.0, 0.0, math.nan)
     else:
-        disks = [(drone, margins(PitchLoop(_alone(drone), controller).loop_transfer()).disk) for drone, _ in found]
+        disks = [
+            (drone, margins(PitchLoop(PitchMembers.of(drone), controller).loop_transfer()).disk) for drone, _ in found
+        ]
         worst, margin = min(disks, key=lambda one: one[1].alpha)
     swing, growth = _motion(worst, controller)
     return Robustness(unstable, members, region, radius, worst, margin, swing, growth)
@@ -165,7 +167,7 @@ def _unit(rows: Array) -> Array:
 
 def _motion(drone: Mapping[str, float], controller: SampledController) -> tuple[float, float]:
     """Return frequency [rad/s] and growth [1/s] of the least stable pole of one drone."""
-    poles = PitchLoop(_alone(drone), controller).poles()[0]
+    poles = PitchLoop(PitchMembers.of(drone), controller).poles()[0]
     s = np.log(poles[np.abs(poles).argmax()]) / PERIOD
     return abs(float(s.imag)), float(s.real)
 
@@ -173,7 +175,3 @@ def _motion(drone: Mapping[str, float], controller: SampledController) -> tuple[
 def _decibels(margin: DiskMargin) -> float:
     high = margin.gain[1]
     return 20.0 * math.log10(high) if 0.0 < high < math.inf else math.inf
-
-
-def _alone(drone: Mapping[str, float]) -> PitchMembers:
-    return PitchMembers(**{name: np.array([value]) for name, value in drone.items()})

@@ -17,7 +17,7 @@ from twodof.blocks import Diagram
 from twodof.blocks.library import DiscreteIntegrator, DiscreteStateSpace, Gain, Logic, Mux, Pid, Saturation, Sum, Switch
 from twodof.blocks.library.delays import UnitDelay
 from twodof.design.cascade import cascade_design
-from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
+from twodof.design.pitch_family import PitchFamily, PitchMembers
 from twodof.design.pitch_loop import GUST, PitchLoop, Q
 from twodof.design.sampled_controller import SampledController
 from twodof.errors import ParameterError
@@ -205,9 +205,8 @@ def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 
 def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
     """Return (A, b) of theta, q, rotors, last moment and integral, without the whole steps of the dead time."""
     whole = _whole(family)
-    members = {name: np.array([float(family.values[name])]) for name in PARAMETERS}
-    members["dead_time"] = np.maximum(0.0, members["dead_time"] - whole * PERIOD)
-    a, b = (part[0] for part in PitchLoop(PitchMembers(**members), _NO_CONTROLLER).plant)
+    part = max(0.0, family.values["dead_time"] - whole * PERIOD)
+    a, b = (one[0] for one in PitchLoop(PitchMembers.of({**family.values, "dead_time": part}), _NO_CONTROLLER).plant)
     return _with_integral(*_cut(a, b))
 
 
