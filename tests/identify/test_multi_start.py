@@ -63,22 +63,14 @@ def test_one_start_is_the_fit() -> None:
 
 def test_what_is_refused() -> None:
     wave = Structure.of_block(Wave())
-    for within in (
-        {"w": 5.0},
-        {"w": None},
-        {"w": "ab"},
-        {"w": (5.0, 5.0)},
-        {"w": (0.0, 5.0)},
-        {"w": (5.0, 500.0)},
-        {"w": (math.nan, 5.0)},
-    ):
+    for ends in ((5.0, 5.0), (0.0, 5.0), (5.0, 500.0), (math.nan, 5.0)):
         with pytest.raises(IdentificationError, match="cannot be drawn"):
-            fit_from_several(wave, record(), within)
+            fit_from_several(wave, record(), {"w": ends})
     with pytest.raises(IdentificationError, match="no unknown is called 'v'"):
         fit_from_several(wave, record(), {"v": (1.0, 2.0)})
-    for starts in (0, -1, 2.5, True, 10**9):
+    for starts in (0, -1, 10**9):
         with pytest.raises(IdentificationError, match="starts"):
-            fit_from_several(wave, record(), {"w": (1.0, 2.0)}, starts=starts)  # type: ignore[arg-type]
+            fit_from_several(wave, record(), {"w": (1.0, 2.0)}, starts=starts)
     silent = Record.from_columns(T, {"u": 0.0 * T, "y": T}, ["u"], ["y"])
     with pytest.raises(IdentificationError, match="say nothing about 'w'"):
         fit_from_several(wave, silent, {"w": (1.0, 60.0)}, starts=3)

@@ -111,7 +111,7 @@ def test_what_cannot_be_compared_is_refused() -> None:
         rank({"a": one, "b": banded})
     with pytest.raises(IdentificationError, match="criterion is 'r2'"):
         rank({"a": one, "b": one}, criterion="r2")
-    with pytest.raises(IdentificationError, match="no unknown 'nu'"):
+    with pytest.raises(IdentificationError, match="no unknown is called 'nu'"):
         select(pitch_rate(), record(0), ["mu"], ["nu"])
     with pytest.raises(IdentificationError, match="0 optional"):
         select(pitch_rate(), record(0), ["mu"], [])

@@ -87,25 +87,21 @@ def test_what_is_refused() -> None:
     record = pitch_record(PAPER_PITCH_RATE, U, 0.06, np.random.default_rng(2))
     with pytest.raises(IdentificationError, match="no unknown is called 'mue'"):
         simulate(pitch_rate(), record, {"mue": 1.0})
-    for wrong in (float("nan"), "1", None, True):
-        with pytest.raises(IdentificationError, match="is not a number"):
-            simulate(pitch_rate(), record, {"mu": wrong})  # type: ignore[dict-item]
+    with pytest.raises(IdentificationError, match="'mu' is not a number"):
+        simulate(pitch_rate(), record, {"mu": float("nan")})
     with pytest.raises(ParameterError, match="outside"):
         simulate(pitch_rate(), record, {"mu": 1e9})
-    for odd in (0, -3, 2.5, True):
-        with pytest.raises(IdentificationError, match="samples"):
-            simulate(pitch_rate(), record, TRUE, initial=odd)  # type: ignore[arg-type]
-    for odd in (0, -1, 1.5, True):
+    for odd in (0, -3):
+        with pytest.raises(IdentificationError, match="samples hold no sample"):
+            simulate(pitch_rate(), record, TRUE, initial=odd)
         with pytest.raises(IdentificationError, match="samples ahead"):
-            predict_ahead(pitch_rate(), record, TRUE, steps=odd)  # type: ignore[arg-type]
+            predict_ahead(pitch_rate(), record, TRUE, steps=odd)
     with pytest.raises(IdentificationError, match="is not a structure"):
         simulate(pitch_rate, record)  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="is not a record"):
         simulate(pitch_rate(), [record])  # type: ignore[arg-type]
-    with pytest.raises(IdentificationError, match="list for values"):
-        simulate(pitch_rate(), record, [1.0])  # type: ignore[arg-type]
     late = Record.from_channels({"M": (record.time, U), "q": (record.time[100:], U[100:])}, ["M"], ["q"])
-    with pytest.raises(IdentificationError, match="hold no sample of an output"):
+    with pytest.raises(IdentificationError, match="samples hold no sample"):
         simulate(pitch_rate(), late, TRUE, initial=50)
     with pytest.raises(IdentificationError, match="no initial states"):
         initial_state(Structure(pitch_rate().diagram, ("mu",)), record)

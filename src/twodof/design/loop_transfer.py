@@ -1,6 +1,7 @@
 """LoopTransfer: what a signal has become once around the loop, L, as matrices, sampled or continuous with a delay."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -36,22 +37,15 @@ class LoopTransfer:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        if not all(isinstance(part, np.ndarray) and part.ndim == 2 for part in (self.a, self.b, self.c)):
-            raise _error("a, b and c are not all matrices", "give arrays, or a model to LoopTransfer.of")
-        n = len(self.a)
-        if (self.a.shape, self.b.shape, self.c.shape) != ((n, n), (n, 1), (1, n)):
-            raise _error(
-                f"shapes {self.a.shape}, {self.b.shape}, {self.c.shape} are not a loop of one input and one output",
-                "give a (n,n), b (n,1), c (1,n)",
-            )
+        n, shapes = len(self.a), tuple(np.shape(part) for part in (self.a, self.b, self.c))
+        if shapes != ((n, n), (n, 1), (1, n)):
+            raise _error(f"shapes {shapes} are not a loop of one input and one output", "give (n,n), (n,1), (1,n)")
         if n > MAX_STATES:
             raise _error(f"{n} states", f"at most {MAX_STATES}: shorten the delays, or sample more slowly")
-        if not (all(np.isfinite(part).all() for part in (self.a, self.b, self.c)) and math.isfinite(self.d)):
+        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
             raise _error("a matrix holds NaN or infinity", "give finite numbers")
-        if self.dt is not None and not (math.isfinite(self.dt) and self.dt > 0.0):
-            raise _error(f"sample time {self.dt} s is not a finite time > 0", "give None for a continuous loop")
-        if not (math.isfinite(self.delay) and self.delay >= 0.0):
-            raise _error(f"delay {self.delay} s is not a finite time >= 0", "give seconds")
+        if not 0.0 < (1.0 if self.dt is None else self.dt) < math.inf or not 0.0 <= self.delay < math.inf:
+            raise _error(f"sample time {self.dt} s and delay {self.delay} s", "give finite times, None if continuous")
         if self.delay and self.dt is not None:
             raise _error("a sampled loop has its delays as states", "use DelayedStateSpace.zero_order_hold")
         if self.delay and self.d:
@@ -65,19 +59,21 @@ class LoopTransfer:
         turned: for a model that was cut in a closed loop, in which the feedback's minus is in it. Raises ParameterError
         for another type and an unknown name.
         """
-        target = source if to is None else to
+        inputs: tuple[str, ...] = ()
+        outputs: tuple[str, ...] = ()
         if isinstance(model, LoopTransfer):
             a, b, c, d, dt, delay = model.a, model.b, model.c, np.array([[model.d]]), model.dt, model.delay
         elif isinstance(model, LinearModel):
             a, b, c, d, dt, delay = model.a, model.b, model.c, model.d, model.dt, 0.0
-            source, target = _place(source, model.inputs, "input"), _place(target, model.outputs, "output")
+            inputs, outputs = model.inputs, model.outputs
         elif isinstance(model, DelayedStateSpace):
             a, b, c, d, dt, delay = model.a, model.b, model.c, model.d, None, model.delay
         elif isinstance(model, SampledStateSpace):
             (a, b, c, d), dt, delay = model.augmented(), model.dt, 0.0
         else:
             raise _error(f"{shown(model)} is not a linear model", "give a LinearModel or a state space")
-        i, j = _within(source, b.shape[1], "input"), _within(target, c.shape[0], "output")
+        i = _place(source, inputs, b.shape[1], "input")
+        j = _place(source if to is None else to, outputs, c.shape[0], "output")
         sign = -1.0 if negate else 1.0
         return cls(a, b[:, i : i + 1], sign * c[j : j + 1], sign * float(d[j, i]), dt, delay)
 
@@ -165,20 +161,13 @@ def _solved(matrices: Complex, b: Complex) -> Complex:
         return np.concatenate([_solved(matrices[:half], b[:half]), _solved(matrices[half:], b[half:])])
 
 
-def _place(name: int | str, names: tuple[str, ...], what: str) -> int:
-    if isinstance(name, str):
-        if name not in names:
-            raise _error(f"no {what} called {shown(name)}", f"there are: {nearest(name, names)}")
+def _place(name: int | str, names: Sequence[str], count: int, what: str) -> int:
+    if isinstance(name, str) and name in names:
         return names.index(name)
+    if isinstance(name, str) or not 0 <= name < count:
+        known = f": {nearest(name, names)}" if isinstance(name, str) and names else ", from 0 on"
+        raise _error(f"no {what} {shown(name)}", f"there are {count}{known}")
     return name
-
-
-def _within(place: int | str, count: int, what: str) -> int:
-    if isinstance(place, str):
-        raise _error(f"the {what}s of this model have no names", f"give a number from 0 to {count - 1}")
-    if not 0 <= place < count:
-        raise _error(f"no {what} {place}", f"there are {count}, from 0 on")
-    return place
 
 
 def _error(what: str, remedy: str) -> ParameterError:

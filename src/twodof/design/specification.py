@@ -2,8 +2,8 @@
 
 import math
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, Self
@@ -36,23 +36,10 @@ class AskedFigure(NamedTuple):
     factor: float = 1.0
 
 
-_DEGREES = 180.0 / math.pi
-FIGURES: Mapping[str, AskedFigure] = MappingProxyType(
-    {
-        "bandwidth": AskedFigure(0.1, 100.0),
-        "velocity_bandwidth": AskedFigure(0.01, 100.0),
-        "position_bandwidth": AskedFigure(0.01, 100.0),
-        "gain_margin_db": AskedFigure(0.0, 40.0),
-        "phase_margin_deg": AskedFigure(0.0, 120.0),
-        "delay_margin": AskedFigure(0.0, 10.0),
-        "peak_sensitivity": AskedFigure(1.0, 100.0, at_most=True),
-        "rise_time": AskedFigure(0.005, 20.0, at_most=True, of_step="rise_time"),
-        "overshoot": AskedFigure(0.0, 5.0, at_most=True, of_step="overshoot"),
-        "peak_moment": AskedFigure(1e-3, 1.0, at_most=True, of_step="peak_M"),
-        "peak_theta_deg": AskedFigure(0.1, 60.0, at_most=True, of_step="peak_theta", factor=_DEGREES),
-        "rail_use": AskedFigure(0.01, 2.0, at_most=True, of_step="rail_use"),
-    }
-)
+def _asked(low: float, high: float, **figure: Any) -> Any:
+    """Return a field that need not be asked for, with its `AskedFigure`."""
+    return field(default=None, metadata={"figure": AskedFigure(low, high, **figure)})
+
 
 _STEP_BOUNDS = {"step_deg": (0.1, 45.0), "step": (0.01, 1.0)}
 _PITCH_ONLY = ("bandwidth", "peak_moment", "step_deg")
@@ -78,18 +65,18 @@ class Specification:
     other table has.
     """
 
-    bandwidth: float | None = None
-    velocity_bandwidth: float | None = None
-    position_bandwidth: float | None = None
-    gain_margin_db: float | None = None
-    phase_margin_deg: float | None = None
-    delay_margin: float | None = None
-    peak_sensitivity: float | None = None
-    rise_time: float | None = None
-    overshoot: float | None = None
-    peak_moment: float | None = None
-    peak_theta_deg: float | None = None
-    rail_use: float | None = None
+    bandwidth: float | None = _asked(0.1, 100.0)
+    velocity_bandwidth: float | None = _asked(0.01, 100.0)
+    position_bandwidth: float | None = _asked(0.01, 100.0)
+    gain_margin_db: float | None = _asked(0.0, 40.0)
+    phase_margin_deg: float | None = _asked(0.0, 120.0)
+    delay_margin: float | None = _asked(0.0, 10.0)
+    peak_sensitivity: float | None = _asked(1.0, 100.0, at_most=True)
+    rise_time: float | None = _asked(0.005, 20.0, at_most=True, of_step="rise_time")
+    overshoot: float | None = _asked(0.0, 5.0, at_most=True, of_step="overshoot")
+    peak_moment: float | None = _asked(1e-3, 1.0, at_most=True, of_step="peak_M")
+    peak_theta_deg: float | None = _asked(0.1, 60.0, at_most=True, of_step="peak_theta", factor=180.0 / math.pi)
+    rail_use: float | None = _asked(0.01, 2.0, at_most=True, of_step="rail_use")
     step_deg: float = 10.0
     step: float = 0.15
     loop: str = "attitude"
@@ -97,12 +84,9 @@ class Specification:
     def __post_init__(self) -> None:
         if self.loop not in STEPS:
             raise ParameterError(f"loop = {shown(self.loop)}", "specification", f"give {' or '.join(STEPS)}")
-        for name, (low, high) in {n: (f.low, f.high) for n, f in FIGURES.items()}.items() | _STEP_BOUNDS.items():
+        for name, (low, high, *_) in {**{name: FIGURES[name] for name in self.asked}, **_STEP_BOUNDS}.items():
             value = getattr(self, name)
-            if value is None and name in FIGURES:
-                continue
-            number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
-            if not low <= number <= high:
+            if isinstance(value, bool | str) or not low <= value <= high:
                 raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
         if foreign := [name for name in TABLES[self.table] if name in self.asked]:
             raise ParameterError(f"{foreign[0]} is asked of the {self.loop} loop", "specification", "leave it out")
@@ -120,20 +104,20 @@ class Specification:
     @property
     def asked(self) -> dict[str, float]:
         """Return the figures that are asked for, by name."""
-        return {name: float(value) for name in FIGURES if (value := getattr(self, name)) is not None}
+        return {name: value for name in FIGURES if (value := getattr(self, name)) is not None}
 
     @property
     def of_loops(self) -> Self | None:
         """Return what is asked of the loops; None if nothing is."""
-        return self._without(name for name, figure in FIGURES.items() if figure.of_step)
+        return self._only(step=False)
 
     @property
     def of_step(self) -> Self | None:
         """Return what is asked of the flights of a step; None if nothing is."""
-        return self._without(name for name, figure in FIGURES.items() if not figure.of_step)
+        return self._only(step=True)
 
-    def _without(self, names: Iterable[str]) -> Self | None:
-        nothing: dict[str, Any] = dict.fromkeys(names)
+    def _only(self, step: bool) -> Self | None:
+        nothing: dict[str, Any] = {name: None for name, figure in FIGURES.items() if bool(figure.of_step) != step}
         found = replace(self, **nothing)
         return found if found.asked else None
 
@@ -158,6 +142,11 @@ class Specification:
             return cls(**given)
         except ParameterError as error:
             raise ParameterError(error.what, where, error.remedy) from error
+
+
+FIGURES: Mapping[str, AskedFigure] = MappingProxyType(
+    {one.name: one.metadata["figure"] for one in fields(Specification) if one.metadata}
+)
 
 
 def read_specification(path: str | Path, table: str = "pitch") -> Specification:

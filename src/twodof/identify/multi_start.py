@@ -1,7 +1,8 @@
 """A fit from several first guesses: a cost with several minima shows them, and the best one is kept."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -64,7 +65,7 @@ def fit_from_several(
     see `fit`) is fitted from the best end alone. `progress` is called with the starts done and their number. Two ends
     are one minimum if their costs differ by less than .1, or 1e-6 of the samples.
 
-    Raises IdentificationError for names, ranges or numbers that are not possible, and the first fit's error if all
+    Raises IdentificationError for names, ranges or numbers that are not possible, and the last fit's error if all
     starts fail.
     """
     _check(structure, within, starts)
@@ -75,32 +76,29 @@ def fit_from_several(
     ends: list[tuple[float, dict[str, float]]] = []
     best: Estimate | None = None
     failed: list[tuple[Mapping[str, float], str]] = []
-    first: IdentificationError | None = None
     for done, guess in enumerate(guesses):
         if progress is not None:
             progress(done, starts)
         try:
             found = fit(structure, records, values=guess, disturbance="white", **options)
         except IdentificationError as error:
-            first = first or error
             failed.append((guess, str(error)))
+            if done == starts - 1 and not ends:
+                raise
             continue
         cost = _cost(found)
         if best is None or cost < min(end[0] for end in ends):
             best = found
         ends.append((cost, dict(zip(found.labels, found.values.tolist(), strict=True))))
-    if best is None:
-        assert first is not None
-        raise first
+    assert best is not None
     ends.sort(key=lambda end: end[0])
     near = max(0.1, 1e-6 * sum(c.measured.size for c in best.identification))
-    groups: list[list[tuple[float, dict[str, float]]]] = []
-    for end in ends:
-        if groups and end[0] - groups[-1][0][0] <= near:
-            groups[-1].append(end)
+    minima: list[LocalMinimum] = []
+    for cost, values in ends:
+        if minima and cost - minima[-1].cost <= near:
+            minima[-1] = replace(minima[-1], starts=minima[-1].starts + 1)
         else:
-            groups.append([end])
-    minima = [LocalMinimum(group[0][1], group[0][0], len(group)) for group in groups]
+            minima.append(LocalMinimum(values, cost, 1))
     if disturbance != "white":
         start = {**own, **ends[0][1]}
         best = fit(structure, records, values=start, disturbance=disturbance, **options)
@@ -128,23 +126,15 @@ def _drawn(
 
 def _check(structure: Structure, within: Mapping[str, tuple[float, float]], starts: int) -> None:
     check_structure(structure)
+    structure.check_names(within)
     where = f"structure '{structure.name}'"
-    if isinstance(starts, bool) or not isinstance(starts, int) or not 1 <= starts <= MAX_STARTS:
-        raise IdentificationError(f"{starts!r:.40} starts", where, f"give 1 to {MAX_STARTS}")
-    known = structure.unknowns
-    if not isinstance(within, Mapping):
-        raise IdentificationError(f"{type(within).__name__} for ranges", where, "give {name: (low, high)}")
-    for name, ends in within.items():
-        if name not in known:
-            raise IdentificationError(f"no unknown is called '{name}'", where, f"there are: {', '.join(known)}")
-        lower, upper = known[name].lower, known[name].upper
-        try:
-            low, high = (float(end) for end in ends)
-        except (TypeError, ValueError):
-            low, high = np.nan, np.nan
-        if not (np.isfinite(low) and np.isfinite(high) and lower <= low < high <= upper):
+    if not 1 <= starts <= MAX_STARTS:
+        raise IdentificationError(f"{starts} starts", where, f"give 1 to {MAX_STARTS}")
+    for name, (low, high) in within.items():
+        lower, upper = structure.unknowns[name].lower, structure.unknowns[name].upper
+        if not (math.isfinite(high - low) and lower <= low < high <= upper):
             raise IdentificationError(
-                f"the first guess of '{name}' cannot be drawn from {ends!r:.60}",
+                f"the first guess of '{name}' cannot be drawn from {low:g} to {high:g}",
                 where,
                 f"give a range, low first, within {lower:g} to {upper:g}",
             )

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError, listed, shown
+from twodof.errors import IdentificationError, shown
 from twodof.identify.disturbance.autoregression import Autoregression, autoregression
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate
@@ -157,12 +157,7 @@ def select(
         raise IdentificationError(
             f"{len(optional)} optional unknowns", "select", f"name 1 to {MAX_OPTIONAL}: each doubles the number of fits"
         )
-    known = structure.unknowns
-    for name in (*always, *optional):
-        if name not in known:
-            raise IdentificationError(
-                f"there is no unknown {shown(name)}", f"structure '{structure.name}'", f"there are: {listed(known)}"
-            )
+    structure.check_names((*always, *optional))
     subsets = [part for size in range(len(optional) + 1) for part in combinations(optional, size)]
     fits: dict[str, Estimate] = {}
     refused = ""
@@ -184,24 +179,23 @@ def select(
 
 
 def _check(fits: Mapping[str, Estimate]) -> None:
-    if not isinstance(fits, Mapping) or len(fits) < 2 or not all(isinstance(one, Estimate) for one in fits.values()):
-        count = f"{len(fits)} fits" if isinstance(fits, Mapping) else f"a {type(fits).__name__}"
-        raise IdentificationError(count, "rank", 'give two or more by name, as {"plain": fit(...), "lag": fit(...)}')
-    first_name, first = next(iter(fits.items()))
+    if len(fits) < 2:
+        raise IdentificationError(
+            f"{len(fits)} fits", "rank", 'give two or more, as {"plain": fit(...), "lag": fit(...)}'
+        )
+    data = {
+        name: [(c.record, c.output, c.measured.tobytes()) for c in one.identification] for name, one in fits.items()
+    }
+    first = next(iter(fits))
     for name, one in fits.items():
         if one.domain != "time domain":
             raise IdentificationError(f"{name!r:.80} is a fit in the {one.domain}", "rank", "fit without `band`")
-        pairs = list(zip(first.identification, one.identification, strict=False))
-        if len(first.identification) != len(one.identification) or not all(_same(a, b) for a, b in pairs):
+        if data[name] != data[first]:
             raise IdentificationError(
-                f"{first_name!r:.80} and {name!r:.80} were fitted to different data",
+                f"{first!r:.80} and {name!r:.80} were fitted to different data",
                 "rank",
                 "fit all candidates to the same records and outputs",
             )
-
-
-def _same(one: Comparison, other: Comparison) -> bool:
-    return (one.record, one.output) == (other.record, other.output) and np.array_equal(one.measured, other.measured)
 
 
 def _filter_of(one: Comparison) -> Autoregression | None:

@@ -60,20 +60,16 @@ def initial_state(
         raise IdentificationError(
             "the structure has no initial states as local unknowns", where, "name them in its `local`, as theta_0"
         )
-    if isinstance(samples, bool) or not isinstance(samples, int) or samples < 1:
-        raise IdentificationError(f"{samples!r:.40} samples", where, "give a whole number of steps, at least 1")
-    problem = Problem(structure, [_start(record, samples, where)], names, given)
+    start = _start(record, samples, where)
+    problem = Problem(structure, [start], names, given)
     jacobian = problem.jacobian(problem.x0, problem.residual(problem.x0))
     if not np.isfinite(jacobian).all():
         raise IdentificationError("the model's outputs are not finite", where, "choose other values")
-    told = np.linalg.norm(jacobian, axis=0) * problem.scale > 0.0
-    kept = [name for name, yes in zip(names, told, strict=True) if yes]
-    if not kept:
-        return {name: given.get(name, structure.unknowns[name].value) for name in names}
-    problem = Problem(structure, [_start(record, samples, where)], kept, given)
-    found = problem.minimise(problem.x0)
-    best = problem.values(found.x, 0)
-    return {name: best[name] for name in names}
+    told = [name for name, effect in zip(names, np.linalg.norm(jacobian, axis=0), strict=True) if effect > 0.0]
+    if told:
+        problem = Problem(structure, [start], told, given)
+        given = problem.values(problem.minimise(problem.x0).x, 0)
+    return {name: given[name] for name in names}
 
 
 def predict_ahead(
@@ -91,10 +87,8 @@ def predict_ahead(
     future, and the prediction is the simulation. Without an estimate an autoregression is fitted to the record's own
     errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1.
     """
-    if isinstance(steps, bool) or not isinstance(steps, int) or steps < 1:
-        raise IdentificationError(
-            f"{steps!r:.40} samples ahead", f"record '{record.name}'", "give a whole number, at least 1"
-        )
+    if steps < 1:
+        raise IdentificationError(f"{steps} samples ahead", f"record '{record.name}'", "give 1 or more")
     found = simulate(structure, record, values, initial=initial)
     for name, simulated in found.items():
         samples = record.outputs[name]
@@ -144,39 +138,25 @@ def _start(record: Record, samples: int, where: str) -> Record:
         if keep.any():
             outputs[name] = Samples(output.position[keep], output.value[keep])
     if not outputs:
-        raise IdentificationError(f"the first {samples} steps hold no sample of an output", where, "give more")
+        raise IdentificationError(f"the first {samples} samples hold no sample of an output", where, "give more")
     return replace(record, inputs={name: u[:steps] for name, u in record.inputs.items()}, outputs=outputs)
 
 
 def _given(structure: Structure, record: Record, values: Mapping[str, float] | Estimate | None) -> dict[str, float]:
-    """All values by unknown. Raises IdentificationError for names that are not there and values that are not finite."""
+    """Return all values by unknown; of an estimate's unknowns of each record this record's, or the structure's own.
+
+    Raises IdentificationError for names that are not there and values that are not finite.
+    """
     check_structure(structure)
     check_record(record)
-    if not (values is None or isinstance(values, Mapping | Estimate)):
-        raise IdentificationError(
-            f"{type(values).__name__} for values",
-            f"structure '{structure.name}'",
-            "give a dict by name, or an estimate",
-        )
-    own = _of_estimate(record, values) if isinstance(values, Estimate) else dict(values or {})
-    known = structure.unknowns
-    for name, value in own.items():
-        if name not in known:
-            raise IdentificationError(
-                f"no unknown is called '{name}'", f"structure '{structure.name}'", f"there are: {', '.join(known)}"
-            )
-        if isinstance(value, bool) or not isinstance(value, int | float | np.floating) or not math.isfinite(value):
-            raise IdentificationError(
-                f"the value {value!r:.40} of '{name}' is not a number", f"structure '{structure.name}'", "give a number"
-            )
-    return {name: unknown.value for name, unknown in known.items()} | {n: float(v) for n, v in own.items()}
-
-
-def _of_estimate(record: Record, found: Estimate) -> dict[str, float]:
-    """Return an estimate's values; for unknowns of each record this record's, or the structure's own."""
-    values = dict(found.fixed)
-    for label, value in zip(found.labels, found.values, strict=True):
-        name, bracket, of = label.partition("[")
-        if not bracket or of.removesuffix("]") == record.name:
-            values[name] = float(value)
-    return values
+    own = dict(values.fixed if isinstance(values, Estimate) else values or {})
+    if isinstance(values, Estimate):
+        for label, value in zip(values.labels, values.values, strict=True):
+            name, bracket, of = label.partition("[")
+            if not bracket or of.removesuffix("]") == record.name:
+                own[name] = float(value)
+    structure.check_names(own)
+    if wrong := [name for name, value in own.items() if not math.isfinite(value)]:
+        where = f"structure '{structure.name}'"
+        raise IdentificationError(f"the value of '{wrong[0]}' is not a number", where, "give a finite number")
+    return {name: unknown.value for name, unknown in structure.unknowns.items()} | own

@@ -6,7 +6,6 @@ past tells of the future outputs beyond the future inputs spans the observabilit
 the outputs' offsets then follow by linear least squares of the simulation error.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -107,15 +106,17 @@ def subspace(
     steps, m, p = u.shape[0], u.shape[1], y.shape[1]
     most = (steps + 1) // (2 * (m + p) + 2)
     reach = min(max(10, steps // 50), 30, most) if horizon is None else horizon
-    if isinstance(reach, bool) or not isinstance(reach, int) or not 2 <= reach <= most:
+    if not 2 <= reach <= most:
         raise IdentificationError(
-            f"{steps} samples for a horizon of {reach!r:.40}", where, f"give 2 to {most}" if most > 1 else "record more"
+            f"{steps} samples for a horizon of {reach}", where, f"give 2 to {most}, or record more"
         )
     largest = min(MAX_STATES, reach - 1)
-    if order is not None and (isinstance(order, bool) or not isinstance(order, int) or not 1 <= order <= largest):
-        raise IdentificationError(f"the order {order!r:.40}", where, f"give 1 to {largest}, or a longer horizon")
+    if not 1 <= (1 if order is None else order) <= largest:
+        raise IdentificationError(f"the order {order}", where, f"give 1 to {largest}, or a longer horizon")
     # Each signal in its own size: the singular values then weigh outputs alike.
-    size_u, size_y = _sizes(u, ins, where), _sizes(y, outs, where)
+    size_u, size_y = u.std(axis=0), y.std(axis=0)
+    if still := [name for name, size in zip((*ins, *outs), (*size_u, *size_y), strict=True) if size == 0.0]:
+        raise IdentificationError(f"'{still[0]}' is constant", where, "choose another window")
     basis, values = _observability((u - u.mean(axis=0)) / size_u, (y - y.mean(axis=0)) / size_y, reach, where)
     if order is None:
         kept = values[: max(2, min(reach // 2, MAX_STATES) + 1)]
@@ -125,13 +126,6 @@ def subspace(
     a = _stable(np.asarray(np.linalg.lstsq(gamma[:-p], gamma[p:], rcond=None)[0], dtype=float))
     b, d, x0, bias = _rest(a, c, u, y, size_y, feed_through)
     return SubspaceModel(ins, outs, record.dt, a, b, c, d, x0, bias, values)
-
-
-def _sizes(signals: Array, names: Sequence[str], where: str) -> Array:
-    size = signals.std(axis=0)
-    if (size == 0.0).any():
-        raise IdentificationError(f"'{names[int(np.argmin(size))]}' is constant", where, "choose another window")
-    return np.asarray(size)
 
 
 def _observability(u: Array, y: Array, reach: int, where: str) -> tuple[Array, Array]:
@@ -240,15 +234,14 @@ def _modal(model: SubspaceModel, feed_through: bool, name: str) -> Structure:
     made = linear_model(a, b, c, d, inputs=model.inputs, outputs=model.outputs, guess=guess, name=name)
     biases = {f"{o}_bias": float(model.bias[i]) for i, o in enumerate(model.outputs)}
     made = made.with_guess(**{f"x{i + 1}_0": float(started[i]) for i in range(n)}, **biases)
-    scale = _scales(made, guess) | {f"{o}_bias": float(size[i]) for i, o in enumerate(model.outputs)}
+    scale = _scales(guess) | {f"{o}_bias": float(size[i]) for i, o in enumerate(model.outputs)}
     return Structure(made.diagram, (*made.estimate, *biases), made.local, scale)
 
 
-def _scales(made: Structure, guess: dict[str, float]) -> dict[str, float]:
+def _scales(guess: dict[str, float]) -> dict[str, float]:
     """Return scales for the unknowns: the size of the guess, at least a hundredth of the largest of its kind."""
     found: dict[str, float] = {}
     for kind in ("b", "c_", "d_", "stiffness", "damping", "rate"):
-        own = [name for name in guess if name.startswith(kind)]
-        largest = max((abs(guess[name]) for name in own), default=0.0)
-        found |= {name: max(abs(guess[name]), 0.01 * largest) or 1.0 for name in own}
-    return {name: value for name, value in found.items() if math.isfinite(value) and name in made.unknowns}
+        own = {name: abs(value) for name, value in guess.items() if name.startswith(kind)}
+        found |= {name: max(size, 0.01 * max(own.values())) or 1.0 for name, size in own.items()}
+    return found
