@@ -89,7 +89,7 @@ def test_the_rail_limits_a_velocity_experiment() -> None:
 def test_unidentifiable_plans_are_refused() -> None:
     with pytest.raises(IdentificationError, match="cannot tell apart 'theta_0' and 'M_trim'"):
         predict(pitch_rate(), {"M": U}, DT, {"q": 0.06}, estimate=(*CHOSEN, "theta_0", "M_trim"))
-    with pytest.raises(IdentificationError, match=r"noise 0\.06 for 'v'"):
+    with pytest.raises(IdentificationError, match="none of the structure's outputs"):
         predict(pitch_rate(), {"M": U}, DT, {"v": 0.06})
     with pytest.raises(IdentificationError, match="is longer than 1 s"):
         best(pitch_rate(), doublets(), [3.0], 1.0, DT, {"q": 0.06}, PITCH_LIMITS)

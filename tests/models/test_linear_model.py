@@ -87,20 +87,14 @@ def test_what_is_refused() -> None:
         linear_model([["-k"]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"k": 1.0, "q": 2.0})
     with pytest.raises(IdentificationError, match="names two unknowns"):
         linear_model([["x1_0"]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"x1_0": 1.0})
-    for b in ([[1, 2]], [[1], [2]], [], ["k"]):
+    for b in ([[1, 2]], [[1], [2]], []):
         with pytest.raises(IdentificationError, match="`b` is not 1 rows of 1"):
             linear_model([[-1]], b, [[1]], inputs=["u"], outputs=["y"], guess={})  # type: ignore[arg-type]
-    for entry in (float("nan"), "-", "2k", None, True):
+    for entry in (float("nan"), "-", "2k"):
         with pytest.raises(IdentificationError, match="`a` holds"):
             linear_model([[entry]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={})  # type: ignore[list-item]
-    for rows in (None, 3, "k", [1, 2]):
-        with pytest.raises(IdentificationError, match="`a` is"):
-            linear_model(rows, [[1]], [[1]], inputs=["u"], outputs=["y"], guess={})  # type: ignore[arg-type]
-    for guess in ("1", None, float("inf"), True):
-        with pytest.raises(IdentificationError, match="the first guess"):
-            linear_model([["-k"]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"k": guess})  # type: ignore[dict-item]
-    with pytest.raises(IdentificationError, match="`inputs` is 'uw'"):
-        linear_model([["-k"]], [[1, 1]], [[1]], inputs="uw", outputs=["y"], guess={"k": 1.0})
+    with pytest.raises(IdentificationError, match=r"no first guess.*finite numbers"):
+        linear_model([["-k"]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"k": float("inf")})
     with pytest.raises(IdentificationError, match="0 states"):
         linear_model([], [], [], inputs=["u"], outputs=["y"], guess={})
     with pytest.raises(IdentificationError, match="0 inputs"):

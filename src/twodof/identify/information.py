@@ -7,7 +7,7 @@ is the Cramer-Rao bound, which the grey-box fit attains (Jategaonkar, Flight Veh
 import json
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -104,30 +104,18 @@ def predict(
     `covariance`: that of an output's samples, which takes the place of its white noise. Raises IdentificationError as
     `fit` does, for unknowns the experiment cannot tell.
     """
-    for output, size in noise.items():
-        if output not in structure.outputs or not size > 0.0:
-            raise IdentificationError(
-                f"noise {size} for '{output}' is not a positive number for an output of the structure",
-                f"structure '{structure.name}'",
-                f"outputs: {', '.join(structure.outputs)}",
-            )
     record = _blank(structure, inputs, dt, tuple(noise), sampled)
     wanted = structure.estimate if estimate is None else tuple(estimate)
     problem = Problem(structure, [record], wanted, values or {}, prior=prior)
     problem.set_noise(noise)
     x = problem.x0
     jacobian = problem.central_jacobian(x)
-    if disturbance is not None:
-        for block in problem.blocks:
-            model = disturbance.of(block.output, dt)
-            if model is not None:
-                rows = jacobian[block.rows] * noise[block.output]
-                jacobian[block.rows] = model.whiten(rows, [slice(0, rows.shape[0])])
     for block in problem.blocks:
+        rows = jacobian[block.rows] * noise[block.output]
+        if disturbance is not None and (model := disturbance.of(block.output, dt)) is not None:
+            jacobian[block.rows] = model.whiten(rows, [slice(0, rows.shape[0])])
         if (spread := (covariance or {}).get(block.output)) is not None:
-            root = np.linalg.cholesky(spread)
-            rows = jacobian[block.rows] * noise[block.output]
-            jacobian[block.rows] = np.linalg.solve(root, rows)
+            jacobian[block.rows] = np.linalg.solve(np.linalg.cholesky(spread), rows)
     labels = tuple(slot.label for slot in problem.slots)
     where = f"structure '{structure.name}', planned experiment"
     condition = check_identifiable(jacobian, problem.scale, labels, where)
@@ -275,50 +263,41 @@ def best(
             f"the structure has {len(structure.inputs)} inputs", f"structure '{structure.name}'", "design for one input"
         )
     tried: list[tuple[float, float, float]] = []
-    found: list[tuple[float, Excitation, Information]] = []
+    found: list[Design] = []
     reasons: set[str] = set()
+    times = dt * np.arange(round(duration / dt) + 1)
     for shape in shapes:
-        amplitude, reason = _largest(structure, family, shape, duration, dt, limits, values)
+        amplitude, reason = _largest(structure, family, shape, times, limits, values)
         if amplitude <= 0.0:
             reasons.add(reason)
             tried.append((shape, math.nan, math.nan))
             continue
         excitation = family(shape, amplitude)
-        inputs = {structure.inputs[0]: _played(excitation, duration, dt)}
+        inputs = {structure.inputs[0]: excitation.at(times)}
         info = predict(structure, inputs, dt, noise, values=values, estimate=estimate, disturbance=disturbance)
-        cost = _cost(structure, info)
-        tried.append((shape, amplitude, cost))
-        found.append((cost, excitation, info))
+        found.append(Design(excitation, info, _cost(structure, info), ()))
+        tried.append((shape, amplitude, found[-1].cost))
     if not found:
         raise IdentificationError(
             f"no excitation fits: {'; '.join(sorted(reasons)) or 'no shape was given'}",
             f"structure '{structure.name}'",
             "try shorter shapes, a longer experiment, or another kind of signal",
         )
-    cost, excitation, info = min(found, key=lambda one: one[0])
-    return Design(excitation, info, cost, tuple(tried))
+    best_of = min(found, key=lambda one: one.cost)
+    return replace(best_of, tried=tuple(tried))
 
 
 def _cost(structure: Structure, info: Information) -> float:
-    unknowns = structure.unknowns
-    shares = [
-        float(sigma) / unknowns[label].scale
-        for label, sigma in zip(info.labels, info.sigma, strict=True)
-        if not unknowns[label].local
-    ]
+    shared = [k for k, label in enumerate(info.labels) if not structure.unknowns[label].local]
+    shares = [float(info.sigma[k]) / structure.unknowns[info.labels[k]].scale for k in shared]
     return math.sqrt(sum(share**2 for share in shares) / max(1, len(shares)))
-
-
-def _played(excitation: Excitation, duration: float, dt: float) -> Array:
-    return excitation.at(dt * np.arange(round(duration / dt) + 1))
 
 
 def _largest(
     structure: Structure,
     family: Family,
     shape: float,
-    duration: float,
-    dt: float,
+    times: Array,
     limits: Limits,
     values: Mapping[str, float] | None,
 ) -> tuple[float, str]:
@@ -326,19 +305,16 @@ def _largest(
     full = {name: unknown.value for name, unknown in structure.unknowns.items()} | dict(values or {})
 
     def broken(amplitude: float) -> str:
-        u = _played(family(shape, amplitude), duration, dt)
-        simulated = simulate_planned(structure, {structure.inputs[0]: u}, dt, full)
-        for name, most in limits.within.items():
-            if name in simulated and not float(np.abs(simulated[name]).max()) <= most:
-                return f"{name} exceeds {most:g}"
-        for name, most in limits.travel.items():
-            if name in simulated and not float(np.ptp(simulated[name])) <= most:
-                return f"{name} travels more than {most:g}"
-        return ""
+        u = family(shape, amplitude).at(times)
+        simulated = simulate_planned(structure, {structure.inputs[0]: u}, float(times[1]), full)
+        sizes = {name: (float(np.abs(y).max()), float(np.ptp(y))) for name, y in simulated.items()}
+        far = [f"{n} exceeds {most:g}" for n, most in limits.within.items() if n in sizes and not sizes[n][0] <= most]
+        wide = [(n, most) for n, most in limits.travel.items() if n in sizes and not sizes[n][1] <= most]
+        return next(iter([*far, *(f"{n} travels more than {most:g}" for n, most in wide)]), "")
 
     low = max(limits.least, 1e-6)
-    if family(shape, low).duration > duration:
-        return 0.0, f"the signal is longer than {duration:g} s"
+    if family(shape, low).duration > times[-1] + 1e-9:
+        return 0.0, f"the signal is longer than {times[-1]:g} s"
     reason = broken(low)
     if reason:
         return 0.0, f"{reason} at the least amplitude {low:g}"

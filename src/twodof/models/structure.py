@@ -72,14 +72,8 @@ class Structure:
     measured: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in (
-            *self.estimate,
-            *self.local,
-            *self.scale,
-            *self.prior,
-            *(part for parts in self.sums.values() for part in parts),
-            *([self.delay] if self.delay else []),
-        ):
+        parts = [part for sum_of in self.sums.values() for part in sum_of]
+        for name in (*self.estimate, *self.local, *self.scale, *self.prior, *parts, *filter(None, [self.delay])):
             self._param(name)
         if not self.estimate:
             raise IdentificationError("there is nothing to estimate", f"structure '{self.name}'", "name an unknown")
@@ -103,16 +97,13 @@ class Structure:
         diagram = Diagram(name)
         for port in block.inputs:
             diagram.input(port.name, unit=port.unit)
-        real = [param for param in block.params if param.kind == "real" and param.width is None]
-        for param in real:
-            value = float(param.value)
-            diagram.param(param.name, value, unit=param.unit, low=param.low, high=param.high, text=param.text)
-        diagram.add("model", block, params={param.name: param.name for param in real})
+        diagram.params.update({param.name: replace(param, value=float(param.value)) for param in _reals(block.params)})
+        names = tuple(diagram.params)
+        diagram.add("model", block, params={name: name for name in names})
         for port in block.inputs:
             diagram.connect(port.name, f"model.{port.name}")
         for port in block.outputs:
             diagram.output(port.name, f"model.{port.name}")
-        names = tuple(param.name for param in real)
         states = tuple(one for one in names if one.endswith("_0"))
         return cls(diagram, tuple(estimate) or names, tuple(local) or states, dict(scale or {}), substeps)
 
@@ -134,11 +125,7 @@ class Structure:
     @property
     def unknowns(self) -> dict[str, UnknownParameter]:
         """Every scalar real parameter of the diagram by name."""
-        return {
-            name: self._unknown(param)
-            for name, param in self.diagram.params.items()
-            if param.kind == "real" and param.width is None
-        }
+        return {param.name: self._unknown(param) for param in _reals(self.diagram.params.values())}
 
     def check_names(self, names: Iterable[str]) -> None:
         """Raise IdentificationError for a name that no unknown has."""
@@ -176,6 +163,11 @@ class Structure:
         )
 
 
+def _reals(params: Iterable[Param]) -> list[Param]:
+    """Return the scalar real ones: those that a fit can find."""
+    return [param for param in params if param.kind == "real" and param.width is None]
+
+
 Entry = float | str
 Rows = Sequence[Sequence[Entry]]
 
@@ -211,33 +203,35 @@ def linear_model(
     Raises IdentificationError for shapes that do not fit and for names without a guess.
     """
     where = f"structure '{name}'"
-    for given, texts in (("inputs", inputs), ("outputs", outputs)):
-        if isinstance(texts, str) or not all(isinstance(one, str) for one in texts):
-            raise IdentificationError(f"`{given}` is {texts!r:.40}", where, "give a list of names")
     zero = [[0.0] * len(inputs) for _ in outputs]
-    a, b, c, feed = (
-        _rows(one, key, where) for one, key in ((a, "a"), (b, "b"), (c, "c"), (zero if d is None else d, "d"))
-    )
-    _check_shapes({"a": a, "b": b, "c": c, "d": feed}, len(a), len(inputs), len(outputs), name)
+    a, b, c, feed = (getattr(one, "tolist", lambda one=one: one)() for one in (a, b, c, zero if d is None else d))
+    n, m, p = len(a), len(inputs), len(outputs)
+    if not (1 <= n <= MAX_STATES and m and p):
+        raise IdentificationError(
+            f"{n} states, {m} inputs, {p} outputs", where, f"give 1 to {MAX_STATES} states, an input and an output"
+        )
+    for key, matrix, rows, columns in (("a", a, n, n), ("b", b, n, m), ("c", c, p, n), ("d", feed, p, m)):
+        if len(matrix) != rows or any(len(row) != columns for row in matrix):
+            raise IdentificationError(f"`{key}` is not {rows} rows of {columns}", where, "check the matrices")
+        for entry in (entry for row in matrix for entry in row):
+            named = isinstance(entry, str) and entry.removeprefix("-").isidentifier()
+            if not named and (isinstance(entry, str) or not math.isfinite(entry)):
+                raise IdentificationError(
+                    f"`{key}` holds {entry!r:.40}", where, "use finite numbers and names, as 'k' and '-k'"
+                )
     entries = [entry for matrix in (a, b, c, feed) for row in matrix for entry in row]
     unknowns = tuple(dict.fromkeys(entry.removeprefix("-") for entry in entries if isinstance(entry, str)))
-    reserved = {f"x{i + 1}_0" for i in range(len(a))} | {f"{one}_trim" for one in inputs}
-    reserved |= {f"{one}_bias" for one in outputs}
-    for one in unknowns:
-        if one in reserved:
-            raise IdentificationError(
-                f"'{one}' names two unknowns", f"structure '{name}'", "call the one in a matrix otherwise"
-            )
+    states = tuple(f"x{i + 1}_0" for i in range(n))
+    local = (*states, *(f"{one}_trim" for one in inputs), *(f"{one}_bias" for one in outputs))
+    if twice := [one for one in unknowns if one in local]:
+        raise IdentificationError(f"'{twice[0]}' names two unknowns", where, "call the one in a matrix otherwise")
     for one in dict.fromkeys([*unknowns, *guess, *(bounds or {})]):
-        if one not in unknowns or one not in guess:
+        if one not in unknowns or not math.isfinite(guess.get(one, math.nan)):
             raise IdentificationError(
                 f"'{one}' has no first guess" if one in unknowns else f"no element of a matrix is called '{one}'",
-                f"structure '{name}'",
-                f"give `guess` for: {', '.join(unknowns) or 'none'}",
+                where,
+                f"give `guess` finite numbers for: {', '.join(unknowns) or 'none'}",
             )
-    for one, value in guess.items():
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise IdentificationError(f"the first guess {value!r:.40} of '{one}'", where, "give a finite number")
     limits = {one: (bounds or {}).get(one, (-math.inf, math.inf)) for one in unknowns}
     params = [Param(one, float(guess[one]), low=limits[one][0], high=limits[one][1]) for one in unknowns]
     block = _LinearModel(a, b, c, feed, inputs, outputs, params, discrete)
@@ -254,8 +248,6 @@ def linear_model(
         diagram.param(f"{one}_bias", 0.0, text=f"bias of the measured {one}")
         diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
         diagram.output(one, f"bias_{one}")
-    states = tuple(f"x{i + 1}_0" for i in range(len(a)))
-    local = (*states, *(f"{one}_trim" for one in inputs), *(f"{one}_bias" for one in outputs))
     return Structure(diagram, (*unknowns, *states), local)
 
 
@@ -327,30 +319,3 @@ def _numbers(rows: Rows, p: Any) -> list[list[Any]]:
         return -p[entry[1:]] if entry.startswith("-") else p[entry]
 
     return [[one(entry) for entry in row] for row in rows]
-
-
-def _rows(matrix: Any, key: str, where: str) -> Rows:
-    """Return a matrix as rows; an array of numpy becomes numbers."""
-    rows = matrix.tolist() if hasattr(matrix, "tolist") else matrix
-    if isinstance(rows, str) or not isinstance(rows, Sequence) or not all(isinstance(row, Sequence) for row in rows):
-        raise IdentificationError(f"`{key}` is {matrix!r:.40}", where, "give rows of numbers and names")
-    return rows
-
-
-def _check_shapes(matrices: Mapping[str, Rows], n: int, m: int, p: int, name: str) -> None:
-    where = f"structure '{name}'"
-    if not (1 <= n <= MAX_STATES and m and p):
-        raise IdentificationError(
-            f"{n} states, {m} inputs, {p} outputs", where, f"give 1 to {MAX_STATES} states, an input and an output"
-        )
-    for key, (rows, columns) in {"a": (n, n), "b": (n, m), "c": (p, n), "d": (p, m)}.items():
-        matrix = matrices[key]
-        if len(matrix) != rows or any(isinstance(row, str) or len(row) != columns for row in matrix):
-            raise IdentificationError(f"`{key}` is not {rows} rows of {columns}", where, "check the matrices")
-        for row in matrix:
-            for entry in row:
-                number = not isinstance(entry, str | bool) and isinstance(entry, int | float) and math.isfinite(entry)
-                if not (number or (isinstance(entry, str) and entry.removeprefix("-").isidentifier())):
-                    raise IdentificationError(
-                        f"`{key}` holds {entry!r:.40}", where, "use finite numbers and names, as 'k' and '-k'"
-                    )
