@@ -22,7 +22,7 @@ from twodof.errors import IdentificationError
 from twodof.flight.gains import NAMED
 from twodof.flightlog.files import read_log
 from twodof.flightlog.public_data import PUBLIC_LOGS
-from twodof.identify.least_squares import minimise
+from twodof.identify.least_squares import LeastSquaresMinimum, minimise
 from twodof.parameters import ParameterSet
 from twodof.rig.parameters import CALIBRATED, TABLE, load_rig
 from twodof.rig.rotors import lift
@@ -245,7 +245,9 @@ def calibrate(
     start = np.array([u.mean for u in UNKNOWNS])
     runs = 1 + (len(flights) if leave_one_out and len(flights) > 1 else 0)
 
-    def solve(run: int, what: str, on: Mapping[CalibrationFlight, LoggedFlight], start: Array) -> _Solution:
+    def solve(
+        run: int, what: str, on: Mapping[CalibrationFlight, LoggedFlight], start: Array
+    ) -> tuple[Array, Array, LeastSquaresMinimum]:
         """Run the minimisation number `run`, and report the progress of all by its iterations."""
 
         def tell(part: float) -> None:
@@ -255,26 +257,26 @@ def calibrate(
         tell(0.0)
         return _solve(loop, on, start, tell)
 
-    best = solve(0, "all flights", logged, start)
-    rig = to_rig(_named(best.x))
+    x, deviation, best = solve(0, "all flights", logged, start)
+    rig = to_rig(_named(x))
     left_out: dict[str, Mapping[str, float]] = {}
     for run, flight in enumerate(flights[: runs - 1], 1):
         others = {f: data for f, data in logged.items() if f is not flight}
-        without = solve(run, f"without {flight.name}", others, best.x)
-        left_out[flight.name] = logged[flight].compare(loop, _whole(to_rig(_named(without.x)))).fit
+        without = solve(run, f"without {flight.name}", others, x)[0]
+        left_out[flight.name] = logged[flight].compare(loop, _whole(to_rig(_named(without)))).fit
     if progress is not None:
         progress("compare", 1.0)
     values = ParameterSet(rig | _untouched(), TABLE)
     ceiling = {f.name: gust_ceiling(data, loop, values) for f, data in logged.items()} if left_out else {}
     return Calibration(
         rig=values,
-        estimate=MappingProxyType(_named(best.x)),
-        deviation=MappingProxyType(_named(best.deviation)),
+        estimate=MappingProxyType(_named(x)),
+        deviation=MappingProxyType(_named(deviation)),
         fit={f.name: data.compare(loop, values).fit for f, data in logged.items()},
         left_out=left_out,
         ceiling=ceiling,
         cost=best.cost,
-        converged=best.converged,
+        converged=best.iterations < _ITERATIONS,
     )
 
 
@@ -293,21 +295,16 @@ def _whole(rig: Mapping[str, float]) -> dict[str, float]:
     return ParameterSet(dict(rig), TABLE).snapshot()
 
 
-@dataclass(frozen=True)
-class _Solution:
-    x: Array
-    deviation: Array
-    cost: float
-    converged: bool
-
-
 def _solve(
     loop: ClosedLoop,
     logged: Mapping[CalibrationFlight, LoggedFlight],
     start: Array,
     tell: Callable[[float], None],
-) -> _Solution:
-    """Least squares in units of the priors' standard deviations; `tell` is given the share that is done."""
+) -> tuple[Array, Array, LeastSquaresMinimum]:
+    """Return estimate, deviation and search by least squares; `tell` is given the share that is done.
+
+    The unknowns are in units of the priors' standard deviations.
+    """
     mean = np.array([u.mean for u in UNKNOWNS])
     unit = np.array([u.deviation for u in UNKNOWNS])
     spread = {
@@ -341,7 +338,7 @@ def _solve(
     found = minimise(residual, jacobian, (start - mean) / unit, low, high, tolerance=_TOLERANCE, iterations=_ITERATIONS)
     jac = jacobian(found.x, found.residual)
     deviation = unit * np.sqrt(np.diag(_covariance(jac, found.residual, len(UNKNOWNS))))
-    return _Solution(mean + unit * found.x, deviation, found.cost, found.iterations < _ITERATIONS)
+    return mean + unit * found.x, deviation, found
 
 
 def _covariance(jac: Array, residual: Array, priors: int) -> Array:

@@ -14,7 +14,7 @@ from twodof.design.sensitivity import DiskMargin
 from twodof.design.specification import Specification, check, read_specification
 from twodof.design.state_feedback import lqg_attitude, lqi, placed_attitude, pole_placement
 from twodof.design.structured_hinf import structured_hinf
-from twodof.design.tuning_preview import TuningPreview, controller_preview, tuning_preview
+from twodof.design.tuning_preview import TuningPreview, tuning_preview
 
 __all__ = [
     "CascadeDesign",
@@ -36,7 +36,6 @@ __all__ = [
     "cascade_hinf",
     "check",
     "closed_loop_poles",
-    "controller_preview",
     "lqg_attitude",
     "lqi",
     "margins",

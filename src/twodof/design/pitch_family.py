@@ -20,6 +20,7 @@ PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
 
 NOISE_SEED = 1
 MOST_MEMBERS = 100_000
+_LEAST_TIME, _MOST = 1e-9, 1e300
 _REFUSED = 0.5  # of the draws: the estimate then says hardly more than the bounds do
 
 
@@ -66,21 +67,18 @@ class PitchFamily:
     def __post_init__(self) -> None:
         if set(self.values) != set(PARAMETERS):
             raise _error(f"the values {listed(self.values)}", f"give {', '.join(PARAMETERS)}")
-        for name, (low, high) in PARAMETERS.items():
-            value = self.values[name]
-            if not (isinstance(value, int | float) and low <= value <= high):
-                raise _error(f"{name} = {shown(value)}", f"{low:g} to {high:g} is possible")
+        figures = {name: (self.values[name], *bounds) for name, bounds in PARAMETERS.items()}
+        figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
+        figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
+        for name, (value, low, high) in figures.items():
+            if not low <= value <= high:
+                raise _error(f"{name} = {value!r}", f"{low:g} to {high:g} is possible")
         k = len(self.uncertain)
         if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
             raise _error(f"the uncertain {listed(self.uncertain)}", f"name some of {', '.join(PARAMETERS)}, each once")
         p = check_covariance(self.covariance, k)
         if k and float(np.linalg.eigvalsh(_scaled(p)).min()) < -1e-6:
             raise _error("the covariance has a negative direction", "identify again, or give sigmas alone")
-        for name in ("gust", "q_noise"):
-            if not 0.0 <= getattr(self, name) < math.inf:
-                raise _error(f"{name} = {getattr(self, name)!r}", "give a finite standard deviation >= 0")
-        if not 0.0 < self.gust_time < math.inf:
-            raise _error(f"gust_time = {self.gust_time!r} s", "give a finite time > 0")
 
     @classmethod
     def of(
@@ -130,7 +128,15 @@ class PitchFamily:
         given = {name: float(value) for name, value in document.get("fixed", {}).items()}
         given |= {label: float(row["value"]) for label, row in estimates.items()}
         values = {name: given[name] for name in (*PARAMETERS, "tau") if name in given}
-        _check_complete(values, where)
+        missing = [
+            name for name in ("w_n", "xi", "mu", "tau") if name not in {*values, "tau" if "dead_time" in values else ""}
+        ]
+        if missing:
+            raise _error(
+                f"the model has no {', '.join(missing)}",
+                "identify the pitch: twodof identify LOG --experiment doublet --impulse LOG --json",
+                where,
+            )
         wanted = [label for label in _told_apart(labels) if _own(label) in PARAMETERS]
         sigmas = np.array([max(sigma_in(estimates[n], k) for k in ("sigma", "sigma_robust")) for n in wanted])
         at = [labels.index(label) for label in wanted]
@@ -165,12 +171,8 @@ class PitchFamily:
         self, gust: float | None = None, gust_time: float | None = None, q_noise: float | None = None
     ) -> Self:
         """Return the family with another disturbance; None leaves a figure as it is."""
-        return replace(
-            self,
-            gust=self.gust if gust is None else gust,
-            gust_time=self.gust_time if gust_time is None else gust_time,
-            q_noise=self.q_noise if q_noise is None else q_noise,
-        )
+        given: dict[str, Any] = {"gust": gust, "gust_time": gust_time, "q_noise": q_noise}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})
 
     def nominal(self) -> PitchMembers:
         """Return the estimate itself, as the only member."""
@@ -181,8 +183,8 @@ class PitchFamily:
 
         Raises ParameterError for a count that is not 1 to `MOST_MEMBERS`, and where most draws are beyond the bounds.
         """
-        if isinstance(count, bool) or not isinstance(count, int) or not 1 <= count <= MOST_MEMBERS:
-            raise _error(f"{shown(count)} members", f"give 1 to {MOST_MEMBERS}")
+        if not 1 <= count <= MOST_MEMBERS:
+            raise _error(f"{count} members", f"give 1 to {MOST_MEMBERS}")
         columns = {name: np.full(count, float(self.values[name])) for name in PARAMETERS}
         if self.uncertain:
             centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
@@ -269,18 +271,6 @@ def _complete(values: Mapping[str, float]) -> dict[str, float]:
     if "dead_time" not in own and "tau" in values:
         own["dead_time"] = values["tau"] - own.get("lag", 0.0)
     return {"lag": 0.0, **own}
-
-
-def _check_complete(values: Mapping[str, float], where: str) -> None:
-    missing = [name for name in ("w_n", "xi", "mu") if name not in values]
-    if not {"tau", "dead_time"} & set(values):
-        missing.append("tau")
-    if missing:
-        raise _error(
-            f"the model has no {', '.join(missing)}",
-            "identify the pitch: twodof identify LOG --experiment doublet --impulse LOG --json",
-            where,
-        )
 
 
 def sigma_in(row: Mapping[str, Any], name: str) -> float:

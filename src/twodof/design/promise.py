@@ -265,25 +265,17 @@ class Promise:
         each of the shape of `time`. Channels that are missing are left out. Raise ParameterError for other signals,
         shapes, numbers that are not finite, and a record that does not hold the step.
         """
-        t = np.asarray(time, dtype=float)
-        if t.ndim != 1 or t.size < 2 or not np.isfinite(t).all() or not (np.diff(t) > 0.0).all():
-            raise _error(f"a time of shape {t.shape}", "give times that rise, in seconds from the step on")
-        channels = self.step.channels
-        if not set(signals) <= set(channels) or not signals:
-            raise _error(f"signals {', '.join(map(str, signals)) or 'none'}", f"give {', '.join(channels)}")
-        if t[0] > -0.2 or t[-1] < self.time[-1] - PERIOD:
-            raise _error(
-                f"the record goes from {t[0]:.2f} to {t[-1]:.2f} s about the step",
-                f"give -0.5 to {self.time[-1]:.2f} s",
-            )
-        flown: dict[str, Array] = {}
-        for name, values in signals.items():
-            y = np.asarray(values, dtype=float)
-            if y.shape != t.shape or not np.isfinite(y).all():
-                raise _error(f"{name} of shape {y.shape}", "give finite numbers, one for each time")
-            flown[name] = np.interp(self.time, t, y)
-            if name in self.step.zeroed:
-                flown[name] -= float(y[(t < 0.0) & (t >= -TRIM * PERIOD)].mean())
+        t, end = np.asarray(time, dtype=float), self.time[-1]
+        given = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
+        if t.ndim != 1 or not t.size or not (np.diff(t) > 0.0).all() or not (t[0] <= -0.2 and t[-1] >= end - PERIOD):
+            raise _error(f"a time of shape {t.shape} does not hold the step", f"give rising times, -0.5 to {end:.2f} s")
+        fits = all(y.shape == t.shape and np.isfinite(y).all() for y in given.values())
+        if not given or not set(given) <= set(self.step.channels) or not fits:
+            remedy = f"give {', '.join(self.step.channels)}, a finite number for each time"
+            raise _error(f"signals {', '.join(map(str, given)) or 'none'}", remedy)
+        flown = {name: np.interp(self.time, t, y) for name, y in given.items()}
+        for name in set(self.step.zeroed) & set(given):
+            flown[name] -= float(given[name][(t < 0.0) & (t >= -TRIM * PERIOD)].mean())
         return Verdict(self.level, (self._measured(flown),))
 
     def verdict_of(self, log: FlightLog) -> Verdict:
@@ -419,14 +411,14 @@ def promise(
     return Promise.of_flights(name, family.to_json(), "attitude", goal, level, seed, unstable, flown)
 
 
-def check_numbers(duration: float, level: float, members: object, among: tuple[int, int]) -> None:
+def check_numbers(duration: float, level: float, members: int, among: tuple[int, int]) -> None:
     """Raise ParameterError for a duration [s], a level or a number of members that is out of range."""
     if not 0.1 <= duration <= 20.0:
         raise _error(f"a duration of {duration!r} s", "give 0.1 to 20 s")
     if not 0.5 <= level <= 0.999:
         raise _error(f"a level of {level!r}", "give 0.5 to 0.999")
-    if isinstance(members, bool) or not isinstance(members, int) or not among[0] <= members <= among[1]:
-        raise _error(f"{shown(members)} members", f"give {among[0]} to {among[1]}")
+    if not among[0] <= members <= among[1]:
+        raise _error(f"{members} members", f"give {among[0]} to {among[1]}")
 
 
 def _row(given: Mapping[str, float | None] | Sequence[float | None]) -> tuple[float, float, float]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.blocks.schema.json_form import from_json
-from twodof.design.loop_transfer import LoopTransfer
 from twodof.design.margins import LoopMargins, margins
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PITCH_LOOPS, PitchLoop, pitch_loops
@@ -80,47 +79,28 @@ class TuningPreview:
 
 def tuning_preview(
     family: PitchFamily,
-    gains: Gains,
+    law: Gains | SampledController,
     *,
     members: int = 200,
     seed: int = 1,
     goal: float = GOAL,
     progress: Callable[[float], None] = lambda share: None,
 ) -> TuningPreview:
-    """Close the pitch loops of the stock cascade with `gains` over `family`, and return what they will do.
+    """Close the pitch loops under a `law` over `family`, and return what they will do.
+
+    The law is the gains of the stock cascade, or any controller of the pitch: its margins are those at the motors.
 
     `family` is that of a model's file: `PitchFamily.from_identified(json)`. The same `seed` draws the same members and
     gusts, so two calls with other gains differ by the gains alone. `progress` is called with the share done, some ten
     times a second; an exception that it raises ends the work. Raise ParameterError for numbers out of range.
     """
-    controller = SampledController.of_cascade(*gains.rate, gains.attitude)
-    return _preview(family, controller, gains, pitch_loops(family.nominal(), gains), members, seed, goal, progress)
-
-
-def controller_preview(
-    family: PitchFamily,
-    controller: SampledController,
-    *,
-    members: int = 200,
-    seed: int = 1,
-    goal: float = GOAL,
-    progress: Callable[[float], None] = lambda share: None,
-) -> TuningPreview:
-    """As `tuning_preview`, of any controller of the pitch; its margins are those at the motors."""
-    loops = {PITCH_LOOPS[0]: PitchLoop(family.nominal(), controller).loop_transfer()}
-    return _preview(family, controller, None, loops, members, seed, goal, progress)
-
-
-def _preview(
-    family: PitchFamily,
-    controller: SampledController,
-    gains: Gains | None,
-    broken: Mapping[str, LoopTransfer],
-    members: int,
-    seed: int,
-    goal: float,
-    progress: Callable[[float], None],
-) -> TuningPreview:
+    gains = law if isinstance(law, Gains) else None
+    if isinstance(law, Gains):
+        controller = SampledController.of_cascade(*law.rate, law.attitude)
+        broken = pitch_loops(family.nominal(), law)
+    else:
+        controller = law
+        broken = {PITCH_LOOPS[0]: PitchLoop(family.nominal(), controller).loop_transfer()}
     made = promise(
         controller, family, goal=goal, members=members, seed=seed, name="preview", progress=lambda s: progress(0.5 * s)
     )
@@ -214,9 +194,7 @@ class PitchLaw:
 
     def preview(self, family: PitchFamily, goal: float) -> TuningPreview:
         """Return the preview on `family`, with a step of theta by `goal` [rad]."""
-        if self.gains is not None:
-            return tuning_preview(family, self.gains, goal=goal, members=SURE)
-        return controller_preview(family, self.controller, goal=goal, members=SURE)
+        return tuning_preview(family, self.gains or self.controller, goal=goal, members=SURE)
 
     def verdict(self, family: PitchFamily) -> Robustness:
         """Return whether it keeps the family stable, as the preview has it."""

@@ -69,7 +69,7 @@ class Estimate:
     def __getitem__(self, label: str) -> float:
         """Return the value of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
         held = sum(self.fixed[part] for part in self.sums.get(label, ()) if part not in self.labels)
-        return float(self._weights(label) @ self.values) + held
+        return float(self.values[self._places(label)].sum()) + held
 
     @property
     def white(self) -> bool:
@@ -109,8 +109,7 @@ class Estimate:
 
     def unit(self, label: str) -> str:
         """Return the unit of an unknown, or of a sum of unknowns. Raises IdentificationError for an unknown name."""
-        parts = self.sums[label] if label in self.summed and label not in self.labels else (label,)
-        return self.units[self._index(next((part for part in parts if part in self.labels), label))]
+        return self.units[self._places(label)[0]]
 
     @property
     def correlation(self) -> Array:
@@ -208,27 +207,24 @@ class Estimate:
             allow_nan=False,
         )
 
-    def _weights(self, label: str) -> Array:
-        """Return the share of each estimate in `label`: 1 for a part of a sum, else 0."""
-        if label not in self.summed or label in self.labels:
-            return np.asarray(np.arange(len(self.labels)) == self._index(label), dtype=float)
-        return np.array([float(one in self.sums[label]) for one in self.labels])
-
-    def _deviation(self, covariance: Array, label: str) -> float:
-        """Return the root of the variance of an unknown or a sum; NaN for an unknown that its bound holds."""
-        used = self._weights(label) > 0.0
-        if used.sum() == 1 and label in self.at_bound:
-            return math.nan
-        # Where not even the covariance with it free is known, that of the other parts is left.
-        own = used & np.isfinite(np.diag(covariance)) if used.sum() > 1 else used
-        return math.sqrt(float(covariance[np.ix_(own, own)].sum())) if own.any() else math.nan
-
-    def _index(self, label: str) -> int:
-        if label not in self.labels:
+    def _places(self, label: str) -> list[int]:
+        """Return the place of an unknown among the estimates, or those of the parts of a sum that were estimated."""
+        parts = (label,) if label in self.labels else self.sums.get(label, ())
+        found = [self.labels.index(part) for part in parts if part in self.labels]
+        if not found:
             raise IdentificationError(
                 f"'{label}' was not estimated", f"structure '{self.structure}'", f"were: {', '.join(self.labels)}"
             )
-        return self.labels.index(label)
+        return found
+
+    def _deviation(self, covariance: Array, label: str) -> float:
+        """Return the root of the variance of an unknown or a sum; NaN for an unknown that its bound holds."""
+        places = self._places(label)
+        if len(places) == 1:
+            return math.nan if label in self.at_bound else math.sqrt(float(covariance[places[0], places[0]]))
+        # Where not even the covariance with it free is known, that of the other parts is left.
+        own = [i for i in places if math.isfinite(covariance[i, i])]
+        return math.sqrt(float(covariance[np.ix_(own, own)].sum())) if own else math.nan
 
 
 def finite(value: float) -> float | None:
@@ -295,18 +291,19 @@ def _on_unknowns(found: Estimate) -> Iterator[str]:
 def _on_residuals(found: Estimate) -> Iterator[str]:
     """Yield remarks on the colour of the residuals and on what they still hold of the inputs."""
     noise = found.disturbance
+    taken_for_white = not found.white and noise.kind == "white"
     if not found.white:
         yield (
             "the residuals are not white, so the robust standard deviations are quoted: "
             "the structure or the noise model leaves something out"
         )
-    if not found.white and noise.kind == "white" and noise.answering:
+    if taken_for_white and noise.answering:
         yield (
             f"{' and '.join(noise.answering)} {'answer' if len(noise.answering) > 1 else 'answers'} the noise, as a "
             "controller does: coloured noise that is taken for white then makes the estimates wrong, not only unsure. "
             "Fit with disturbance='ar' (--disturbance ar)"
         )
-    if not found.white and noise.kind == "white" and noise.change > 0.0:
+    if taken_for_white and noise.change > 0.0:
         yield (
             f"coloured noise would change an estimate by {noise.change:.0f} standard deviations, which in open loop it "
             "must not: the structure leaves out a part of the response, and output error is kept"

@@ -95,12 +95,16 @@ def cut(
                 f"no kind of experiment called {kind!r:.80}", "cut", f"there are: {', '.join(KINDS)}"
             )
         kind = KINDS[kind]
-    start, stop = _window(log, kind) if window is None else window
+    whole = window is not None
+    if window is None:
+        what = f"holds no excitation for the experiment '{kind.name}' ({kind.text})"
+        window = _after_start(log, _longest(log, excitations(log), [kind], what, "or name a window")[0])
+    start, stop = window
     if "theta" in log and kind.name == "doublet":
         theta = log["theta"].slice(start, stop)
         beyond = np.flatnonzero(np.abs(theta.value) > _NEAR_STOP_RAD)
         stop = float(theta.time[beyond[0]]) if beyond.size else stop
-    if kind.name == "impulse" and window is None:
+    if kind.name == "impulse" and not whole:
         stop = _end_of_motion(log, start, stop)
     channels = {one: _channel(log, one, one in kind.outputs) for one in (*kind.inputs, *kind.outputs)}
     title = log.source if name is None else name
@@ -118,14 +122,8 @@ def kind_of(log: FlightLog) -> ExperimentKind:
     moved = "dist" in log and float(np.ptp(log["dist"].value)) > _MOVED_M
     kinds = [kind for kind in KINDS.values() if moved or kind.name != "velocity"]
     found = excitations(log) if all(name in log for name in ("T", "q0", "theta0")) else []
-    fitting = [(_length(one), kind) for one in found for kind in kinds if _fits(one, kind)]
-    if not fitting:
-        raise LogError(
-            "holds none of the experiments from which something is identified",
-            log.source,
-            f"excitations found: {_names(found)}; name the experiment ({', '.join(KINDS)}) and a window",
-        )
-    return max(fitting, key=lambda one: one[0])[1]
+    what = "holds none of the experiments from which something is identified"
+    return _longest(log, found, kinds, what, f"name the experiment ({', '.join(KINDS)}) and a window")[1]
 
 
 def around(log: FlightLog, record: Record, before: float = 1.0, after: float = 2.0) -> Record:
@@ -164,28 +162,15 @@ def _end_of_motion(log: FlightLog, start: float, stop: float) -> float:
     return min(stop, float(loud[quiet[0]]) + _OVER_S)
 
 
-def _window(log: FlightLog, kind: ExperimentKind) -> tuple[float, float]:
-    found = excitations(log)
-    fitting = [one for one in found if _fits(one, kind)]
+def _longest(
+    log: FlightLog, found: Sequence[DetectedExcitation], kinds: Sequence[ExperimentKind], what: str, remedy: str
+) -> tuple[DetectedExcitation, ExperimentKind]:
+    """Return the longest excitation of those `found` that fits a kind, and the kind; else raise LogError `what`."""
+    fitting = [(one, kind) for one in found for kind in kinds if one.mode in kind.modes and one.shape in kind.shapes]
     if not fitting:
-        raise LogError(
-            f"holds no excitation for the experiment '{kind.name}' ({kind.text})",
-            log.source,
-            f"excitations found: {_names(found)}; or name a window",
-        )
-    return _after_start(log, max(fitting, key=_length))
-
-
-def _fits(one: DetectedExcitation, kind: ExperimentKind) -> bool:
-    return one.mode in kind.modes and one.shape in kind.shapes
-
-
-def _length(one: DetectedExcitation) -> float:
-    return one.edges[-1] - one.edges[0]
-
-
-def _names(found: Sequence[DetectedExcitation]) -> str:
-    return ", ".join(dict.fromkeys(one.name for one in found)) or "none"
+        names = ", ".join(dict.fromkeys(one.name for one in found)) or "none"
+        raise LogError(what, log.source, f"excitations found: {names}; {remedy}")
+    return max(fitting, key=lambda pair: pair[0].edges[-1] - pair[0].edges[0])
 
 
 def _after_start(log: FlightLog, one: DetectedExcitation) -> tuple[float, float]:

@@ -265,7 +265,7 @@ def best(
     tried: list[tuple[float, float, float]] = []
     found: list[Design] = []
     reasons: set[str] = set()
-    times = dt * np.arange(round(duration / dt) + 1)
+    times = np.asarray(dt * np.arange(round(duration / dt) + 1), dtype=np.float64)
     for shape in shapes:
         amplitude, reason = _largest(structure, family, shape, times, limits, values)
         if amplitude <= 0.0:

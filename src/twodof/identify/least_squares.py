@@ -97,12 +97,6 @@ def _bounded_step(
 
     An unknown that would cross its bound goes to it, and the others are solved for again, given that.
     """
-    if free.size == gradient.size:
-        system = normal.copy()
-        system.flat[:: free.size + 1] += damping
-        whole = np.asarray(np.linalg.solve(system, -gradient))
-        if (whole >= low).all() and (whole <= high).all():
-            return whole, False
     step = np.zeros_like(gradient)
     open_ = free
     while open_.size:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
-from twodof.identify.repeated import Repeated, repeat
+from twodof.identify.repeated import Repeated
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations
@@ -241,11 +242,7 @@ def by_hand(
     if experiment == "velocity":
         return identify_velocity([record, *others])
     if experiment == "attitude":
-        raise IdentificationError(
-            NOT_BY_HAND,
-            f"experiment '{experiment}'",
-            "take output error with its noise model",
-        )
+        raise IdentificationError(NOT_BY_HAND, f"experiment '{experiment}'", "take output error with its noise model")
     if experiment == "impulse" or free is None:
         raise IdentificationError(
             "by hand, the poles are read from a free response and the rest from a doublet",
@@ -274,84 +271,52 @@ def by_output_error(
     doublet: its fit with the same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
-    given = dict(values or {})
+    given, checked = dict(values or {}), list(others)
     wanted = tuple(estimate) if estimate else None
     if free is not None:
         swing = fit(structure, free, values=given, disturbance=disturbance)
         held = {name: swing[name] for name in SWING if name in swing.labels and name not in (estimate or ())}
         given = {**held, **given}
         wanted = wanted or tuple(name for name in structure.estimate if name not in held)
-    if experiment == "attitude":
-        return _in_closed_loop(structure, records, others, wanted, given, disturbance, machines)
-    fitted, checked = list(records), list(others)
     before: dict[str, tuple[float, float]] | None = None
-    if experiment == "doublet" and free is None and min(one.steps for one in fitted) >= LONG:
+    machines = machines or [FlownMachine()] * len(records)
+    machine = machines[0]
+    pieces: list[tuple[Record, ...]] = [(one,) for one in records]
+    if experiment == "attitude":
+        if len(set(machines)) > 1:
+            raise IdentificationError(
+                f"these flights are of different machines: {' and '.join(dict.fromkeys(one.text for one in machines))}",
+                ", ".join(record.name for record in (*records, *others)),
+                "give the flights of one machine",
+            )
+        # What a lost command did to the drone comes back in the next ones: each piece between gaps has its own start.
+        pieces = [record.pieces() for record in records]
+        if not all(pieces):
+            raise IdentificationError(
+                f"the moment is lost so often that no stretch of {SHORTEST_PIECE} samples is whole",
+                ", ".join(record.name for record, whole in zip(records, pieces, strict=True) if not whole),
+                "give another window, or another log",
+            )
+        known = machine.prior(structure)
+        wanted = wanted or tuple(name for name in machine.estimate(structure) if name not in given)
+        before = {name: one for name, one in known.items() if name in wanted and name not in given}
+        # What is not asked for is held where it is known to be, not at the paper's drone.
+        held = {name: mean for name, (mean, _) in {**structure.prior, **known}.items() if name not in wanted}
+        given = {**held, **machine.values(structure), **given}
+    elif experiment == "doublet" and free is None and min(one.steps for one in records) >= LONG:
         # Slow noise passes for a swing of a long test signal, which a short one does not know of.
-        known = (machines or [FlownMachine()])[0].prior(structure)
+        known = machine.prior(structure)
         before = {name: one for name, one in known.items() if name in POLES_BEFORE and name not in given}
-    if experiment == "velocity":
+    elif experiment == "velocity":
         # From the on-board pitch to the on-board velocity, as in the paper, or from the gyro to the range sensor.
         output = "v" if "theta" in structure.inputs else "x"
-        fitted, checked = [only(one, output) for one in fitted], [only(other, output) for other in checked]
+        pieces, checked = [(only(one, output),) for one in records], [only(other, output) for other in checked]
         wanted = (*TRAVEL, "q_trim") if wanted is None and output == "x" else wanted
-    if len(fitted) > 1:
-        repeated = repeat(structure, fitted, estimate=wanted, values=given, disturbance=disturbance, prior=before)
-        return repeated, fitted
-    found = fit(
-        structure,
-        fitted[0],
-        estimate=wanted,
-        values=given,
-        validation=checked,
-        disturbance=disturbance,
-        prior=before,
-    )
-    return found, [fitted[0], *checked]
-
-
-def _in_closed_loop(
-    structure: Structure,
-    records: Sequence[Record],
-    others: Sequence[Record],
-    wanted: tuple[str, ...] | None,
-    given: Mapping[str, float],
-    disturbance: Disturbance,
-    machines: Sequence[FlownMachine],
-) -> tuple[Estimate | Repeated, list[Record]]:
-    machines = machines or [FlownMachine()] * len(records)
-    if len(set(machines)) > 1:
-        raise IdentificationError(
-            f"these flights are of different machines: {' and '.join(dict.fromkeys(one.text for one in machines))}",
-            ", ".join(record.name for record in (*records, *others)),
-            "give the flights of one machine",
-        )
-    machine = machines[0]
-    estimate = wanted or tuple(name for name in machine.estimate(structure) if name not in given)
-    known = {**structure.prior, **machine.prior(structure)}
-    # What is not asked for is held where it is known to be, not at the paper's drone.
-    held = {name: mean for name, (mean, _) in known.items() if name not in estimate}
-    values = {**held, **machine.values(structure), **given}
-    before = {name: one for name, one in machine.prior(structure).items() if name in estimate and name not in given}
-    pieces = [record.pieces() for record in records]
-    if not all(pieces):
-        raise IdentificationError(
-            f"the moment is lost so often that no stretch of {SHORTEST_PIECE} samples is whole",
-            ", ".join(record.name for record, whole in zip(records, pieces, strict=True) if not whole),
-            "give another window, or another log",
-        )
-    # What a lost command did to the drone comes back in the next ones: between gaps each piece has a start of its own.
-    found = [
-        fit(
-            structure,
-            whole,
-            estimate=estimate,
-            values=values,
-            validation=others,
-            disturbance=disturbance,
-            prior=before,
-        )
-        for whole in pieces
-    ]
+    options: dict[str, Any] = {"estimate": wanted, "values": given, "disturbance": disturbance, "prior": before}
+    # Repetitions in open loop are checked on each other.
+    unseen = checked if experiment == "attitude" or len(records) == 1 else ()
+    found = [fit(structure, whole, validation=unseen, **options) for whole in pieces]
     if len(found) > 1:
-        return Repeated(tuple(record.name for record in records), tuple(found)), list(records)
-    return found[0], [*pieces[0], *others]
+        fitted = list(records) if experiment == "attitude" else [one for piece in pieces for one in piece]
+        return Repeated(tuple(record.name for record in records), tuple(found)), fitted
+    return found[0], [*pieces[0], *checked]

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,11 @@ class Repeated:
 
     names: tuple[str, ...]
     estimates: tuple[Estimate, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.names) < 2 or len(set(self.names)) < len(self.names):
+            what = f"records {', '.join(self.names) or 'none'}"
+            raise IdentificationError(what, "repetitions", "give two or more, each with a name of its own")
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -132,13 +138,5 @@ def repeat(
 
     Raises IdentificationError as `fit` does, and for fewer than two records or two of one name.
     """
-    names = tuple(record.name for record in records)
-    if len(names) < 2 or len(set(names)) < len(names):
-        raise IdentificationError(
-            f"records {', '.join(names) or 'none'}", "repetitions", "give two or more, each with a name of its own"
-        )
-    fits = (
-        fit(structure, record, estimate=estimate, values=values, disturbance=disturbance, prior=prior)
-        for record in records
-    )
-    return Repeated(names, tuple(fits))
+    options: dict[str, Any] = {"estimate": estimate, "values": values, "disturbance": disturbance, "prior": prior}
+    return Repeated(tuple(one.name for one in records), tuple(fit(structure, one, **options) for one in records))

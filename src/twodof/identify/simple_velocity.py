@@ -27,7 +27,7 @@ class StepResponse:
     """Figures read off the first half of the doublet; times on the log's axis [s].
 
     `theta_bar` [rad] is the pitch that is held, and its set-point strays by `strayed` [rad] until the doublet turns.
-    `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak (`line_start` to `line_stop`).
+    `slope` [m/s2] is that of the straight line through v between 10 and 40 % of its peak.
     That line meets the rest at `start`. The peak above the rest is `peak` [m/s], at `peak_time`. Before the edge v
     scatters by `noise` [m/s].
     """
@@ -37,8 +37,6 @@ class StepResponse:
     strayed: float
     rest: float
     slope: float
-    line_start: float
-    line_stop: float
     start: float
     peak: float
     peak_time: float
@@ -168,8 +166,6 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
         strayed=float(np.ptp(theta0[edges[0] : edges[1] if len(edges) > 1 else record.steps])),
         rest=rest,
         slope=sign * slope,
-        line_start=float(t[low]),
-        line_stop=float(t[high - 1]),
         start=start,
         peak=sign * peak,
         peak_time=float(t[top]),

@@ -6,6 +6,7 @@ They are the paper's G_q and G_v, both at once, the free response with dry frict
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import Any
 
 from twodof.blocks.block import Block
 from twodof.blocks.diagram import Diagram
@@ -193,7 +194,7 @@ def free_response(ring: int = 64, substeps: int = 1) -> Structure:
         ("w_n", "xi", "mu", "coulomb", "hardening", "theta_0", "q_0"),
         {"tau": 0.015, "coulomb": 0.1, "mu": 130.0},
         ring,
-        substeps,
+        substeps=substeps,
     )
 
 
@@ -204,9 +205,7 @@ def _about_trim(
     estimate: Sequence[str],
     values: Mapping[str, float] = MappingProxyType({}),
     ring: int = 64,
-    substeps: int = 1,
-    sums: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    prior: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    **options: Any,
 ) -> Structure:
     """Make the diagram input - trim -> delay -> plant -> + bias -> outputs, with all parameters on the outside."""
     diagram = Diagram(name, text)
@@ -219,7 +218,7 @@ def _about_trim(
     _offer(diagram, delay, values.get(delay, 0.0), "s", "delay of the input", (0.0, (ring - 2) * PERIOD))
     if not isinstance(plant, ZohPlant):
         source = diagram.add("delay", InputDelay(ring), params={"tau": "tau"}, u=source)
-    return _with_outputs(diagram, plant, {input: source}, estimate, values, substeps, sums, delay, prior)
+    return _with_outputs(diagram, plant, {input: source}, estimate, values, delay=delay, **options)
 
 
 def _with_outputs(
@@ -228,15 +227,12 @@ def _with_outputs(
     sources: Mapping[str, str],
     estimate: Sequence[str],
     values: Mapping[str, float] = MappingProxyType({}),
-    substeps: int = 1,
-    sums: Mapping[str, Sequence[str]] = MappingProxyType({}),
-    delay: str = "",
-    prior: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    **options: Any,
 ) -> Structure:
     """Add the plant, a bias behind each of its outputs, and say what is local and on which scale."""
     bound = {param.name: param.name for param in plant.params}
     for param in plant.params:
-        if param.name in bound and param.name not in diagram.params:
+        if param.name not in diagram.params:
             guess = values.get(param.name, float(param.value))
             _offer(diagram, param.name, guess, param.unit, param.text, (param.low, param.high))
     diagram.add("plant", plant, params=bound)
@@ -251,11 +247,8 @@ def _with_outputs(
         tuple(estimate),
         local=tuple(own for own in diagram.params if own.endswith(("_0", "_trim", "_bias"))),
         scale={own: size for own, size in _SCALES.items() if own in diagram.params},
-        substeps=substeps,
-        sums={name: tuple(parts) for name, parts in sums.items()},
         at_rest=tuple(speed for speed in ("q_0", "v_0") if "coulomb" in bound and speed in bound),
-        delay=delay,
-        prior=dict(prior),
+        **options,
     )
 
 

@@ -40,7 +40,7 @@ class ZohPlant(Block):
 
     def __init__(self, ring: int = 64) -> None:
         self.ring = ring
-        names = [name for name, _ in self.plant_states]
+        self.names = names = [name for name, _ in self.plant_states]
         self.inputs = (self.plant_input,)
         self.outputs = tuple(Port(name, unit=unit) for name, unit in self.plant_outputs or self.plant_states)
         self.params = (
@@ -71,13 +71,12 @@ class ZohPlant(Block):
 
     def readout(self, p: Any) -> tuple[Matrix, Sequence[Any]]:
         """Return C (a row an output) and D (a number an output): by default each output is the state of its name."""
-        rows = [[float(port.name == name) for name, _ in self.plant_states] for port in self.outputs]
+        rows = [[float(port.name == name) for name in self.names] for port in self.outputs]
         return rows, [0.0] * len(rows)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
         """Compute Phi(dt), and the input's share before and after the edge at `split` inside the step."""
         a, b = self.matrices(p)
-        names = [name for name, _ in self.plant_states]
         steps = p[self.plant_delay] / t.dt
         # A delay that is a multiple of dt up to rounding is that multiple.
         whole = to_int32(steps + 1e-9)
@@ -87,17 +86,17 @@ class ZohPlant(Block):
         phi, full = held(a, drive, t.dt)
         _, late = held(a, drive, t.dt * (1.0 - where(split, part, 0.0)))
         result: dict[str, Any] = {"whole": whole, "split": split, "fits": steps <= self.ring - 2.0}
-        for i, row in enumerate(names):
+        for i, row in enumerate(self.names):
             result[f"old_{row}"] = full[i] - late[i]
             result[f"new_{row}"] = late[i]
-            for j, column in enumerate(names):
-                result[f"phi_{row}_{column}"] = phi[i * len(names) + j]
+            for j, column in enumerate(self.names):
+                result[f"phi_{row}_{column}"] = phi[i * len(a) + j]
         return result
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         """Return C x + D u, with the delayed input."""
         c, d = self.readout(p)
-        state = [x[name] for name, _ in self.plant_states]
+        state = [x[name] for name in self.names]
         through = d
         if any(not _is_zero(value) for value in d):
             old, new = self._delayed(u, x, p)
@@ -110,13 +109,12 @@ class ZohPlant(Block):
 
     def update(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
         old, new = self._delayed(u, x, p)
-        names = [name for name, _ in self.plant_states]
         first = u[self.inputs[0].name]
-        now = {name: where(x.age == 0, first, x[name]) if name in self.follows else x[name] for name in names}
+        now = {name: where(x.age == 0, first, x[name]) if name in self.follows else x[name] for name in self.names}
         result: dict[str, Any] = {
-            row: total([p[f"phi_{row}_{column}"] * now[column] for column in names])
+            row: total([p[f"phi_{row}_{column}"] * now[column] for column in self.names])
             + (p[f"old_{row}"] * old + p[f"new_{row}"] * new)
-            for row in names
+            for row in self.names
         }
         return result | remember(u[self.inputs[0].name], x, self.ring)
 
