@@ -1,6 +1,5 @@
 """Fast ways to run one machine many times: `Stepper` step by step, `Rerun` from its start on the same inputs."""
 
-import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -11,25 +10,12 @@ from twodof.blocks.declarations import unknown_name
 from twodof.compile.machine import CompiledMachine
 from twodof.errors import DiagramError
 
-_LETTERS = {
-    "float64": "d",
-    "float32": "f",
-    "bool": "?",
-    "int32": "i",
-    "uint32": "I",
-    "int16": "h",
-    "uint16": "H",
-    "int8": "b",
-    "uint8": "B",
-}
-"""The letters of `struct` by numpy's names of types."""
-
 
 class Stepper:
     """Steps of `machine` with inputs and outputs by position.
 
     `inputs` names all inputs of the machine and `outputs` the wanted outputs; values come and go as tuples in these
-    orders. The memory is the machine's. A machine's `step`, by name, costs some twenty times as much. Values are not
+    orders. The memory is the machine's. A machine's `step`, by name, costs several times as much. Values are not
     checked: a real, float32 or float64 is a float, an integer an int within its range, a bool any truth value. Raises
     DiagramError for an unknown name, an array, and an input that is left out. Methods that compute raise
     ControllerFault where the target can fault.
@@ -37,28 +23,32 @@ class Stepper:
 
     def __init__(self, machine: CompiledMachine, inputs: Sequence[str], outputs: Sequence[str]) -> None:
         self.machine = machine
-        instance = machine.instance
-        program = machine.program
-        layout, lowered = program.layout, program.flat
+        instance, lowered = machine.instance, machine.program.flat
         if missing := sorted(lowered.inputs.keys() - set(inputs)):
             raise DiagramError(f"the inputs {', '.join(missing)} are left out", lowered.name, "name every input")
-        ins = {name: layout.inputs[signal].name for name, signal in lowered.inputs.items() if signal.width is None}
-        outs = {name: layout.outputs[name].name for name, signal in lowered.outputs.items() if signal.width is None}
-        self._ins = _Members(instance.structs["U"], inputs, ins, lowered.name)
-        self._outs = _Members(instance.structs["Y"], outputs, outs, lowered.name)
+        for names, ports in ((inputs, lowered.inputs), (outputs, lowered.outputs)):
+            scalars = [name for name, signal in ports.items() if signal.width is None]
+            for name in names:
+                if name not in scalars:
+                    raise unknown_name("scalar called", name, scalars, lowered.name)
+        self._u, self._y = instance.structs["U"], instance.structs["Y"]
+        # By the order of the structs, which is that of the program's inputs and outputs.
+        self._ins = [inputs.index(name) for name in lowered.inputs]
+        self._outs = [list(lowered.outputs).index(name) for name in outputs]
         self._step = instance.step
         self._state = instance.structs["S"].view(np.uint8)
         self._kept = np.empty_like(self._state)
 
     def step(self, values: Sequence[Any]) -> tuple[Any, ...]:
         """Write the inputs, step once and return the outputs."""
-        self._ins.write(values)
-        self._step()
-        return self._outs.read()
+        self.run(1, values)
+        return self._read()
 
     def run(self, steps: int, values: Sequence[Any]) -> None:
         """Write the inputs and make `steps` steps with them."""
-        self._ins.write(values)
+        if self._ins:
+            with np.errstate(over="ignore"):  # what float32 does not hold is infinite
+                self._u[0] = tuple([values[i] for i in self._ins])
         step = self._step
         for _ in range(steps):  # a few: one call of `Instance.run` costs as much as ten steps
             step()
@@ -70,45 +60,11 @@ class Stepper:
             self._step()
         finally:
             self._state[:] = self._kept
-        return self._outs.read()
+        return self._read()
 
-
-class _Members:
-    """Scalar members of a struct, read and written together in the order of `names`."""
-
-    def __init__(self, array: NDArray[Any], names: Sequence[str], members: Mapping[str, str], where: str) -> None:
-        self._buffer = array.view(np.uint8).data
-        fields: Mapping[str, Any] = array.dtype.fields or {}
-        places: list[tuple[int, str, int]] = []
-        for name in names:
-            if name not in members:
-                raise unknown_name("scalar called", name, members, where)
-            dtype, offset = fields[members[name]][:2]
-            places.append((offset, _LETTERS[dtype.name], dtype.itemsize))
-        order = sorted(range(len(places)), key=lambda i: places[i])
-        form, end = "=", 0
-        for offset, letter, size in (places[i] for i in order):
-            form += f"{offset - end}x{letter}"
-            end = offset + size
-        self._struct = struct.Struct(form)
-        self._sorted = order == list(range(len(order)))
-        self._order = order
-        self._back = [order.index(i) for i in range(len(order))]
-
-    def write(self, values: Sequence[Any]) -> None:
-        """Write the values: a number too large for float32 as infinity, and zeros between the members."""
-        ordered = values if self._sorted else [values[i] for i in self._order]
-        try:
-            self._struct.pack_into(self._buffer, 0, *ordered)
-        except OverflowError:
-            with np.errstate(over="ignore"):
-                single = [float(np.float32(v)) if type(v) is float else v for v in ordered]
-            self._struct.pack_into(self._buffer, 0, *single)
-
-    def read(self) -> tuple[Any, ...]:
-        """Return the present values."""
-        values = self._struct.unpack_from(self._buffer, 0)
-        return values if self._sorted else tuple([values[i] for i in self._back])
+    def _read(self) -> tuple[Any, ...]:
+        values = self._y.item()
+        return tuple([values[i] for i in self._outs])
 
 
 class Rerun:
