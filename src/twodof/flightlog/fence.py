@@ -52,30 +52,24 @@ Answer: TypeAlias = tuple[Any, Sequence[NDArray[Any]]]
 Reader: TypeAlias = Callable[..., Answer]
 
 
-class _WarmProcess:
-    """The process that forks a child for each file."""
+def _start() -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """Start the process that forks a child for each file, and return it and its control socket.
 
-    def __init__(self) -> None:
-        self.control, theirs = socket.socketpair()
-        # The search path of this process, and nothing of the folder in which it was started.
-        start = f"import sys; sys.path[:] = {sys.path!r}; from twodof.flightlog import fence; fence.serve(0)"
-        with theirs:
-            self.process = subprocess.Popen(
-                [sys.executable, "-I", "-c", start],
-                stdin=theirs.fileno(),
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
-                start_new_session=True,  # Ctrl-C in the terminal is for the program that asked
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"},
-            )
-
-    def end(self, at_once: bool) -> None:
-        """End the process and its child; it ends by itself when its control socket closes."""
-        self.control.close()
-        if at_once:
-            with suppress(ProcessLookupError):
-                os.killpg(self.process.pid, signal.SIGKILL)
-        self.process.wait()
+    It ends by itself when that closes.
+    """
+    control, theirs = socket.socketpair()
+    # The search path of this process, and nothing of the folder in which it was started.
+    start = f"import sys; sys.path[:] = {sys.path!r}; from twodof.flightlog import fence; fence.serve(0)"
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-I", "-c", start],
+            stdin=theirs.fileno(),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,  # Ctrl-C in the terminal is for the program that asked
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"},
+        )
+    return process, control
 
 
 class Fence:
@@ -83,7 +77,7 @@ class Fence:
 
     def __init__(self) -> None:
         self._turn = threading.Lock()
-        self._warm: _WarmProcess | None = None
+        self._warm: tuple[subprocess.Popen[bytes], socket.socket] | None = None
 
     def read(
         self, reader: Reader, path: str | Path, *arguments: object, needs: str = ""
@@ -108,24 +102,29 @@ class Fence:
                 return self._ask(request, file, size)
 
     def close(self) -> None:
-        """End the warm process."""
+        """End the warm process and its child."""
         warm, self._warm = self._warm, None
         if warm is not None:
-            warm.end(at_once=True)
+            process, control = warm
+            control.close()
+            with suppress(ProcessLookupError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
 
     def forget(self) -> None:
         """Leave the warm process to the process that started it. Called in a fork."""
         warm, self._warm, self._turn = self._warm, None, threading.Lock()
         if warm is not None:
-            warm.control.close()
-            warm.process.returncode = 0  # it is not a child of this process
+            process, control = warm
+            control.close()
+            process.returncode = 0  # it is not a child of this process
 
     def _ask(self, request: dict[str, Any], file: int, size: int) -> tuple[Any, list[NDArray[Any]]]:
         where = request["where"]
         seconds = WALL_FACTOR * _processor_time(size)
         if self._warm is None:
-            self._warm = _WarmProcess()
-        control, status = self._warm.control, b""
+            self._warm = _start()
+        (_, control), status = self._warm, b""
         control.settimeout(seconds)
         try:
             with _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER)) as answer:

@@ -52,7 +52,7 @@ class ULogContents:
 
     `topics` are columns by name and instance. `parameters` are those at the start; `changes` (time of the last record
     before it [us], name, value) later ones. `texts` are (level, time [us], text). `dropouts_ms` are the times that the
-    logger could not write. `lost` lists the damaged parts; `finished` is False if there are any.
+    logger could not write. `lost` lists the damaged parts.
     """
 
     start_us: int = 0
@@ -64,7 +64,11 @@ class ULogContents:
     dropouts_ms: list[int] = field(default_factory=list)
     lost: list[Loss] = field(default_factory=list)
     formats: tuple[str, ...] = ()
-    finished: bool = True
+
+    @property
+    def finished(self) -> bool:
+        """Return True if nothing is lost."""
+        return not self.lost
 
     def topic(self, name: str) -> Columns | None:
         """Return the records of the first instance of a topic; None where it was not logged."""
@@ -104,7 +108,6 @@ def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:
         what = "a message is not described, or is not as long as its description says"
         if not salvage:
             raise LogError(what, where, RECOVER)
-        found.finished = False
         found.lost.append(Loss(0, 0, what))
     tagged = [one for every in theirs.logged_messages_tagged.values() for one in every]
     found.start_us = theirs.start_timestamp
@@ -145,7 +148,6 @@ def _stretches(data: bytes, where: str, salvage: bool, found: ULogContents) -> I
         sound = at if (ends and not marked) or not synced else max(synced, start)
         if sound > start:
             yield start, sound
-        found.finished = False
         found.lost.append(Loss(sound, resume - sound, "the last message is cut off" if ends else "rubbish"))
         if len(found.lost) > MAX_LOST:
             raise LogError(f"more than {MAX_LOST} damaged parts", where, "nothing can be trusted in it")

@@ -8,7 +8,7 @@ flight code to the next.
 
 import itertools
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -99,17 +99,17 @@ def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64
     in_reset, doubt = stage.find_reset()
     lost, doubt = paired.lost, doubt | unsure
     if paired.active["M"].any():
-        plan = _Plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"] | doubt, in_reset)
-        replayed["M"] = stage.run(RATE, in_reset | ~paired.active["M"], plan, stage.seed_rate)["M"]
-        compared["M"] = plan.compared
+        seeds, compared["M"] = _plan(paired.active["M"], lost["M"] | lost["q"] | lost["q0"] | doubt, in_reset)
+        replayed["M"] = stage.run(RATE, in_reset | ~paired.active["M"], seeds, stage.seed_rate)["M"]
     if paired.active["q0"].any():
         replayed["q0"] = stage.run(ATTITUDE, in_reset)["q0"]
         compared["q0"] = paired.active["q0"] & ~(lost["q0"] | lost["theta0"] | lost["theta"] | unsure)
     if paired.active["theta0"].any():
-        plan = _Plan(paired.active["theta0"], lost["M"] | lost["theta0"] | lost["v0"] | lost["v"] | doubt, in_reset)
-        out = stage.run(VELOCITY, in_reset | ~paired.active["theta0"], plan, stage.seed_velocity)
+        missing = lost["M"] | lost["theta0"] | lost["v0"] | lost["v"] | doubt
+        seeds, known = _plan(paired.active["theta0"], missing, in_reset)
+        out = stage.run(VELOCITY, in_reset | ~paired.active["theta0"], seeds, stage.seed_velocity)
         replayed |= {"theta0": out["theta0"], "T": out["T"]}
-        compared |= {"theta0": plan.compared, "T": plan.compared & ~lost["T"]}
+        compared |= {"theta0": known, "T": known & ~lost["T"]}
     return _result(paired, precision, replayed, compared)
 
 
@@ -135,23 +135,21 @@ _TERMS = (
 )
 
 
-class _Plan:
-    """Where a loop is seeded and what may be compared: `seeds` (first samples) and `compared` (n,)."""
-
-    def __init__(self, active: Flags, lost: Flags, in_reset: Flags) -> None:
-        self.seeds: list[int] = []
-        self.compared = np.zeros(len(active), dtype=np.bool_)
-        onsets = np.flatnonzero(np.diff(in_reset.astype(np.int8)) == 1) + 1
-        for first, end in runs(active):
-            start = first + _SETTLE
-            losses = [int(k) for k in np.flatnonzero(lost[first:end]) + first] + [end]
-            for loss in losses:
-                # What an integral lacks before a reset says nothing of it afterwards.
-                start = max([start, *(int(k) for k in onsets if start < k < start + _SEED)])
-                if loss - start > _SEED:
-                    self.seeds.append(start)
-                    self.compared[start + _SEED : loss] = True
-                start = max(start, loss + 1)
+def _plan(active: Flags, lost: Flags, in_reset: Flags) -> tuple[list[int], Flags]:
+    """Return the first samples of each seed of a loop, and flags (n,) of what may be compared."""
+    seeds: list[int] = []
+    compared = np.zeros(len(active), dtype=np.bool_)
+    onsets = np.flatnonzero(np.diff(in_reset.astype(np.int8)) == 1) + 1
+    for first, end in runs(active):
+        start = first + _SETTLE
+        for loss in [*(np.flatnonzero(lost[first:end]) + first).tolist(), end]:
+            # What an integral lacks before a reset says nothing of it afterwards.
+            start = max([start, *(int(k) for k in onsets if start < k < start + _SEED)])
+            if loss - start > _SEED:
+                seeds.append(start)
+                compared[start + _SEED : loss] = True
+            start = max(start, loss + 1)
+    return seeds, compared
 
 
 class _Stages:
@@ -206,13 +204,12 @@ class _Stages:
         self,
         mode: int,
         in_reset: Flags | None = None,
-        plan: _Plan | None = None,
+        seeds: Sequence[int] = (),
         seed: Callable[[Any, Mapping[str, Any], int, int], None] | None = None,
     ) -> dict[str, Floats]:
-        """Return the cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the plan's seeds."""
+        """Return the cascade's outputs (n,) in `mode`; `seed` sets the machine right after each of the `seeds`."""
         machine = self.program.machine()
         inputs = self.inputs | ({} if in_reset is None else {"in_reset": in_reset})
-        seeds = plan.seeds if plan else []
         changes = [at for at in self.gains if at < self.n]
         cuts = sorted({0, self.n, *changes, *seeds, *(s + _SEED for s in seeds)})
         pieces = []

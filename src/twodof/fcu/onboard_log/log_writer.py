@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError, TwodofError
 from twodof.fcu.onboard_log.log_topics import FORMAT, PX4_TOPICS, STEP_TOPIC, Rows, records
-from twodof.fcu.parameters.table import LOG_ALWAYS, LOG_ARMED, LOG_BOOT, LOG_NEVER
+from twodof.fcu.parameters.table import LOG_ALWAYS, LOG_BOOT, LOG_NEVER
 from twodof.flightlog.atomic import sync_folder
 from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.flightlog.ulog_writer import MESSAGE, ULogWriter
@@ -130,7 +130,7 @@ class LogWriter:
         self.folder = folder
         self.failure: TwodofError | None = None
         self.missed = 0
-        self._mode, self._requested = LOG_ARMED, False
+        self._requested = False
         self._info: Mapping[str, str | int] = {}
         self._parameters = dict(parameters)
         self._writer: ULogWriter | None = None
@@ -148,10 +148,6 @@ class LogWriter:
     def path(self) -> Path | None:
         """Return the log being written."""
         return self._writer.path if self._writer is not None else None
-
-    def choose(self, mode: int) -> None:
-        """Set SDLOG_MODE."""
-        self._mode = mode
 
     def request(self, wanted: bool) -> None:
         """Log whether armed or not from here on, or as the mode says again."""
@@ -181,14 +177,10 @@ class LogWriter:
             self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
 
     def parameters(self, values: Mapping[str, float]) -> None:
-        """Log changes of parameters."""
-        self._parameters.update(values)
-        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in values.items()])
-
-    def list_anew(self, values: Mapping[str, float]) -> None:
-        """Take another list of parameters; new and changed ones go into the log being written."""
+        """Take all parameters, SDLOG_MODE among them; new and changed ones go into the log being written."""
         before, self._parameters = self._parameters, dict(values)
-        self.parameters({name: value for name, value in values.items() if before.get(name) != value})
+        changed = {name: value for name, value in values.items() if before.get(name) != value}
+        self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
 
     def dropped(self, count: int, lost_ms: int) -> None:
         """Log that `count` rows are missing, over `lost_ms`."""
@@ -241,12 +233,13 @@ class LogWriter:
         ended = np.asarray((since == MARGIN + 1) & (self._was_armed | (last >= 0)))
         self._since_armed = min(int(since[-1]), 1 << 30)
         self._was_armed |= bool(armed.any())
-        if self._requested or self._mode == LOG_ALWAYS:
+        mode = self._parameters["SDLOG_MODE"]
+        if self._requested or mode == LOG_ALWAYS:
             return np.ones(len(armed), dtype=np.bool_)
-        if self._mode == LOG_NEVER:
+        if mode == LOG_NEVER:
             return np.zeros(len(armed), dtype=np.bool_)
         near = since <= MARGIN
-        if self._mode == LOG_BOOT and not self._was_disarmed_again:
+        if mode == LOG_BOOT and not self._was_disarmed_again:
             near |= ~np.logical_or.accumulate(ended)
         self._was_disarmed_again |= bool(ended.any())
         return np.asarray(near)

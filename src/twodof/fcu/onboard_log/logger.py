@@ -58,7 +58,6 @@ class OnboardLogger:
         self.dropped = 0
         self._info = info
         self._writer = LogWriter(self.folder, {row.name: store[row.name] for row in store.rows})
-        self._writer.choose(int(store["SDLOG_MODE"]))
         self._queue: deque[bytes | Note] = deque()
         self._tick, self._armed = -1, False
         self._gap = (0, 0)  # rows dropped since the last one taken, tick of the first
@@ -66,8 +65,8 @@ class OnboardLogger:
         self._closed = self._ended = False
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
         self._thread.start()
-        store.bus.subscribe(ParametersChanged, self._changed)
-        store.bus.subscribe(ParametersRelisted, lambda _: self._relisted(store))
+        for event in (ParametersChanged, ParametersRelisted):
+            store.bus.subscribe(event, lambda _: self._changed(store))
 
     @property
     def failure(self) -> TwodofError | None:
@@ -163,17 +162,10 @@ class OnboardLogger:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _changed(self, changed: ParametersChanged) -> None:
-        changes = dict(changed.values)
-        if "SDLOG_MODE" in changes:
-            self._put(lambda writer: writer.choose(int(changes["SDLOG_MODE"])))
-        if "SDLOG_DIRS_MAX" in changes:
-            self.folder.max_logs = int(changes["SDLOG_DIRS_MAX"])
-        self._put(lambda writer: writer.parameters(changes))
-
-    def _relisted(self, store: ParameterStore) -> None:
+    def _changed(self, store: ParameterStore) -> None:
         values = {row.name: store[row.name] for row in store.rows}
-        self._put(lambda writer: writer.list_anew(values))
+        self.folder.max_logs = int(values["SDLOG_DIRS_MAX"])
+        self._put(lambda writer: writer.parameters(values))
 
     def _put(self, note: Note) -> None:
         # Notes are few; when thousands wait the disk is dead.
