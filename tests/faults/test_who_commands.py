@@ -51,7 +51,7 @@ async def test_what_the_other_commands_in_flight_is_refused_counted_and_changes_
             lambda: other.parameters.update({"ATT_KP": 9.0, "RATE_KP": 0.08}),
             lambda: other.reset(),
         ):
-            with pytest.raises(Rejected, match=r"system 250, component 190 holds|may not be changed now"):
+            with pytest.raises(Rejected, match=r"system 250, component 190 holds|permission denied"):
                 await refused()
         with pytest.raises(Rejected, match="system 250, component 190 holds"):
             await other.set_pitch(-0.3, thrust=0.8)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from twodof.cli.options import Force, Json, option
-from twodof.cli.output import exit_unless, print_json, progress, table, table_console
+from twodof.cli.output import exit_unless, print_fields, progress, table, table_console
 from twodof.errors import LogError
 from twodof.experiment.experiments import IDENTIFICATION, Experiment
 from twodof.experiment.flight import Flight, Laboratory
@@ -63,13 +63,11 @@ def demo(
             file.write(page)
     seconds = time.monotonic() - began
     if json:
-        print_json(
-            {
-                "machines": [{"name": machine.name, "parameters": _parameters(machine)} for machine in machines],
-                "real_logs": sorted(logs),
-                "report": str(out),
-                "seconds": seconds,
-            }
+        print_fields(
+            machines=[{"name": machine.name, "parameters": _parameters(machine)} for machine in machines],
+            real_logs=sorted(logs),
+            report=str(out),
+            seconds=seconds,
         )
     else:
         _print(machines, len(logs), out, seconds)

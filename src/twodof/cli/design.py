@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 import typer
 
 from twodof.cli.flown import write_view
-from twodof.cli.options import Force, Json, PromiseFile, PromisePlot, Seed, argument, group, option
-from twodof.cli.output import exit_unless, print_json, progress, say_line, table_console
+from twodof.cli.options import Force, Json, Members, PromiseFile, PromisePlot, Seed, StockGains, argument, group, option
+from twodof.cli.output import exit_unless, print_fields, print_json, progress, say_line, table_console
 from twodof.design.cascade import SEPARATION, CascadeDesign
 from twodof.design.designed_controller import CROSSOVER, design_controller
 from twodof.design.pitch_family import PitchFamily
@@ -18,7 +18,7 @@ from twodof.design.promise import MEMBERS, STEPS, Promise
 from twodof.design.robustness import Robustness
 from twodof.design.saturated_step import SaturatedStep
 from twodof.design.specification import Requirement, read_specification
-from twodof.errors import LogError, ParameterError
+from twodof.errors import ParameterError
 from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, save_diagram
 from twodof.flightlog.atomic import atomic_write, check_free
@@ -62,7 +62,7 @@ def controller(
     gust: Annotated[float | None, option("Standard deviation of the gusts' angular acceleration.", "RAD/S2")] = None,
     gust_time: Annotated[float | None, option("Correlation time of the gusts.", "S")] = None,
     q_noise: Annotated[float | None, option("Noise of a sample of q; left out: the model's.", "RAD/S")] = None,
-    members: Annotated[int, option("How many members of the family are flown.")] = MEMBERS,
+    members: Members = MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
@@ -81,7 +81,7 @@ def controller(
     if anti_windup != "none" and method != "cascade":
         raise typer.BadParameter("--anti-windup is of the cascade's PID: leave --method out")
     _check_places(out, promise_file, plot, force)
-    family = read_family(model).disturbed(gust, gust_time, q_noise)
+    family = PitchFamily.from_identified(_document(model), model).disturbed(gust, gust_time, q_noise)
     asked = None if spec is None else read_specification(spec)
     with progress() as report:
         made = design_controller(
@@ -148,29 +148,13 @@ def verdict(
     exit_unless(found.stands)
 
 
-def read_family(source: str) -> PitchFamily:
-    """Return the family of a model's file, or of standard input. Raises ParameterError."""
-    if source == "-":
-        return PitchFamily.from_identified(_parsed(sys.stdin.buffer.read(MAX_BYTES + 1), "standard input"), "-")
-    return PitchFamily.from_identified(_document(Path(source)), source)
-
-
-def _document(path: Path) -> Any:
+def _document(source: str | Path) -> Any:
+    """Return the JSON of a file, or of standard input for "-". Raises LogError, ParameterError."""
     try:
-        return _parsed(read_bytes(path, MAX_BYTES), str(path))
-    except LogError as reason:
-        raise ParameterError(reason.what, str(path), "name a JSON file") from reason
-
-
-def _parsed(text: bytes, where: str) -> Any:
-    if len(text) > MAX_BYTES:
-        raise ParameterError("it is larger than 16 MiB", where, "give what `twodof identify --json` printed")
-    try:
-        return json_text.loads(text)
+        return json_text.loads(sys.stdin.buffer.read(MAX_BYTES) if source == "-" else read_bytes(source, MAX_BYTES))
     except (ValueError, RecursionError) as reason:
-        raise ParameterError(
-            f"it is not JSON: {reason!s:.80}", where, "give what `twodof identify --json` printed"
-        ) from reason
+        remedy = "give what `twodof identify --json` printed"
+        raise ParameterError(f"it is not JSON: {reason!s:.80}", str(source), remedy) from reason
 
 
 def _check_places(out: Path | None, promise: Path | None, plot: Path | None, force: bool) -> None:
@@ -224,7 +208,7 @@ def rail(
     controller: Annotated[
         list[str] | None, option(f"In place of a stock loop; repeatable. {DIAGRAM_HELP}", "DIAGRAM")
     ] = None,
-    gains: Annotated[str, option("Of the stock loops: default, student, or a JSON file of gains.")] = "default",
+    gains: StockGains = "default",
     loop: Annotated[
         Literal["velocity", "position"] | None, option("Whose set-point steps; left out: the specification's.")
     ] = None,
@@ -236,7 +220,7 @@ def rail(
     promise_file: PromiseFile = None,
     plot: PromisePlot = None,
     rig: Annotated[str, option("What no model tells, such as sensors, is this rig's.", "RIG")] = ("paper"),
-    members: Annotated[int, option("How many members of the family are flown.")] = RAIL_MEMBERS,
+    members: Members = RAIL_MEMBERS,
     seed: Seed = 1,
     force: Force = False,
     json: Json = False,
@@ -285,13 +269,11 @@ def rail(
             written["gains"] = str(out)
         written |= _keep(made, promise_file, plot, force)
     if json:
-        print_json(
-            {
-                "promise": made.to_json(),
-                "specification": [one.to_json() for one in checked],
-                "gains": flown.to_json(),
-                "written": written,
-            }
+        print_fields(
+            promise=made.to_json(),
+            specification=[one.to_json() for one in checked],
+            gains=flown.to_json(),
+            written=written,
         )
     else:
         if found is not None:

@@ -13,8 +13,8 @@ from rich.table import Table
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagram_tests import run_tests
 from twodof.cli.margins import margins
-from twodof.cli.options import Force, Json, RealType, argument, flag, group, option
-from twodof.cli.output import exit_unless, print_json, table, table_console
+from twodof.cli.options import Force, Json, Reals, argument, flag, group, option
+from twodof.cli.output import exit_unless, print_fields, print_json, table, table_console
 from twodof.compile.builder import emit_program
 from twodof.compile.c_files.c_files import SourceLine, SourceMap, c_files, source_map
 from twodof.compile.linear.linear_model import Array, LinearModel
@@ -26,6 +26,7 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
 from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
+from twodof.flightlog.provenance import read_bytes
 from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
 from twodof.report.state_machine_svg import machine_at, machine_svg
@@ -69,18 +70,16 @@ def check(
     meant = template or nearest_template(checked)
     fit = None if meant is None else template_fit(checked, meant)
     if json:
-        print_json(
-            {
-                "fine": found.fine,
-                "problems": [{"what": p.what, "where": p.where, "remedy": p.remedy} for p in found.problems],
-                "remarks": [asdict(r) for r in found.remarks],
-                "sizes": asdict(found.sizes) if found.sizes else None,
-                "feedthrough": found.feedthrough,
-                "port_feedthrough": found.port_feedthrough,
-                "unread": found.unread,
-                "left_out": found.left_out,
-                "template": None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
-            }
+        print_fields(
+            fine=found.fine,
+            problems=[{"what": p.what, "where": p.where, "remedy": p.remedy} for p in found.problems],
+            remarks=[asdict(r) for r in found.remarks],
+            sizes=asdict(found.sizes) if found.sizes else None,
+            feedthrough=found.feedthrough,
+            port_feedthrough=found.port_feedthrough,
+            unread=found.unread,
+            left_out=found.left_out,
+            template=None if fit is None else {"name": meant, "fits": fit.fits, "faults": _misfits(fit, found)},
         )
     else:
         _print_findings(found, dt)
@@ -142,7 +141,7 @@ def _print_findings(found: Findings, dt: float) -> None:
 def code(
     diagram: Which,
     dt: Tick = 0.004,
-    precision: Annotated[RealType, option("The type of a real.")] = "float64",
+    precision: Reals = "float64",
     block: Annotated[str | None, option("Only what this block became.", "PATH")] = None,
     html: Annotated[Path | None, option("Write a page that shows both sides.", "FILE")] = None,
     out: Annotated[Path | None, option("Write the C itself.", "FILE")] = None,
@@ -165,12 +164,10 @@ def code(
             file.write(code_page(shown.name, shown.text, found))
     if json:
         chosen = sorted(found.blocks) if block is None else [block]
-        print_json(
-            {
-                "blocks": {path: {"type": found.blocks[path], "lines": found.of(path)} for path in chosen},
-                "left_out": found.left_out,
-                "lines": len(found.lines),
-            }
+        print_fields(
+            blocks={path: {"type": found.blocks[path], "lines": found.of(path)} for path in chosen},
+            left_out=found.left_out,
+            lines=len(found.lines),
         )
     elif out is None and html is None:
         _print_code(found, block)
@@ -251,20 +248,11 @@ def linearize(
 
 
 def _at(text: str | None) -> dict[str, Any]:
-    """Return the JSON object in `text`, or in the file that `text` names. Raises DiagramError."""
+    """Return the JSON object in `text`, or in the file that `text` names. Raises DiagramError, LogError."""
     if text is None:
         return {}
     try:
-        if text.lstrip().startswith("{"):
-            found = json_text.loads(text)
-        else:
-            with Path(text).open("rb") as file:
-                content = file.read(MAX_AT_BYTES + 1)
-            if len(content) > MAX_AT_BYTES:
-                raise DiagramError(f"more than {MAX_AT_BYTES} bytes", text, "give names and numbers only")
-            found = json_text.loads(content)
-    except OSError as error:
-        raise DiagramError(f"it cannot be read: {error.strerror}", text, "name a file, or give {...}") from error
+        found = json_text.loads(text if text.lstrip().startswith("{") else read_bytes(text, MAX_AT_BYTES))
     except (ValueError, RecursionError) as error:
         raise DiagramError(f"this is no JSON: {error!s:.200}", "--at", 'write {"theta": 0.1}') from error
     if not isinstance(found, dict):
@@ -326,12 +314,12 @@ def _pole(pole: complex, dt: float | None) -> str:
 
 @diagram.command()
 def export(
-    diagram: Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")],
+    diagram: Which,
     folder: Annotated[
         Path, argument("Where to write NAME.h and NAME.c.", "FOLDER", show_default="this folder")
     ] = Path(),
-    dt: Annotated[float, option("Base tick.", "SECONDS", "--dt")] = 0.004,
-    precision: Annotated[RealType, option("The type of a real.")] = "float64",
+    dt: Tick = 0.004,
+    precision: Reals = "float64",
     log: Annotated[list[str] | None, option("Return this signal too. May be repeated.", "PATH", "--log")] = None,
     name: Annotated[str, option("How all names begin. By default the diagram's name.", "NAME")] = "",
     tables: Annotated[

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 from rich.table import Table
 
-from twodof.cli.options import Force, Json, RealType
+from twodof.cli.options import Force, Json, Reals
 from twodof.cli.output import print_json, table_console
 from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
 from twodof.compile.diagram_test.run_scenarios import run_scenarios, to_junit
@@ -26,7 +26,7 @@ def run_tests(
     diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
     tests: Annotated[list[Path], typer.Argument(metavar="TESTS...", help="Files of tests (TOML).")],
     target: Annotated[RunOn, typer.Option(help="What runs it; all give the same bits.")] = "native",
-    precision: Annotated[RealType, typer.Option(help="The type of a real.")] = "float64",
+    precision: Reals = "float64",
     junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML.")] = None,
     html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with plots of what failed.")] = None,
     coverage: Annotated[bool, typer.Option("--coverage", help="Say which decisions were never taken.")] = False,

@@ -11,7 +11,7 @@ from twodof.blocks.schema.json_form import to_json
 from twodof.cli.connection import lease_refusals
 from twodof.cli.margins import print_margins
 from twodof.cli.options import Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, print_json, progress, table, table_console
+from twodof.cli.output import exit_unless, print_fields, print_json, progress, table, table_console
 from twodof.compile.px4 import export as export_module
 from twodof.compile.px4.export import airframe_id
 from twodof.compile.px4.tree import check as check_module
@@ -68,21 +68,19 @@ def flash(
     with lease_refusals(url), progress() as say:
         found = flash_controller(new, to, out, px4, precision, key, dry_run, force_unstable, say)
     if json:
-        print_json(
-            {
-                "diagram": new.name,
-                "template": found.template,
-                "to": to,
-                "precision": precision,
-                "costs": found.costs.to_json(),
-                "against": found.origin,
-                "changes": found.changes.to_json(),
-                "trial": found.trial.to_json(),
-                "remarks": found.remarks,
-                "warnings": found.warnings,
-                "place": found.place,
-                "flashed": not dry_run,
-            }
+        print_fields(
+            diagram=new.name,
+            template=found.template,
+            to=to,
+            precision=precision,
+            costs=found.costs.to_json(),
+            against=found.origin,
+            changes=found.changes.to_json(),
+            trial=found.trial.to_json(),
+            remarks=found.remarks,
+            warnings=found.warnings,
+            place=found.place,
+            flashed=not dry_run,
         )
         return
     console = table_console()
@@ -172,18 +170,16 @@ def export(
     """
     module = export_module(load_diagram(diagram), out_dir, log or (), prefix, force)
     if json:
-        print_json(
-            {
-                "folder": str(out_dir),
-                "module": module.names.module,
-                "airframe": airframe_id(module.names),
-                "parameters": {row.name: row.path or None for row in module.parameters},
-                "not_exported": {kept.path: kept.reason for kept in module.kept},
-                "reads": list(module.role.reads),
-                "writes": list(module.role.writes),
-                "stops": list(module.role.stops),
-                "files": sorted(module.files),
-            }
+        print_fields(
+            folder=str(out_dir),
+            module=module.names.module,
+            airframe=airframe_id(module.names),
+            parameters={row.name: row.path or None for row in module.parameters},
+            not_exported={kept.path: kept.reason for kept in module.kept},
+            reads=list(module.role.reads),
+            writes=list(module.role.writes),
+            stops=list(module.role.stops),
+            files=sorted(module.files),
         )
         return
     console = table_console()

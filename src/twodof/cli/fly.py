@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from twodof.cli.connection import connect
+from twodof.cli.connection import KeyOfDrone, SystemOfDrone, connect
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
 from twodof.cli.options import Force, Json, argument, flag, option
 from twodof.cli.output import exit_unless, print_json, progress, say_line, table_console
@@ -35,8 +35,8 @@ def fly(
     controller: Annotated[
         list[str] | None, option("With --rig: fly this controller, in a sandbox; may be repeated.", "DIAGRAM")
     ] = None,
-    drone: Annotated[int | None, option("Its system, where several are heard.", min=1, max=255)] = None,
-    key: Annotated[Path | None, option("File of the key that signs everything.")] = None,
+    drone: SystemOfDrone = None,
+    key: KeyOfDrone = None,
     seed: Annotated[int, option("Seed of a virtual drone's noise.", min=0, max=2**32 - 1)] = 1,
     start: Annotated[float | None, option("Where the cart starts, in metres; left out: where it fits.", "X")] = None,
     withhold_tuning: Annotated[

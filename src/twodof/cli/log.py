@@ -9,7 +9,7 @@ from twodof.calibrate import FLIGHTS, UNKNOWNS, Calibration
 from twodof.calibrate import calibrate as calibrate_rig
 from twodof.cli.flown import draw, write_view
 from twodof.cli.options import Force, Json, argument, flag, group, option
-from twodof.cli.output import exit_unless, one_line, print_json, progress, table, table_console
+from twodof.cli.output import exit_unless, one_line, print_fields, print_json, progress, table, table_console
 from twodof.errors import LogError
 from twodof.flightlog.atomic import check_free
 from twodof.flightlog.contents import describe
@@ -280,18 +280,14 @@ def calibrate(
     if out is not None:
         save_rig(found.rig, out, force)
     if json:
-        print_json(
-            {
-                "converged": found.converged,
-                "rig": dict(found.rig.snapshot()),
-                "estimate": {
-                    name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()
-                },
-                "fit_percent": {name: dict(fits) for name, fits in found.fit.items()},
-                "left_out_fit_percent": {name: dict(fits) for name, fits in found.left_out.items()},
-                "ceiling_fit_percent": {name: dict(fits) for name, fits in found.ceiling.items()},
-                "file": None if out is None else str(out),
-            }
+        print_fields(
+            converged=found.converged,
+            rig=dict(found.rig.snapshot()),
+            estimate={name: {"value": value, "sigma": found.deviation[name]} for name, value in found.estimate.items()},
+            fit_percent={name: dict(fits) for name, fits in found.fit.items()},
+            left_out_fit_percent={name: dict(fits) for name, fits in found.left_out.items()},
+            ceiling_fit_percent={name: dict(fits) for name, fits in found.ceiling.items()},
+            file=None if out is None else str(out),
         )
     else:
         _print(found, out)

@@ -8,7 +8,7 @@ from typing import Annotated
 
 from rich.console import Console
 
-from twodof.cli.options import Force, Json, argument, option
+from twodof.cli.options import Force, Json, StockGains, argument, option
 from twodof.cli.output import exit_unless, print_json, progress, table, table_console
 from twodof.design import LoopMargins
 from twodof.flight.gains import load_gains
@@ -23,7 +23,7 @@ def margins(
         list[str] | None, argument(f"Left out: the stock cascade. {DIAGRAM_HELP}", "DIAGRAM...")
     ] = None,
     rig: Annotated[str, option("lab, paper, a rig's JSON file, or a model's from `identify --json`.", "RIG")] = "lab",
-    gains: Annotated[str, option("Of the stock loops: default, student, or a JSON file of gains.")] = "default",
+    gains: StockGains = "default",
     loop: Annotated[list[str] | None, option(f"Only this loop; repeatable. {', '.join(LOOPS)}.", "NAME")] = None,
     plot: Annotated[
         Path | None,

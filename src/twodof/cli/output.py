@@ -44,6 +44,11 @@ def exit_unless(good: bool) -> None:
         raise typer.Exit(1)
 
 
+def print_fields(**fields: Any) -> None:
+    """Print one JSON document with these fields."""
+    print_json(fields)
+
+
 def say_line(text: object) -> None:
     """Print a line on stderr; its words may come from a drone or a file."""
     sys.stderr.write(f"{printable(text)}\n")

@@ -14,8 +14,6 @@ from twodof.flightlog.log import FlightLog
 from twodof.identify.record import Record
 from twodof.models.structure import Structure
 
-MAX_SOURCE = 1 << 20
-"""Bytes of a Python file."""
 _LOCAL = ("_0", "_trim", "_bias")
 
 
@@ -52,7 +50,7 @@ def own_record(
     ins = _pairs(inputs, structure.inputs, "--input", structure)
     ins = {name: ins.get(name, name) for name in structure.inputs}
     outs = _pairs(outputs, structure.outputs, "--output", structure)
-    held = _holds(hold, structure)
+    held = _pairs(hold, structure.inputs, "--hold", structure)
     log = read_log(path) if time is None else read_columns(path, time)
     outs = outs or {name: name for name in structure.outputs if name in log}
     if not outs:
@@ -62,13 +60,7 @@ def own_record(
             f"say which one it is: --output {structure.outputs[0]}=COLUMN; there are: {listed(log.channels)}",
         )
     for name, column in (*ins.items(), *outs.items()):
-        if column not in log:
-            option = "--input" if name in ins else "--output"
-            raise LogError(
-                f"has no column {shown(column)}",
-                log.source,
-                f"name it: {option} {name}=COLUMN; there are: {nearest(column, log.channels)}",
-            )
+        _check_column(log, column, f"name it: {'--input' if name in ins else '--output'} {name}=COLUMN")
     start, stop = window or _span(log, [*ins.values(), *outs.values()])
     return Record.from_log(log, ins, outs, start, stop, hold=held)
 
@@ -81,14 +73,18 @@ def with_reference(record: Record, path: Path, time: str | None, column: str) ->
     if column in record.inputs:
         return record
     log = read_log(path) if time is None else read_columns(path, time)
-    if column not in log:
-        raise LogError(
-            f"has no column {shown(column)}", log.source, f"--reference: there are {nearest(column, log.channels)}"
-        )
+    _check_column(log, column, "name it: --reference COLUMN")
     held = log.resample(column, record.time + 0.5 * record.dt)
     if held.ndim != 1:
         raise LogError(f"{column!r:.80} has {held.shape[1]} columns", log.source, "name a column with one number a row")
     return replace(record, inputs={**record.inputs, column: held})
+
+
+def _check_column(log: FlightLog, column: str, remedy: str) -> None:
+    """Raise LogError for a column that is not there."""
+    if column not in log:
+        known = nearest(column, log.channels)
+        raise LogError(f"has no column {shown(column)}", log.source, f"{remedy}; there are: {known}")
 
 
 def _span(log: FlightLog, columns: Sequence[str]) -> tuple[float, float]:
@@ -105,26 +101,15 @@ def _pairs(given: Sequence[str], known: Sequence[str], option: str, structure: S
         name, sign, column = one.partition("=")
         column = column if sign else name
         if name not in known:
+            noun = "output" if option == "--output" else "input"
             raise ParameterError(
-                f"the structure '{structure.name}' has no {option[2:]} {shown(name)}",
+                f"the structure '{structure.name}' has no {noun} {shown(name)}",
                 option,
                 f"write NAME=COLUMN; the structure has: {', '.join(known)}",
             )
         if name in found:
             raise ParameterError(f"{name!r:.80} is named twice", option, "name each once")
         found[name] = column
-    return found
-
-
-def _holds(given: Sequence[str], structure: Structure) -> dict[str, str]:
-    found = {}
-    for one in given:
-        name, sign, kind = one.partition("=")
-        if not sign or name not in structure.inputs:
-            raise ParameterError(
-                f"{shown(one)} is not an input and its hold", "--hold", f"write {structure.inputs[0]}=linear"
-            )
-        found[name] = kind
     return found
 
 
@@ -156,12 +141,9 @@ def _of(thing: object, source: str, estimate: Sequence[str]) -> Structure:
 def _run(path: Path) -> ModuleType:
     where = f"--structure {path}"
     try:
-        with path.open("rb") as file:
-            text = file.read(MAX_SOURCE + 1)
+        text = path.read_bytes()
     except (OSError, ValueError) as reason:
         raise ParameterError(f"cannot be read: {reason}", where, "name a Python file, as model.py:motor") from reason
-    if len(text) > MAX_SOURCE:
-        raise ParameterError(f"is larger than {MAX_SOURCE} bytes", where, "name a file that holds the structure alone")
     module = ModuleType(path.stem)
     module.__file__ = str(path)
     # What stands beside the file can be imported, as if Python ran it.

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, UrlOfDrone
 from twodof.cli.options import Force, Json, argument, flag, option
@@ -13,11 +12,11 @@ from twodof.cli.output import print_json, table, table_console
 from twodof.errors import ParameterError, shown
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
+from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
 from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
-from twodof.gcs.parameters import ParameterDescription, ParameterEntry
-from twodof.parameters import Parameter
+from twodof.gcs.parameters import REAL32, ParameterDescription, ParameterEntry
 
 
 def parameters(
@@ -45,7 +44,7 @@ def parameters(
     names, changes = _parsed(wanted or ())
     if save is not None:
         check_folder(save, force)
-    file = None if load is None else _read(load)
+    file = None if load is None else ParameterFile.read(read_bytes(load, MAX_BYTES), str(load))
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
         described = there.parameters.describe() if there.there.ours else {}
         if file is not None:
@@ -72,17 +71,8 @@ def parameters(
         column.no_wrap = True
     for row in rows:
         numbers = (_number(row[key]) for key in ("value", "default", "low", "high"))
-        made.add_row(row["name"], *numbers, escape(row["unit"]), escape(row["text"]))
+        made.add_row(row["name"], *numbers, row["unit"], row["text"])
     table_console().print(made)
-
-
-def _read(path: Path) -> ParameterFile:
-    """Read a file of parameters. Raises ParameterError."""
-    try:
-        with path.open("rb") as file:
-            return ParameterFile.read(file.read(MAX_BYTES + 1), str(path))
-    except OSError as reason:
-        raise ParameterError(f"cannot be read: {reason.strerror}", str(path), "check the name and the rights") from None
 
 
 def _print_loaded(differs: int, missing: Sequence[str]) -> None:
@@ -113,28 +103,10 @@ def _rows(
     if changes:
         drone.parameters.change(changes)
     if not names:
-        return [_listed(entry, described) for entry in drone.parameters.all().values()]
+        return [entry.to_json() for entry in drone.parameters.all().values()]
     paths = {row.path: row.name for row in described.values() if row.path}
     values = {paths.get(name, name): drone.parameters[name] for name in names}
-    return [_row(name, value, described.get(name)) for name, value in values.items()]
-
-
-def _listed(entry: ParameterEntry, described: Mapping[str, ParameterDescription]) -> dict[str, Any]:
-    return _row(entry.name, entry.value, described.get(entry.name) or entry.row)
-
-
-def _row(name: str, value: float, row: Parameter | None) -> dict[str, Any]:
-    """Return a parameter's row for --json; unknown values are None."""
-    return {
-        "name": name,
-        "value": value,
-        "default": None if row is None else row.default,
-        "low": None if row is None else row.low,
-        "high": None if row is None else row.high,
-        "unit": "" if row is None else row.unit,
-        "text": "" if row is None else row.text,
-        "path": row.path if isinstance(row, ParameterDescription) else "",
-    }
+    return [ParameterEntry(name, value, REAL32, 0, described.get(name)).to_json() for name, value in values.items()]
 
 
 def _number(value: float | None) -> str:

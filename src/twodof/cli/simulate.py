@@ -11,7 +11,7 @@ from rich.console import Console
 from twodof.blocks import Diagram
 from twodof.calibrate import estimate_charge
 from twodof.cli.flown import Out, Plot, check_places, keep, print_checks
-from twodof.cli.options import Force, Json, RealType, argument, option
+from twodof.cli.options import Force, Json, Precision, RealType, Rig, argument, option
 from twodof.cli.output import exit_unless, one_line, print_json, say_line, table, table_console
 from twodof.errors import ParameterError
 from twodof.experiment.experiments import EXPERIMENTS
@@ -33,7 +33,7 @@ from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 def simulate(
     experiment: Annotated[str | None, argument(f"One of {', '.join(EXPERIMENTS)}.")] = None,
     like: Annotated[Path | None, option("Fly the set-points of this log instead.", "LOG")] = None,
-    rig: Annotated[str, option("lab, paper, or a JSON file of rig parameters.")] = "lab",
+    rig: Rig = "lab",
     gains: Annotated[
         str | None,
         option("default, student, or a JSON file of gains; left out: default, with --like and a public log its own."),
@@ -52,7 +52,7 @@ def simulate(
     tune: Annotated[
         list[str] | None, option("Set a parameter of a controller, such as attitude_control.k_q=0.1.", "PATH=VALUE")
     ] = None,
-    precision: Annotated[str, option("float64, or float32 as a flight controller computes.")] = "float64",
+    precision: Precision = "float64",
     seed: Annotated[int, option("Seed of the noise; the same seed gives the same flight.", min=0, max=2**32 - 1)] = 1,
     charge: Annotated[
         str,

@@ -4,7 +4,7 @@ import asyncio
 import os
 import sys
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from datetime import datetime
 from pathlib import Path
@@ -105,16 +105,24 @@ def up(
     raise typer.Exit(asyncio.run(_run(fleet, places, lockstep, json, served, open_page)))
 
 
+def _settings(
+    host: str, port: int, token: bool, key: Path | None, connect: Sequence[str] = (), logs: Sequence[Path] = ()
+) -> LabSettings:
+    """Return the settings of a page's server, with tokens of the environment or drawn ones."""
+    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
+    given = (tuple(connect), key, *tokens)
+    return LabSettings(data_folder(), host, port, *given, logs=tuple(logs), token_always=token)
+
+
 def _served(
     places: list[LocalDrone], key: Path | None, host: str, port: int, token: bool
 ) -> tuple[LocalPage, LabSettings]:
     """Return the server of the drones' page and its settings; its environment carries the tokens."""
-    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
-    settings = LabSettings(data_folder(), host, port, (), key, tokens.command, tokens.watch, token_always=token)
+    settings = _settings(host, port, token, key)
     urls = [str(place.described(False)["drone"]) for place in places]
     options = ["--host", host, *(["--token"] if token else [])]
     options += [] if key is None else ["--key", str(key.absolute())]
-    environment = {COMMAND_TOKEN: tokens.command, WATCH_TOKEN: tokens.watch}
+    environment = {COMMAND_TOKEN: settings.command_token, WATCH_TOKEN: settings.watch_token}
     return LocalPage(urls, port, options, environment, _tell), settings
 
 
@@ -220,11 +228,7 @@ def lab(
     """
     if key is not None:
         read_key(key)
-    tokens = drawn_tokens(host, os.environ.get(COMMAND_TOKEN, ""), os.environ.get(WATCH_TOKEN, ""), token)
-    urls, folders = tuple(connect or ()), tuple(logs or ())
-    settings = LabSettings(
-        data_folder(), host, port, urls, key, tokens.command, tokens.watch, logs=folders, token_always=token
-    )
+    settings = _settings(host, port, token, key, connect or (), logs or ())
     listens = False
 
     def ready(found: int) -> None:

@@ -24,7 +24,7 @@ from twodof.errors import LinkLost, Rejected, Timeout, TwodofError
 from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.clock import DroneRestarted
 from twodof.gcs.discovery import LOOPBACK, discover, urls
-from twodof.gcs.drone_state import DroneState
+from twodof.gcs.drone_state import DroneState, StatusText
 from twodof.link.mavlink.messages import channel_mask
 from twodof.link.signing import read_key
 from twodof.signals import ATTITUDE, POSITION, RATE
@@ -62,8 +62,6 @@ class WatchedDrone:
         self.lost: TwodofError | None = None
         self.texts: deque[dict[str, Any]] = deque(maxlen=_TEXTS)
         self._last_sample = time.monotonic()
-        self._text_count = 0
-        self._restarted = asyncio.Event()
 
     @property
     def is_heard(self) -> bool:
@@ -99,9 +97,10 @@ class WatchedDrone:
         """Connect and listen. Raises as AsyncDrone.connect."""
         drone = await AsyncDrone.connect(self.url, _CONNECT_S, key=self._key, take_lease=False, drone=self.system)
         self.drone, self.system, self.lost = drone, drone.session.system, None
-        self._text_count = 0
         drone.telemetry("estimate.theta").on(lambda _: self._note_sample())
-        drone.session.on(lambda _: self._restarted.set(), DroneRestarted)
+        drone.session.on(self._note_text, StatusText)
+        # Subscriptions are gone after a restart: a new session asks for all of them again.
+        drone.session.on(lambda _: drone.session.end(LinkLost("it has restarted", drone.url)), DroneRestarted)
 
     async def follow(self) -> None:
         """Listen until cancelled; connect again each time the link is lost."""
@@ -124,26 +123,22 @@ class WatchedDrone:
 
     async def _listen(self) -> None:
         """Take what comes in. Raises LinkLost."""
-        assert self.drone is not None
-        while True:
-            async with AsyncExitStack() as stack:
-                if self.drone.ours:  # what the flight code closes comes in batches alone
-                    with suppress(Rejected, Timeout):
-                        batches = self.drone.batches.to(lambda _: None, channel_mask(["state.mode"]))
-                        await stack.enter_async_context(batches)
-                await self._listen_until_restart(self.drone)
-
-    async def _listen_until_restart(self, drone: AsyncDrone) -> None:
-        self._restarted.clear()
-        while not self._restarted.is_set():
-            drone.session.check(drone.session.now)
-            for line in drone.texts.since(self._text_count):
-                self.texts.append({"heard": time.time(), "severity": line.severity, "text": line.text})
-            self._text_count = drone.texts.count
-            await asyncio.sleep(_POLL_S)
+        drone = self.drone
+        assert drone is not None
+        async with AsyncExitStack() as stack:
+            if drone.ours:  # what the flight code closes comes in batches alone
+                with suppress(Rejected, Timeout):
+                    batches = drone.batches.to(lambda _: None, channel_mask(["state.mode"]))
+                    await stack.enter_async_context(batches)
+            while True:
+                drone.session.check(drone.session.now)
+                await asyncio.sleep(_POLL_S)
 
     def _note_sample(self) -> None:
         self._last_sample = time.monotonic()
+
+    def _note_text(self, line: StatusText) -> None:
+        self.texts.append({"heard": time.time(), "severity": line.severity, "text": line.text})
 
 
 def watch(

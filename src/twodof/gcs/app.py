@@ -31,9 +31,9 @@ def load(file: Path) -> Main:
     try:
         found = runpy.run_path(str(file), run_name="twodof_app").get("main")
     except OSError as error:
-        raise TwodofError(f"cannot be read: {error.strerror}", str(file), "name a file") from error
+        raise TwodofError(f"cannot be read: {error.strerror}") from error
     if not inspect.iscoroutinefunction(found):
-        raise TwodofError("has no `async def main(drone)`", str(file), "write one")
+        raise TwodofError("has no `async def main(drone)`")
     return cast(Main, found)
 
 
@@ -60,10 +60,7 @@ def run(arguments: Sequence[str]) -> int:
     given = parser.parse_args(list(arguments))
     try:
         main = load(given.file)
-    except TwodofError as error:
-        sys.stderr.write(f"error: {error}\n")
-        return NO_APP
-    except (SyntaxError, ImportError) as error:
+    except (TwodofError, SyntaxError, ImportError) as error:
         sys.stderr.write(f"error: {given.file}: {error}\n")
         return NO_APP
     try:

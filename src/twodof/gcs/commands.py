@@ -8,25 +8,12 @@ from typing import Any
 
 from twodof.errors import LinkError, LinkLost, RefusalReason, Rejected, Timeout, shown
 from twodof.gcs.clock import DroneClock
-from twodof.gcs.drone_state import StatusTexts
+from twodof.gcs.drone_state import StatusTexts, words_of
 from twodof.gcs.session import RETRY_S, Deadline, DroneSession
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.messages import message
 
 ACCEPTED, IN_PROGRESS = 0, 5
-RESULTS = (
-    "accepted",
-    "it cannot be done now",
-    "denied",
-    "it does not know how",
-    "it failed",
-    "in progress",
-    "it was cancelled",
-    "it takes this as COMMAND_LONG only",
-    "it takes this as COMMAND_INT only",
-    "it does not know the frame",
-    "somebody else is in control",
-)
 # The drone's words follow its refusal at once; a link with delay needs this long.
 WORDS_S = 0.3
 
@@ -121,13 +108,11 @@ class CommandSender:
         return got.target_system in (0, connection.system) and got.target_component in (0, connection.component)
 
     async def _refusal(self, got: Any, spoken: int, deadline: Deadline) -> Rejected:
-        result = got.result
-        words = RESULTS[result] if result < len(RESULTS) else f"result {result}"
         said = await self.words(spoken, deadline)
         where = f"drone {self._session.system}, {deadline.doing}"
         # PX4 has codes of its own.
         code = RefusalReason.of(got.result_param2) if self._session.ours else RefusalReason.OTHER
-        return Rejected(said or words, where, _REMEDIES.get(result, ""), code)
+        return Rejected(said or words_of("MAV_RESULT", got.result), where, _REMEDIES.get(got.result, ""), code)
 
     async def words(self, spoken: int, deadline: Deadline) -> str:
         """Return the drone's lines after the first `spoken`, waiting a moment for them; "" if none come.

@@ -47,13 +47,10 @@ class StatusTexts:
         self._session = session
         session.on(self._take, "STATUSTEXT")
 
-    def since(self, count: int) -> list[StatusText]:
-        """Return the lines that came after the first `count`."""
-        return [line for line in self.lines if line.number >= count]
-
     def reasons_since(self, count: int) -> list[StatusText]:
         """Return the lines after the first `count` that may explain a refusal: warnings and worse."""
-        return [line for line in self.since(count) if SEVERITIES.index(line.severity) <= _WARNING]
+        rows = [line for line in self.lines if line.number >= count]
+        return [line for line in rows if SEVERITIES.index(line.severity) <= _WARNING]
 
     def note(self, severity: str, text: str) -> None:
         """Add a line by this client about the drone."""
@@ -251,24 +248,24 @@ class StateTracker:
 
 def names_of(enum: str, mask: int) -> tuple[str, ...]:
     """Return the bits of a mask in the words of the dialect's enumeration; the number of an unknown bit."""
-    rows = dialect.load().enums.get(enum, {})
-    return tuple(_word(enum, rows, bit) for k in range(32) if mask & (bit := 1 << k))
+    return tuple(word_of(enum, bit) for k in range(32) if mask & (bit := 1 << k))
 
 
 def word_of(enum: str, value: int) -> str:
-    """Return a value in the words of the dialect's enumeration; its number if it is unknown."""
-    return _word(enum, dialect.load().enums.get(enum, {}), value)
+    """Return the name of a value in the dialect's enumeration, in lower case; its number if it is unknown."""
+    row = dialect.load().enums.get(enum, {}).get(value)
+    return str(row.name).removeprefix(f"{enum}_").lower() if row is not None else str(value)
+
+
+def words_of(enum: str, value: int) -> str:
+    """Return the name of a value as words: "temporarily rejected"."""
+    return word_of(enum, value).replace("_", " ")
 
 
 def explanation_of(enum: str, word: str) -> str:
     """Return the dialect's description of the value called `word`; "" for an unknown one."""
     rows = dialect.load().enums.get(enum, {})
-    return next((str(row.description) for value, row in rows.items() if _word(enum, rows, value) == word), "")
-
-
-def _word(enum: str, rows: Any, value: int) -> str:
-    row = rows.get(value)
-    return str(row.name).removeprefix(f"{enum}_").lower() if row is not None else str(value)
+    return next((str(row.description) for value, row in rows.items() if word_of(enum, value) == word), "")
 
 
 def _text(value: Any) -> str:

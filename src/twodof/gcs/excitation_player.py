@@ -43,18 +43,13 @@ class ExcitationPlayback:
 
 
 class ExcitationPlayer:
-    """Player of excitations on one drone."""
+    """Player of excitations on one drone; `playback` is the one that this client started last."""
 
     def __init__(self, session: DroneSession, clock: DroneClock) -> None:
         self._session, self._clock = session, clock
         self._transfers = count(1)
-        self._playback: ExcitationPlayback | None = None
+        self.playback: ExcitationPlayback | None = None
         session.on(self._told, *_STATUS)
-
-    @property
-    def playback(self) -> ExcitationPlayback | None:
-        """The excitation that this client started last; None before the first."""
-        return self._playback
 
     async def start(
         self, excitation: Excitation, loop: str | None, thrust: float | None, at: int | None, timeout: float
@@ -85,12 +80,12 @@ class ExcitationPlayer:
             return (meant(got.start_tick), meant(got.end_tick)) if waits or got.state in _STATES else None
 
         # A short one may be over before this call goes on: `_told` keeps the status that comes meanwhile.
-        before, playback = self._playback, ExcitationPlayback(transfer, 0, 0)
-        self._playback = playback
+        before, playback = self.playback, ExcitationPlayback(transfer, 0, 0)
+        self.playback = playback
         try:
             first, end = await self._session.ask(lambda _: start, _STATUS, begun, deadline)
         except BaseException:
-            self._playback = before
+            self.playback = before
             raise
         # A wrong end tick must not make this call wait for longer than the excitation lasts.
         longest = ceil(excitation.duration / TICK_S) + 1
@@ -108,7 +103,7 @@ class ExcitationPlayer:
 
         The order is repeated until that is seen. For an excitation of another client it is sent once.
         """
-        session, playback = self._session, self._playback
+        session, playback = self._session, self.playback
         deadline = session.deadline(timeout, "stopping the excitation")
         asked = message("TWODOF_EXCITE", action=_STOP, **self._session.target)
         if playback is None:
@@ -147,7 +142,7 @@ class ExcitationPlayer:
         return await session.ask(question, _STATUS, answer, deadline)
 
     def _told(self, got: Any) -> None:
-        playback = self._playback
+        playback = self.playback
         if playback is not None and got.transfer == playback.transfer:
             playback.state = _STATES.get(got.state, playback.state)
             playback.reason = str(got.reason)

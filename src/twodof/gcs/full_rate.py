@@ -24,8 +24,6 @@ BATCH, TRUTH = "TWODOF_BATCH", "TWODOF_TRUTH"
 TIMEOUT_S = 5.0
 LEAVING_S = 3.0
 """Longest wait for the answer at the end of a subscription: rows that wait on board are sent before it."""
-MOST_ROWS = 4_000_000
-"""More than four hours; then the oldest half is dropped and counted as lost."""
 _PIECE = 1024
 
 Kind = TypeVar("Kind", np.float32, np.float64)
@@ -39,11 +37,9 @@ class SampleRows(Generic[Kind]):
 
     def __init__(self, columns: tuple[str, ...], kind: type[Kind]) -> None:
         self.columns = columns
-        self.forgotten = 0
         self._kind: type[Kind] = kind
         self._ticks: list[NDArray[np.uint32]] = []
         self._values: list[NDArray[Kind]] = []
-        self._count = 0
         self._lock = RLock()
 
     def __len__(self) -> int:
@@ -68,19 +64,13 @@ class SampleRows(Generic[Kind]):
     def lost(self) -> int:
         """Number of missing rows."""
         ticks = self.ticks
-        return self.forgotten + (int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0)
+        return int(ticks[-1]) - int(ticks[0]) + 1 - len(ticks) if len(ticks) else 0
 
     def append(self, ticks: NDArray[np.uint32], values: NDArray[Kind]) -> None:
         """Add rows, in any order; a tick may come again."""
         with self._lock:
             self._ticks.append(ticks)
             self._values.append(values)
-            self._count += len(ticks)
-            if self._count > MOST_ROWS:
-                ticks, values = self._joined()
-                half = len(ticks) // 2
-                self.forgotten += half
-                self._ticks, self._values, self._count = [ticks[half:]], [values[half:]], len(ticks) - half
 
     def _joined(self) -> tuple[NDArray[np.uint32], NDArray[Kind]]:
         """Return all rows sorted, each tick once, and keep them so."""
@@ -89,7 +79,7 @@ class SampleRows(Generic[Kind]):
                 ticks = np.concatenate([np.empty(0, np.uint32), *self._ticks])
                 values = np.concatenate([np.empty((0, len(self.columns)), self._kind), *self._values])
                 ticks, first = np.unique(ticks, return_index=True)
-                self._ticks, self._values, self._count = [ticks], [values[first]], len(ticks)
+                self._ticks, self._values = [ticks], [values[first]]
             return self._ticks[0], self._values[0]
 
 

@@ -23,7 +23,7 @@ class LoopThread:
     def __init__(self, where: str) -> None:
         self._where = where
         self._loop = asyncio.new_event_loop()
-        self._leave: Callable[[], None] | None = None
+        self._leave: Callable[[], None] = lambda: None
         self._thread = threading.Thread(target=self._serve, name=f"drone {where}", daemon=True)
         self._thread.start()
 
@@ -105,9 +105,7 @@ class LoopThread:
                 self._loop.stop()
 
         if self.alive:
-            if self._leave is not None:
-                atexit.unregister(self._leave)
-                self._leave = None
+            atexit.unregister(self._leave)
             atexit.register(self._end)  # an interpreter that ends meanwhile waits for it
             asyncio.run_coroutine_threadsafe(left(), self._loop)
 
@@ -116,9 +114,7 @@ class LoopThread:
 
     def close(self) -> None:
         """Cancel running work and end the thread; a second time does nothing."""
-        if self._leave is not None:
-            atexit.unregister(self._leave)
-            self._leave = None
+        atexit.unregister(self._leave)
         if self.alive:
             self._loop.call_soon_threadsafe(self._loop.stop)
             self._thread.join(CLOSING_S)

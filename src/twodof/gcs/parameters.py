@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from twodof.errors import ParameterError, Rejected, Timeout, listed, shown
-from twodof.gcs.drone_state import StatusTexts
+from twodof.gcs.drone_state import StatusTexts, words_of
 from twodof.gcs.files import AsyncFiles
 from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.mavlink.messages import float_of_int, int_of_float, message
@@ -55,6 +55,14 @@ class ParameterEntry(NamedTuple):
     def row(self) -> Parameter | None:
         """Bounds, unit and text: the drone's description, else the package's row, else None."""
         return self.described or BY_NAME.get(self.name)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return name, value, default, bounds, unit, text and path; None or "" where one is unknown."""
+        row = self.row
+        numbers = {key: None if row is None else getattr(row, key) for key in ("default", "low", "high")}
+        texts = {key: "" if row is None else getattr(row, key) for key in ("unit", "text")}
+        path = "" if self.described is None else self.described.path
+        return {"name": self.name, "value": self.value, **numbers, **texts, "path": path}
 
 
 def same_as(name: str) -> str:
@@ -118,17 +126,6 @@ DESCRIPTION = "/etc/extras/parameters.json"
 BEGIN, COMMIT, ROLL_BACK = range(3)
 UNDO_STEPS = 50
 """Most changes that can be undone, one after the other."""
-_ERRORS = (
-    "",
-    "there is no such parameter",
-    "the value is out of range",
-    "it may not be changed now",
-    "no such component",
-    "it is read-only",
-    "its type is not supported",
-    "the value has the wrong type",
-    "it could not be read",
-)
 _INCOMPLETE = 8  # MAV_PARAM_ERROR_READ_FAIL: some were lost on the way
 
 
@@ -200,10 +197,7 @@ class AsyncParameters:
         entries = [known.get(name) or await self._ask(name, deadline) for name in names]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
-        wanted = [
-            (entry, checked(entry._replace(described=self._described.get(entry.name)), value))
-            for entry, value in zip(entries, changes.values(), strict=True)
-        ]
+        wanted = [(entry, checked(entry, value)) for entry, value in zip(entries, changes.values(), strict=True)]
         if self._session.ours and len(wanted) > 1:
             await self._together(wanted, deadline)
             for entry, _ in wanted:
@@ -242,8 +236,7 @@ class AsyncParameters:
 
     async def all(self, timeout: float = 30.0) -> dict[str, ParameterEntry]:
         """Return every parameter, by the drone's names. Raises LinkLost, Timeout."""
-        found = await self._list(self._session.deadline(timeout, "listing the parameters"))
-        return {name: entry._replace(described=self._described.get(name)) for name, entry in found.items()}
+        return await self._list(self._session.deadline(timeout, "listing the parameters"))
 
     async def describe(self, timeout: float = 30.0) -> dict[str, ParameterDescription]:
         """Read the drone's description of every parameter, by the drone's names: bounds, unit, text.
@@ -294,7 +287,7 @@ class AsyncParameters:
                 found.clear()
             if fits:
                 total = got.param_count
-                found[got.param_index] = entry_of(got)
+                found[got.param_index] = self._entry(got)
             return found if len(found) >= total else None
 
         await session.ask(question, ("PARAM_VALUE",), accept, deadline, prolonged=True)
@@ -312,6 +305,7 @@ class AsyncParameters:
             ) from damage
         self._described = {row.name: row for row in rows}
         self._paths = {row.path: row.name for row in rows if row.path}
+        self.known = {name: entry._replace(described=self._described.get(name)) for name, entry in self.known.items()}
 
     def name_on_board(self, name: str) -> str:
         """Return the drone's name of a parameter: as given if it is known, else the package's or the real drone's."""
@@ -432,7 +426,7 @@ class AsyncParameters:
             if got.get_type() == "PARAM_ERROR":
                 self._refused(got, name)
                 return None
-            return entry_of(got) if got.param_id == name else None
+            return self._entry(got) if got.param_id == name else None
 
         asked = message("PARAM_REQUEST_READ", param_id=name, param_index=-1, **self._session.target)
         return await self._session.ask(lambda _: asked, ("PARAM_VALUE", "PARAM_ERROR"), accept, deadline)
@@ -447,8 +441,7 @@ class AsyncParameters:
     def _why(self, name: str, error: int) -> str:
         """Return why a change is refused: the drone's last warning, else the words for the number."""
         said = self._texts.reasons_since(self._spoken)
-        words = _ERRORS[error] if error < len(_ERRORS) else f"error {error}"
-        return f"{name}: {said[-1].text if said else words}"
+        return f"{name}: {said[-1].text if said else words_of('MAV_PARAM_ERROR', error)}"
 
     def _unknown(self, name: str) -> ParameterError:
         """Return the error for an unknown name, with the nearest names that the drone has."""
@@ -470,7 +463,10 @@ class AsyncParameters:
         self._asked_for_list &= not expected
         self._total = got.param_count
         if got.param_id != HASH and (got.param_id in self.known or len(self.known) < MOST):
-            self.known[got.param_id] = entry_of(got)
+            self.known[got.param_id] = self._entry(got)
+
+    def _entry(self, got: Any) -> ParameterEntry:
+        return entry_of(got)._replace(described=self._described.get(got.param_id))
 
     def _set_message(self, entry: ParameterEntry, value: float) -> Any:
         carried = float_of_int(int(value)) if entry.kind == INT32 else float(value)

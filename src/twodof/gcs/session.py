@@ -270,10 +270,6 @@ class DroneSession:
                 deadline.check()
         raise deadline.error()
 
-    def call_soon(self, callback: Callable[[T], object], value: T) -> None:
-        """Call a user's callback in the loop's next round; the loop reports its exceptions."""
-        self._loop.call_soon(callback, value)
-
     def check(self, since: float) -> None:
         """Raise LinkLost if the vehicle is lost; `since` is the time at which the caller began to wait."""
         self._woke()

@@ -5,6 +5,7 @@ A slow reader loses the oldest samples, which are counted, and delays no other r
 
 from __future__ import annotations
 
+import asyncio
 import re
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -147,10 +148,9 @@ class SampleStream:
         """Number of samples that a slow reader missed."""
         return self.heard.lost
 
-    async def next(self, timeout: float | None = None) -> TelemetrySample:
-        """Wait for the next sample. Raises LinkLost, Timeout if none comes within `timeout` [s]."""
-        limit = self._timeout if timeout is None else timeout
-        deadline = Deadline(limit, f"waiting for {self._name}", self._session.url)
+    async def next(self) -> TelemetrySample:
+        """Wait for the next sample. Raises LinkLost, Timeout if none comes within the stream's time."""
+        deadline = Deadline(self._timeout, f"waiting for {self._name}", self._session.url)
         self.heard.since = self._session.now
         sample: TelemetrySample | None = await self.heard.next(deadline.end)
         if sample is None:
@@ -216,7 +216,7 @@ class AsyncSignal:
             stream.heard.take(sample)
         for callback in self._callbacks:
             # The event loop reports exceptions, so that one callback does not harm another.
-            self._session.call_soon(callback, sample)
+            asyncio.get_running_loop().call_soon(callback, sample)
 
 
 class Telemetry:

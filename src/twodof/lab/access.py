@@ -185,9 +185,6 @@ class Gate:
             return Refused(403, "the request comes from a page of another site", "use the server's own page")
         if not scope["path"].startswith(API):
             return None  # the page itself is the same for everybody, and holds nothing
-        length = connection.headers.get("content-length", "0")
-        if not length.isascii() or not length.isdigit():
-            return Refused(400, "its length is not a number", "send a request that is whole")
         role = role_of(token_of(connection), self._settings)
         if role is None:
             what = "the token is missing or is not one of this server's"

@@ -57,12 +57,12 @@ class FiniteJSON(JSONResponse):
 
 
 class RequestBody(BaseModel):
-    """Body of a request: known fields only, and no conversion of types.
+    """Body of a request: known fields only, finite numbers, and no conversion of types.
 
     A pitch of `false` is a mistake and not 0 rad, and so is a gain of `true` or of "1".
     """
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 Finite = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -131,12 +131,6 @@ def status_of(error: TwodofError) -> int:
     return next((status for kind, status in _STATUS.items() if isinstance(error, kind)), MALFORMED)
 
 
-def answer_of(error: TwodofError) -> Response:
-    """Return the answer for an error."""
-    said = {"what": error.what, "where": error.where, "remedy": error.remedy}
-    return FiniteJSON(said, status_of(error))
-
-
 def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
     """Return texts of the first mistakes in a request's data, and their places."""
     rows = errors[:_MOST_MISTAKES]
@@ -148,19 +142,18 @@ def mistakes_in_words(errors: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
 def install(app: FastAPI) -> None:
     """Let every error of ours, and of the framework, be answered as a Refusal."""
 
-    async def ours(_: Request, error: Exception) -> Response:
-        assert isinstance(error, TwodofError)
-        return answer_of(error)
+    @app.exception_handler(TwodofError)
+    async def ours(_: Request, error: TwodofError) -> Response:
+        return FiniteJSON({"what": error.what, "where": error.where, "remedy": error.remedy}, status_of(error))
 
-    async def malformed(_: Request, error: Exception) -> Response:
-        assert isinstance(error, RequestValidationError)
+    @app.exception_handler(RequestValidationError)
+    async def malformed(_: Request, error: RequestValidationError) -> Response:
         what, where = mistakes_in_words(error.errors())
-        return FiniteJSON(
-            {"what": what, "where": where, "remedy": "correct it; GET /api/openapi.json has the forms"}, MALFORMED
-        )
+        said = {"what": what, "where": where, "remedy": "correct it; GET /api/openapi.json has the forms"}
+        return FiniteJSON(said, MALFORMED)
 
-    async def http(request: Request, error: Exception) -> Response:
-        assert isinstance(error, HTTPException)
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> Response:
         what, remedy = _WORDS.get(error.status_code, (str(error.detail), ""))
         if isinstance(error, Refused):
             what, remedy = error.what, error.remedy
@@ -168,7 +161,3 @@ def install(app: FastAPI) -> None:
         # The framework answers 400 for a body that it cannot decode, and 422 for a wrong one.
         status = MALFORMED if error.status_code == 400 else error.status_code
         return FiniteJSON(said, status, headers=dict(error.headers or {}))
-
-    app.add_exception_handler(TwodofError, ours)
-    app.add_exception_handler(RequestValidationError, malformed)
-    app.add_exception_handler(HTTPException, http)

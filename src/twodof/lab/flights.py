@@ -39,7 +39,7 @@ from twodof.lab.log_work import named_log
 from twodof.lab.routes.commands import excitation_of
 from twodof.rig.parameters import NAMES
 
-Seconds = Annotated[float, Field(ge=0.0, le=600.0, allow_inf_nan=False)]
+Seconds = Annotated[float, Field(ge=0.0, le=600.0)]
 
 
 class AskedExperiment(RequestBody):
@@ -50,7 +50,7 @@ class AskedExperiment(RequestBody):
 
     name: Annotated[str, Field(max_length=60)]
     excitation: dict[str, Any] | None = None
-    thrust: Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)] | None = None
+    thrust: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     hold: Seconds | None = None
     rest: Seconds | None = None
 
@@ -78,15 +78,8 @@ def offered() -> dict[str, Any]:
 
 def _row(one: Experiment) -> dict[str, Any]:
     return {
-        "name": one.name,
-        "text": one.text,
-        "mode": one.mode,
+        **{key: getattr(one, key) for key in ("name", "text", "mode", "rings", "thrust", "hold", "rest", "duration")},
         "unit": UNIT[one.mode],
-        "rings": one.rings,
-        "thrust": one.thrust,
-        "hold": one.hold,
-        "rest": one.rest,
-        "duration": one.duration,
         "excitation": one.excitation.to_dict(),
         "kind": FLOWN_AS.get(one.name, one.name if one.name in IDENTIFIED else None),
     }

@@ -45,7 +45,7 @@ class Lab:
 
     def whole_log(self, name: str) -> Path:
         """Return the place of a readable log. Raises NotThere, and Rejected while it is being recorded."""
-        path = self.logs.place(name).path
+        path = self.logs.place(name)
         if name in self.drones.recordings:
             raise Rejected("it is being recorded", name[:80], "disarm the drone first")
         return path

@@ -6,7 +6,6 @@ import re
 import secrets
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -58,46 +57,42 @@ class LogTrash:
     def put(self, path: Path) -> dict[str, Any]:
         """Move a log and its notes here; return its entry."""
         make_folder(self.folder)
-        entry = f"{int(time.time())}-{secrets.token_hex(4)}-{path.name}"
-        notes = path.with_name(path.name + NOTES)
-        path.rename(self.folder / entry)
-        if notes.is_file():
-            notes.rename(self.folder / (entry + NOTES))
-        return self._row(entry)
+        now, name = int(time.time()), path.name
+        entry = self.folder / f"{now}-{secrets.token_hex(4)}-{name}"
+        _move(path, entry)
+        return {"entry": entry.name, "name": name, "until": now + KEPT_DAYS * _DAY_S}
 
     def restore(self, entry: str) -> str:
         """Restore a log and its notes; return its name, numbered if that is taken. Raises NotThere."""
-        match = _ENTRY.fullmatch(entry)
-        if match is None or entry not in self._entries():
+        found = next((row for row in self.listed() if row["entry"] == entry), None)
+        if found is None:
             raise NotThere("there is no such deleted log", entry[:40], "it may have been removed for good")
-        path = numbered(self._logs / match[3])
-        (self.folder / entry).rename(path)
-        notes = self.folder / (entry + NOTES)
-        if notes.is_file():
-            notes.rename(path.with_name(path.name + NOTES))
+        path = numbered(self._logs / found["name"])
+        _move(self.folder / entry, path)
         return path.name
 
     def listed(self) -> list[dict[str, Any]]:
         """Remove expired entries; list entry, name and end [s, unix] of the others, the latest first."""
-        now = time.time()
-        rows = [self._row(entry) for entry in self._entries()]
-        for row in rows:
-            if row["until"] < now:
-                for name in (row["entry"], row["entry"] + NOTES):
-                    (self.folder / name).unlink(missing_ok=True)
-        return sorted((row for row in rows if row["until"] >= now), key=lambda row: -float(row["until"]))
+        rows = []
+        for path in [*self.folder.iterdir()] if self.folder.is_dir() else ():
+            match = _ENTRY.fullmatch(path.name)
+            if match is None or not is_log(match[3]):
+                continue
+            until = int(match[1]) + KEPT_DAYS * _DAY_S
+            if until >= time.time():
+                rows.append({"entry": path.name, "name": match[3], "until": until})
+            else:
+                path.unlink(missing_ok=True)
+                path.with_name(path.name + NOTES).unlink(missing_ok=True)
+        return sorted(rows, key=lambda row: -float(row["until"]))
 
-    def _entries(self) -> list[str]:
-        if not self.folder.is_dir():
-            return []
-        names = [path.name for path in self.folder.iterdir()]
-        return [name for name in names if (match := _ENTRY.fullmatch(name)) and is_log(match[3])]
 
-    def _row(self, entry: str) -> dict[str, Any]:
-        match = _ENTRY.fullmatch(entry)
-        if match is None:
-            raise Rejected("is not the name of a deleted log", entry[:40])
-        return {"entry": entry, "name": match[3], "until": int(match[1]) + KEPT_DAYS * _DAY_S}
+def _move(path: Path, target: Path) -> None:
+    """Move a log with its notes."""
+    notes = path.with_name(path.name + NOTES)
+    path.rename(target)
+    if notes.is_file():
+        notes.rename(target.with_name(target.name + NOTES))
 
 
 MOST = 2000
@@ -105,14 +100,6 @@ MOST = 2000
 _LEFT_S = 3600.0
 MOST_NOTES = 20_000
 """Most letters of a log's notes."""
-
-
-@dataclass(frozen=True)
-class LogPlace:
-    """Place of a log; `ours` is False in a folder that is only read."""
-
-    path: Path
-    ours: bool
 
 
 class LogShelf:
@@ -131,7 +118,7 @@ class LogShelf:
         rows = [row for number, folder in enumerate(self._folders()) for row in self._rows(number, folder)]
         return sorted(rows, key=lambda row: -float(row["changed"]))
 
-    def place(self, name: str) -> LogPlace:
+    def place(self, name: str) -> Path:
         """Return the place of a log. Raises NotThere for an unknown name."""
         head, colon, rest = name.partition(":")
         number = int(head) if colon and head.isascii() and head.isdigit() and len(head) <= 4 else 0
@@ -140,19 +127,19 @@ class LogShelf:
         if number < len(folders) and is_log(file):
             path = folders[number] / file
             if path.is_file():
-                return LogPlace(path, number == 0)
+                return path
         raise NotThere("there is no such log", name[:80], "choose one of the list")
 
     def ours(self, name: str) -> Path:
         """Return the path of a log that may be changed. Raises NotThere, Rejected."""
-        place = self.place(name)
-        if not place.ours:
+        path = self.place(name)
+        if path.parent != self.folder:
             raise Rejected("logs of that folder are only read here", name[:80], "change it there")
-        return place.path
+        return path
 
     def notes(self, name: str) -> str:
         """Return a log's notes."""
-        file = self._notes(self.place(name).path)
+        file = self._notes(self.place(name))
         if not file.is_file():
             return ""
         with file.open("rb") as stream:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 from collections import OrderedDict
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AfterValidator, TypeAdapter, ValidationError
 
 from twodof.errors import LogError
 from twodof.flightlog.contents import excitations
@@ -126,6 +128,9 @@ def _spark(log: FlightLog) -> dict[str, Any] | None:
 MOST_POINTS = 4000
 MOST_SAID = 2000
 """Most texts, and most changes of parameters, of one log."""
+_Short = Annotated[str, AfterValidator(lambda text: text[:400])]
+_TEXT = TypeAdapter(tuple[float, _Short, _Short])
+_CHANGE = TypeAdapter(tuple[float, _Short, float])
 REPLAY_HZ, MOST_REPLAYED = 50.0, 20_000
 _REPLAYED = ("theta", "x", "M", "T", "theta0", "x0", "theta_true", "x_true")
 _FIRST_CHANNELS = 6
@@ -141,8 +146,8 @@ def facts(path: str) -> dict[str, Any]:
         **summary(path),
         "all_channels": channels,
         "parameters": [[str(name)[:80], value] for name, value in known if isinstance(value, int | float)],
-        "texts": _rows(log, "texts", (float, str, str)),
-        "changes": _rows(log, "changes", (float, str, float)),
+        "texts": _rows(log, "texts", _TEXT),
+        "changes": _rows(log, "changes", _CHANGE),
     }
 
 
@@ -244,16 +249,10 @@ def _curve(curve: Curve, points: int) -> dict[str, Any]:
     }
 
 
-def _rows(log: FlightLog, name: str, kinds: tuple[type, ...]) -> list[list[Any]]:
-    """Return the rows of the provenance that have these kinds of cells."""
-    rows = log.provenance.get(name)
-    found = []
+def _rows(log: FlightLog, name: str, kind: TypeAdapter[Any]) -> list[list[Any]]:
+    """Return the rows of the provenance that are of this kind."""
+    rows, found = log.provenance.get(name), []
     for row in rows[:MOST_SAID] if isinstance(rows, list) else ():
-        if isinstance(row, list) and len(row) == len(kinds):
-            cells = [
-                cell if kind is str or not isinstance(cell, int) else float(cell)
-                for cell, kind in zip(row, kinds, strict=True)
-            ]
-            if all(isinstance(cell, kind) for cell, kind in zip(cells, kinds, strict=True)):
-                found.append([cell[:400] if isinstance(cell, str) else cell for cell in cells])
+        with suppress(ValidationError):
+            found.append([*kind.validate_python(row)])
     return found

@@ -41,7 +41,7 @@ class Subscribe(RequestBody):
     id: int = Field(ge=0, lt=2**16)
     drone: int = Field(ge=1, le=255)
     columns: list[Annotated[str, Field(max_length=64)]] = Field(min_length=1, max_length=MOST_COLUMNS)
-    rate: float = Field(default=250.0, ge=0.1, le=250.0, allow_inf_nan=False)
+    rate: float = Field(default=250.0, ge=0.1, le=250.0)
 
     def known_columns(self) -> tuple[str, ...]:
         """Return the columns. Raises LogError for an unknown one."""

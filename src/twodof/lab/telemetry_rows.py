@@ -88,9 +88,7 @@ class Decimation:
 
     def __init__(self, rate: float) -> None:
         self.ticks = 1 if rate >= FULL_RATE else max(2, ceil(2 * FULL_RATE / rate))
-        self._times: list[NDArray[np.float64]] = []
-        self._values: list[NDArray[np.float32]] = []
-        self._bucket = -1
+        self._begun: tuple[NDArray[np.int64], NDArray[np.float32]] | None = None
 
     def take(
         self, ticks: NDArray[np.int64], values: NDArray[np.float32]
@@ -99,36 +97,24 @@ class Decimation:
 
         The times are those of the drone's logs.
         """
-        times: NDArray[np.float64] = np.asarray(BOOT + ticks * PERIOD, dtype=np.float64)
         if self.ticks == 1:
-            return times, values
-        buckets = ticks // self.ticks
-        given_times: list[float] = []
-        given: list[NDArray[np.float32]] = []
-        edges = [0, *(np.flatnonzero(np.diff(buckets)) + 1).tolist(), len(ticks)]
-        for start, end in pairwise(edges):
-            if end == start:
-                continue
-            if self._values and int(buckets[start]) != self._bucket:
-                self._close(given_times, given)
-            self._bucket = int(buckets[start])
-            self._times.append(times[start:end])
-            self._values.append(values[start:end])
-        width = values.shape[1]
-        rows = np.array(given, dtype=np.float32).reshape(len(given_times), width)
-        return np.array(given_times, dtype=np.float64), rows
+            return np.asarray(BOOT + ticks * PERIOD), values
+        if self._begun is not None:
+            ticks, values = np.concatenate([self._begun[0], ticks]), np.concatenate([self._begun[1], values])
+        edges = [0, *(np.flatnonzero(np.diff(ticks // self.ticks)) + 1).tolist()]
+        self._begun = ticks[edges[-1] :], values[edges[-1] :]
+        ends = [end for first, after in pairwise(edges) for end in (ticks[first], ticks[after - 1])]
+        rows = [row for first, after in pairwise(edges) for row in _extremes(values[first:after])]
+        times = BOOT + np.array(ends, dtype=np.int64) * PERIOD
+        return np.asarray(times), np.array(rows, dtype=np.float32).reshape(len(ends), values.shape[1])
 
-    def _close(self, given_times: list[float], given: list[NDArray[np.float32]]) -> None:
-        """Append the extremes of the whole bucket to the given rows."""
-        times, values = np.concatenate(self._times), np.concatenate(self._values)
-        self._times, self._values = [], []
-        absent = np.isnan(values)
-        columns = np.arange(values.shape[1])
-        least = np.where(absent, np.inf, values).argmin(axis=0)
-        most = np.where(absent, -np.inf, values).argmax(axis=0)
-        first, last = np.minimum(least, most), np.maximum(least, most)
-        given_times += [float(times[0]), float(times[-1])]
-        given += [values[first, columns], values[last, columns]]
+
+def _extremes(values: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return two rows with each column's lowest and highest value, in the order in which they came."""
+    absent, columns = np.isnan(values), np.arange(values.shape[1])
+    least = np.where(absent, np.inf, values).argmin(axis=0)
+    most = np.where(absent, -np.inf, values).argmax(axis=0)
+    return values[np.minimum(least, most), columns], values[np.maximum(least, most), columns]
 
 
 ROWS = 1

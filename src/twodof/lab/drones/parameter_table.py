@@ -8,7 +8,7 @@ from collections.abc import Callable
 from twodof.errors import Rejected, Timeout
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.async_drone import AsyncDrone
-from twodof.gcs.parameters import MOST, ParameterDescription, ParameterEntry, entry_of
+from twodof.gcs.parameters import MOST, ParameterEntry, entry_of
 
 LOOK_S = 0.1
 SETTLES_S = 1.0
@@ -24,7 +24,6 @@ class ParameterTable:
         self._values: dict[str, float] = {}
         self._changed: set[str] = set()
         self._listed: frozenset[str] = frozenset()
-        self._described: dict[str, ParameterDescription] = {}
         self._asking = asyncio.Lock()
         self._active: ActiveController | None = None
         self._stale_since: float | None = drone.session.now
@@ -37,10 +36,9 @@ class ParameterTable:
         async with self._asking:
             if not self._listed or not self._listed <= parameters.known.keys():
                 if self._drone.ours:
-                    self._described = await parameters.describe()
+                    await parameters.describe()
                 self._listed = frozenset(await parameters.all())
-            known = [parameters.known[name] for name in sorted(self._listed)]
-        return [entry._replace(described=self._described.get(entry.name)) for entry in known]
+            return [parameters.known[name] for name in sorted(self._listed)]
 
     async def active(self) -> ActiveController:
         """Return the active controller, read again if it may have changed. Raises LinkLost, Timeout."""

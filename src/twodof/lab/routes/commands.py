@@ -36,8 +36,8 @@ class AskedReset(RequestBody):
     """Start of a virtual drone: seed and gain of its noise, place on the rail [m], rings locked or not."""
 
     seed: int = Field(default=1, ge=0, lt=2**32)
-    x: float = Field(default=0.0, ge=-0.5, le=0.5, allow_inf_nan=False)
-    noise: float = Field(default=1.0, ge=0.0, le=100.0, allow_inf_nan=False)
+    x: float = Field(default=0.0, ge=-0.5, le=0.5)
+    noise: float = Field(default=1.0, ge=0.0, le=100.0)
     rings: bool = False
 
 
@@ -49,7 +49,7 @@ class AskedSetpoint(RequestBody):
 
     loop: Literal["theta", "q", "M", "v", "x"]
     value: Finite
-    thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)
+    thrust: float | None = Field(default=None, ge=0.0, le=1.0)
     acceleration: Finite | None = None
 
 
@@ -58,7 +58,7 @@ class AskedExcitation(RequestBody):
 
     excitation: dict[str, Any]
     loop: Literal["theta", "q", "M", "v", "x"] | None = None
-    thrust: float | None = Field(default=None, ge=0.0, le=1.0, allow_inf_nan=False)
+    thrust: float | None = Field(default=None, ge=0.0, le=1.0)
 
 
 _FOLLOW: Mapping[str, Callable[[AsyncDrone, float, float | None], Awaitable[None]]] = MappingProxyType(
@@ -201,7 +201,7 @@ class AskedPreview(AskedExcitation):
     """Excitation, and the drone (0: none) and the place on the rail [m] for which its motion is predicted."""
 
     drone: Annotated[int, Field(ge=0, le=255)] = 0
-    x: Annotated[float, Field(ge=-0.4, le=0.4, allow_inf_nan=False)] = 0.0
+    x: Annotated[float, Field(ge=-0.4, le=0.4)] = 0.0
     points: Annotated[int, Field(ge=2, le=5000)] = 1000
 
 

@@ -145,8 +145,8 @@ class AskedController(RequestBody):
     """Design: the diagram's name, crossover [rad/s] and phase margin [rad] of the rate loop, method."""
 
     name: Name
-    crossover: Annotated[float, Field(ge=1.0, le=120.0, allow_inf_nan=False)] = 20.0
-    phase_margin: Annotated[float, Field(gt=0.0, lt=math.pi / 2, allow_inf_nan=False)] | None = None
+    crossover: Annotated[float, Field(ge=1.0, le=120.0)] = 20.0
+    phase_margin: Annotated[float, Field(gt=0.0, lt=math.pi / 2)] | None = None
     method: Literal["cascade", "lqg"] = "cascade"
     overwrite: bool = False
 

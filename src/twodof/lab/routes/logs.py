@@ -76,14 +76,14 @@ async def log(lab: CurrentLab, name: Name) -> dict[str, Any]:
     `unreadable` has the reason if there are only the notes, else "". `formats` are the formats for download: only its
     own for a damaged log, none while it is being recorded.
     """
-    place = lab.logs.place(name)
-    kept = {"notes": lab.logs.notes(name), "ours": place.ours}
+    path = lab.logs.place(name)
+    kept = {"notes": lab.logs.notes(name), "ours": path.parent == lab.logs.folder}
     try:
         return (
             kept | {"unreadable": "", "formats": FORMATS} | await _work(lab, log_work.facts, str(lab.whole_log(name)))
         )
     except LogError as reason:
-        return kept | {"unreadable": _in_words(reason), "formats": [place.path.suffix.lower().removeprefix(".")]}
+        return kept | {"unreadable": _in_words(reason), "formats": [path.suffix.lower().removeprefix(".")]}
     except Rejected as reason:
         return kept | {"unreadable": _in_words(reason), "formats": []}
 

@@ -67,14 +67,9 @@ def _changed(made: SentChange) -> dict[str, Any]:
 
 
 def _row(entry: ParameterEntry) -> dict[str, Any]:
-    row = entry.row
-    told = {"name": entry.name, "value": entry.value, "kind": "int32" if entry.kind == INT32 else "float"}
-    told["same_as"] = same_as(entry.name)
-    if row is None:
-        return {**told, "default": None, "low": None, "high": None, "unit": "", "text": "", "path": "", "tuning": False}
-    tuning = row.tuning or (entry.name in BY_NAME and BY_NAME[entry.name].tuning)
-    described = {"default": row.default, "low": row.low, "high": row.high, "unit": row.unit, "text": row.text}
-    return {**told, **described, "path": row.path, "tuning": tuning}
+    tuning = any(row is not None and row.tuning for row in (entry.row, BY_NAME.get(entry.name)))
+    kind = "int32" if entry.kind == INT32 else "float"
+    return {**entry.to_json(), "kind": kind, "same_as": same_as(entry.name), "tuning": tuning}
 
 
 files_router = lab_router("/api/drones/{number}/parameters", "parameters")
