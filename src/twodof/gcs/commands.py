@@ -3,7 +3,6 @@
 import asyncio
 from collections.abc import Sequence
 from functools import partial
-from itertools import count
 from typing import Any
 
 from twodof.errors import LinkError, LinkLost, RefusalReason, Rejected, Timeout, shown
@@ -51,27 +50,27 @@ class CommandSender:
             return await self._run(number, values, deadline)
 
     async def _run(self, number: int, values: Sequence[float], deadline: Deadline) -> Any:
-        session, spoken = self._session, self._texts.count
-        with session.listen("COMMAND_ACK") as heard:
-            progress = False
-            for attempt in count():
-                if not progress:
-                    session.send(self.long(number, values, attempt))
-                until = min(deadline.end, session.now + RETRY_S)
-                while (got := await heard.next(until)) is not None:
-                    if got.command == number and self._is_ours(got):
-                        if got.result == ACCEPTED:
-                            return got
-                        if got.result != IN_PROGRESS:
-                            # Lines before the answer may be about another command. PX4 says its reason before it.
-                            spoken = self._spoken[number] if session.ours else spoken
-                            raise await self._refusal(got, spoken, deadline)
-                        progress = True
-                    if progress:
-                        await self._clock.one_tick(deadline)
-                    deadline.check()
-                deadline.check()
-        raise deadline.error()
+        spoken, progress = self._texts.count, False
+
+        def question(attempt: int) -> Any:
+            return None if progress else self.long(number, values, attempt)
+
+        def accept(got: Any) -> Any | None:
+            nonlocal progress
+            if got.command != number or not self._is_ours(got):
+                return None
+            progress = got.result == IN_PROGRESS
+            return None if progress else got
+
+        async def pass_time() -> None:
+            if progress:
+                await self._clock.one_tick(deadline)
+
+        got = await self._session.ask(question, ("COMMAND_ACK",), accept, deadline, meanwhile=pass_time)
+        if got.result != ACCEPTED:
+            # Lines before the answer may be about another command. PX4 says its reason before it.
+            raise await self._refusal(got, self._spoken[number] if self._session.ours else spoken, deadline)
+        return got
 
     def _answered(self, got: Any) -> None:
         if got.command in self._turns:

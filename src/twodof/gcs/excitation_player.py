@@ -10,7 +10,7 @@ from typing import Any
 from twodof.errors import ExperimentError, Rejected, listed, shown
 from twodof.excitation import Excitation
 from twodof.gcs.clock import DroneClock
-from twodof.gcs.session import RETRY_S, Deadline, DroneSession
+from twodof.gcs.session import Deadline, DroneSession
 from twodof.link.mavlink.messages import excite, message
 from twodof.signals import TICK_S
 
@@ -105,22 +105,20 @@ class ExcitationPlayer:
         """
         session, playback = self._session, self.playback
         deadline = session.deadline(timeout, "stopping the excitation")
-        asked = message("TWODOF_EXCITE", action=_STOP, **self._session.target)
+        asked = message("TWODOF_EXCITE", action=_STOP, **session.target)
         if playback is None:
             session.send(asked)
             return
-        with session.listen(*_STATUS) as heard:
-            while playback.state not in _OVER:
-                session.send(asked)
-                if self._clock.granting:
-                    await self._clock.run_until(self._clock.tick + 1, within=deadline)
-                until = min(deadline.end, session.now + RETRY_S)
-                while playback.state not in _OVER and (got := await heard.next(until)) is not None:
-                    if got.state == _REFUSED and got.transfer != playback.transfer:
-                        raise _refusal(got, deadline.where)
-                    deadline.check()
-                if playback.state not in _OVER:
-                    deadline.check()
+
+        def over(got: Any) -> bool | None:
+            if got.state == _REFUSED and got.transfer != playback.transfer:
+                raise _refusal(got, deadline.where)
+            return True if playback.state in _OVER else None
+
+        if playback.state not in _OVER:
+            await session.ask(
+                lambda _: asked, _STATUS, over, deadline, meanwhile=lambda: self._clock.one_tick(deadline)
+            )
 
     async def _send(self, excitation: Excitation, loop: int, transfer: int, deadline: Deadline) -> bool:
         """Send the definition; return False if another session has played one under this number."""

@@ -6,7 +6,7 @@ set-points are gone with it. In lockstep nothing comes between calls, so silence
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Hashable, Iterator
+from collections.abc import AsyncIterator, Awaitable, Callable, Hashable, Iterator
 from contextlib import asynccontextmanager, contextmanager, suppress
 from itertools import count
 from typing import Any, NamedTuple, TypeVar
@@ -250,20 +250,27 @@ class DroneSession:
         deadline: Deadline,
         retry_s: float = RETRY_S,
         prolonged: bool = False,
+        meanwhile: Callable[[], Awaitable[None]] | None = None,
     ) -> T:
         """Send `question(attempt)` every `retry_s` until `accept` of an answer gives a value; return that value.
 
-        If `prolonged`, every answer prolongs the time until the next question, for questions with many answers. Raises
-        LinkLost, Timeout at the deadline, and exceptions of `accept`.
+        A question that is None is not sent. If `prolonged`, every answer prolongs the time until the next question, for
+        questions with many answers. `meanwhile` is awaited after each question and answer, to let the drone's time
+        pass. Raises LinkLost, Timeout at the deadline, and exceptions of `accept`.
         """
         with self.listen(*answers) as heard:
             for attempt in count():
-                self.send(question(attempt))
+                if (sent := question(attempt)) is not None:
+                    self.send(sent)
+                if meanwhile is not None:
+                    await meanwhile()
                 until = min(deadline.end, self.now + retry_s)
                 while (got := await heard.next(until)) is not None:
                     found = accept(got)
                     if found is not None:
                         return found
+                    if meanwhile is not None:
+                        await meanwhile()
                     deadline.check()  # a peer may send other messages without end
                     if prolonged:
                         until = min(deadline.end, self.now + retry_s)

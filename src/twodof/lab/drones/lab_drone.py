@@ -232,7 +232,6 @@ class LabDrones:
 
     def __init__(self, settings: LabSettings, audience: Audience) -> None:
         places = [f"udp://127.0.0.1:{Ports.COMPANION_ONBOARD + index}" for index in range(MOST_DRONES)]
-        self._always = bool(settings.connect)
         self._drones = [LabDrone(url, settings, audience) for url in settings.connect or places]
         self._tasks: list[asyncio.Task[None]] = []
 
