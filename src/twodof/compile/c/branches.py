@@ -191,6 +191,7 @@ class _Plan:
 
     def _place(self) -> None:
         """Find the innermost place of each node that is around all of its readers."""
+        self.opening: set[int] = set()  # nodes whose sides stand in places of their own
         place: dict[int, _Place | None] = dict.fromkeys(self.always)
         for item in reversed(self.order):
             for a, here in self._reads(item, place.setdefault(id(item), None)):
@@ -203,6 +204,7 @@ class _Plan:
         if found is None or id(found.condition) not in self.worth or not self._may_open(found.condition, own):
             yield from ((a, own) for a in self.args[id(item)])
             return
+        self.opening.add(id(item))
         if id(found.condition) not in self.hand:
             yield found.condition, own
         for side, holds in ((found.then, True), (found.otherwise, False)):
@@ -264,12 +266,9 @@ class _Plan:
 
     def _opens(self, item: Expr) -> Expr | None:
         """Return the condition of the branch that a node needs, or None if neither side is computed in one."""
-        found = self.decisions.get(id(item))
-        if found is None or id(found.condition) not in self.worth:
+        if id(item) not in self.opening:
             return None
-        own = self.place[id(item)]
-        if not self._may_open(found.condition, own):
-            return None
+        found, own = self.decisions[id(item)], self.place[id(item)]
         places = [self.place[id(s)] for s in (found.then, found.otherwise) if id(s) in self.rank]
         inside = [self._inside(own, found.condition, holds) for holds in (True, False)]
         return found.condition if any(p in inside for p in places) else None

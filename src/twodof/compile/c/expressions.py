@@ -503,8 +503,6 @@ class Renderer:
             if self.lean and op in ("eq", "ne") and operand in FLOATS:
                 equal = f"{self._use(f'{operand}_equal')}({args[0].text}, {args[1].text})"
                 return (equal, ATOM) if op == "eq" else (f"!{equal}", SIGNED)
-        elif op == "convert" and self.lean and operand not in FLOATS and item.args[0].op == "call":
-            return f"{self._use(f'{operand}_to_{kind}')}({args[0].text})", ATOM
         elif op == "xor" and operand == "bool" and same:
             return "false", ATOM
         elif op in PLAIN and index_range(item, self.limits) is not None:

@@ -3,18 +3,11 @@
 import re
 from importlib import resources
 
-from twodof.blocks.expressions.numbers import CONVERSIONS, FLOATS
 from twodof.compile.c.operators import C_TYPES
 
 # What a function returns is one expression of its arguments. `{f}` is the suffix of float32's constants. The first real
 # that is too large for an integer is a power of two, exact in both precisions.
 _EXPRESSIONS: tuple[tuple[str, str], ...] = (
-    # Conversions of what a function returns, for a compiler that warns of a cast there (-Wbad-function-cast).
-    *(
-        (f"{C_TYPES[target]} {origin}_to_{target}({C_TYPES[origin]} x)", f"({C_TYPES[target]})x")
-        for origin, target in CONVERSIONS
-        if origin not in FLOATS
-    ),
     ("int32_t clamp_index(int32_t i, int32_t last)", "i < 0 ? 0 : i > last ? last : i"),
     ("bool real_equal(real x, real y)", "x <= y && x >= y"),  # for a compiler that warns of x == y
     ("int32_t int32_add(int32_t a, int32_t b)", "(int32_t)((uint32_t)a + (uint32_t)b)"),

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -85,14 +85,15 @@ class MemoryLayout:
 
     def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
         """Return the numpy types of P, S, U and Y, which have the memory layout of the C structs."""
-        x = _struct_dtype([_place(m, precision) for m in self.x.members])
-        made = {}
-        for name, struct in (("P", self.p), ("S", self.s), ("U", self.u), ("Y", self.y)):
-            places = [_place(m, precision) for m in struct.members]
-            if name == "S" and self.x.members:
-                places.append(_Place("x", x, np.dtype(precision).itemsize))
-            made[name] = _struct_dtype(places)
-        return made
+        x = [("x", _struct(self.x, precision))] if self.x.members else []
+        structs = {"P": self.p, "S": self.s, "U": self.u, "Y": self.y}
+        return {name: _struct(struct, precision, x if name == "S" else []) for name, struct in structs.items()}
+
+
+def _struct(struct: Struct, precision: str, more: Sequence[tuple[str, np.dtype[Any]]] = ()) -> np.dtype[Any]:
+    """Return the numpy type of a C struct. An empty one holds a byte."""
+    fields: list[Any] = [(m.name, dtype_of(m.kind, precision), m.width or ()) for m in struct.members]
+    return np.dtype([*fields, *more] or [("none", "u1")], align=True)
 
 
 def _passing(program: FlatProgram) -> set[FlatSignal]:
@@ -132,30 +133,3 @@ def _parameter(name: str, q: FlatParameter) -> Member:
 
 def _derived(path: str, o: Port) -> Member:
     return Member(path, o.kind, o.width, path, o.unit, _about(o, "derived"))
-
-
-class _Place(NamedTuple):
-    """A member's name in numpy, its type and its alignment [bytes]."""
-
-    name: str
-    dtype: np.dtype[Any]
-    align: int
-
-
-def _place(m: Member, precision: str) -> _Place:
-    """Return a member's type and alignment in numpy."""
-    base = dtype_of(m.kind, precision)
-    return _Place(m.name, np.dtype((base, () if m.width is None else (m.width,))), base.itemsize)
-
-
-def _struct_dtype(places: Sequence[_Place]) -> np.dtype[Any]:
-    """Return the numpy type of a C struct with these members. An empty one holds a byte."""
-    if not places:
-        return np.dtype({"names": ["none"], "formats": ["u1"]})
-    offsets, end = [], 0
-    for place in places:
-        offsets.append(-(-end // place.align) * place.align)
-        end = offsets[-1] + place.dtype.itemsize
-    largest = max(place.align for place in places)
-    names, formats = [place.name for place in places], [place.dtype for place in places]
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": -(-end // largest) * largest})
