@@ -29,11 +29,13 @@
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off", "no-tree-pre") /* no-tree-pre: fewer registers spilled */
 #endif
-/* In place, so that the states of an integration stay in registers; but not where size counts. */
+/* In place, and stage by stage, so that states stay in registers; but not where size counts. */
 #if defined(__GNUC__) && defined(__OPTIMIZE__) && !defined(__OPTIMIZE_SIZE__)
 #define td_inline static inline __attribute__((always_inline))
+#define td_unrolled _Pragma("GCC unroll 4")
 #else
 #define td_inline static inline
+#define td_unrolled
 #endif
 
 typedef float real;
