@@ -53,5 +53,5 @@ def test_real_logs_have_these_channels_at_these_rates(flight_data: Path) -> None
             # In the seven logs 249.70 to 249.90 Hz, and 18.29 to 18.35 Hz by the TOF sensor's own clock.
             assert 1.0 / log[name].period() == pytest.approx(row.rate_hz, rel=4e-3), name
     # dist is x + 0.50, up to the estimator's filter: 5 cm while the cart moves at .25 m/s.
-    x = log.resample("x", log["dist"].time[5:], "nearest")
+    x = log.resample("x", log["dist"].time[5:])
     assert np.abs(log["dist"].value[5:] - 0.5 - x).max() < 0.05

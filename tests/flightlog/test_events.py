@@ -26,7 +26,6 @@ def test_synthetic_events() -> None:
     steps = setpoint_steps(log, "theta0")
     assert [event.time - 100.0 for event in steps] == pytest.approx([2.0, 3.0], abs=SAMPLE)
     assert [(event.before, event.after) for event in steps] == [(0.0, 0.1), (0.1, 0.0)]
-    assert setpoint_steps(log, "theta0", minimum=0.1) == []
     assert setpoint_steps(log, "q0") == []
     assert steps_by(log, "theta0", 0.104, 0.9) == steps, "up and down, within 5 %"
     assert steps_by(log, "theta0", 0.1, 1.1) == steps[1:], "the first is followed for 1 s"

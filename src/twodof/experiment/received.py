@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,14 +30,6 @@ NAMES = tuple(name for _, name in _LOGGED)
 """Names of these columns in the closed loop, in the same order."""
 
 
-def _no_ticks() -> NDArray[np.int64]:
-    return np.empty(0, dtype=np.int64)
-
-
-def _no_states() -> NDArray[np.float64]:
-    return np.empty((0, len(TRUTH)))
-
-
 @dataclass(frozen=True, eq=False)
 class ReceivedSamples:
     """Received rows of `COLUMNS`: `values` (n, k) at the `ticks` (n,), NaN where a channel had no new sample.
@@ -48,8 +40,8 @@ class ReceivedSamples:
 
     ticks: NDArray[np.int64]
     values: NDArray[np.float64]
-    truth_ticks: NDArray[np.int64] = field(default_factory=_no_ticks)
-    truth: NDArray[np.float64] = field(default_factory=_no_states)
+    truth_ticks: NDArray[np.int64]
+    truth: NDArray[np.float64]
 
     @classmethod
     def of(

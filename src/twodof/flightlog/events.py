@@ -66,11 +66,8 @@ def _event(time: NDArray[np.float64], value: NDArray[np.float64], kind: str, nam
     return Event(float(time[at]), kind, name, float(value[at - 1]), float(value[at]))
 
 
-def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: float = 0.0) -> list[Event]:
-    """Return the steps of a set-point between levels that were each held for `held_s` [s] or more.
-
-    Steps of at most `minimum` (in the channel's unit) are left out. Raises LogError.
-    """
+def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1) -> list[Event]:
+    """Return the steps of a set-point between levels that were each held for `held_s` [s] or more. Raises LogError."""
     channel = log[name]
     if len(channel) < 2:
         return []
@@ -81,7 +78,7 @@ def setpoint_steps(log: FlightLog, name: str, held_s: float = 0.1, minimum: floa
     return [
         Event(float(channel.time[b]), "step", name, float(channel.value[a]), float(channel.value[b]))
         for a, b in pairwise(levels)
-        if abs(channel.value[b] - channel.value[a]) > minimum
+        if channel.value[b] != channel.value[a]
     ]
 
 

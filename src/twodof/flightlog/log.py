@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from twodof.errors import LogError, listed, nearest, shown
 from twodof.signals import BY_MAT, TOPICS, Topic
 
-How = Literal["hold", "next", "nearest", "linear"]
+How = Literal["hold", "next"]
 
 MAX_SAMPLES = 50_000_000
 """Longest channel accepted: more than two days at 250 Hz."""
@@ -104,24 +104,14 @@ class Channel:
     def index(self, t: ArrayLike, how: How = "hold") -> NDArray[np.intp]:
         """Return the index of the sample that stands for each time of `t` (m,) [s], -1 for none. Raises LogError.
 
-        `hold` is the latest sample at or before t, `next` the first at or after t. `nearest` is the
-        closer of the two; of two that are equally close, the earlier.
+        `hold` is the latest sample at or before t, `next` the first at or after t.
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")
-        n = len(self.time)
-        if n == 0:
-            return np.full(at.shape, -1, dtype=np.intp)
-        before = np.searchsorted(self.time, at, side="right") - 1
-        after = np.searchsorted(self.time, at, side="left")
         if how == "hold":
-            return before
-        if how == "next":
-            return np.where(after < n, after, -1)
-        if how == "nearest":
-            low, high = np.clip(before, 0, n - 1), np.clip(after, 0, n - 1)
-            return np.where(at - self.time[low] <= self.time[high] - at, low, high) if n > 1 else low
-        raise LogError(f"no pairing called {how!r}", self.name, "use 'hold', 'next', 'nearest' or 'linear'")
+            return np.searchsorted(self.time, at, side="right") - 1
+        after = np.searchsorted(self.time, at, side="left")
+        return np.where(after < len(self.time), after, -1)
 
     def renamed(self, name: str) -> "Channel":
         """Return the same samples under another name."""
@@ -203,39 +193,20 @@ class FlightLog:
             raise LogError(what, self.source, f"the log spans {start:g} to {end:g} s")
         return FlightLog(cut, {**self.provenance, "slice_s": [float(t0), float(t1)]})
 
-    def resample(self, name: str, t: ArrayLike, how: How = "hold", max_age: float | None = None) -> NDArray[np.float64]:
+    def resample(self, name: str, t: ArrayLike) -> NDArray[np.float64]:
         """Return the values of a channel at the times `t` (m,) [s], of shape (m,) or (m, k) for k columns.
 
-        `how` is "hold" (latest sample at or before t), "next" (first at or after), "nearest" or "linear"
-        (between the two neighbours). Nothing is extrapolated: raises LogError where no sample stands for a
-        time, or where that sample (with "linear", the farther neighbour) is more than `max_age` [s] away.
+        That is the latest sample at or before each time. Raises LogError for a time before the first sample.
         """
         channel = self[name]
-        at = _floats(t, "t")
-        if how == "linear":
-            low, high = channel.index(at, "hold"), channel.index(at, "next")
-        else:
-            low = high = channel.index(at, how)
-        unpaired = np.flatnonzero((low < 0) | (high < 0))
+        at = channel.index(t)
+        unpaired = np.flatnonzero(at < 0)
         if unpaired.size:
             span = f"{channel.time[0]!s} to {channel.time[-1]!s} s" if len(channel) else "no time: it is empty"
-            what = f"no sample for t = {at[unpaired[0]]!s} s with {how!r} ({unpaired.size} of {at.size} times)"
+            first = np.ravel(t)[unpaired[0]]
+            what = f"no sample for t = {first!s} s ({unpaired.size} of {at.size} times)"
             raise LogError(what, f"{self.source}: {name}", f"the channel spans {span}")
-        if max_age is not None and at.size:
-            age = np.maximum(np.abs(at - channel.time[low]), np.abs(at - channel.time[high]))
-            if age.max() > max_age:
-                k = int(np.argmax(age))
-                what = f"the sample for t = {at[k]!s} s is {age[k]:.4g} s away, more than {max_age:g} s"
-                raise LogError(what, f"{self.source}: {name}", "leave the gap out or allow a larger max_age")
-        if how != "linear":
-            return channel.value[low]
-        reach = channel.time[high] - channel.time[low]
-        share = np.where(reach > 0.0, (at - channel.time[low]) / np.where(reach > 0.0, reach, 1.0), 0.0)
-        if channel.value.ndim == 2:
-            share = share[:, None]
-        between = channel.value[low] + share * (channel.value[high] - channel.value[low])
-        # A sample stays what it is, to the sign of its zero.
-        return np.where(share == 0.0, channel.value[low], between)
+        return channel.value[at]
 
     def gaps(self, name: str) -> list[Gap]:
         """Return the gaps of a channel: intervals over 1.5 periods. Raises LogError.

@@ -15,7 +15,7 @@ from twodof.compile.program.lower import lower
 from twodof.compile.wasm.module import compile_module
 from twodof.flight.failsafe.causes_and_actions import ACTIONS, CAUSES
 from twodof.flight.failsafe.state_machine import STATES
-from twodof.flight.gains import DEFAULT, Gains
+from twodof.flight.gains import DEFAULT
 from twodof.flight.templates import MOTOR, check_template
 from twodof.parameters import TUNABLES
 from twodof.rig.parameters import NAMES, TABLE, load_rig
@@ -27,7 +27,7 @@ MOST_LOGGED = 600
 """Elements of signals inside the diagram that the module gives out at each tick; the outermost come first."""
 
 
-def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab") -> dict[str, Any]:
+def portable_loop(controller: Diagram, rig: str = "lab") -> dict[str, Any]:
     """Compile `controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
 
     Returns plain data for a host that sets `parameters`, `init`s, and sets `states`; the rotors run in hover then.
@@ -42,13 +42,13 @@ def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab")
     template = check_template(controller).name
     prefix = f"{FLIGHT if template == MOTOR.name else CASCADE}{template}."
     signals = list(_chosen(lower(controller, PERIOD)))
-    loop = closed_loop(gains, controllers=[controller])
+    loop = closed_loop(controllers=[controller])
     given = _given(loop, prefix.removesuffix("."))
     emitted = emit_program(
         loop, BASE_DT, log=[*(f"{prefix}{path}" for path in signals), *dict.fromkeys(given.values())]
     )
     module = compile_module([emitted], optimise="-O1")
-    wanted, states = _start(gains, rig)
+    wanted, states = _start(rig)
     known = emitted.flat.parameters
     return {
         "module": base64.b64encode(module.data).decode("ascii"),
@@ -65,12 +65,12 @@ def portable_loop(controller: Diagram, gains: Gains = DEFAULT, rig: str = "lab")
 
 
 @functools.lru_cache(8)
-def _start(gains: Gains, rig: str) -> tuple[dict[str, Any], dict[str, Any]]:
+def _start(rig: str) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return parameters and states of a start in hover of the stock loop; its estimator settles alike in all loops."""
-    stock = ClosedLoop(gains, load_rig(rig))
+    stock = ClosedLoop(rig=load_rig(rig))
     started, states = stock.start_values(InitialState(hover=True))
     wanted = {f"rig.{name}": value for name, value in (stock.rig | started).items()}
-    return wanted | {f"{CASCADE}{path}": value for path, value in gains.parameters().items()}, states
+    return wanted | {f"{CASCADE}{path}": value for path, value in DEFAULT.parameters().items()}, states
 
 
 def _chosen(program: FlatProgram) -> Iterator[str]:

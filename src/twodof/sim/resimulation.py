@@ -245,15 +245,13 @@ def resimulate(
     rig: ParameterSet | None = None,
     gains: Gains = DEFAULT,
     window: tuple[float, float] | None = None,
-    charge: float = 1.0,
 ) -> ResimulationFit:
     """Flies the logged set-points in closed loop on the noise-free `rig` (None: `lab`) from the logged initial state.
 
     The mode is found from the log. The trim moment, the tilt of the rail and the velocity bias are those of the flight
-    before the window. `charge` is the battery's state of charge at the start of the window, 0 to 1. A step of the
-    simulation stands for a control step of the log, whose clock runs up to .15 % slow; estimates are compared at the
-    logged stamps. Raises LogError for a log that lacks a channel, steps or flight in the window, ParameterError for a
-    charge beyond 0 to 1.
+    before the window; the battery is full. A step of the simulation stands for a control step of the log, whose clock
+    runs up to .15 % slow; estimates are compared at the logged stamps. Raises LogError for a log that lacks a channel,
+    steps or flight in the window.
     """
     values = (lab() if rig is None else rig).snapshot()
-    return LoggedFlight(log, gains, window).compare(resimulation_loop(), values, {"charge_start": charge})
+    return LoggedFlight(log, gains, window).compare(resimulation_loop(), values)

@@ -108,16 +108,9 @@ class RailFamily:
         return draw_within(np.array([self.k_v, self.p_v]), root, bounds, count, rng)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, which `from_json` reads back."""
+        """Plain data."""
         cart = {"k_v": self.k_v, "p_v": self.p_v, "covariance": np.asarray(self.covariance).tolist()}
         return {"pitch": self.pitch.to_json(), **cart, "base": self.base}
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any], where: str = "family") -> Self:
-        """Return the family of a `to_json`. Raise an error for anything else."""
-        pitch = PitchFamily.from_json(data["pitch"], where)
-        covariance = np.array(data["covariance"], dtype=float)
-        return cls(pitch, float(data["k_v"]), float(data["p_v"]), covariance, str(data["base"]))
 
 
 HOLD = 8.0
