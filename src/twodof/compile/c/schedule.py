@@ -89,7 +89,9 @@ class Schedule:
         """
         if node.guard.always or node.continuous:
             return self.end
-        read = [s for s in inputs_of(node, node.trace.update.values()) if s in self.live]
+        machine = isinstance(node.block, StateMachine)
+        used = node.drivers.values() if machine else inputs_of(node, node.trace.update.values())
+        read = [s for s in used if s in self.live]
         own = [s for s in node.outputs.values() if s in self.live]
         before: list[FlatSignal | Start] = [*read, *own, *node.starts]
         first = max((self._at[x] for x in before), default=0)
@@ -109,9 +111,10 @@ class Schedule:
         for node in program.nodes:
             read((s for c in node.conditions for s in c.signals), self.end)
             if node not in self.machines:
-                machine = isinstance(node.block, StateMachine)
-                used = node.drivers.values() if machine else inputs_of(node, node.trace.update.values())
-                read(used, self._updated.get(node, self.end))
+                if isinstance(node.block, StateMachine):  # whose switch reads all inputs where they are kept
+                    read(node.drivers.values(), self.end)
+                else:
+                    read(inputs_of(node, node.trace.update.values()), self._updated.get(node, self.end))
         fixed: set[FlatSignal] = set()
         for k in reversed(range(self.end)):
             segment = self.segments[k]
