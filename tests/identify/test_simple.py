@@ -94,8 +94,8 @@ def test_missing_excitation_and_response_are_refused() -> None:
     short = pitch_record(PAPER_PITCH_RATE, IMPULSE[:300], 0.0017, rng)
     with pytest.raises(IdentificationError, match="half swings stand out"):
         read_free_response(short)
-    with pytest.raises(IdentificationError, match="does not hold 'T'"):
-        read_free_response(short, input="T")
+    with pytest.raises(IdentificationError, match="does not hold 'theta0'"):
+        identify_velocity([short])
     with pytest.raises(IdentificationError, match="no doublet"):
         identify_pitch(short, [])
     with pytest.raises(IdentificationError, match="no doublet"):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from twodof.design.closed_loop_poles import Motion, closed_loop_poles, logarithms, worst_motion
 from twodof.design.frequencies import frequencies_of_size, frequencies_of_the_real, frequency_grid, refined_roots
 from twodof.design.loop_transfer import LoopTransfer, minimal
-from twodof.design.sensitivity import DiskMargin, Sensitivity, complementary_sensitivity, largest, sensitivity
+from twodof.design.sensitivity import DiskMargin, Sensitivity, largest
 from twodof.errors import ParameterError
 
 Array = NDArray[np.float64]
@@ -177,10 +177,10 @@ def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
     values = even.response(grid)
     grid, values = grid[np.isfinite(values)], values[np.isfinite(values)]
     shift = (skew - 1.0) / 2.0
-    s, t = sensitivity(even), complementary_sensitivity(even)
-    ms, ms_at = largest(s, grid)
+    t = Sensitivity(even, -1.0, 1.0)
+    ms, ms_at = largest(Sensitivity(even, 1.0, 0.0), grid)
     mt, mt_at = largest(t, grid)
-    reach, disk_at = largest(sensitivity(even, shift), grid)
+    reach, disk_at = largest(Sensitivity(even, 1.0, shift), grid)
     stable = motion is None or motion.growth < 0.0
     return LoopMargins(
         loop,

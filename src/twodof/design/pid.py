@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.errors import ParameterError, shown
-from twodof.models.lti import DelayedStateSpace
+from twodof.models.lti import DelayedStateSpace, transfer
 from twodof.signals import PERIOD
 
 Complex = NDArray[np.complex128]
@@ -18,7 +18,7 @@ FORMS = MappingProxyType({"P": (), "PI": ("ki",), "PD": ("kd",), "PID": ("ki", "
 """What each form has besides Kp."""
 
 INTEGRAL_SHARE = 0.1
-"""Of the crossover: where the zero of the integral is, unless it is told; it costs 6 degrees."""
+"""Of the crossover: where the zero of the integral is; it costs 6 degrees."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,6 @@ def pid(
     form: str = "PID",
     output: int = 0,
     n: float = 100.0,
-    integral_share: float = INTEGRAL_SHARE,
 ) -> PidGains:
     """Return the gains for a sampled loop of `plant` with `crossover` [rad/s] and `phase_margin` [rad]; see `pid_at`.
 
@@ -77,7 +76,7 @@ def pid(
         raise ParameterError(
             f"a crossover of {crossover:g} rad/s is above half the sample rate", "pid", "ask for a lower one"
         )
-    return pid_at(sampled_response(plant, crossover, output), crossover, phase_margin, form, n, integral_share)
+    return pid_at(sampled_response(plant, crossover, output), crossover, phase_margin, form, n)
 
 
 def pid_at(
@@ -86,18 +85,17 @@ def pid_at(
     phase_margin: float = math.radians(60.0),
     form: str = "PID",
     n: float = 100.0,
-    integral_share: float = INTEGRAL_SHARE,
 ) -> PidGains:
     """Return the gains of the `form` P, PI, PD or PID for a plant whose response at `crossover` is `response`.
 
     C G = exp(j (phase_margin - pi)) at the crossover is two equations. PI and PD have two gains. PID has its third by
-    Ki = `integral_share` crossover Kp (Astrom and Hagglund, Advanced PID Control, sec. 6.3). P only meets the
+    Ki = `INTEGRAL_SHARE` crossover Kp (Astrom and Hagglund, Advanced PID Control, sec. 6.3). P only meets the
     crossover. Raises ParameterError for an unknown form, numbers that cannot be, and where a gain would be negative:
     the form cannot give that phase there.
     """
     if form not in FORMS:
         raise ParameterError(f"there is no form {shown(form)}", "pid", f"use {', '.join(FORMS)}")
-    for name, value in (("crossover", crossover), ("N", n), ("integral_share", integral_share)):
+    for name, value in (("crossover", crossover), ("N", n)):
         _positive(name, value)
     if not -math.pi < phase_margin < math.pi:
         raise ParameterError(f"a phase margin of {phase_margin!r} rad", "pid", "give radians, 0.5 to 1.2 are usual")
@@ -110,7 +108,7 @@ def pid_at(
     if form == "PI":
         gains = PidGains(*_solved(wanted, 1.0, integral), n=n)
     else:
-        zero = integral_share * crossover if form == "PID" else 0.0
+        zero = INTEGRAL_SHARE * crossover if form == "PID" else 0.0
         kp, kd = _solved(wanted, 1.0 + zero * integral, derivative)
         gains = PidGains(kp, zero * kp, kd, n)
     _check_signs(gains, form, wanted, crossover)
@@ -125,9 +123,7 @@ def sampled_response(plant: DelayedStateSpace, omega: float, output: int = 0) ->
             "pid",
             "give a plant with one input, and the place of an output",
         )
-    a, b, c, d = plant.zero_order_hold(PERIOD).augmented()
-    z = cmath.exp(1j * omega * PERIOD)
-    return complex((c[output] @ np.linalg.solve(z * np.eye(len(a)) - a, b.astype(np.complex128)) + d[output])[0])
+    return complex(transfer(*plant.zero_order_hold(PERIOD).augmented(), cmath.exp(1j * omega * PERIOD))[0, output, 0])
 
 
 def _parts(z: NDArray[np.complex128] | complex, n: float) -> tuple[Complex, Complex]:

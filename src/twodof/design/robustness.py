@@ -17,7 +17,6 @@ from twodof.design.pitch_family import PARAMETERS, PitchFamily, PitchMembers
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.sampled_controller import SampledController
 from twodof.design.sensitivity import DiskMargin
-from twodof.errors import ParameterError
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -98,18 +97,15 @@ def robustness(
     controller: SampledController,
     family: PitchFamily,
     members: int = SAMPLES,
-    region: float = REGION,
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Robustness:
-    """Sample `members` drones of the family, and search the border of the confidence ellipsoid `region` for the worst.
+    """Sample `members` drones of the family, and search the border of the confidence ellipsoid `REGION` for the worst.
 
     The search begins in many directions and goes on around the worst of them, ever nearer. It follows three measures:
     the largest magnitude of a pole, that of a pole that swings (which the slow pole of an integral would hide), and the
     disk margin. `progress` is called with the share done. Raise ParameterError for numbers out of range.
     """
-    if not 0.5 <= region < 1.0:
-        raise ParameterError(f"a region of {region!r}", "robustness", "give 0.5 to 0.99999")
     drawn = family.draw(members, seed)
     values = _measures(drawn, controller)
     unstable = float(np.mean(values[0] >= 1.0))
@@ -117,14 +113,14 @@ def robustness(
     if k := len(family.uncertain):
         rng = np.random.default_rng(seed + 1)
         directions = _unit(np.concatenate([rng.standard_normal((_DIRECTIONS, k)), np.eye(k), -np.eye(k)]))
-        values = _measures(_on_border(family, region, directions), controller)
+        values = _measures(_on_border(family, directions), controller)
         for step in range(_ROUNDS):
             progress(step / _ROUNDS)
             top = directions[np.unique(np.argsort(-values, axis=1)[:, :_KEPT])]
             around = top[:, None] + 0.5**step * 0.7 * rng.standard_normal((len(top), _AROUND, k))
             directions = _unit(np.concatenate([top, around.reshape(-1, k)]))
-            values = _measures(_on_border(family, region, directions), controller)
-        border = _on_border(family, region, directions)
+            values = _measures(_on_border(family, directions), controller)
+        border = _on_border(family, directions)
         found += [(border.one(int(row.argmax())), float(values[0, row.argmax()])) for row in (values[0], values[2])]
     radius = max(size for _, size in found)
     if radius >= 1.0:
@@ -135,7 +131,7 @@ def robustness(
         ]
         worst, margin = min(disks, key=lambda one: one[1].alpha)
     swing, growth = _motion(worst, controller)
-    return Robustness(unstable, members, region, radius, worst, margin, swing, growth)
+    return Robustness(unstable, members, REGION, radius, worst, margin, swing, growth)
 
 
 def _measures(members: PitchMembers, controller: SampledController) -> Array:
@@ -148,12 +144,12 @@ def _measures(members: PitchMembers, controller: SampledController) -> Array:
     return np.stack([size.max(axis=1), swinging.max(axis=1), disk])
 
 
-def _on_border(family: PitchFamily, region: float, directions: Array) -> PitchMembers:
+def _on_border(family: PitchFamily, directions: Array) -> PitchMembers:
     """Return the drone at which each direction meets the border of the ellipsoid, clipped to the parameters' bounds."""
     from scipy.special import gammaincinv  # imported late: most commands start without it
 
     # The quantile of chi-square with k degrees of freedom; scipy.stats takes a second to import.
-    reach = math.sqrt(2.0 * float(gammaincinv(0.5 * len(family.uncertain), region)))
+    reach = math.sqrt(2.0 * float(gammaincinv(0.5 * len(family.uncertain), REGION)))
     rows = reach * directions @ family.root().T
     columns = {name: np.full(len(rows), float(family.values[name])) for name in PARAMETERS}
     for i, name in enumerate(family.uncertain):

@@ -11,6 +11,7 @@ from twodof.blocks.diagram import Diagram
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import ParameterError
 from twodof.flight.templates import ATTITUDE, check_template
+from twodof.models.lti import transfer
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -76,6 +77,4 @@ class SampledController:
 
     def response(self, omega: float) -> Complex:
         """From (theta_0, theta, q) to M at `omega` [rad/s], shape (3,)."""
-        z = np.exp(1j * omega * PERIOD)
-        inner = np.linalg.solve(z * np.eye(len(self.a)) - self.a, self.b.astype(np.complex128))
-        return np.asarray((self.c @ inner + self.d)[0], dtype=np.complex128)
+        return np.asarray(transfer(self.a, self.b, self.c, self.d, np.exp(1j * omega * PERIOD))[0, 0])

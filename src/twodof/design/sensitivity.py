@@ -21,7 +21,7 @@ _NEAR = 1e-8  # by what share the largest value may be missed where two peaks ar
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """`direct` + `share` S of a loop. `matrices` are its own, None for a continuous loop with a delay."""
+    """`direct` + `share` S of a loop, S = 1 / (1 + L). `matrices` are its own; None if a delay is around it."""
 
     loop: LoopTransfer
     share: float
@@ -56,16 +56,6 @@ class Sensitivity:
         if self.matrices is not None:
             return self.matrices.response(omega)
         return np.asarray(self.direct + self.share / (1.0 + self.loop.response(omega)))
-
-
-def sensitivity(loop: LoopTransfer, shift: float = 0.0) -> Sensitivity:
-    """S + `shift`, S = 1 / (1 + L)."""
-    return Sensitivity(loop, 1.0, shift)
-
-
-def complementary_sensitivity(loop: LoopTransfer) -> Sensitivity:
-    """T = 1 - S."""
-    return Sensitivity(loop, -1.0, 1.0)
 
 
 def largest(of: Sensitivity, grid: Array) -> tuple[float, float]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ParameterError
+from twodof.models.lti import transfer
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array]
@@ -185,11 +186,9 @@ class _Search:
         return slope
 
     def _response(self, matrices: System, omega: float) -> NDArray[np.complex128]:
-        a, b, c, d = matrices
         if not math.isfinite(omega):
-            return d.astype(np.complex128)
-        s = 1j * omega if self.dt is None else np.exp(1j * omega * self.dt)
-        return np.asarray(c @ np.linalg.solve(s * np.eye(len(a)) - a, b.astype(np.complex128)) + d)
+            return matrices[3].astype(np.complex128)
+        return np.asarray(transfer(*matrices, 1j * omega if self.dt is None else np.exp(1j * omega * self.dt))[0])
 
     def _descend(
         self,
@@ -330,6 +329,4 @@ def _met(a: Array, b: Array, c: Array, d: Array, level: float) -> Array:
 
 def _sizes(a: Array, b: Array, c: Array, d: Array, omega: Array) -> Array:
     """Return the largest singular value at each frequency."""
-    s = 1j * omega[:, None, None] * np.eye(len(a)) - a
-    response = c @ np.linalg.solve(s, np.broadcast_to(b, (len(omega), *b.shape)).astype(np.complex128)) + d
-    return np.asarray(np.linalg.svd(response, compute_uv=False).max(axis=1))
+    return np.asarray(np.linalg.svd(transfer(a, b, c, d, 1j * omega), compute_uv=False).max(axis=1))

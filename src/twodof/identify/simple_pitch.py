@@ -179,14 +179,7 @@ class SimplePitch(SimpleEstimate):
         )
 
 
-def identify_pitch(
-    impulse: Record,
-    doublets: Sequence[Record],
-    *,
-    trim: float | None = None,
-    input: str = "M",
-    output: str = "q",
-) -> SimplePitch:
+def identify_pitch(impulse: Record, doublets: Sequence[Record], *, trim: float | None = None) -> SimplePitch:
     """Experiment 1 on `impulse`, experiment 2 on the first of `doublets`; the other doublets validate.
 
     `trim` is the moment that holds the drone level (default: the input before each doublet's first edge). Raises
@@ -194,36 +187,34 @@ def identify_pitch(
     """
     if not doublets:
         raise IdentificationError("no doublet is given", "identify_pitch", "give at least one record")
-    free = read_free_response(impulse, input, output)
-    doublet = read_doublet(doublets[0], free.w_n, free.xi, trim, input, output)
+    free = read_free_response(impulse)
+    doublet = read_doublet(doublets[0], free.w_n, free.xi, trim)
     model = PitchRate(free.w_n, free.xi, doublet.mu, doublet.tau)
-    pairs = [simulated_pair(model, record, trim, input, output) for record in doublets]
+    pairs = [simulated_pair(model, record, trim) for record in doublets]
     scores = [(record.name, fit_percent(*pair)) for record, pair in zip(doublets, pairs, strict=True)]
     left = rmse(*pairs[0]) / doublet.peak
     return SimplePitch(scores[0], tuple(scores[1:]), model, free, doublet, left=left)
 
 
-def simulated_pair(
-    model: PitchRate, record: Record, trim: float | None = None, input: str = "M", output: str = "q"
-) -> tuple[Array, Array]:
+def simulated_pair(model: PitchRate, record: Record, trim: float | None = None) -> tuple[Array, Array]:
     """Measured q less its rest, and q simulated from rest at the moment `trim`, at the samples' times.
 
     `trim` defaults to the input's first value. Raises IdentificationError as `read_doublet` does.
     """
-    time, q, u = record.signals(input, output)
-    edge = edges_of(record, u, input)[0]
+    time, q, u = record.signals("M", "q")
+    edge = edges_of(record, u, "M")[0]
     rest = float(q[time < record.start + edge * record.dt].mean())
     simulated = model.state_space().zero_order_hold(record.dt).simulate(u - (u[0] if trim is None else trim))[:, 1]
     return q - rest, np.interp(time, record.time, simulated)
 
 
-def read_free_response(record: Record, input: str = "M", output: str = "q") -> FreeResponse:
+def read_free_response(record: Record) -> FreeResponse:
     """Period and settling time of the free response after the input's last edge.
 
     Raises IdentificationError without an edge, or with fewer than three half swings above the noise.
     """
-    time, q, u = record.signals(input, output)
-    released = record.start + edges_of(record, u, input)[-1] * record.dt
+    time, q, u = record.signals("M", "q")
+    released = record.start + edges_of(record, u, "M")[-1] * record.dt
     after = time >= released
     t, y = time[after], q[after]
     tail = y[-max(10, y.size // 10) :]
@@ -234,7 +225,7 @@ def read_free_response(record: Record, input: str = "M", output: str = "q") -> F
     if len(runs) < 3:
         raise IdentificationError(
             f"only {len(runs)} half swings stand out of the noise ({noise:.2g} rad/s)",
-            f"record '{record.name}', channel '{output}'",
+            f"record '{record.name}', channel 'q'",
             "excite more strongly or take a longer window after the impulse",
         )
     crossings = np.array([_crossing(t, y, a, b) for (_, a), (b, _) in pairwise(runs)])
@@ -246,19 +237,17 @@ def read_free_response(record: Record, input: str = "M", output: str = "q") -> F
     return FreeResponse(crossings, times, peaks, period, settling, extrapolated, w_n, 4.6 / (settling * w_n))
 
 
-def read_doublet(
-    record: Record, w_n: float, xi: float, trim: float | None = None, input: str = "M", output: str = "q"
-) -> DoubletResponse:
+def read_doublet(record: Record, w_n: float, xi: float, trim: float | None = None) -> DoubletResponse:
     """Gain and delay from the response to a doublet, given the poles.
 
     Both peaks, measured and simulated, are read from signals averaged over the same five samples. So noise does not
     lift the peak, and the average rounds both corners alike. Raises IdentificationError without an edge, without rest
     before it, or for a response within the noise.
     """
-    time, q, u = record.signals(input, output)
-    edges = edges_of(record, u, input)
+    time, q, u = record.signals("M", "q")
+    edges = edges_of(record, u, "M")
     edge = record.start + edges[0] * record.dt
-    before = rest_before(record, time, edge, output)
+    before = rest_before(record, time, edge, "q")
     rest, noise = float(q[before].mean()), float(q[before].std())
     grid = np.interp(record.time, time, q - rest)
     level = u[0] if trim is None else trim
@@ -270,7 +259,7 @@ def read_doublet(
     if peak < 5.0 * noise:
         raise IdentificationError(
             f"the response's peak {peak:.3g} rad/s hardly exceeds its noise {noise:.3g} rad/s",
-            f"record '{record.name}', channel '{output}'",
+            f"record '{record.name}', channel 'q'",
             "use a larger or longer doublet",
         )
     mu = peak / unit_peak

@@ -92,37 +92,31 @@ class SimpleVelocity(SimpleEstimate):
         return self.json_with({"model": asdict(self.model), "step": step})
 
 
-def identify_velocity(
-    doublets: Sequence[Record], *, set_point: str = "theta0", pitch: str = "theta", output: str = "v"
-) -> SimpleVelocity:
+def identify_velocity(doublets: Sequence[Record]) -> SimpleVelocity:
     """k_v and p_v from the first of `doublets`; the others validate.
 
-    Each record holds the inputs `set_point` and `pitch` [rad] and the output v [m/s]. Raises IdentificationError if a
+    Each record holds the inputs theta0 and theta [rad] and the output v [m/s]. Raises IdentificationError if a
     record lacks a channel or the excitation, or if v does not stand out of its noise.
     """
     if not doublets:
         raise IdentificationError("no doublet is given", "identify_velocity", "give at least one record")
-    step = read_step(doublets[0], set_point, output)
+    step = read_step(doublets[0])
     model = Velocity(step.k_v, step.p_v)
-    scores = [
-        (record.name, fit_percent(*simulated_pair(model, record, set_point, pitch, output))) for record in doublets
-    ]
+    scores = [(record.name, fit_percent(*simulated_pair(model, record))) for record in doublets]
     return SimpleVelocity(scores[0], tuple(scores[1:]), model, step)
 
 
-def simulated_pair(
-    model: Velocity, record: Record, set_point: str = "theta0", pitch: str = "theta", output: str = "v"
-) -> tuple[Array, Array]:
+def simulated_pair(model: Velocity, record: Record) -> tuple[Array, Array]:
     """Measured v less its rest, and v simulated from the measured pitch less its rest, at the samples' times."""
-    time, v, theta0 = record.signals(set_point, output)
-    _, _, theta = record.signals(pitch, output)
-    first = edges_of(record, theta0, set_point)[0]
-    rest = float(v[rest_before(record, time, record.start + first * record.dt, output)].mean())
+    time, v, theta0 = record.signals("theta0", "v")
+    _, _, theta = record.signals("theta", "v")
+    first = edges_of(record, theta0, "theta0")[0]
+    rest = float(v[rest_before(record, time, record.start + first * record.dt, "v")].mean())
     simulated = model.state_space().zero_order_hold(record.dt).simulate(theta - theta[:first].mean())[:, 1]
     return v - rest, np.interp(time, record.time, simulated)
 
 
-def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> StepResponse:
+def read_step(record: Record) -> StepResponse:
     """Gain and pole from the first half of a doublet, as if the pitch followed its set-point at once.
 
     The model is v = -(k_v theta_bar / p_v) (1 - exp(-p_v t)), and the line's slope is taken for that of the start. The
@@ -131,11 +125,11 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     both come out low, as in the paper.
     Raises IdentificationError as `identify_velocity` does.
     """
-    time, v, theta0 = record.signals(set_point, output)
-    edges = edges_of(record, theta0, set_point)
+    time, v, theta0 = record.signals("theta0", "v")
+    edges = edges_of(record, theta0, "theta0")
     edge = record.start + edges[0] * record.dt
     theta_bar = float(theta0[edges[0]] - theta0[edges[0] - 1])
-    before = rest_before(record, time, edge, output)
+    before = rest_before(record, time, edge, "v")
     rest, noise = float(v[before].mean()), float(v[before].std())
     until = record.start + (edges[1] if len(edges) > 1 else record.steps) * record.dt
     # The pitch turns back some time after its set-point, and v with it.
@@ -146,7 +140,7 @@ def read_step(record: Record, set_point: str = "theta0", output: str = "v") -> S
     if peak < 5.0 * noise or top < 8:
         raise IdentificationError(
             f"the peak of v, {peak:.3g} m/s, hardly exceeds its noise {noise:.3g} m/s",
-            f"record '{record.name}', channel '{output}'",
+            f"record '{record.name}', channel 'v'",
             "use a larger or longer doublet: below the static friction the cart does not move",
         )
     rising = np.flatnonzero(y[: top + 1] < 0.1 * peak)

@@ -110,9 +110,8 @@ class DelayedStateSpace:
     def response(self, omega: ArrayLike) -> Complex:
         """Return C (j w I - A)^-1 B + D times exp(-j w delay) at `omega` [rad/s]: shape (k, p, m)."""
         w = np.atleast_1d(np.asarray(omega, dtype=float))
-        resolvent = 1j * w[:, None, None] * np.eye(self.a.shape[0]) - self.a
-        response = self.c @ np.linalg.solve(resolvent, np.broadcast_to(self.b, (w.size, *self.b.shape))) + self.d
-        return np.asarray(response * np.exp(-1j * w * self.delay)[:, None, None], dtype=np.complex128)
+        late = np.exp(-1j * w * self.delay)[:, None, None]
+        return np.asarray(transfer(self.a, self.b, self.c, self.d, 1j * w) * late, dtype=np.complex128)
 
     def zero_order_hold(self, dt: float) -> SampledStateSpace:
         """Return the exact discrete model for an input held over each `dt` [s], which need not divide the delay.
@@ -131,6 +130,13 @@ class DelayedStateSpace:
         return SampledStateSpace(
             phi_new @ phi_old, phi_new @ gamma_old, gamma_new, self.c, self.d, whole, part > 0.0, dt
         )
+
+
+def transfer(a: Array, b: Array, c: Array, d: Array, places: ArrayLike) -> Complex:
+    """Return C (p - A)^-1 B + D at points p of the s plane or the z plane, (k,): shape (k, outputs, inputs)."""
+    points = np.atleast_1d(np.asarray(places, dtype=np.complex128))
+    drive = np.broadcast_to(b, (points.size, *b.shape)).astype(np.complex128)
+    return np.asarray(c @ np.linalg.solve(points[:, None, None] * np.eye(len(a)) - a, drive) + d)
 
 
 @dataclass(frozen=True)
