@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import IdentificationError, nearest, shown
+from twodof.errors import nearest, shown
 from twodof.identify.record import Record
 
 Array = NDArray[np.float64]
@@ -26,10 +26,8 @@ def _grid_signal(record: Record, name: str) -> Array:
     if name in record.outputs:
         samples = record.outputs[name]
         return np.asarray(np.interp(np.arange(record.steps), samples.position, samples.value))
-    raise IdentificationError(
-        f"the record does not hold {shown(name)}",
-        f"record '{record.name}'",
-        f"there are: {nearest(name, (*record.inputs, *record.outputs))}",
+    raise record.error(
+        f"the record does not hold {shown(name)}", f"there are: {nearest(name, (*record.inputs, *record.outputs))}"
     )
 
 
@@ -168,42 +166,37 @@ def frequency_response(
     """
     from scipy.signal import get_window  # imported late: most commands start without it
 
-    where = f"record '{record.name}'"
     others, references = ((one,) if isinstance(one, str) else tuple(one) for one in (given, reference))
     inputs = (input, *others)
     signals = np.array([_grid_signal(record, name) for name in (*inputs, *references, output)])
     for names, role in ((inputs, "input"), (references, "reference")):
         if len(set(names)) < len(names):
-            raise IdentificationError(f"an {role} is named twice: {', '.join(names)}", where, "name each once")
+            raise record.error(f"an {role} is named twice: {', '.join(names)}", "name each once")
     for name, signal in zip((*inputs, *references), signals, strict=False):
         if float(np.ptp(signal)) == 0.0:
-            raise IdentificationError(f"'{name}' does not move", where, "choose a window with excitation")
+            raise record.error(f"'{name}' does not move", "choose a window with excitation")
     count = len(inputs)
     if references and len(references) != count:
-        raise IdentificationError(
+        raise record.error(
             f"{len(references)} references for {count} inputs",
-            where,
             f"name one for each of {', '.join(inputs)}: what moves them from outside the loop",
         )
     samples = record.steps * 2 // 9 if segment is None else segment / record.dt
     if not _FEWEST <= samples <= record.steps / 1.5:
-        raise IdentificationError(
+        raise record.error(
             f"segments of {samples:g} samples do not fit at least twice into {record.steps} samples",
-            where,
             "use a longer record or a shorter segment",
         )
     length = round(samples)
     try:
         taper = np.asarray(get_window(window, length), dtype=np.float64)
     except ValueError as reason:
-        raise IdentificationError(f"no window is called {shown(window)}", where, "as 'hann' or 'blackman'") from reason
+        raise record.error(f"no window is called {shown(window)}", "as 'hann' or 'blackman'") from reason
     averages = _independent(taper, record.steps)
     freedom = averages - count
     if freedom <= 0.0:
-        raise IdentificationError(
-            f"{averages:.1f} averages for {count} input{'s' * (count > 1)}",
-            where,
-            "use a longer record or a shorter segment",
+        raise record.error(
+            f"{averages:.1f} averages for {count} input{'s' * (count > 1)}", "use a longer record or a shorter segment"
         )
     # With r = u for instruments this is least squares at each frequency. The covariance is that of regression:
     # cov H = S_vv A^-1 S_rr A^-H / (n - q). Here A = S_ru, and the noise is v = y - H u.
@@ -213,9 +206,8 @@ def frequency_response(
     powers = np.einsum("fii->fi", matrix).real
     usable = _usable(between, powers[:, u], powers[:, r])
     if not usable.any():
-        raise IdentificationError(
+        raise record.error(
             f"the inputs {', '.join(inputs)} move alike at every frequency, or do not follow the references",
-            where,
             "move one of them by itself, or leave it out",
         )
     inverse = np.linalg.inv(np.where(usable[:, None, None], between, np.eye(count)))

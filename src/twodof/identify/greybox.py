@@ -75,7 +75,7 @@ def fit(
     if not wanted or len(set(wanted)) < len(wanted):
         twice = [name for i, name in enumerate(wanted) if name in wanted[:i]]
         what = f"'{twice[0]}' is named twice in `estimate`" if twice else "`estimate` names no unknown"
-        raise IdentificationError(what, where, "name each unknown once, and at least one")
+        raise structure.error(what, "name each unknown once, and at least one")
     check_disturbance(disturbance, band is not None, bool(noise), where)
     problem = Problem(structure, several, wanted, values or {}, bounds, _names(separate), band, prior)
     found = search(problem, _solve(problem, noise or {}), disturbance, bool(noise))
@@ -83,7 +83,7 @@ def fit(
     labels = [slot.label for slot in problem.slots]
     free = np.flatnonzero(~minimum.at_bound)
     if free.size == 0:
-        raise IdentificationError("every unknown is held by a bound", where, "widen the bounds or check the signs")
+        raise structure.error("every unknown is held by a bound", "widen the bounds or check the signs")
     try:
         condition = check_identifiable(jacobian[:, free], problem.scale[free], [labels[i] for i in free], where)
     except IdentificationError:
@@ -174,9 +174,8 @@ def _solve(problem: Problem, noise: Mapping[str, float]) -> LeastSquaresMinimum:
         minimum = problem.minimise(x)
         x = minimum.x
         if not math.isfinite(minimum.cost):
-            raise IdentificationError(
+            raise problem.structure.error(
                 "the model's outputs are not finite at the first guess",
-                f"structure '{problem.structure.name}'",
                 "choose other first guesses, or a smaller step (substeps)",
             )
         change = _reweight(problem, minimum.residual, open_)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import IdentificationError
 from twodof.excitation import LIMITS, Doublet, Excitation, Multisine, ThreeTwoOneOne
 from twodof.identify.covariance import check_identifiable, covariance
 from twodof.identify.disturbance.disturbance_model import DisturbanceModel
@@ -148,9 +147,7 @@ def _blank(
     columns = {name: np.asarray(u, dtype=float) for name, u in inputs.items()}
     lengths = {u.size for u in columns.values()}
     if len(lengths) != 1 or min(lengths) < 2:
-        raise IdentificationError(
-            f"inputs of {sorted(lengths)} samples", f"structure '{structure.name}'", "give equal lengths, 2 or more"
-        )
+        raise structure.error(f"inputs of {sorted(lengths)} samples", "give equal lengths, 2 or more")
     steps = lengths.pop()
     places = {name: np.asarray((sampled or {}).get(name, np.arange(steps)), dtype=float) for name in outputs}
     blank = {name: Samples(place, np.zeros(place.size)) for name, place in places.items()}
@@ -259,9 +256,7 @@ def best(
     the way.
     """
     if len(structure.inputs) != 1:
-        raise IdentificationError(
-            f"the structure has {len(structure.inputs)} inputs", f"structure '{structure.name}'", "design for one input"
-        )
+        raise structure.error(f"the structure has {len(structure.inputs)} inputs", "design for one input")
     tried: list[tuple[float, float, float]] = []
     found: list[Design] = []
     reasons: set[str] = set()
@@ -278,9 +273,8 @@ def best(
         found.append(Design(excitation, info, _cost(structure, info), ()))
         tried.append((shape, amplitude, found[-1].cost))
     if not found:
-        raise IdentificationError(
+        raise structure.error(
             f"no excitation fits: {'; '.join(sorted(reasons)) or 'no shape was given'}",
-            f"structure '{structure.name}'",
             "try shorter shapes, a longer experiment, or another kind of signal",
         )
     best_of = min(found, key=lambda one: one.cost)

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.compile.linear.linearize import linearize
-from twodof.errors import IdentificationError
 from twodof.identify.estimate import Estimate
 from twodof.identify.validate import deviations
 from twodof.models.structure import Structure
@@ -50,11 +49,9 @@ def model_response(
     the first. Raises IdentificationError for a name that is not there and an input that moves nothing. Raises
     DiagramError where the structure cannot be linearised: at rest it sticks, or a limit begins.
     """
-    where = f"structure '{structure.name}'"
     if input not in structure.inputs or output not in structure.outputs:
-        raise IdentificationError(
+        raise structure.error(
             f"no response leads from '{input:.80}' to '{output:.80}'",
-            where,
             f"inputs: {', '.join(structure.inputs)}; outputs: {', '.join(structure.outputs)}",
         )
     w = np.asarray(omega, dtype=np.float64)
@@ -68,7 +65,7 @@ def model_response(
 
     nominal = response(values)
     if not (np.isfinite(nominal).all() and (abs(nominal) > 0.0).all()):
-        raise IdentificationError(f"'{input}' does not move '{output}' at rest", where, "choose another input")
+        raise structure.error(f"'{input}' does not move '{output}' at rest", "choose another input")
     slopes, rows = [], []
     for name, i in chosen.items():
         if estimate.labels[i] in estimate.local or not math.isfinite(estimate.quoted[i, i]):

@@ -127,14 +127,12 @@ def _drawn(
 def _check(structure: Structure, within: Mapping[str, tuple[float, float]], starts: int) -> None:
     check_structure(structure)
     structure.check_names(within)
-    where = f"structure '{structure.name}'"
     if not 1 <= starts <= MAX_STARTS:
-        raise IdentificationError(f"{starts} starts", where, f"give 1 to {MAX_STARTS}")
+        raise structure.error(f"{starts} starts", f"give 1 to {MAX_STARTS}")
     for name, (low, high) in within.items():
         lower, upper = structure.unknowns[name].lower, structure.unknowns[name].upper
         if not (math.isfinite(high - low) and lower <= low < high <= upper):
-            raise IdentificationError(
+            raise structure.error(
                 f"the first guess of '{name}' cannot be drawn from {low:g} to {high:g}",
-                where,
                 f"give a range, low first, within {lower:g} to {upper:g}",
             )

@@ -58,7 +58,7 @@ class Problem:
         structure.check_names((*estimate, *(key.partition("[")[0] for key in values), *limits, *separate, *given))
         if len({record.name for record in self.records}) < max(1, len(self.records)):
             what = "two records have one name" if self.records else "no record is given"
-            raise self._error(what, "give at least one, each with a name of its own")
+            raise self.structure.error(what, "give at least one, each with a name of its own")
         unknowns = structure.unknowns
         guesses = {name: unknown.value for name, unknown in unknowns.items()}
         guesses |= {name: mean for name, (mean, deviation) in given.items() if math.isfinite(deviation)}
@@ -80,7 +80,7 @@ class Problem:
         for slot, x, low, high in zip(self.slots, self.x0, self.lower, self.upper, strict=True):
             if not low <= x <= high:
                 what = f"the first guess {x:g} of '{slot.label}' is not within {low:g} to {high:g}"
-                raise self._error(what, "give another guess or other bounds")
+                raise self.structure.error(what, "give another guess or other bounds")
         names = [slot.unknown.name for slot in self.slots]
         known = {**structure.prior, **given}
         self.known = {n: one for n, one in known.items() if n in names and math.isfinite(one[1])}
@@ -122,7 +122,7 @@ class Problem:
             of = [k for k, one in enumerate(self.blocks) if name in (one.output, self._named(one, in_full=True))]
             if not of or not (math.isfinite(sigma) and sigma > 0.0):
                 what = f"noise {sigma} for '{name}' is not a positive number for a measured output"
-                raise self._error(what, f"measured outputs: {', '.join(self.outputs)}")
+                raise self.structure.error(what, f"measured outputs: {', '.join(self.outputs)}")
             self.sigma[of] = sigma
             fixed.update(of)
         return fixed
@@ -143,9 +143,6 @@ class Problem:
 
     def _flight(self, block: ResidualRows) -> str:
         return self.records[block.record].flight or self.records[block.record].name
-
-    def _error(self, what: str, remedy: str) -> IdentificationError:
-        return IdentificationError(what, f"structure '{self.structure.name}'", remedy)
 
     def values(self, x: Array, record: int) -> dict[str, float]:
         """Every parameter's value in one record."""
@@ -242,10 +239,8 @@ def _checked_prior(prior: Mapping[str, Sequence[float]], structure: Structure) -
         except (TypeError, ValueError):
             mean = deviation = math.nan
         if not (math.isfinite(mean) and deviation > 0.0):
-            raise IdentificationError(
-                f"the prior of '{name}' is {given!r:.80}",
-                f"structure '{structure.name}'",
-                "give (mean, standard deviation), the latter above 0",
+            raise structure.error(
+                f"the prior of '{name}' is {given!r:.80}", "give (mean, standard deviation), the latter above 0"
             )
         found[name] = (mean, deviation)
     return found

@@ -170,9 +170,8 @@ def select(
         except IdentificationError as error:
             refused = f": {error.what}"
     if len(fits) < 2:
-        raise IdentificationError(
+        raise structure.error(
             f"{len(fits)} of {len(subsets)} subsets could be fitted{refused}",
-            f"structure '{structure.name}'",
             "name other unknowns, or give better first values",
         )
     return rank(fits, criterion=criterion), fits

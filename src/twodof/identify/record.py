@@ -65,11 +65,14 @@ class Record:
     def __post_init__(self) -> None:
         for name, hold in self.hold.items():
             if hold not in HOLDS or name not in self.inputs:
-                raise IdentificationError(
+                raise self.error(
                     f"there is no hold {hold!r:.40} of an input '{name}'",
-                    f"record '{self.name}'",
                     f"holds: {', '.join(HOLDS)}; inputs: {', '.join(self.inputs)}",
                 )
+
+    def error(self, what: str, remedy: str = "") -> IdentificationError:
+        """Return the error `what` of this record."""
+        return IdentificationError(what, f"record '{self.name}'", remedy)
 
     def hold_of(self, input: str) -> str:
         """How `input` behaves between its steps."""
@@ -92,9 +95,8 @@ class Record:
     def signals(self, input: str, output: str) -> tuple[Array, Array, Array]:
         """Return times and values of an output, and an input's steps. Raises IdentificationError if one is missing."""
         if input not in self.inputs or output not in self.outputs:
-            raise IdentificationError(
+            raise self.error(
                 f"the record does not hold '{input}' as input and '{output}' as output",
-                f"record '{self.name}'",
                 f"inputs: {', '.join(self.inputs)}; outputs: {', '.join(self.outputs)}",
             )
         return self.output_time(output), self.outputs[output].value, self.inputs[input]

@@ -299,9 +299,7 @@ def edges_of(record: Record, u: Array, input: str) -> list[int]:
     span = float(np.ptp(u))
     jumps = np.flatnonzero(np.abs(np.diff(u)) > 0.2 * span) + 1 if span > 0.0 else np.array([], dtype=int)
     if jumps.size == 0:
-        raise IdentificationError(
-            f"the input '{input}' has no edge", f"record '{record.name}'", "choose a window with the excitation"
-        )
+        raise record.error(f"the input '{input}' has no edge", "choose a window with the excitation")
     return [int(k) for k in jumps]
 
 

@@ -88,7 +88,7 @@ def predict_ahead(
     errors. `values`, `initial` and errors as in `simulate`; IdentificationError for `steps` below 1.
     """
     if steps < 1:
-        raise IdentificationError(f"{steps} samples ahead", f"record '{record.name}'", "give 1 or more")
+        raise record.error(f"{steps} samples ahead", "give 1 or more")
     found = simulate(structure, record, values, initial=initial)
     for name, simulated in found.items():
         samples = record.outputs[name]

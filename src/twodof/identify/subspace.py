@@ -95,7 +95,7 @@ def subspace(
     ins, outs = tuple(inputs) or tuple(record.inputs), tuple(outputs) or tuple(record.outputs)
     for one, there in [*((n, record.inputs) for n in ins), *((n, record.outputs) for n in outs)]:
         if one not in there:
-            raise IdentificationError(f"there is no '{one}'", where, f"there are: {', '.join(there)}")
+            raise record.error(f"there is no '{one}'", f"there are: {', '.join(there)}")
     for one in outs:
         if not (record.outputs[one].on_grid and record.outputs[one].value.size == record.steps):
             raise IdentificationError(
@@ -107,16 +107,14 @@ def subspace(
     most = (steps + 1) // (2 * (m + p) + 2)
     reach = min(max(10, steps // 50), 30, most) if horizon is None else horizon
     if not 2 <= reach <= most:
-        raise IdentificationError(
-            f"{steps} samples for a horizon of {reach}", where, f"give 2 to {most}, or record more"
-        )
+        raise record.error(f"{steps} samples for a horizon of {reach}", f"give 2 to {most}, or record more")
     largest = min(MAX_STATES, reach - 1)
     if not 1 <= (1 if order is None else order) <= largest:
-        raise IdentificationError(f"the order {order}", where, f"give 1 to {largest}, or a longer horizon")
+        raise record.error(f"the order {order}", f"give 1 to {largest}, or a longer horizon")
     # Each signal in its own size: the singular values then weigh outputs alike.
     size_u, size_y = u.std(axis=0), y.std(axis=0)
     if still := [name for name, size in zip((*ins, *outs), (*size_u, *size_y), strict=True) if size == 0.0]:
-        raise IdentificationError(f"'{still[0]}' is constant", where, "choose another window")
+        raise record.error(f"'{still[0]}' is constant", "choose another window")
     basis, values = _observability((u - u.mean(axis=0)) / size_u, (y - y.mean(axis=0)) / size_y, reach, where)
     if order is None:
         kept = values[: max(2, min(reach // 2, MAX_STATES) + 1)]

@@ -76,7 +76,7 @@ class Structure:
         for name in (*self.estimate, *self.local, *self.scale, *self.prior, *parts, *filter(None, [self.delay])):
             self._param(name)
         if not self.estimate:
-            raise IdentificationError("there is nothing to estimate", f"structure '{self.name}'", "name an unknown")
+            raise self.error("there is nothing to estimate", "name an unknown")
 
     @classmethod
     def of_block(
@@ -127,14 +127,16 @@ class Structure:
         """Every scalar real parameter of the diagram by name."""
         return {param.name: self._unknown(param) for param in _reals(self.diagram.params.values())}
 
+    def error(self, what: str, remedy: str = "") -> IdentificationError:
+        """Return the error `what` of this structure."""
+        return IdentificationError(what, f"structure '{self.name}'", remedy)
+
     def check_names(self, names: Iterable[str]) -> None:
         """Raise IdentificationError for a name that no unknown has."""
         known = self.unknowns
         for name in names:
             if name not in known:
-                raise IdentificationError(
-                    f"no unknown is called '{name}'", f"structure '{self.name}'", f"there are: {', '.join(known)}"
-                )
+                raise self.error(f"no unknown is called '{name}'", f"there are: {', '.join(known)}")
 
     def with_guess(self, **values: float) -> Self:
         """Return the structure with other first guesses. Raises IdentificationError for an unknown name."""
@@ -146,10 +148,8 @@ class Structure:
 
     def _param(self, name: str) -> Param:
         if name not in self.diagram.params:
-            raise IdentificationError(
-                f"there is no parameter '{name}'",
-                f"structure '{self.name}'",
-                f"there are: {', '.join(self.diagram.params) or 'none'}",
+            raise self.error(
+                f"there is no parameter '{name}'", f"there are: {', '.join(self.diagram.params) or 'none'}"
             )
         return self.diagram.params[name]
 
@@ -157,7 +157,7 @@ class Structure:
         value = float(param.value)
         scale = self.scale.get(param.name, abs(value) if value != 0.0 else 1.0)
         if not (math.isfinite(scale) and scale > 0.0):
-            raise IdentificationError(f"scale {scale} of '{param.name}' is not positive", f"structure '{self.name}'")
+            raise self.error(f"scale {scale} of '{param.name}' is not positive")
         return UnknownParameter(
             param.name, value, param.low, param.high, param.unit, scale, param.name in self.local, param.text
         )

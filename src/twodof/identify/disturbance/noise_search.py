@@ -121,9 +121,8 @@ def _asked(
     if disturbance == "ar":
         return _coloured(problem, minimum, answering)
     if not can_be_pushed(problem, minimum.x):
-        raise IdentificationError(
+        raise problem.structure.error(
             "disturbance='input' needs a linear structure of one input, and one output sampled once a step",
-            f"structure '{problem.structure.name}'",
             "take disturbance='ar', which any structure can have",
         )
     return _pushed(problem, minimum, answering)
