@@ -130,24 +130,15 @@ class LoopMargins:
 
     def to_json(self) -> dict[str, Any]:
         """Plain data in SI units: radians, factors and seconds; infinity stays infinity."""
+        named = ("stable", "crossover", "gain_margin", "phase_margin", "delay_margin", "modulus_margin", "bandwidth")
         return {
-            "stable": self.stable,
+            **{name: getattr(self, name) for name in (*named, "ms", "ms_at", "mt", "mt_at")},
             "motion": None if self.motion is None else {"omega": self.motion.omega, "growth": self.motion.growth},
-            "crossover": self.crossover,
-            "gain_margin": self.gain_margin,
             "gain_increase": self.increase.factor if self.increase else math.inf,
             "gain_decrease": self.decrease.factor if self.decrease else 0.0,
-            "phase_margin": self.phase_margin,
-            "delay_margin": self.delay_margin,
             "disk_margin": self.disk.alpha,
             "disk_gain": list(self.disk.gain),
             "disk_phase": self.disk.phase,
-            "ms": self.ms,
-            "ms_at": self.ms_at,
-            "mt": self.mt,
-            "mt_at": self.mt_at,
-            "modulus_margin": self.modulus_margin,
-            "bandwidth": self.bandwidth,
             "gain_crossings": [{"factor": g.factor, "omega": g.omega} for g in self.gains],
             "phase_crossings": [{"phase": p.phase, "omega": p.omega} for p in self.phases],
             "poles": [[float(p.real), float(p.imag)] for p in self.poles],

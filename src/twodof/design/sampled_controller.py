@@ -11,7 +11,7 @@ from twodof.blocks.diagram import Diagram
 from twodof.compile.linear.linearize import linearize
 from twodof.errors import ParameterError
 from twodof.flight.templates import ATTITUDE, check_template
-from twodof.models.lti import transfer
+from twodof.models.lti import check_system, transfer
 from twodof.signals import PERIOD
 
 Array = NDArray[np.float64]
@@ -35,14 +35,9 @@ class SampledController:
     d: Array
 
     def __post_init__(self) -> None:
-        n = len(self.a)
-        shapes = (self.a.shape, self.b.shape, self.c.shape, self.d.shape)
-        if shapes != ((n, n), (n, 3), (1, n), (1, 3)):
-            raise ParameterError(
-                f"shapes {shapes} are not a controller", "SampledController", "(n,n), (n,3), (1,n), (1,3)"
-            )
-        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
-            raise ParameterError("a matrix holds NaN or infinity", "SampledController", "give finite numbers")
+        check_system(self.a, self.b, self.c, self.d, "SampledController")
+        if self.d.shape != (1, len(INPUTS)):
+            raise ParameterError(f"{self.d.shape} outputs and inputs", "SampledController", "give 1 and 3")
 
     @classmethod
     def of(cls, diagram: Diagram, values: Mapping[str, Any] | None = None) -> Self:

@@ -228,17 +228,13 @@ def requirements(
     stable = all(one.stable for one in loops.values())
     rows = []
     for name, value in asked.items():
-        figure = FIGURES[name]
-        got = math.nan
-        if figure.of_step:
-            if promised is not None and promised.robust:
-                got = figure.factor * promised.figures[figure.of_step][2]
-        elif name in bandwidths:
-            got = bandwidths[name] if stable else math.nan
-        elif stable and name == "peak_sensitivity":
-            got = max(one.ms for one in loops.values())
-        elif stable:
-            got = min(float(getattr(one, name)) for one in loops.values())
+        figure, got = FIGURES[name], math.nan
+        if figure.of_step and promised is not None and promised.robust:
+            got = figure.factor * promised.figures[figure.of_step][2]
+        elif not figure.of_step and stable:
+            margin = "ms" if name == "peak_sensitivity" else name
+            worst = max if figure.at_most else min
+            got = bandwidths[name] if name in bandwidths else worst(getattr(one, margin) for one in loops.values())
         rows.append(Requirement(name, value, float(got), figure.at_most))
     return tuple(rows)
 

@@ -68,12 +68,10 @@ def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
 
     wanted = np.atleast_1d(np.asarray(poles, dtype=np.complex128))
     real = wanted.shape == (3,) and bool(np.isfinite(wanted).all()) and abs(np.poly(wanted).imag).max() < 1e-9
-    if not real or not (wanted.real < 0.0).all() or abs(wanted).max() > 200.0:
-        raise _error(
-            f"the poles {poles!r:.80}", "give three in the left half plane, complex ones in pairs, to 200 rad/s"
-        )
-    if min(abs(wanted[i] - wanted[j]) for i, j in ((0, 1), (0, 2), (1, 2))) < 1e-6:
-        raise _error("two of the poles are equal", "set them apart")
+    apart = real and min(abs(wanted - np.roll(wanted, 1))) > 1e-6
+    if not apart or not (wanted.real < 0.0).all() or abs(wanted).max() > 200.0:
+        remedy = "give three in the left half plane, apart, complex ones in pairs, to 200 rad/s"
+        raise _error(f"the poles {poles!r:.80}", remedy)
     a, b = _without_dead_time(family)
     own = [math.exp(-PERIOD / max(family.values["lag"], 1e-3)), 0.0]
     try:
@@ -99,7 +97,7 @@ def lqi(
     from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
 
     sizes = (largest_theta, largest_q, largest_integral, largest_moment)
-    if not all(isinstance(v, int | float) and 0.0 < v < math.inf for v in sizes):
+    if not all(0.0 < v < math.inf for v in sizes):
         raise _error(f"sizes {sizes!r:.80}", "give finite numbers > 0")
     a, b = _without_dead_time(family)
     weights = np.diag([largest_theta**-2, largest_q**-2, 0.0, 0.0, largest_integral**-2])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from twodof.errors import ParameterError
-from twodof.models.lti import transfer
+from twodof.models.lti import check_system, transfer
 
 Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array]
@@ -267,12 +267,8 @@ def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -
     Shapes (n, n), (n, m), (p, n), (p, m). An unstable system has the norm infinity. Good to `TOLERANCE` of itself.
     Raises ParameterError for shapes that do not fit and numbers that are not finite.
     """
+    check_system(a, b, c, d, "hinf_norm")
     n = len(a)
-    if a.shape != (n, n) or b.shape[0] != n or c.shape[1] != n or d.shape != (c.shape[0], b.shape[1]):
-        shapes = (a.shape, b.shape, c.shape, d.shape)
-        raise ParameterError(f"shapes {shapes} are not a system", "hinf_norm", "give (n,n), (n,m), (p,n), (p,m)")
-    if not all(np.isfinite(part).all() for part in (a, b, c, d)):
-        raise ParameterError("a matrix holds NaN or infinity", "hinf_norm", "give finite numbers")
     through = float(np.linalg.norm(d, 2)) if d.size else 0.0
     if n == 0:
         return through, 0.0

@@ -95,7 +95,7 @@ def cut(
                 f"no kind of experiment called {kind!r:.80}", "cut", f"there are: {', '.join(KINDS)}"
             )
         kind = KINDS[kind]
-    whole = window is not None
+    given = window is not None
     if window is None:
         what = f"holds no excitation for the experiment '{kind.name}' ({kind.text})"
         window = _after_start(log, _longest(log, excitations(log), [kind], what, "or name a window")[0])
@@ -104,7 +104,7 @@ def cut(
         theta = log["theta"].slice(start, stop)
         beyond = np.flatnonzero(np.abs(theta.value) > _NEAR_STOP_RAD)
         stop = float(theta.time[beyond[0]]) if beyond.size else stop
-    if kind.name == "impulse" and not whole:
+    if kind.name == "impulse" and not given:
         stop = _end_of_motion(log, start, stop)
     channels = {one: _channel(log, one, one in kind.outputs) for one in (*kind.inputs, *kind.outputs)}
     title = log.source if name is None else name

@@ -13,6 +13,15 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 
+def check_system(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
+    """Raise ParameterError unless the matrices are a finite system: (n, n), (n, m), (p, n), (p, m)."""
+    shapes = (a.shape, b.shape, c.shape, d.shape)
+    if shapes != (a.shape[:1] * 2, a.shape[:1] + d.shape[1:], d.shape[:1] + a.shape[:1], d.shape) or d.ndim != 2:
+        raise ParameterError(f"shapes {shapes} are not a system", where, "give (n,n), (n,m), (p,n), (p,m)")
+    if not all(np.isfinite(part).all() for part in (a, b, c, d)):
+        raise ParameterError("a matrix holds NaN or infinity", where, "give finite numbers")
+
+
 @dataclass(frozen=True, eq=False)
 class SampledStateSpace:
     """x[k+1] = phi x[k] + old u[k-n-1] + new u[k-n]; y[k] = C x[k] + D u[k-n], or u[k-n-1] if the delay is split."""
@@ -79,14 +88,7 @@ class DelayedStateSpace:
     delay: float = 0.0
 
     def __post_init__(self) -> None:
-        n, m, p = self.a.shape[0], self.b.shape[1], self.c.shape[0]
-        shapes = (self.a.shape, self.b.shape, self.c.shape, self.d.shape)
-        if shapes != ((n, n), (n, m), (p, n), (p, m)):
-            raise ParameterError(
-                f"shapes {shapes} do not form a state space", "StateSpace", "give a (n,n), b (n,m), c (p,n), d (p,m)"
-            )
-        if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
-            raise ParameterError("a matrix holds NaN or infinity", "StateSpace")
+        check_system(self.a, self.b, self.c, self.d, "StateSpace")
         if not (math.isfinite(self.delay) and self.delay >= 0.0):
             raise ParameterError(f"delay {self.delay} s is not a finite time >= 0", "StateSpace.delay")
 

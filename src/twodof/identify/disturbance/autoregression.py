@@ -100,11 +100,6 @@ class Autoregression:
         lengths = [piece.stop - piece.start for piece in pieces]
         return float(sum(logs[:-1][:size].sum() + max(0, size - self.order) * logs[-1] for size in lengths))
 
-    def spectrum(self, frequency: Array, dt: float) -> Array:
-        """One-sided power density at `frequency` [Hz] for samples `dt` [s] apart (unit squared per Hz)."""
-        turn = np.exp(-2j * np.pi * dt * np.outer(np.arange(self.order + 1), frequency))
-        return np.asarray(2.0 * dt * self.sigma**2 / np.abs(self.coefficients @ turn) ** 2)
-
 
 def pieces_of(position: Array) -> tuple[slice, ...]:
     """Return the stretches of samples at `position` without a gap, an interval of 1.5 times the usual one or more."""
