@@ -230,7 +230,7 @@ def test_the_c_is_readable() -> None:
     assert all(name.startswith("loop_") for name in visible), visible
     for path in ("held", "gain", "back", "error", "sum", "pendulum"):
         assert f"/* {path}: " in source
-    assert "real k; /* gain of the feedback */" in source
+    assert "real k; /* gain of the feedback; default 2, at least 0, at most 10 */" in source
     assert "s->gain_y" in source  # names come from paths
     step = source[source.index("void loop_advance") :]
     order = [step.index(text) for text in ("/* pendulum:", "if (due_4_1)", "/* gain:", "/* error:")]

@@ -3,9 +3,8 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from twodof.blocks.declarations import Param, check_name
+from twodof.blocks.declarations import check_name
 from twodof.blocks.diagram import Diagram
 from twodof.blocks.expressions import numbers
 from twodof.compile.c.emitter import emit
@@ -102,7 +101,6 @@ def header(program: FlatProgram, layout: MemoryLayout, precision: str, tables: b
         run=tables,
         tables=tables,
         types={**C_TYPES, "real": "float" if single else "double"},
-        notes=dict(_notes(program, layout)),
     )
     return f"""/* {name}{f": {comment(program.text)}" if program.text else ""}
 
@@ -157,40 +155,6 @@ def _carried(members: Sequence[Member], scalar: str, array: str) -> Iterator[str
         yield "    " + (scalar if member.width is None else array).format(member.name)
     if len(members) > SHOWN:
         yield f"    ...  and {len(members) - SHOWN} more"
-
-
-def _notes(program: FlatProgram, layout: MemoryLayout) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield further text for the comments of members, by struct and name."""
-    for parameter, member in layout.parameters.items():
-        yield ("P", member.name), "; ".join(filter(None, (_bounds(parameter.declared), _order(parameter.declared))))
-    for node in program.nodes:
-        for port in node.block.derived:
-            yield ("P", layout.derived[node, port.name].name), _order(port)
-        for state in node.block.states:
-            yield ("X" if state.continuous else "S", layout.states[node, state.name].name), _order(state)
-    for signal, member in layout.inputs.items():
-        yield ("U", member.name), _order(signal)
-    for path, signal in program.outputs.items():
-        yield ("Y", layout.outputs[path].name), _order(signal)
-
-
-def _order(declared: Any) -> str:
-    """Return how a matrix is stored in its array."""
-    if declared.shape is None:
-        return ""
-    rows, columns = declared.shape
-    return f"{rows} x {columns}, column after column"
-
-
-def _bounds(declared: Param) -> str:
-    bounds = {"at least": declared.low, "at most": declared.high}
-    words = [f"{word} {value:g}" for word, value in bounds.items() if abs(value) != float("inf")]
-    value = declared.value if declared.width is None else None
-    if isinstance(value, bool):
-        words = [f"default {'true' if value else 'false'}"]
-    elif value is not None:
-        words = [f"default {float(value):g}", *words]
-    return ", ".join(words)
 
 
 @dataclass(frozen=True)

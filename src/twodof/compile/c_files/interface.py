@@ -9,11 +9,10 @@ from twodof.compile.program.flat_program import FlatProgram
 from twodof.compile.program.layout import Member, MemoryLayout
 
 WIDEST = 120
-NO_NOTES: Mapping[tuple[str, str], str] = {}
 
 
 class CInterface:
-    """The declarations of one program. `notes` has more to say about a member, by struct and name.
+    """The declarations of one program.
 
     `types` are the C types of the language's, as `Member.declaration` takes them. `run`: whether the function `run`
     and the sizes are there; `tables`: whether those of parameters and signals are.
@@ -26,14 +25,12 @@ class CInterface:
         run: bool,
         tables: bool,
         types: Mapping[str, str] = C_TYPES,
-        notes: Mapping[tuple[str, str], str] = NO_NOTES,
     ) -> None:
         self.program = program
         self.layout = layout
         self.run = run
         self.tables = tables
         self.types = types
-        self.notes = notes
 
     def text(self) -> str:
         """Return constants of enumerations, structs, prototypes, and the declarations of the tables."""
@@ -44,7 +41,6 @@ class CInterface:
     def list(self, listing: Listing) -> None:
         """Add the text to a listing, in which each member of a struct belongs to its block."""
         layout, moving = self.layout, bool(self.program.integrated)
-        self._owners = owners(self.program, layout)
         listing.add(self._enumerations())
         self._struct(listing, "P", "parameters; `prepare` computes the derived ones", layout.p.members)
         if moving:
@@ -73,20 +69,12 @@ class CInterface:
         declaration = Mark(name, "", "declaration")
         listing.add(f"typedef struct {{ /* {remark} */", declaration)
         for m in members:
-            block = self._owners.get((name, m.name), "")
-            mark = Mark(name, block) if block else declaration
-            listing.add(indented([m.declaration(self.types) + self._remark(name, m)]), mark)
+            mark = Mark(name, m.block) if m.block else declaration
+            listing.add(indented([m.declaration(self.types) + _remark(m)]), mark)
         more = [f"{self.program.name}_X x;"] if nested else []
         if not members and not more:
             more = ["unsigned char none;"]
         listing.add(f"{indented(more)}}} {self.program.name}_{name};\n\n", declaration)
-
-    def _remark(self, struct: str, m: Member) -> str:
-        words = [m.path] if m.path and m.path != m.name else []
-        words += [f"[{m.unit}]"] if m.unit else []
-        more = self.notes.get((struct, m.name), "")
-        words += ["; ".join(filter(None, (m.remark, more)))] if m.remark or more else []
-        return f" /* {comment(' '.join(words))} */" if words else ""
 
     def _prototypes(self) -> str:
         p = self.program.name
@@ -137,6 +125,13 @@ extern const {p}_Entry {p}_signals[];
         return f"/* Sizes of real, P, S, U, Y: whoever loads this must agree. */\n{sizes}"
 
 
+def _remark(m: Member) -> str:
+    words = [m.path] if m.path and m.path != m.name else []
+    words += [f"[{m.unit}]"] if m.unit else []
+    words += [m.remark] if m.remark else []
+    return f" /* {comment(' '.join(words))} */" if words else ""
+
+
 def _prototype(head: str, taken: str) -> str:
     line = f"{head}({taken});\n"
     if len(line) <= WIDEST:
@@ -154,20 +149,3 @@ def comment(text: str) -> str:
     """Return a user's text, made harmless within a C comment."""
     plain = " ".join("".join(c if " " <= c <= "~" else " " for c in text).split())
     return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "?")[:300]
-
-
-def owners(program: FlatProgram, layout: MemoryLayout) -> dict[tuple[str, str], str]:
-    """Return the path of the block that each member belongs to, by struct and name."""
-    found: dict[tuple[str, str], str] = {}
-    for node in program.nodes:
-        for parameter in node.parameters.values():
-            if parameter.path.startswith(f"{node.path}."):
-                found["P", layout.parameters[parameter].name] = node.path
-        for o in node.block.derived:
-            found["P", layout.derived[node, o.name].name] = node.path
-        for s in node.block.states:
-            found["X" if s.continuous else "S", layout.states[node, s.name].name] = node.path
-        for signal in node.outputs.values():
-            if signal in layout.stored:
-                found["S", layout.stored[signal].name] = node.path
-    return found

@@ -17,7 +17,7 @@ WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not 
 
 @dataclass(frozen=True)
 class Member:
-    """A struct's member: C name, type, and the path, unit and remark that its comment shows."""
+    """A struct's member: C name, type, the path, unit and remark that its comment shows, and the path of its block."""
 
     name: str
     kind: str
@@ -25,6 +25,7 @@ class Member:
     path: str = ""
     unit: str = ""
     remark: str = ""
+    block: str = ""
 
     def declaration(self, types: Mapping[str, str] = C_TYPES) -> str:
         """Return the member's line in the struct."""
@@ -58,16 +59,17 @@ class MemoryLayout:
         self.outputs: dict[str, Member] = {}
         self.s.names.taken.add("x")
         self.tick = self.s.add(Member("tick", "uint32", None, remark="base ticks since the start"))
+        own = {q: n.path for n in program.nodes for q in n.parameters.values() if q.path.startswith(f"{n.path}.")}
         for path, q in program.parameters.items():
-            self.parameters[q] = self.p.add(_parameter(path, q))
+            made = _member(path, q.declared, q.declared.text, own.get(q, ""))
+            self.parameters[q] = self.p.add(replace(made, path=q.path))
         for node in program.nodes:
             for o in node.block.derived:
-                path = f"{node.path}.{o.name}"
-                self.derived[node, o.name] = self.p.add(_derived(path, o))
+                self.derived[node, o.name] = self.p.add(_member(f"{node.path}.{o.name}", o, "derived", node.path))
             for state in node.block.states:
-                path = f"{node.path}.{state.name}"
                 struct = self.x if state.continuous else self.s
-                self.states[node, state.name] = struct.add(_member(path, state, _about(state)))
+                made = _member(f"{node.path}.{state.name}", state, block=node.path)
+                self.states[node, state.name] = struct.add(made)
         self.passing = _passing(program)
         for group in program.tick:
             for action in group.actions:
@@ -77,11 +79,13 @@ class MemoryLayout:
                     wide = signal.width is not None and signal.width > WIDEST_LOCAL
                     if not group.guard.always or wide:
                         remark = "work" if group.guard.always else "held"
-                        self.stored[signal] = self.s.add(_member(signal.path, signal, remark))
+                        s, path = signal, signal.path
+                        made = Member(path, s.kind, s.width, path, s.unit, remark, action.node.path)
+                        self.stored[signal] = self.s.add(made)
         for name, signal in program.inputs.items():
-            self.inputs[signal] = self.u.add(_member(name, signal, _about(signal)))
+            self.inputs[signal] = self.u.add(_member(name, signal))
         for path, signal in program.outputs.items():
-            self.outputs[path] = self.y.add(_member(path, signal, _about(signal)))
+            self.outputs[path] = self.y.add(_member(path, signal))
 
     def dtypes(self, precision: str) -> dict[str, np.dtype[Any]]:
         """Return the numpy types of P, S, U and Y, which have the memory layout of the C structs."""
@@ -117,19 +121,21 @@ def _passing(program: FlatProgram) -> set[FlatSignal]:
     return found
 
 
-def _about(declared: Port | State | Param | FlatSignal, remark: str = "") -> str:
-    """Return the text of a member's comment: a remark, and the values of an enumeration."""
-    return " ".join(filter(None, (remark, "" if declared.enum is None else str(declared.enum))))
+def _member(name: str, declared: Port | State | Param | FlatSignal, remark: str = "", block: str = "") -> Member:
+    """Return the member of a declaration; its remark has the enumeration, the bounds and the order of a matrix too."""
+    about = " ".join(filter(None, (remark, "" if declared.enum is None else str(declared.enum))))
+    bounds = _bounds(declared) if isinstance(declared, Param) else ""
+    order = "" if declared.shape is None else "{} x {}, column after column".format(*declared.shape)
+    text = "; ".join(filter(None, (about, bounds, order)))
+    return Member(name, declared.kind, declared.width, name, declared.unit, text, block)
 
 
-def _member(path: str, signal: FlatSignal | State, remark: str = "") -> Member:
-    return Member(path, signal.kind, signal.width, path, signal.unit, remark)
-
-
-def _parameter(name: str, q: FlatParameter) -> Member:
-    d = q.declared
-    return Member(name, d.kind, d.width, q.path, d.unit, _about(d, d.text))
-
-
-def _derived(path: str, o: Port) -> Member:
-    return Member(path, o.kind, o.width, path, o.unit, _about(o, "derived"))
+def _bounds(declared: Param) -> str:
+    bounds = {"at least": declared.low, "at most": declared.high}
+    words = [f"{word} {value:g}" for word, value in bounds.items() if abs(value) != float("inf")]
+    value = declared.value if declared.width is None else None
+    if isinstance(value, bool):
+        words = [f"default {'true' if value else 'false'}"]
+    elif value is not None:
+        words = [f"default {float(value):g}", *words]
+    return ", ".join(words)

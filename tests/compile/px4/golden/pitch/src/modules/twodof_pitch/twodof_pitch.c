@@ -47,12 +47,12 @@ static inline int32_t int32_add(int32_t a, int32_t b)
 
 /* twodof_pitch: one step is 0.004 s. pitch damper; a test's diagram */
 typedef struct { /* parameters; `prepare` computes the derived ones */
-    real damper_gains[2]; /* damper.gains of pitch and pitch rate */
-    real damper_ki; /* damper.ki [1/rad] integral */
-    int32_t damper_share; /* damper.share the integral's divisor */
-    bool damper_integrating; /* damper.integrating whether the integral is in use */
-    real damper_sum_0; /* damper.sum_0 [rad*s] the integral at the start */
-    real feed_k; /* feed.k */
+    real damper_gains[2]; /* damper.gains of pitch and pitch rate; at least 0, at most 4 */
+    real damper_ki; /* damper.ki [1/rad] integral; default 0.3, at least 0, at most 5 */
+    int32_t damper_share; /* damper.share the integral's divisor; default 4, at least 1, at most 16 */
+    bool damper_integrating; /* damper.integrating whether the integral is in use; default true */
+    real damper_sum_0; /* damper.sum_0 [rad*s] the integral at the start; default 0, at least -1, at most 1 */
+    real feed_k; /* feed.k default 0.01 */
 } twodof_pitch_P;
 
 typedef struct { /* discrete and continuous states, held signals */

@@ -42,9 +42,9 @@ typedef float real;
 
 /* twodof_rail: one step is 0.004 s. proportional position controller; a test's diagram */
 typedef struct { /* parameters; `prepare` computes the derived ones */
-    real kp; /* [1/s] position P */
-    real k_pitch; /* [rad*s/m] pitch for a speed */
-    real hover_value; /* hover.value */
+    real kp; /* [1/s] position P; default 1.5, at least 0, at most 10 */
+    real k_pitch; /* [rad*s/m] pitch for a speed; default -0.25, at least -2, at most 0 */
+    real hover_value; /* hover.value default 0.4 */
 } twodof_rail_P;
 
 typedef struct { /* discrete and continuous states, held signals */
