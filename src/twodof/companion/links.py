@@ -10,9 +10,8 @@ from twodof.companion.client import SILENT_S, CompanionClient, profile
 from twodof.companion.component import CompanionComponent
 from twodof.companion.router import Router
 from twodof.errors import LinkError, LinkLost
-from twodof.link.connection import BROKEN_OFF_S, TELL_S
+from twodof.link.connection import BROKEN_OFF_S
 from twodof.link.mavlink.framing import Frame, Parser
-from twodof.link.signing import SigningVerdict
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.tcp import TcpTransport
@@ -66,7 +65,6 @@ class CompanionLink(ABC):
         self.router = router
         self._component = component
         self._pause = FIRST_BACK_OFF_S
-        self._told = -TELL_S
 
     @abstractmethod
     def take(self, packet: Packet) -> None:
@@ -103,19 +101,11 @@ class CompanionLink(ABC):
         return Parser(mavlink1=self.router.signing is None)
 
     def accepts(self, frame: Frame, peer: Hashable) -> bool:
-        """Return whether a frame is signed as it must be.
-
-        A peer that signs rightly with an old stamp is told our time, so that it can follow.
-        """
-        signing = self.router.signing
-        verdict = SigningVerdict.ACCEPTED if signing is None else signing.check(frame)
-        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE):
-            now = self.router.clock()
-            if now - self._told >= TELL_S:
-                self._told = now
-                with suppress(LinkError):  # the peer is gone, or no stamps are left
-                    self.transport.send(self._component.time(), peer)
-        return verdict is SigningVerdict.ACCEPTED
+        """Return whether a frame is signed as it must be."""
+        router = self.router
+        if router.signing is None:
+            return True
+        return router.signing.admits(frame, router.clock(), lambda: self.transport.send(self._component.time(), peer))
 
 
 class VehicleLink(CompanionLink):

@@ -21,7 +21,7 @@ from twodof.fcu.mavlink.log_download import LogDownload
 from twodof.fcu.mavlink.log_stream import LogStreamService
 from twodof.fcu.mavlink.message_requests import MessageRequests, MissionService, answer_versions
 from twodof.fcu.mavlink.parameter_service import ParameterService, TransactionService
-from twodof.fcu.mavlink.service import Link, Service, TextSent, Vehicle
+from twodof.fcu.mavlink.service import Service, TextSent, Vehicle
 from twodof.fcu.mavlink.setpoint_service import ExcitationService, SetpointService
 from twodof.fcu.mavlink.streams import Heartbeat, StreamService
 from twodof.fcu.mavlink.vehicle_commands import ArmingCommands, ModeService, ReloadCommand, StorageCommand
@@ -44,22 +44,19 @@ class MavlinkServices:
 
     def __init__(
         self,
-        link: Link,
-        system: int,
-        controller: FlightController,
-        commander: Commander,
-        store: ParameterStore,
+        vehicle: Vehicle,
         restart: Callable[[], None] | None = None,
         identity: Callable[[], ControllerIdentity] = ControllerIdentity,
         lost: Callable[[], int] = lambda: 0,
         truth: Callable[[], tuple[float, float, float, float]] | None = None,
         profile: Mapping[int, float] = ONBOARD,
     ) -> None:
-        self.vehicle = vehicle = Vehicle(link, system, controller, commander, store)
+        controller = vehicle.controller
+        self.vehicle = vehicle
         self.commands = commands = CommandService(vehicle)
-        self.telemetry = telemetry = TelemetryEncoders(controller, commander, identity, lost, truth)
+        self.telemetry = telemetry = TelemetryEncoders(controller, vehicle.commander, identity, lost, truth)
         self.requests = MessageRequests(vehicle, commands, telemetry)
-        answer_versions(self.requests, system, controller.hardware.name)
+        answer_versions(self.requests, vehicle.address[0], controller.hardware.name)
         ArmingCommands(vehicle, commands, restart)
         StorageCommand(vehicle, commands)
         heartbeat = Heartbeat(vehicle, telemetry)
@@ -176,11 +173,7 @@ class Assembly:
             bus.subscribe(ControlStep, self.log.step)
             bus.subscribe(TextSent, lambda sent: note(*sent))
         self.px4 = MavlinkServices(
-            server,
-            system,
-            self.controller,
-            commander,
-            store,
+            Vehicle(server, system, self.controller, commander, store),
             restart=self.controller.reset if hardware.virtual else None,
             identity=lambda: self.configuration.identity,
             lost=lambda: server.lost,

@@ -10,12 +10,13 @@ from collections import OrderedDict, deque
 from collections.abc import Callable, Hashable
 from contextlib import suppress
 from dataclasses import asdict
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 from twodof.errors import LinkError, LinkLost
 from twodof.link.mavlink.framing import Frame, FramingCounts, Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import Signing, SigningVerdict
+from twodof.link.signing import Signing
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport.base import Packet, Transport
 
@@ -29,8 +30,6 @@ BROKEN_OFF_S = 0.1
 # answer of ours count as bytes too. That takes half a millisecond to two, whatever comes.
 PIECE, MOST_LOOKED_THROUGH = 512, 8192
 A_PACKET, A_CHECKSUM, AN_ANSWER = 32, 16, 256
-# A peer that signs rightly with an old stamp is told our time. A replayed packet looks the same, so few are answered.
-TELL_S = 0.1
 _TIMESYNC, _PING = 111, 4
 
 
@@ -71,7 +70,6 @@ class Connection:
         self._again: dict[Hashable, list[bytes]] = {}  # taken before their turn, in which they come once more
         self._tired = False  # whether a look ended before all was looked through
         self._answers = 0
-        self._told = -TELL_S
         transport.let_stops_go_first()
 
     async def __aenter__(self) -> Self:
@@ -218,23 +216,12 @@ class Connection:
 
     def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
         """Return True if a frame is signed as it must be, and is not a question about time that is answered here."""
-        verdict = self.signing.check(frame) if self.signing is not None else SigningVerdict.ACCEPTED
-        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE):
-            self._tell_time(peer)
-        if verdict is not SigningVerdict.ACCEPTED:
+        if self.signing is not None and not self.signing.admits(frame, self._clock(), partial(self.ping, peer)):
             return False
         if frame.known:
             self.transport.confirm(peer)
         self.statistics.count(frame)
         return frame.message_id not in (_TIMESYNC, _PING) or not self._answer(frame, peer)
-
-    def _tell_time(self, peer: Hashable) -> None:
-        """Send a signed message to a peer, so that its time follows ours; over UDP it may hear nothing else of us."""
-        now = self._clock()
-        if now - self._told >= TELL_S:
-            self._told = now
-            with suppress(LinkError):  # it is gone, or we have no stamps left
-                self.ping(peer)
 
     def _answer(self, frame: Frame, peer: Hashable) -> bool:
         """Answer a question about time, or take the answer to ours; return False if the frame is for the user."""

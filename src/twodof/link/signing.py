@@ -24,6 +24,7 @@ import stat
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -53,6 +54,11 @@ MOST_FILE_BYTES = 100_000
 WRITE_S = 5.0
 RETRY_S = 1.0
 OWN = "own"
+TELL_S = 0.1
+"""A peer that signs rightly with an old stamp is told our time. A replayed packet looks the same, so few are answered.
+
+Over UDP the peer may hear nothing else of us.
+"""
 
 SIGNATURE_HASH = 6
 NEW_STREAM_BEHIND = 60 * PER_SECOND
@@ -348,6 +354,7 @@ class Signing:
         self.stamps = stamps
         self.counts = SigningCounts()
         self._outgoing = _Outgoing(key.secret, link_id & 0xFF)
+        self._told = -TELL_S
 
     def __repr__(self) -> str:
         return f"Signing({self.key!r}, link {self._outgoing.link_id})"
@@ -356,6 +363,15 @@ class Signing:
         """Return the argument with which `framing.encode` signs the next frame."""
         self._outgoing.timestamp = self.stamps.next_own()
         return self._outgoing
+
+    def admits(self, frame: Frame, now: float, tell: Callable[[], None]) -> bool:
+        """Return whether a frame is accepted at `now` [s]; a peer that signs rightly and is behind is told our time."""
+        verdict = self.check(frame)
+        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE) and now - self._told >= TELL_S:
+            self._told = now
+            with suppress(LinkError):  # the peer is gone, or no stamps are left
+                tell()
+        return verdict is SigningVerdict.ACCEPTED
 
     def check(self, frame: Frame) -> SigningVerdict:
         """Judge a received frame and count the verdict."""

@@ -12,6 +12,7 @@ from twodof.fcu.command.command_lease import DONE, CommandResult, Source
 from twodof.fcu.control.flight_code import ControlStep
 from twodof.fcu.control.hardware import ControlInput, SensorSample
 from twodof.fcu.control.loop import LoopTiming
+from twodof.fcu.mavlink.service import Vehicle
 from twodof.fcu.parameters.parameter_store import ParameterStore
 from twodof.link.connection import Received
 from twodof.link.mavlink import modes
@@ -153,7 +154,7 @@ class World:
         self.sent: list[tuple[Any, Hashable]] = []
         self.restarts = 0
         options.setdefault("restart", self._restarted)
-        self.px4 = MavlinkServices(self, SYSTEM, self.controller, self.commander, self.store, **options)
+        self.px4 = MavlinkServices(Vehicle(self, SYSTEM, self.controller, self.commander, self.store), **options)
         self.services = self.px4.services
         self.sequences: dict[Hashable, int] = {}
 

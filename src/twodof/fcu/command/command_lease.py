@@ -159,12 +159,10 @@ class CommandLease:
 
     def take(self, source: Source, what: str = "command") -> CommandResult:
         """Take or renew the lease for a command of `source`; refused while another holds it."""
-        if not source[0]:
-            return denied(f"{what} refused: it has no sender")
-        if not self._take(source):
-            return rejected(f"{what} refused: {self._who()} holds the lease", RefusalReason.LEASE)
-        self._until = max(self._until, self._vehicle.now + COMMANDING)
-        return DONE
+        result = self._claim(source, f"{what} refused", "the lease")
+        if result.accepted:
+            self._until = max(self._until, self._vehicle.now + COMMANDING)
+        return result
 
     def may_tune(self, source: Source, what: str = "parameters") -> CommandResult:
         """Allow `source` to change parameters, unless the holder withholds it.
@@ -189,14 +187,12 @@ class CommandLease:
 
         `withhold_tuning`: until it is renewed without that, or ends, nobody else may change parameters.
         """
-        if not source[0]:
-            return denied("lease refused: it has no sender")
-        if not self._take(source):
-            return rejected(f"lease refused: {self._who()} holds it", RefusalReason.LEASE)
-        self.tuning_withheld = withhold_tuning
-        ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
-        self._until = self._vehicle.now + min(max(ticks, 1), LONGEST)
-        return DONE
+        result = self._claim(source, "lease refused", "it")
+        if result.accepted:
+            self.tuning_withheld = withhold_tuning
+            ticks = round(duration_ms * 1e-3 / PERIOD) if duration_ms else COMMANDING
+            self._until = self._vehicle.now + min(max(ticks, 1), LONGEST)
+        return result
 
     def give_up(self, source: Source) -> CommandResult:
         """Free the lease; refused to all but its holder."""
@@ -229,17 +225,20 @@ class CommandLease:
         """Return the first tick at which it is free if nothing more is heard."""
         return max(self._until, self._last_heard + HEARD) if self._vehicle.armed else self._until
 
-    def _take(self, source: Source) -> bool:
+    def _claim(self, source: Source, refused: str, held: str) -> CommandResult:
+        """Make `source` the holder, unless another is; then it is `refused`, as the other holds what is `held`."""
+        if not source[0]:
+            return denied(f"{refused}: it has no sender")
         if self.holder is None or (self.holder != source and self._stood >= HEARD):
             self.holder, self.orphaned, self.tuning_withheld = source, False, False
             self._until = self._vehicle.now
             self.revision += 1
             self._changed()
         elif self.holder != source:
-            return False
+            return rejected(f"{refused}: {self._who()} holds {held}", RefusalReason.LEASE)
         self._last_heard, self._stood = self._vehicle.now, 0
         self._link_heard = True
-        return True
+        return DONE
 
     def _free(self) -> None:
         self.holder, self.tuning_withheld, self.orphaned = None, False, self._vehicle.armed

@@ -47,37 +47,13 @@ class CommandHandled(NamedTuple):
 Handler = Callable[[ReceivedCommand], CommandResult]
 
 
-class DuplicateFilter:
-    """Filter of repeated commands.
-
-    A command is repeated if its sender says so (`confirmation` above 0), or if the network doubled its frame, which the
-    frame's sequence number tells. In lockstep, where time may stand still between two sessions of a client that are
-    equal to the frame, only the former counts.
-    """
-
-    def __init__(self, lockstep: bool) -> None:
-        self._lockstep = lockstep
-        self._accepted: OrderedDict[Hashable, int] = OrderedDict()  # what came -> tick
-
-    def known(self, what: Hashable, confirmation: int, sequence: int, tick: int) -> bool:
-        """Return whether this repeats `what`, which was accepted a moment before `tick`."""
-        copies = (what, confirmation > 0), ((what, sequence), not self._lockstep)
-        return any(counts and 0 <= tick - self._accepted.get(key, tick + 1) <= LATEST_TICKS for key, counts in copies)
-
-    def accepted(self, what: Hashable, sequence: int, tick: int) -> None:
-        """Remember that `what` was carried out."""
-        for key in (what, (what, sequence)):
-            self._accepted[key] = tick
-            self._accepted.move_to_end(key)
-        while len(self._accepted) > MOST_REMEMBERED:
-            self._accepted.popitem(last=False)
-
-
 class CommandService(Service):
     """Dispatcher of commands to their handlers; it acknowledges every command.
 
-    A command that is repeated (`DuplicateFilter`) gets the answer of the first and is not carried out again, unless it
-    stops motors. It publishes CommandHandled after each command.
+    A repeated command gets the answer of the first and is not carried out again, unless it stops motors. A command is
+    repeated if its sender says so (`confirmation` above 0), or if the network doubled its frame, which the frame's
+    sequence number tells. In lockstep, where time may stand still between two equal sessions of a client, only the
+    former counts. CommandHandled is published after each command.
     """
 
     def __init__(self, vehicle: Vehicle) -> None:
@@ -136,12 +112,12 @@ class CommandService(Service):
             if not result.in_progress:
                 del self._pending[what]
                 if result.accepted:
-                    self._repetitions.accepted(what, sequence, self._tick)
+                    self._remember(what, sequence)
                 self.acknowledge(command, result)
 
     def restart(self) -> None:
         self._tick = 0
-        self._repetitions = DuplicateFilter(self._vehicle.lockstep)
+        self._done: OrderedDict[Hashable, int] = OrderedDict()  # what was carried out, with the tick
         self._pending: dict[Hashable, tuple[ReceivedCommand, int]] = {}
 
     def acknowledge(self, command: ReceivedCommand, result: CommandResult) -> None:
@@ -164,16 +140,25 @@ class CommandService(Service):
             return CommandResult(MavResult.IN_PROGRESS)
         confirmation = getattr(received.message, "confirmation", 0)
         # What stops motors is carried out as often as it comes: somebody may have armed in between.
-        if not stops_motors(command.number, command.params[0]) and self._repetitions.known(
-            what, confirmation, sequence, self._tick
-        ):
+        copies = [what] if confirmation else []
+        copies += [] if self._vehicle.lockstep else [(what, sequence)]
+        again = any(0 <= self._tick - self._done.get(copy, self._tick + 1) <= LATEST_TICKS for copy in copies)
+        if again and not stops_motors(command.number, command.params[0]):
             return DONE
         result = handler(command)
         if result.in_progress and command.number in self._polls:
             self._pending[what] = command, sequence
         elif result.accepted and command.number not in _ANSWERED_AGAIN:
-            self._repetitions.accepted(what, sequence, self._tick)
+            self._remember(what, sequence)
         return result
+
+    def _remember(self, what: Hashable, sequence: int) -> None:
+        """Remember that a command was carried out."""
+        for key in (what, (what, sequence)):
+            self._done[key] = self._tick
+            self._done.move_to_end(key)
+        while len(self._done) > MOST_REMEMBERED:
+            self._done.popitem(last=False)
 
 
 LOOK_TICKS = 250

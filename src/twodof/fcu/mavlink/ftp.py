@@ -57,13 +57,12 @@ def burst_packets(request: FtpPacket, data: bytes, most: int, ends: bool) -> Ite
 
 @dataclass(slots=True)
 class FtpClient:
-    """A client of the server, at `peer`. What it asks while it is `busy` waits: requests are carried out in order.
+    """A client of the server, by peer and sender. Its requests are carried out in order: while it is `busy` they wait.
 
     `bursts` is the session whose burst is sent, -1: none.
     """
 
-    peer: Hashable
-    source: Source
+    key: tuple[Hashable, Source]
     sessions: dict[int, FtpSession] = field(default_factory=dict)
     bursts: int = -1
     request: FtpPacket | None = None
@@ -131,7 +130,7 @@ class FileTransfer(Service):
         self._background = BackgroundWorker(inline=vehicle.lockstep)
         self._bursts = PacedSender(self._send, vehicle.lockstep, A_TICK)
         self.send_bursts = self._bursts.portion
-        self._clients: OrderedDict[Hashable, FtpClient] = OrderedDict()
+        self._clients: OrderedDict[tuple[Hashable, Source], FtpClient] = OrderedDict()
         self._does: dict[int, Callable[[FtpClient, FtpPacket], Answer | Work]] = {
             FtpOperation.NONE: lambda _, request: request.ack(),
             FtpOperation.TERMINATE: self._terminate,
@@ -157,7 +156,7 @@ class FileTransfer(Service):
         self._bursts.tick()
 
     def gone(self, peer: Hashable) -> None:
-        for key in [key for key, client in self._clients.items() if client.peer == peer]:
+        for key in [key for key in self._clients if key[0] == peer]:
             self._dismiss(self._clients.pop(key))
 
     @property
@@ -168,7 +167,7 @@ class FileTransfer(Service):
     def _client(self, received: Received) -> FtpClient:
         key = (received.peer, source(received))
         if key not in self._clients:
-            self._clients[key] = FtpClient(*key)
+            self._clients[key] = FtpClient(key)
             if len(self._clients) > MOST_CLIENTS:
                 self._dismiss(self._clients.popitem(last=False)[1])
         self._clients.move_to_end(key)
@@ -180,7 +179,7 @@ class FileTransfer(Service):
                 client.waiting.append(request)
             return
         if request == client.request and request.op not in _READING and client.answer is not None:  # it got lost
-            self._send((client.peer, client.source), client.answer)
+            self._send(client.key, client.answer)
             return
         client.request, client.answer = request, None
         try:
@@ -216,13 +215,12 @@ class FileTransfer(Service):
             self._take_in(client, client.waiting.popleft())
 
     def _answer(self, client: FtpClient, request: FtpPacket, answer: Answer) -> None:
-        key = (client.peer, client.source)
         if isinstance(answer, FtpPacket):
             client.answer = answer
-            self._send(key, answer)
-        elif key in self._clients:
+            self._send(client.key, answer)
+        elif client.key in self._clients:
             client.bursts = request.session
-            self._bursts.start(key, answer)
+            self._bursts.start(client.key, answer)
 
     def _send(self, key: tuple[Hashable, Source], packet: FtpPacket) -> None:
         self._vehicle.send(packed(packet, *key[1]), key[0])
@@ -279,7 +277,7 @@ class FileTransfer(Service):
 
     def _terminate(self, client: FtpClient, request: FtpPacket) -> FtpPacket | Work:
         if client.bursts == request.session:
-            self._bursts.stop((client.peer, client.source))
+            self._bursts.stop(client.key)
         session = client.sessions.pop(request.session, None)
         if session is None or session.failed:
             raise FileFault(FtpError.SESSION if session is None else FtpError.FAIL)
@@ -309,9 +307,10 @@ class FileTransfer(Service):
 
     def _check_lease(self, client: FtpClient) -> None:
         """Take the lease for the client. Raises FileFault where another has it; then the client is told."""
-        taken = self._vehicle.take(client.source, "upload")
+        peer, sender = client.key
+        taken = self._vehicle.take(sender, "upload")
         if not taken.accepted:
-            self._vehicle.explain(client.peer, taken.text)
+            self._vehicle.explain(peer, taken.text)
             raise FileFault(FtpError.PROTECTED)
 
     def _make_room_for_upload(self) -> None:
@@ -325,5 +324,5 @@ class FileTransfer(Service):
             raise FileFault(FtpError.NO_SESSIONS)
 
     def _dismiss(self, client: FtpClient) -> None:
-        self._bursts.stop((client.peer, client.source))
+        self._bursts.stop(client.key)
         client.sessions.clear()

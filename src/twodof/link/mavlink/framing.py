@@ -244,18 +244,16 @@ def encode(message: Any, system: int, component: int, sequence: int, signing: An
 def _culprit(message: Any) -> str:
     """Name the field whose value does not fit, with the value."""
     kind = type(message)
-    letters = dict(zip(kind.ordered_fieldnames, kind.native_format[1:].decode(), strict=True))
-    counts = dict(zip(kind.ordered_fieldnames, kind.array_lengths, strict=True))
-    for name, type_name in zip(kind.fieldnames, kind.fieldtypes, strict=True):
-        value, count = getattr(message, name), counts[name]
+    types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
+    rows = zip(kind.ordered_fieldnames, kind.native_format[1:].decode(), kind.array_lengths, strict=True)
+    for name, letter, count in (row for row in rows if types[row[0]] != "char"):
+        value = getattr(message, name)
         values: Sequence[Any] = value if isinstance(value, Sequence) else [value]
-        if type_name == "char":
-            continue
         try:
-            struct.pack(f"<{len(values)}{letters[name]}", *values)
+            struct.pack(f"<{len(values)}{letter}", *values)
         except (struct.error, TypeError, OverflowError):
-            return f"{name} = {shown(value)} is no {type_name}"
-        if count and len(values) < count:
+            return f"{name} = {shown(value)} is no {types[name]}"
+        if len(values) < count:
             return f"{name} has {len(values)} numbers, not {count}"
     return "a value does not fit its type"
 
