@@ -87,9 +87,14 @@ class PacedSender:
         if self._lockstep and not self._running:
             self._by_clock()
 
-    def stop(self, key: Hashable) -> None:
-        """Send a client nothing more."""
-        self._messages.pop(key, None)
+    def stop(self, key: Hashable) -> bool:
+        """Send a client nothing more; return whether it still had to get something."""
+        return self._messages.pop(key, None) is not None
+
+    @property
+    def keys(self) -> tuple[Hashable, ...]:
+        """Return the clients that still have to get something."""
+        return tuple(self._messages)
 
     def tick(self) -> None:
         """Send a portion, as a control period has ended."""

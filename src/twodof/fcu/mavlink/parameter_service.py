@@ -9,17 +9,17 @@ TWODOF_PARAM_TRANSACTION sets several parameters at one tick, or none.
 
 import struct
 from collections import OrderedDict
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from twodof.errors import ParameterError, listed
 from twodof.fcu.command.command_lease import Source
 from twodof.fcu.control.flight_code import ControlStep
+from twodof.fcu.mavlink.background import PacedSender
 from twodof.fcu.mavlink.clients import ClientLeft
 from twodof.fcu.mavlink.service import Service, Vehicle, source, target
 from twodof.fcu.parameters.parameter_store import HASH_NAME, ParametersChanged, ParametersRelisted
-from twodof.fcu.parameters.table import VehicleParameter
 from twodof.link.connection import Received
 from twodof.link.mavlink.messages import Packed, Packer, message
 
@@ -31,8 +31,7 @@ READ_ONLY, TYPE_UNSUPPORTED, TYPE_MISMATCH, READ_FAIL = 5, 6, 7, 8
 """MAV_PARAM_ERROR."""
 HASH_INDEX = 0xFFFF
 A_TICK = 4
-"""Parameters of a list that are sent in a tick: a thousand a second."""
-MOST_LISTS = 64
+"""Parameters of lists that are sent in a tick: a thousand a second."""
 
 
 class ParameterService(Service):
@@ -46,15 +45,14 @@ class ParameterService(Service):
             vehicle, {"PARAM_REQUEST_LIST": self._list, "PARAM_REQUEST_READ": self._read, "PARAM_SET": self._set}
         )
         self._commander, self._store = vehicle.commander, vehicle.store
-        self._lists: OrderedDict[Hashable, Iterator[Packed]] = OrderedDict()
+        self._sender = PacedSender(lambda peer, sent: vehicle.send(sent, peer), False, A_TICK)
         self._pack = Packer("PARAM_VALUE", "param_count", "param_index", "param_id", "param_type")
-        vehicle.bus.subscribe(ClientLeft, lambda left: self._lists.pop(left.peer, None))
+        vehicle.bus.subscribe(ClientLeft, lambda left: self._sender.stop(left.peer))
         vehicle.bus.subscribe(ParametersChanged, self._announce)
         vehicle.bus.subscribe(ParametersRelisted, self._relist)
 
     def after(self, step: ControlStep) -> None:
-        for peer in [*self._lists]:
-            self._go_on(peer, A_TICK)
+        self._sender.tick()
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
         """Change all of `wanted` or nothing; return MAV_PARAM_ERROR, the first parameter it is about, and why."""
@@ -89,8 +87,9 @@ class ParameterService(Service):
         raw = received.frame.payload[:4].ljust(4, b"\0")
         return name, struct.unpack("<i" if kind == "int32" else "<f", raw)[0], NO_ERROR
 
-    def _value(self, row: VehicleParameter) -> Packed:
+    def _value(self, name: str) -> Packed:
         """Return PARAM_VALUE of a parameter."""
+        row = self._store.row(name)
         return self._packed(row.name, row.bits(self._store[row.name]), self._store.index(row.name), _TYPES[row.kind])
 
     def _hash(self) -> Packed:
@@ -104,46 +103,35 @@ class ParameterService(Service):
 
     def _list(self, received: Received) -> None:
         # Asked again while it is being sent, it begins again without the hash, as PX4 does.
-        again = self._lists.pop(received.peer, None) is not None
-        self._lists[received.peer] = self._listed(with_hash=not again)
-        if len(self._lists) > MOST_LISTS:
-            self._lists.popitem(last=False)
-        if self._vehicle.lockstep:  # time may stand still, and there is no radio to spare
-            self._go_on(received.peer, len(self._store.rows) + 1)
+        again = self._sender.stop(received.peer)
+        rows = self._listed(with_hash=not again)
+        if not self._vehicle.lockstep:
+            self._sender.start(received.peer, rows)
+            return
+        for packed in rows:  # time may stand still, and there is no radio to spare
+            self._vehicle.send(packed, received.peer)
 
     def _listed(self, with_hash: bool) -> Iterator[Packed]:
         if with_hash:
             yield self._hash()
         for row in self._store.rows:
-            yield self._value(row)
-
-    def _go_on(self, peer: Hashable, most: int) -> None:
-        rows = self._lists[peer]
-        for _ in range(most):
-            packed = next(rows, None)
-            if packed is None:
-                del self._lists[peer]
-                return
-            self._vehicle.send(packed, peer)
+            yield self._value(row.name)
 
     def _read(self, received: Received) -> None:
         got, rows = received.message, self._store.rows
         name = text(got.param_id)
         if got.param_index >= 0:
-            if got.param_index < len(rows):
-                self._vehicle.send(self._value(rows[got.param_index]), received.peer)
-            else:
-                self._error(received, "", DOES_NOT_EXIST, got.param_index)
-        elif name == HASH_NAME:
+            name = rows[got.param_index].name if got.param_index < len(rows) else ""
+        if name == HASH_NAME:
             self._vehicle.send(self._hash(), received.peer)
         elif name in self._store:
-            self._vehicle.send(self._value(self._store.row(name)), received.peer)
+            self._vehicle.send(self._value(name), received.peer)
         else:
-            self._error(received, name, DOES_NOT_EXIST)
+            self._error(received, name, DOES_NOT_EXIST, max(got.param_index, -1))
 
     def _set(self, received: Received) -> None:
         if text(received.message.param_id) == HASH_NAME:
-            self._lists.pop(received.peer, None)
+            self._sender.stop(received.peer)
             return
         name, value, error = self.checked(received)
         if value is None:
@@ -156,15 +144,15 @@ class ParameterService(Service):
             self._error(received, name, error)
         # A change was announced to everybody; what is the same as before, or stays, is told to who asked.
         if self._store.revision == before:
-            self._vehicle.send(self._value(self._store.row(name)), received.peer)
+            self._vehicle.send(self._value(name), received.peer)
 
     def _announce(self, changed: ParametersChanged) -> None:
         for name in changed.values:
-            self._vehicle.send(self._value(self._store.row(name)))
+            self._vehicle.send(self._value(name))
 
     def _relist(self, _: ParametersRelisted) -> None:
-        for peer in self._lists:
-            self._lists[peer] = self._listed(with_hash=True)
+        for peer in self._sender.keys:
+            self._sender.start(peer, self._listed(with_hash=True))
         self._vehicle.send(self._hash())
 
     def _blame(self, wanted: Mapping[str, float]) -> tuple[int, str]:

@@ -84,7 +84,7 @@ class ChangeDetector:
 class StreamService(Service):
     """All streams of all clients, and the commands 510 and 511 that read and change a client's own.
 
-    `profile` gives the rates of a client that says nothing (`link.mavlink.rates.PROFILES`); twodof's own messages
+    `profile` gives the rates of a client that says nothing (`link.mavlink.dialect.PROFILES`); twodof's own messages
     go to those only that know them. A sensor's message is left out where the sensor has given nothing since the stream
     was due last. Messages in `changes` come at each change, too.
     """

@@ -43,16 +43,16 @@ class SerialTransport(Transport):
             self._loop.add_reader(self._descriptor, self._readable)
 
     def _readable(self) -> None:
+        # A pseudo-terminal whose other end is closed says EIO, a pulled USB adapter EIO or ENXIO.
+        data, broke = b"", "the device is gone"
         try:
             data = os.read(self._descriptor, READ_BYTES)
         except (BlockingIOError, InterruptedError):
             return
         except OSError as error:
-            # A pseudo-terminal whose other end is closed says EIO, a pulled USB adapter EIO or ENXIO.
-            self._lose(f"the line broke: {error.strerror}", "check the cable and open it again")
-            return
+            broke = str(error.strerror)
         if not data:
-            self._lose("the line broke: the device is gone", "check the cable and open it again")
+            self._lose(f"the line broke: {broke}", "check the cable and open it again")
             return
         self._inbox.put(Packet(data, self._peer))
         if self._inbox.full:
