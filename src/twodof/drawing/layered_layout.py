@@ -15,7 +15,7 @@ from graphlib import TopologicalSorter
 
 import numpy as np
 
-from twodof.drawing.wire_channels import Pin, Segment, WireChannel
+from twodof.drawing.wire_channels import Segment, WireChannel
 
 SWEEPS = 12  # of crossing reduction, and of aligning heights
 APART = 22.0  # between boxes of a column
@@ -64,10 +64,12 @@ class _Item:
     """A box or a passing wire in a column."""
 
     box: int = -1
-    net: int = -1
-    back: bool = False
     y: float = 0.0
     height: float = 0.0
+
+
+_Link = tuple[_Item, float, _Item, float]
+"""A wire between two columns: item and pin's height on the left, and on the right."""
 
 
 def layout(boxes: Sequence[Box], nets: Sequence[Net], border: bool = False) -> GraphLayout:
@@ -92,7 +94,8 @@ class _Layered:
         self.author = {self.item_of[i]: b.wish[1] for i, b in enumerate(boxes) if b.wish is not None}
         self.wishes: dict[_Item, float] = {}  # the author's heights, and those that they mean for the others
         self.lanes: dict[tuple[int, int], _Item] = {}  # (net, column) -> passing wire, forward
-        self.returns: dict[tuple[int, int], _Item] = {}  # (net, column) -> passing wire, feedback
+        self.returns: dict[int, range] = {}  # net -> columns that it passes on its way back
+        self.passing: dict[tuple[int, int], float] = {}  # (net, column) -> height of a passing wire
 
     def run(self) -> GraphLayout:
         self.rank = self._wished_ranks() if self.author else self._ranks()
@@ -179,16 +182,16 @@ class _Layered:
             start = self.rank[net.source[0]]
             ends = [self.rank[b] for b, _ in net.sinks]
             for r in range(start + 1, max([e for e in ends if e > start], default=start)):
-                self.lanes[k, r] = _Item(net=k)
+                self.lanes[k, r] = _Item()
                 self.columns[r].append(self.lanes[k, r])
             back = [e for e in ends if e <= start]
-            for r in range(min(back, default=start + 1), start + 1):
-                self.returns[k, r] = _Item(net=k, back=True)
+            if back:
+                self.returns[k] = range(min(back), start + 1)
 
     # Order within columns
 
-    def _links(self, column: int) -> list[tuple[_Item, float, _Item, float, int]]:
-        """Wires from column - 1 to `column`: (item, pin's height, item, pin's height, net), feedback apart."""
+    def _links(self, column: int) -> list[_Link]:
+        """Wires from column - 1 to `column`, feedback apart."""
         found = []
         for k, net in enumerate(self.nets):
             box, pin = net.source
@@ -199,10 +202,10 @@ class _Layered:
             else:
                 continue
             if (k, column) in self.lanes:
-                found.append((left, at, self.lanes[k, column], 0.0, k))
+                found.append((left, at, self.lanes[k, column], 0.0))
             for b, p in net.sinks:
                 if self.rank[b] == column:
-                    found.append((left, at, self.item_of[b], self.boxes[b].left[p], k))
+                    found.append((left, at, self.item_of[b], self.boxes[b].left[p]))
         return found
 
     def _reduce_crossings(self) -> None:
@@ -214,7 +217,7 @@ class _Layered:
             columns = range(1, len(self.columns)) if forward else range(len(self.columns) - 2, -1, -1)
             for c in columns:
                 pulls: dict[_Item, list[float]] = {}
-                for a, pa, b, pb, _ in links[c] if forward else links[c + 1]:
+                for a, pa, b, pb in links[c] if forward else links[c + 1]:
                     mine, other, at = (b, a, pa) if forward else (a, b, pb)
                     pulls.setdefault(mine, []).append(place[other] + at / (other.height + 1.0))
                 key = {i: sum(pulls[i]) / len(pulls[i]) if i in pulls else place[i] for i in self.columns[c]}
@@ -231,7 +234,7 @@ class _Layered:
         links = [link for c in range(len(self.columns)) for link in self._links(c)]
         for _ in range(len(self.columns) + 1):
             pulls: dict[_Item, list[float]] = {}
-            for a, pa, b, pb, _ in links:
+            for a, pa, b, pb in links:
                 for mine, at_mine, other, at_other in ((a, pa, b, pb), (b, pb, a, pa)):
                     if mine not in wish and other in wish:
                         pulls.setdefault(mine, []).append(wish[other] + at_other - at_mine)
@@ -256,10 +259,10 @@ class _Layered:
             for c in columns:
                 wants: dict[_Item, list[tuple[float, float]]] = {}
                 if sweep % 2 == 0 or last:
-                    for a, pa, b, pb, _ in links[c]:
+                    for a, pa, b, pb in links[c]:
                         wants.setdefault(b, []).append((a.y + pa - pb, self._weight(a, b)))
                 if (sweep % 2 == 1 or last) and c + 1 < len(links):
-                    for a, pa, b, pb, _ in links[c + 1]:
+                    for a, pa, b, pb in links[c + 1]:
                         wants.setdefault(a, []).append((b.y + pb - pa, self._weight(a, b)))
                 for item in (i for i in self.columns[c] if i in self.author):
                     # Near the author's place; as far off it as makes a wire straight.
@@ -300,29 +303,27 @@ class _Layered:
             for item in column:
                 item.y = round(item.y - top + MARGIN)
         bottom = [max((i.y + i.height for i in column), default=0.0) for column in self.columns]
-        spans: dict[int, list[int]] = {}
-        for k, r in self.returns:
-            spans.setdefault(k, []).append(r)
-        for k in sorted(spans, key=lambda k: (len(spans[k]), k)):
-            y = max(bottom[r] for r in spans[k]) + LANE + 3.0
-            for r in spans[k]:
-                self.returns[k, r].y = y
-                bottom[r] = y
+        self.passing = {place: item.y for place, item in self.lanes.items()}
+        for k in sorted(self.returns, key=lambda k: (len(self.returns[k]), k)):
+            y = max(bottom[r] for r in self.returns[k]) + LANE + 3.0
+            for r in self.returns[k]:
+                self.passing[k, r] = bottom[r] = y
 
     # Wires
 
     def _draw(self) -> GraphLayout:
         count = len(self.columns)
         channels = [WireChannel() for _ in range(count + 1)]  # channel c is left of column c
-        for k, net in enumerate(self.nets):
-            a, pin = net.source
-            channels[self.rank[a] + 1].left.append(Pin(k, self.item_of[a].y + self.boxes[a].right[pin]))
-            for b, p in net.sinks:
-                channels[self.rank[b]].right.append(Pin(k, self.item_of[b].y + self.boxes[b].left[p]))
-        passing = (*self.lanes.items(), *self.returns.items())
-        for (k, r), item in passing:
-            channels[r].right.append(Pin(k, item.y))
-            channels[r + 1].left.append(Pin(k, item.y))
+        ends_at = [(k, *net.source, True) for k, net in enumerate(self.nets)]
+        ends_at += [(k, b, p, False) for k, net in enumerate(self.nets) for b, p in net.sinks]
+        heights = [
+            self.item_of[b].y + (self.boxes[b].right if out else self.boxes[b].left)[p] for _, b, p, out in ends_at
+        ]
+        for (k, b, _, out), y in zip(ends_at, heights, strict=True):
+            (channels[self.rank[b] + 1].left if out else channels[self.rank[b]].right).append((k, y))
+        for (k, r), y in self.passing.items():
+            channels[r].right.append((k, y))
+            channels[r + 1].left.append((k, y))
         x = MARGIN
         starts, ends = [0.0] * count, [0.0] * count
         for c, channel in enumerate(channels):
@@ -346,18 +347,17 @@ class _Layered:
                 wires[k] += segments
             joints += channel.joints()
         # From boxes to the edges of their columns, and across the columns that a wire passes.
-        for k, net in enumerate(self.nets):
-            a, pin = net.source
-            y = corners[a][1] + self.boxes[a].right[pin]
-            wires[k].append((corners[a][0] + self.boxes[a].width, y, ends[self.rank[a]], y))
-            for b, p in net.sinks:
-                y = corners[b][1] + self.boxes[b].left[p]
-                wires[k].append((starts[self.rank[b]], y, corners[b][0], y))
-        for (k, r), item in passing:
-            wires[k].append((starts[r], item.y, ends[r], item.y))
+        for (k, b, _, out), y in zip(ends_at, heights, strict=True):
+            edges = (
+                (corners[b][0] + self.boxes[b].width, ends[self.rank[b]])
+                if out
+                else (starts[self.rank[b]], corners[b][0])
+            )
+            wires[k].append((edges[0], y, edges[1], y))
+        for (k, r), y in self.passing.items():
+            wires[k].append((starts[r], y, ends[r], y))
         bottom = [i.y + i.height for column in self.columns for i in column]
-        bottom += [item.y for item in self.returns.values()]
-        bottom += [max(y1, y2) for wire in wires for _, y1, _, y2 in wire]
+        bottom += [*self.passing.values(), *(max(y1, y2) for wire in wires for _, y1, _, y2 in wire)]
         return GraphLayout(corners, wires, joints, x + MARGIN, max(bottom) + MARGIN)
 
 
@@ -391,12 +391,12 @@ def _median(wanted: list[tuple[float, float]]) -> float:
     return ordered[-1][0]
 
 
-def _crossings(links: Sequence[Sequence[tuple[_Item, float, _Item, float, int]]], place: dict[_Item, float]) -> int:
+def _crossings(links: Sequence[Sequence[_Link]], place: dict[_Item, float]) -> int:
     """Return the number of pairs of wires that cross between columns."""
     total = 0
     for column in links:
         seen: list[tuple[float, float]] = []
-        for _, _, b, pb in sorted((place[a], pa, place[b], pb) for a, pa, b, pb, _ in column):
+        for _, _, b, pb in sorted((place[a], pa, place[b], pb) for a, pa, b, pb in column):
             total += len(seen) - bisect_right(seen, (b, pb))
             insort(seen, (b, pb))
     return total

@@ -9,12 +9,8 @@ Segment = tuple[float, float, float, float]
 """x1, y1, x2, y2; horizontal or vertical."""
 
 
-@dataclass(frozen=True)
-class Pin:
-    """Where a net enters the channel."""
-
-    net: int
-    y: float
+Pin = tuple[int, float]
+"""A net and the height at which it enters a channel."""
 
 
 class _Trunk:
@@ -42,11 +38,9 @@ class WireChannel:
 
     def route(self) -> None:
         """Assign a track to each net that changes its height here."""
-        nets = sorted({p.net for p in (*self.left, *self.right)})
         waiting = []
-        for net in nets:
-            left = sorted({p.y for p in self.left if p.net == net})
-            right = sorted({p.y for p in self.right if p.net == net})
+        for net in sorted({net for net, _ in (*self.left, *self.right)}):
+            left, right = (sorted({y for k, y in pins if k == net}) for pins in (self.left, self.right))
             if len({*left, *right}) == 1:
                 self.straight.append((net, left[0] if left else right[0]))
             else:
@@ -94,7 +88,7 @@ class WireChannel:
         """Return the pieces of each net."""
         found: dict[int, list[Segment]] = {}
         start, end = self.x, self.x + self.width(outer=True)
-        sides = {p.net for p in self.left} & {p.net for p in self.right}
+        sides = {net for net, _ in self.left} & {net for net, _ in self.right}
         for net, y in self.straight:
             if net in sides:
                 found.setdefault(net, []).append((start, y, end, y))
