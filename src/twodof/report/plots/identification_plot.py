@@ -299,12 +299,10 @@ def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colo
         look: Any = {"fmt": "o", "ms": 2.6, "color": colours["measured"], "elinewidth": 0.8}
         low = np.minimum(share, 0.9)
         top.errorbar(omega, abs(response), yerr=abs(response) * np.array([low, share]), label="measured, 95 %", **look)
-        phase = np.degrees(np.angle(response))
+        phase = np.degrees(np.unwrap(np.angle(response)))
         if model is not None:  # on the model's branch
             near = np.interp(omega, model.omega, np.degrees(np.unwrap(np.angle(model.response))))
             phase += 360.0 * np.round((near - phase) / 360.0)
-        else:
-            phase = np.degrees(np.unwrap(np.angle(response)))
         below.errorbar(omega, phase, yerr=np.degrees(np.minimum(share, math.pi)), **look)
     if model is not None:
         low, high = model.gain_band(_LEVEL)
@@ -313,18 +311,16 @@ def _draw_bode(top: Axes, below: Axes, bode: _Bode, units: tuple[str, str], colo
         low, high = np.maximum(low, gain / _UNTOLD), np.minimum(high, gain * _UNTOLD)
         phase = np.degrees(np.unwrap(np.angle(model.response)))
         half = np.minimum(np.degrees(1.96 * model.phase_sigma), 180.0)
-        top.fill_between(model.omega, low, high, color=colours["grey-box"], alpha=0.22, linewidth=0)
-        below.fill_between(model.omega, phase - half, phase + half, color=colours["grey-box"], alpha=0.22, linewidth=0)
-        top.plot(model.omega, abs(model.response), color=colours["grey-box"], linewidth=1.4, label="model, 95 %")
-        below.plot(model.omega, phase, color=colours["grey-box"], linewidth=1.4)
-    top.set_yscale("log")
+        line: Any = {"color": colours["grey-box"], "linewidth": 1.4}
+        for ax, lower, upper in ((top, low, high), (below, phase - half, phase + half)):
+            ax.fill_between(model.omega, lower, upper, color=colours["grey-box"], alpha=0.22, linewidth=0)
+        top.plot(model.omega, gain, label="model, 95 %", **line)
+        below.plot(model.omega, phase, **line)
     top.set_title(f"from {input} to {output}", fontsize=9.5, color=colours["soft"], loc="left")
     top.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2)
     above = f"({units[1]})" if "/" in units[1] and units[0] else units[1] or "1"
-    both = f"{above}/{units[0]}" if units[0] else units[1]
-    top.set_ylabel(_label("gain", both))
-    below.set_ylabel("phase [deg]")
-    below.set_xlabel("frequency [rad/s]")
+    top.set(yscale="log", ylabel=_label("gain", f"{above}/{units[0]}" if units[0] else units[1]))
+    below.set(ylabel="phase [deg]", xlabel="frequency [rad/s]")
     below.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 1.5, 3, 4.5, 6, 9, 10]))
     top.yaxis.set_major_locator(LogLocator(10, numticks=6))
     plain = FuncFormatter(lambda value, _: f"{value:g}")
@@ -347,8 +343,8 @@ def _draw_ellipse(ax: Axes, found: Estimate, i: int, j: int, colours: Colours) -
         ax.fill(x, y, color=colours["grey-box"], alpha=alpha, linewidth=0)
         ax.plot(x, y, color=colours["grey-box"], linewidth=1.0)
     ax.plot([found.values[i]], [found.values[j]], "+", color=colours["ink"], ms=7)
-    ax.set_xlabel(_label(found.labels[i], found.units[i]))
-    ax.set_ylabel(_label(found.labels[j], found.units[j]))
+    xlabel, ylabel = (_label(found.labels[k], found.units[k]) for k in (i, j))
+    ax.set(xlabel=xlabel, ylabel=ylabel)
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_locator(MaxNLocator(4))
     rho = part[0, 1] / math.sqrt(part[0, 0] * part[1, 1])

@@ -111,41 +111,34 @@ def _finish(axes: Any, colours: Colours, low: float, high: float) -> None:
     gain, nyquist, sensitivity = axes[0]
     phase, nichols, step = axes[1]
     soft: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.8}
-    texts = (
-        (gain, "Bode: |L| [dB]", "frequency [rad/s]"),
-        (phase, "Bode: phase of L [deg]", "frequency [rad/s]"),
-        (nyquist, "Nyquist: imaginary part of L", "real part of L"),
-        (nichols, "Nichols: |L| [dB]", "phase of L [deg]"),
-        (sensitivity, "|S| solid, |T| dashed", "frequency [rad/s]"),
-        (step, "step response of T", "time after the step [s]"),
+    range_ = {"xlabel": "frequency [rad/s]", "xlim": (low, high)}
+    turns = range(-360, 31, 90)
+    # Axes, title, settings, and the height of a line, if there is one.
+    rows: tuple[tuple[Axes, str, dict[str, Any], float | None], ...] = (
+        (gain, "Bode: |L| [dB]", {**range_, "ylim": (-60.0, 60.0)}, 0.0),
+        (phase, "Bode: phase of L [deg]", {**range_, "ylim": (-400.0, 30.0), "yticks": turns}, -180.0),
+        (nyquist, "Nyquist: imaginary part of L", {"xlabel": "real part of L", "ylim": (-2.0, 2.0)}, None),
+        (nichols, "Nichols: |L| [dB]", {"xlabel": "phase of L [deg]", "ylim": (-40.0, 40.0), "xticks": turns}, None),
+        (sensitivity, "|S| solid, |T| dashed", {**range_, "ylim": (0.01, 10.0)}, 1.0),
+        (step, "step response of T", {"xlabel": "time after the step [s]"}, 1.0),
     )
-    for ax, title, x in texts:
+    cross: dict[str, Any] = {"color": colours["bad"], "markersize": 11, "markeredgewidth": 1.6}
+    for ax, title, settings, line in rows:
         ax.set_title(title, loc="left", fontsize=10)
-        ax.set_xlabel(x)
+        ax.set(**settings)
         ax.grid(visible=True)
-    for ax in (gain, phase, sensitivity):
-        ax.set_xlim(low, high)
+        if line is not None:
+            ax.axhline(line, **soft)
     for axis in (gain.xaxis, phase.xaxis, sensitivity.xaxis, sensitivity.yaxis, step.xaxis):
         axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    gain.set_ylim(-60.0, 60.0)
-    gain.axhline(0.0, **soft)
-    phase.set_ylim(-400.0, 30.0)
-    phase.set_yticks(range(-360, 31, 90))
-    phase.axhline(-180.0, **soft)
     _circle(nyquist, 0.0, 1.0, soft)
-    nyquist.plot([-1.0], [0.0], "+", color=colours["bad"], markersize=11, markeredgewidth=1.6)
+    nyquist.plot([-1.0], [0.0], "+", **cross)
     nyquist.set_xlim(-2.9, 1.8)
-    nyquist.set_ylim(-2.0, 2.0)
     nyquist.set_aspect("equal", adjustable="box")
-    nichols.plot([-180.0], [0.0], "+", color=colours["bad"], markersize=11, markeredgewidth=1.6)
+    nichols.plot([-180.0], [0.0], "+", **cross)
     for peak, below in ((3.0, True), (6.0, False)):
         _sensitivity_contour(nichols, peak, below, soft)
     nichols.set_xlim(-360.0, 0.0)
-    nichols.set_xticks(range(-360, 1, 90))
-    nichols.set_ylim(-40.0, 40.0)
-    sensitivity.set_ylim(0.01, 10.0)
-    sensitivity.axhline(1.0, **soft)
-    step.axhline(1.0, **soft)
 
 
 def _circle(ax: Axes, centre: float, radius: float, look: Mapping[str, Any]) -> None:
@@ -160,14 +153,9 @@ def _sensitivity_contour(ax: Axes, peak: float, below: bool, look: Mapping[str, 
     size = 20.0 * np.log10(np.abs(l))
     ax.plot(angle, size, linestyle=(0, (2, 2)), **look)
     end = int(np.argmin(size) if below else np.argmax(size))
-    ax.annotate(
-        f"|S| {peak:g} dB",
-        (float(angle[end]), float(size[end])),
-        fontsize=8,
-        color=look["color"],
-        ha="center",
-        va="top" if below else "bottom",
-    )
+    place = float(angle[end]), float(size[end])
+    aligned: Any = {"ha": "center", "va": "top" if below else "bottom"}
+    ax.annotate(f"|S| {peak:g} dB", place, fontsize=8, color=look["color"], **aligned)
 
 
 def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
@@ -194,15 +182,9 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
     for crossing in (found.increase, found.decrease):
         if crossing is not None and 0.0 < crossing.omega < reach:
             ax.plot([0.0, 0.0], [crossing.omega, -crossing.omega], "o", color=colours["bad"], markersize=5)
-            ax.annotate(
-                f"{crossing.factor:.2g} x the gain",
-                (0.0, crossing.omega),
-                xytext=(6, 0),
-                textcoords="offset points",
-                fontsize=8,
-                color=colours["bad"],
-                va="center",
-            )
+            beside: Any = {"xytext": (6, 0), "textcoords": "offset points", "fontsize": 8, "va": "center"}
+            says = f"{crossing.factor:.2g} x the gain"
+            ax.annotate(says, (0.0, crossing.omega), color=colours["bad"], **beside)
     soft: dict[str, Any] = {"color": colours["soft"], "linewidth": 0.7, "linestyle": (0, (2, 3))}
     for damping in _DAMPING:
         slope = math.sqrt(1.0 - damping**2) / damping
@@ -212,11 +194,9 @@ def draw_root_locus(ax: Axes, found: LoopMargins, colours: Colours) -> None:
         ax.annotate(f"{damping:g}", (-x, x * slope), fontsize=8, color=colours["soft"], ha="right", va="bottom")
     ax.axvline(0.0, color=colours["soft"], linewidth=0.8)
     ax.axhline(0.0, color=colours["soft"], linewidth=0.8)
-    ax.set_xlim(-reach, 0.5 * reach)
-    ax.set_ylim(-reach, reach)
+    ax.set(xlim=(-reach, 0.5 * reach), ylim=(-reach, reach), xlabel="real part [1/s]")
     ax.set_aspect("equal", adjustable="box")
     ax.set_title("root locus [rad/s], lines of equal damping", loc="left", fontsize=10)
-    ax.set_xlabel("real part [1/s]")
     ax.grid(visible=True)
     # Between the real axis and the branches that leave to the right.
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.28))
