@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -138,27 +137,26 @@ class IntegerStates:
 
     def _ring(self, node: Node, names: tuple[str, ...], cycle: list[Whole_]) -> str:
         """Return the state that counts 0 .. N - 1 round and round, N the cycle's length, or ""."""
-        moving = [i for i in range(len(names)) if any(_key(v[i]) != _key(cycle[0][i]) for v in cycle)]
+        columns = dict(zip(names, zip(*cycle, strict=True), strict=True))
+        moving = [name for name, column in columns.items() if len(set(map(_key, column))) > 1]
         if len(moving) != 1:
             return ""
-        (i,) = moving
-        places = [v[i].value if isinstance(v[i], Integer) else -1 for v in cycle]
-        n = len(cycle)
-        if sorted(places) == list(range(n)) and all((a + 1) % n == b for a, b in pairwise(places)):
-            return names[i]
-        return ""
+        places = [v.value if isinstance(v, Integer) else -1 for v in columns[moving[0]]]
+        counts = [(places[0] + i) % len(cycle) for i in range(len(cycle))]
+        return moving[0] if places == counts else ""
 
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
         """Return length and write index, `ahead` periods on, of a state that is a ring; (0, 0) for other states."""
         node, name = key
         cycle = self.cycles.get(node)
-        width = self.point.width(key)
         e = node.trace.update.get(name)
-        if cycle is None or not cycle.ring or e is None or e.op != "store" or width % len(cycle.values):
+        if cycle is None or not cycle.ring or e is None or e.op != "store":
+            return 0, 0
+        length = len(cycle.values)
+        if self.point.width(key) % length:
             return 0, 0
         steps = (self.shift + ahead) * self.parts.steps(node)
-        at = cycle.values[steps % len(cycle.values)][cycle.names.index(cycle.ring)]
-        return len(cycle.values), int(at.value)
+        return length, int(cycle.values[steps % length][cycle.names.index(cycle.ring)].value)
 
     def order(self, key: Key, ahead: int = 0) -> list[int]:
         """Return the places of a state's elements in the model's order: a ring's newest sample first."""

@@ -59,20 +59,14 @@ class LinearModel:
         try:
             control = importlib.import_module("control")
         except ImportError as error:
-            raise CompileError(
-                "python-control is not installed", "to_control", "install it where twodof is: pip install control"
-            ) from error
+            remedy = "install it where twodof is: pip install control"
+            raise CompileError("python-control is not installed", "to_control", remedy) from error
+        names = ("states", "inputs", "outputs")
+        named = {what: [name.replace(".", "_") for name in getattr(self, what)] for what in names}
+        dt = 0 if self.dt is None else self.dt
+        # A dot separates the name of a system from that of its signal.
         return control.StateSpace(
-            self.a,
-            self.b,
-            self.c,
-            self.d,
-            0 if self.dt is None else self.dt,
-            states=[_label(n) for n in self.states],
-            inputs=[_label(n) for n in self.inputs],
-            outputs=[_label(n) for n in self.outputs],
-            name=self.name,
-            remove_useless_states=False,
+            self.a, self.b, self.c, self.d, dt, **named, name=self.name, remove_useless_states=False
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -93,8 +87,3 @@ class LinearModel:
             "left_out": dict(self.left_out),
             "remarks": dict(self.remarks),
         }
-
-
-def _label(name: str) -> str:
-    """Return the name without dots, which python-control takes for those of a system's name."""
-    return name.replace(".", "_")

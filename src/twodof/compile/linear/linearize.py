@@ -239,23 +239,18 @@ class _Linearization(Slopes):
             with self.whole.turned(shift):
                 other = self._ordered(self.matrices("next", strict=False), 1)
             if not found.agree(other):
-                raise DiagramError(
-                    "a whole-number state moves, and the model with it",
-                    self.whole.guilty(),
-                    "a linear model is the same at every step: hold it with `at`, or linearize around this block",
-                )
+                remedy = "a linear model is the same at every step: hold it with `at`, or linearize around this block"
+                what = "a whole-number state moves, and the model with it"
+                raise DiagramError(what, self.whole.guilty(), remedy)
 
     def _check_ticks(self, found: Matrices, what: str) -> None:
         """Raise DiagramError if the model changes with the tick, unless `at` gives the tick."""
         readers = self.parts.read_tick()
-        if not readers or self.point.tick_given:
-            return
-        for periods in OTHER_PERIODS:
+        for periods in OTHER_PERIODS if readers and not self.point.tick_given else ():
             with self.point.kept():
                 self.point.tick += periods * self.parts.period
                 other = self._ordered(self.matrices(what, strict=False), 0 if what == "slope" else 1)
-            same = np.allclose(found.change, other.change) and np.allclose(found.output, other.output)
-            if not same:
+            if not (np.allclose(found.change, other.change) and np.allclose(found.output, other.output)):
                 raise DiagramError(
                     f"the tick moves the model: it is another one {periods} periods later",
                     ", ".join(readers),
@@ -281,15 +276,10 @@ def _idle(
     moved = (d != 0.0) | ((c != 0.0) @ spread(b != 0.0, a != 0.0))
     where = f"; numbers are rounded in {', '.join(rounded)}" if rounded else ""
     why = f" (see what it passes: a limit, a switch, a product with 0{where})"
-    found = {
-        name: f"this input has no effect on any output at the point{why}"
-        for j, name in enumerate(inputs)
-        if not moved[:, j].any()
-    }
-    for i, name in enumerate(outputs):
-        if not moved[i].any() and not c[i].any():
-            found[name] = f"no state and no input has an effect on this output at the point{why}"
-    return found
+    idle = [name for name, any_ in zip(inputs, moved.any(axis=0), strict=True) if not any_]
+    still = [name for name, any_ in zip(outputs, moved.any(axis=1) | c.any(axis=1), strict=True) if not any_]
+    found = dict.fromkeys(idle, f"this input has no effect on any output at the point{why}")
+    return found | dict.fromkeys(still, f"no state and no input has an effect on this output at the point{why}")
 
 
 def _needed(

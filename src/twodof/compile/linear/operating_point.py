@@ -175,14 +175,14 @@ class Parts:
 
     def read_tick(self) -> list[str]:
         """Return the paths of the nodes that read the tick."""
-        return [n.path for n in self.nodes if _reads_tick(n)]
-
-
-def _reads_tick(node: Node) -> bool:
-    t = node.trace
-    edges = [e for pair in t.edges.values() for e in pair]
-    roots = [*t.outputs.values(), *edges, *t.update.values(), *t.derivative.values(), *t.project.values()]
-    return bool(leaves(roots, "tick"))
+        found = []
+        for node in self.nodes:
+            t = node.trace
+            edges = [e for pair in t.edges.values() for e in pair]
+            methods = (t.outputs, t.update, t.derivative, t.project)
+            if leaves([*edges, *(e for method in methods for e in method.values())], "tick"):
+                found.append(node.path)
+        return found
 
 
 def _depended_on(signal: FlatSignal, cut: Container[FlatSignal]) -> set[Node]:
