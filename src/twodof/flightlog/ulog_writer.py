@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from struct import Struct, error
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,24 +33,10 @@ OWN = "twodof"
 """sys_name in the logs of the virtual flight controller, whose topics are those of TOPICS."""
 MAX_RECORD = 65_533
 """Longest record: a message holds 65,535 bytes, two of them its number."""
-TYPES: Mapping[str, str] = MappingProxyType(
-    {
-        "int8_t": "i1",
-        "uint8_t": "u1",
-        "int16_t": "<i2",
-        "uint16_t": "<u2",
-        "int32_t": "<i4",
-        "uint32_t": "<u4",
-        "int64_t": "<i8",
-        "uint64_t": "<u8",
-        "float": "<f4",
-        "double": "<f8",
-        "bool": "u1",
-    }
-)
-"""The types of a record's fields and their numpy names; a bool is any byte, so that 2 stays 2."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,63}")
-_FIELD = re.compile(r"([a-z0-9_]+)(?:\[(\d{1,5})\])? ([A-Za-z0-9_]+)")
+_FIELD = re.compile(r"(u?int(?:8|16|32|64)_t|float|double|bool)(?:\[([1-9]\d{0,4})\])? ([A-Za-z0-9_]+)")
+_KINDS = {"float": "<f4", "double": "<f8", "bool": "u1"}
+"""numpy's names of the types that it calls otherwise; a bool is any byte, so that 2 stays 2."""
 _MAX_DROPOUT_MS = 65_535
 LEVELS: Mapping[str, int] = {"error": 3, "warning": 4, "info": 6, "debug": 7}
 
@@ -193,11 +178,12 @@ def record_layout(name: str, description: str, where: str) -> np.dtype[np.void]:
     fields: list[Any] = []
     for part in filter(None, description.split(";")):
         match = _FIELD.fullmatch(part.strip())
-        if match is None or match[1] not in TYPES or match[2] == "0":
+        if match is None:
             what = f"no field of a format: {shown(part)}"
-            raise LogError(what, f"{where}: {name}", f"give a type and a name; types: {', '.join(TYPES)}")
-        fields.append((match[3], TYPES[match[1]], *([(int(match[2]),)] if match[2] else [])))
-    if not fields or fields[0] != ("timestamp", "<u8"):
+            raise LogError(what, f"{where}: {name}", "give a type, such as uint8_t or float[3], and a name")
+        kind = _KINDS.get(match[1], match[1].removesuffix("_t"))
+        fields.append((match[3], kind, (int(match[2]),) if match[2] else ()))
+    if not fields or fields[0] != ("timestamp", "uint64", ()):
         raise LogError(f"format {description[:80]!r}", f"{where}: {name}", "begin with uint64_t timestamp")
     try:
         layout = np.dtype(fields)

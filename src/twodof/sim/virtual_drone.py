@@ -29,10 +29,8 @@ from twodof.sim.closed_loop import SETTLE_STEPS, InitialState, covariances
 TICKS = SAMPLE[0]
 """Base ticks in a control period."""
 
-MOST_SETTLED = 16
-"""Rigs and estimators whose covariances are kept."""
-
-_settled: dict[str, Mapping[str, Any]] = {}  # what was run once need not be run again in this process
+Values = tuple[tuple[str, Any], ...]
+"""Parameters by path."""
 
 _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
 # The rig does not roll or yaw, and its IMU gives a sample at each tick.
@@ -46,6 +44,26 @@ def _program(precision: str) -> CompiledProgram:
     if not isinstance(program, CompiledProgram):  # raised here, so that it is tried again: one may be installed by then
         raise CompileError("there is no C compiler", "rig", "install gcc, or the wheel ziglang")
     return program
+
+
+@functools.lru_cache(16)  # what was run once need not be run again in this process
+def _at_rest(precision: str, position_filter: str, of_rig: Values, of_estimator: Values) -> Mapping[str, Any]:
+    """Return the covariances to which an estimator settles in 100 s on a rig with the motors off.
+
+    The rig's sensors do not depend on the flight code then: the rig runs first.
+    """
+    machine = _program(precision).machine()
+    machine.set_many(dict(of_rig))
+    machine.reset()
+    seen = machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
+    given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
+    given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
+    # Whoever flies, the estimator is the same.
+    code = FlightCode(position_filter=position_filter, precision=precision).machine
+    code.set_many(dict(of_estimator))
+    code.reset()
+    code.run(SETTLE_STEPS, given | ControlInput()._asdict())
+    return {path: code.state(path) for path in covariances(code.program.states)}
 
 
 class VirtualRig:
@@ -98,41 +116,14 @@ class VirtualRig:
     def settle(self, code: FlightCode) -> None:
         """Find the covariances to which the estimator of `code` settles on this rig; then both begin at rest.
 
-        It runs 100 s of the rig with the motors off the first time in a process for this rig and estimator; `reset`
-        then starts from there.
+        `reset` then starts from there.
         """
-        states = code.machine.program.states
-        self._flight_states = frozenset(states)
-        estimator = [path for path in code.machine.parameters if path.startswith("estimator.")]
-        key = repr(
-            (
-                code.precision,
-                code.position_filter,
-                [(path, self.machine.get(path)) for path in self.machine.parameters],
-                [(path, code.machine.get(path)) for path in estimator],
-            )
-        )
-        found = _settled.get(key)
-        if found is None:
-            plain = code
-            if code.sandbox is not None:  # whoever flies, the estimator is the same
-                plain = FlightCode(position_filter=code.position_filter, precision=code.precision)
-                plain.machine.set_many({path: code.machine.get(path) for path in estimator})
-            found = _settled[key] = self._at_rest(plain, covariances(states))
-            while len(_settled) > MOST_SETTLED:
-                _settled.pop(next(iter(_settled)))
-        self._settled = found
+        own = code.machine
+        self._flight_states = frozenset(own.program.states)
+        of_rig = tuple((path, self.machine.get(path)) for path in self.machine.parameters)
+        of_estimator = tuple((path, own.get(path)) for path in own.parameters if path.startswith("estimator."))
+        self._settled = _at_rest(code.precision, code.position_filter, of_rig, of_estimator)
         code.reset(self._begin(InitialState()))
-
-    def _at_rest(self, code: FlightCode, paths: list[str]) -> Mapping[str, Any]:
-        """Run the rig, whose sensors do not depend on the flight code while the motors are off; then that code."""
-        self.machine.reset()
-        code.reset()
-        seen = self.machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
-        given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
-        given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
-        code.machine.run(SETTLE_STEPS, given | ControlInput()._asdict())
-        return {path: code.machine.state(path) for path in paths}
 
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
