@@ -200,7 +200,7 @@ class AsyncDrone(DroneView):
         self._needs_ours("the rig's true state", "TWODOF_TRUTH")
         if self.session.on_board or not self.state.rig.virtual:
             why = "what is on board never gets it" if self.session.on_board else "nobody knows that of a real one"
-            raise Rejected(f"the rig's true state: {why}", f"drone {self.session.system}", "go by the estimates")
+            raise Rejected(f"the rig's true state: {why}", self.session.where, "go by the estimates")
         return self.rig_truth.rows(TruthRows())
 
     async def active_controller(self, timeout: float = TIMEOUT_S) -> ActiveController:
@@ -403,7 +403,7 @@ class AsyncDrone(DroneView):
         """
         await self.setpoints.pass_time(self.tick + ceil(timeout / TICK_S), condition, patience=timeout)
         if not condition():
-            raise Timeout(f"the condition did not come within {timeout:g} s", f"drone {self.session.system}")
+            raise Timeout(f"the condition did not come within {timeout:g} s", self.session.where)
 
     async def __aenter__(self) -> Self:
         return self
@@ -452,7 +452,7 @@ class AsyncDrone(DroneView):
             self.session.must_stand()
             missing = f"{what}: it is not one of ours but {self.state.autopilot}, which has no {name}"
             remedy = "docs/how-to/connect-clients.md says what works there"
-            raise Rejected(missing, f"drone {self.session.system}", remedy)
+            raise Rejected(missing, self.session.where, remedy)
 
     def _restarted(self, _: DroneRestarted) -> None:
         """End the session after a restart; a client that only watches goes on."""

@@ -146,7 +146,7 @@ class DroneClock:
                 if session.heard_at - moved > still or session.heard_at > end:
                     raise Timeout(
                         f"the drone's time does not pass as ours does: it is at tick {self.tick}",
-                        f"drone {session.system}",
+                        session.where,
                         "no message with its time comes: subscribe to ATTITUDE, or look at the link",
                     )
                 if within is not None:

@@ -108,7 +108,7 @@ class CommandSender:
 
     async def _refusal(self, got: Any, spoken: int, deadline: Deadline) -> Rejected:
         said = await self.words(spoken, deadline)
-        where = f"drone {self._session.system}, {deadline.doing}"
+        where = f"{self._session.where}, {deadline.doing}"
         # PX4 has codes of its own.
         code = RefusalReason.of(got.result_param2) if self._session.ours else RefusalReason.OTHER
         return Rejected(said or words_of("MAV_RESULT", got.result), where, _REMEDIES.get(got.result, ""), code)

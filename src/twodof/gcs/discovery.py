@@ -50,11 +50,11 @@ class FoundDrone(NamedTuple):
 LOOPBACK = "127.0.0.1"
 
 
-def urls(hosts: Iterable[str] = (), drones: int = DRONES) -> list[str]:
+def urls(hosts: Iterable[str] = ()) -> list[str]:
     """Return the URLs for `discover`: ports of this machine to which drones send, then ports of `hosts`."""
-    places = [f"udpin://127.0.0.1:{Ports.ONBOARD + i}" for i in range(drones)]
+    places = [f"udpin://127.0.0.1:{Ports.ONBOARD + i}" for i in range(DRONES)]
     for host in hosts:
-        for i in range(drones):
+        for i in range(DRONES):
             places += [f"{kind}://{host}:{port + i}" for kind, port in LISTENED]
     return [*places, f"udpin://127.0.0.1:{Ports.GROUND_STATION}"]
 

@@ -202,7 +202,7 @@ class StateTracker:
         if self.state.killed:
             by = self.state.safety.killed_by
             who = f" by system {by[0]}, component {by[1]}" if by is not None else ""
-            where = f"drone {self._session.system}"
+            where = self._session.where
             raise Rejected(f"it was killed{who}", where, "see why, then drone.release(), and arm it again")
 
     def _change(self, **changes: Any) -> None:

@@ -198,7 +198,7 @@ class AsyncLogs:
         LinkLost.
         """
         check_free(path, overwrite)
-        where = f"drone {self._session.system}, log {entry.number}"
+        where = f"{self._session.where}, log {entry.number}"
         if not 0 < entry.size <= LARGEST:
             raise LogError(f"{entry.size} bytes", where, f"1 to {LARGEST} bytes are brought down")
         data = await self._bytes(entry, Deadline(timeout, "bringing a log down", where), progress)

@@ -212,7 +212,7 @@ class AsyncParameters:
     def last(self) -> SentChange:
         """The last change by this client that is not undone. Raises Rejected if there is none."""
         if not self._made:
-            where = f"drone {self._session.system}"
+            where = self._session.where
             raise Rejected("nothing was changed here that could be undone", where, "set the values themselves")
         return self._made[-1]
 
@@ -228,7 +228,7 @@ class AsyncParameters:
             now = {name: (await self._ask(await self._on_board(name, deadline), deadline)).value for name in made.after}
             if since := [name for name, value in made.after.items() if now[name] != value]:
                 what = f"{listed(since)} changed since then"
-                raise Rejected(what, f"drone {self._session.system}", "set the values themselves")
+                raise Rejected(what, self._session.where, "set the values themselves")
             undone = await self._update(made.before, deadline)
         if made in self._made:
             self._made.remove(made)
@@ -335,9 +335,7 @@ class AsyncParameters:
             if got.param_id != entry.name:
                 return None
             if np.float32(entry_of(got).value) != np.float32(value):
-                raise Rejected(
-                    f"{entry.name} is {entry_of(got).value:g} and not {value:g}", f"drone {self._session.system}"
-                )
+                raise Rejected(f"{entry.name} is {entry_of(got).value:g} and not {value:g}", self._session.where)
             return True
 
         asked = self._set_message(entry, value)
@@ -369,7 +367,7 @@ class AsyncParameters:
             if got.result and not (wanted and got.result == _INCOMPLETE):
                 raise Rejected(
                     self._why(got.param_id or "the change", got.result),
-                    f"drone {self._session.system}, {deadline.doing}",
+                    f"{self._session.where}, {deadline.doing}",
                     "nothing was changed",
                 )
             return not got.result
@@ -436,7 +434,7 @@ class AsyncParameters:
             return
         if got.error == 1:
             raise self._unknown(name)
-        raise Rejected(self._why(name, got.error), f"drone {self._session.system}", "nothing was changed")
+        raise Rejected(self._why(name, got.error), self._session.where, "nothing was changed")
 
     def _why(self, name: str, error: int) -> str:
         """Return why a change is refused: the drone's last warning, else the words for the number."""

@@ -156,13 +156,18 @@ class DroneSession:
         return self.connection.transport.url
 
     @property
+    def where(self) -> str:
+        """Name of the vehicle in errors."""
+        return f"drone {self.system}"
+
+    @property
     def target(self) -> dict[str, int]:
         """Fields with a message's receiver."""
         return {"target_system": self.system, "target_component": self.component}
 
     def deadline(self, seconds: float, doing: str) -> Deadline:
         """Return a deadline for a request to the vehicle."""
-        return Deadline(seconds, doing, f"drone {self.system}")
+        return Deadline(seconds, doing, self.where)
 
     async def find(self, system: int | None, timeout: float) -> None:
         """Wait for the heartbeat of the vehicle `system` (None: any) and stay with that vehicle.

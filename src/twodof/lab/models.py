@@ -8,14 +8,14 @@ import json
 import secrets
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.robustness import Robustness
 from twodof.design.tuning_preview import GAINS, PitchLaw
-from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError, shown
+from twodof.errors import DiagramError, LogError, ParameterError, Rejected, TwodofError
 from twodof.flight.templates import ATTITUDE
 from twodof.flightlog.atomic import atomic_write, make_folder
 from twodof.flightlog.log import FlightLog
@@ -54,6 +54,10 @@ class _Identified(BaseModel):
     fixed: dict[str, float | None] = {}
 
 
+Parsed = TypeVar("Parsed")
+_DOCUMENT, _IDENTIFIED = TypeAdapter(dict[str, Any]), TypeAdapter(_Identified)
+
+
 class ModelFolder(NamedFiles):
     """Folder of models, each read when it is asked for, and the choice of the models that guard tuning."""
 
@@ -62,13 +66,7 @@ class ModelFolder(NamedFiles):
 
     def read(self, name: str) -> dict[str, Any]:
         """Read a model's document. Raises NotThere, ParameterError for a damaged file."""
-        try:
-            found = json.loads(self.content(name))
-        except (ValueError, RecursionError) as reason:
-            raise ParameterError(f"it is not JSON: {shown(reason)}", f"model {name}", "identify it again") from reason
-        if not isinstance(found, dict):
-            raise ParameterError("it is not a model", f"model {name}", "identify it again")
-        return found
+        return self._parsed(name, _DOCUMENT)
 
     def family(self, name: str) -> PitchFamily:
         """Return a pitch model's family, for tuning and design. Raises NotThere, ParameterError for another kind."""
@@ -85,7 +83,7 @@ class ModelFolder(NamedFiles):
 
     def values(self, name: str) -> dict[str, float]:
         """Return a model's values by unknown, held ones among them. Raises NotThere, ParameterError."""
-        found = self._identified(name)
+        found = self._parsed(name, _IDENTIFIED)
         values = {**{key: row.value for key, row in found.estimates.items()}, **found.fixed}
         return {key: value for key, value in values.items() if value is not None}
 
@@ -93,7 +91,7 @@ class ModelFolder(NamedFiles):
         """Return a model's row of the list: `pitch` is True for tuning and design, else `why` has the reason."""
         told: dict[str, Any] = {"name": name, "kept": self.there(name).stat().st_mtime, "values": [], "pitch": False}
         try:
-            found = self._identified(name)
+            found = self._parsed(name, _IDENTIFIED)
             told |= {key: getattr(found, key)[:80] for key in ("experiment", "structure", "method")}
             told["values"] = [
                 {"name": key, "value": one.value, "sigma": one.sigma_robust or one.sigma, "unit": one.unit}
@@ -106,9 +104,9 @@ class ModelFolder(NamedFiles):
             told |= {"pitch": False, "why": reason.what}
         return told
 
-    def _identified(self, name: str) -> _Identified:
+    def _parsed(self, name: str, form: TypeAdapter[Parsed]) -> Parsed:
         try:
-            return _Identified.model_validate(self.read(name))
+            return form.validate_json(self.content(name))
         except ValidationError as reason:
             what = f"it is not a model: {mistakes_in_words(reason.errors())[0]}"
             raise ParameterError(what, f"model {name}", "identify it again") from reason

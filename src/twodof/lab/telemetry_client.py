@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-import json
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 from fastapi import WebSocket
 from pydantic import Field, TypeAdapter, ValidationError
@@ -73,11 +72,7 @@ def read_request(text: str) -> Asked:
     if len(text) > LONGEST:
         raise MalformedRequest(f"longer than {LONGEST} characters")
     try:
-        found: Any = json.loads(text)
-    except (ValueError, RecursionError):
-        raise MalformedRequest("is not JSON") from None
-    try:
-        return _ADAPTER.validate_python(found)
+        return _ADAPTER.validate_json(text)
     except ValidationError as error:
         first = error.errors(include_url=False, include_input=False)[0]
         place = ".".join(str(part)[:40] for part in first["loc"])
