@@ -8,7 +8,7 @@ import pytest
 
 from twodof.errors import LogError, ParameterError, Rejected
 from twodof.lab.answers import NotThere
-from twodof.lab.named_files import NamedFiles
+from twodof.lab.folders import NamedFiles
 
 
 def test_files_are_kept_listed_and_deleted(tmp_path: Path) -> None:

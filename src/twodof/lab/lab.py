@@ -12,9 +12,8 @@ from fastapi.requests import HTTPConnection
 from twodof.blocks.schema.json_form import MAX_BYTES as DIAGRAM_BYTES
 from twodof.errors import LogError, Rejected
 from twodof.lab.drones.lab_drone import LabDrones
-from twodof.lab.log_folder import LogShelf
+from twodof.lab.folders import LogShelf, NamedFiles
 from twodof.lab.models import ModelFolder, TuningGuard
-from twodof.lab.named_files import NamedFiles
 from twodof.lab.processes import Jobs, Workbench
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience

@@ -23,8 +23,8 @@ from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.parameters import BY_NAME
 from twodof.lab.answers import mistakes_in_words
 from twodof.lab.drones.lab_drone import LabDrone
+from twodof.lab.folders import NamedFiles
 from twodof.lab.log_work import kept_log
-from twodof.lab.named_files import NamedFiles
 from twodof.lab.processes import Workbench
 from twodof.report.step_responses import FlownStep, step_responses
 

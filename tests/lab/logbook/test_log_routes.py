@@ -19,8 +19,8 @@ from tests.patience import patiently
 from twodof.flightlog.files import read_log, write_log
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.provenance import MAX_FILE_BYTES
-from twodof.lab import log_folder
-from twodof.lab.log_folder import KEPT_DAYS
+from twodof.lab import folders
+from twodof.lab.folders import KEPT_DAYS
 from twodof.lab.routes.logs import MOST_UPLOADED
 from twodof.report.step_responses import step_responses
 
@@ -233,8 +233,8 @@ def test_deleting_is_undone_with_the_notes_and_ends_after_its_days(
     assert server.ask("GET", "/api/logs/gone.mat").json["notes"] == text
     assert server.ask("GET", "/api/logs/gone.mat/file").content == content, "notes are never inside a log"
     entry = server.ask("DELETE", "/api/logs/gone.mat").json["entry"]
-    now = log_folder.time.time()
-    monkeypatch.setattr(log_folder.time, "time", lambda: now + KEPT_DAYS * 86_400.0 + 10.0)
+    now = folders.time.time()
+    monkeypatch.setattr(folders.time, "time", lambda: now + KEPT_DAYS * 86_400.0 + 10.0)
     assert server.ask("GET", "/api/logs").json["trash"] == []
     monkeypatch.undo()
     assert server.ask("POST", f"/api/logs/trash/{entry}/restore").status == 404

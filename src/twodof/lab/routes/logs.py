@@ -22,8 +22,8 @@ from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
 from twodof.lab.access import lab_router, takes
 from twodof.lab.answers import RequestBody
+from twodof.lab.folders import KEPT_DAYS, MOST_NOTES
 from twodof.lab.lab import CurrentLab, Lab
-from twodof.lab.log_folder import KEPT_DAYS, MOST_NOTES
 from twodof.lab.log_work import summary as log_summary
 from twodof.lab.processes import Answer
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
