@@ -31,7 +31,7 @@ READ_ONLY, TYPE_UNSUPPORTED, TYPE_MISMATCH, READ_FAIL = 5, 6, 7, 8
 """MAV_PARAM_ERROR."""
 HASH_INDEX = 0xFFFF
 A_TICK = 4
-"""Parameters of lists that are sent in a tick: a thousand a second."""
+"""Parameters of a list that are sent in a tick: a thousand a second."""
 
 
 class ParameterService(Service):
@@ -52,6 +52,7 @@ class ParameterService(Service):
         vehicle.bus.subscribe(ParametersRelisted, self._relist)
 
     def after(self, step: ControlStep) -> None:
+        self._sender.most = A_TICK * len(self._sender.keys)
         self._sender.tick()
 
     def change(self, wanted: Mapping[str, float], sender: Source) -> tuple[int, str, str]:
