@@ -66,7 +66,6 @@ class Batch:
     before: set[int]
     whole: set[int] = field(default_factory=set)
     texts: dict[int, Text] = field(default_factory=dict)
-    given: dict[int, str] = field(default_factory=dict)
 
 
 @dataclass
@@ -113,7 +112,6 @@ class Renderer:
         self.targets: dict[int, str] = {}
         self._hints: dict[int, str] = {}  # names or places of signals for the expressions that give them
         self._reserved: dict[FlatSignal, str] = {}
-        self._places: dict[int, str] = {}  # lvalues of signals that a branch may give
         self._pointers: set[str] = set()
         self._kept: list[Expr] = []  # nodes made here, whose identities are used as keys
         self._resolved: dict[int, Expr] = {}
@@ -229,8 +227,6 @@ class Renderer:
                 self._reserved[signal] = self._hints[id(root)] = self.names.new(signal.path)
         elif root.width is not None and root.op in ("vector", "build", "store"):
             self.targets[id(root)] = place
-        elif root.width is None:
-            self._places[id(root)] = place
 
     def _count(self, batch: Batch, found: Iterable[Step]) -> None:
         """Count a condition once for all values that one branch decides."""
@@ -323,14 +319,10 @@ class Renderer:
                     batch.texts[id(side)] = constant(side.data, side.kind, self.precision)
         outer = self.owner
         self.owner = self.leaves.owner(branch.chosen[0]) or outer
-        given = [batch.given.pop(id(item), "") or self._places.pop(id(item), "") for item, _ in decided]
-        names = [
-            place or self._variable_name(item, choice) for place, (item, choice) in zip(given, decided, strict=True)
-        ]
+        names = [self._variable_name(item, choice) for item, choice in decided]
+        for (item, _), name in zip(decided, names, strict=True):
+            self.declare(name, item.kind)
         test = batch.texts[id(branch.condition)]
-        for (item, _), name, known in zip(decided, names, given, strict=True):
-            if not known:
-                self.declare(name, item.kind)
         sides = [
             self._side(batch, found, [(name, side(d)) for name, (_, d) in zip(names, decided, strict=True)])
             for found, side in ((branch.then, THEN), (branch.otherwise, OTHERWISE))
@@ -354,16 +346,10 @@ class Renderer:
 
     def _side(self, batch: Batch, found: Sequence[Step], rows: Sequence[tuple[str, Expr]]) -> list[Statement]:
         """Return one side of a branch, which gives each variable its value."""
-        chosen = {id(item) for step in found if isinstance(step, Branch) for item in step.chosen}
-        for name, side in rows:
-            if id(side) in chosen and batch.uses[id(side)] == 1:
-                batch.given[id(side)] = name
         with self.within() as body:
             self._steps(batch, found)
             for name, side in rows:
-                value = batch.texts[id(side)]
-                if value.text != name:
-                    self.put(name, value)
+                self.put(name, batch.texts[id(side)])
         return body
 
     def _counts(self, item: Expr) -> bool:
