@@ -154,29 +154,26 @@ class StepEmitter:
         if behind is not None and behind.start is None:
             read = dict.fromkeys(behind.node.drivers.values())
             roots += [leaf(s) for s in read if s.node is not None and s in self._pending]
-        edges = [s for s in fixed if s in self.fractions]
-        for s in edges:
-            roots += self._edge(s)
-        texts = iter(self.renderer.texts(roots)[len(roots) - 2 * len(edges) :])
-        for s in edges:
-            for name in self.fractions[s]:
-                self._set_edge(s, name, next(texts))
+        self.renderer.texts(roots)
+        for s in fixed:
+            if s in self.fractions:
+                self._set_edge(s)
         self._updates(segment.updates)
         self._pending.difference_update(fixed)
         if behind is not None:
             self._behind(segment, behind.node)
 
-    def _edge(self, signal: FlatSignal) -> Sequence[Expr]:
+    def _set_edge(self, signal: FlatSignal) -> None:
+        """Add the place of a signal's edge in the step, and its value behind it."""
         node = signal.node
         assert node is not None
-        return [self.graph.of(node, e) for e in node.trace.edges[signal.port]]
-
-    def _set_edge(self, signal: FlatSignal, name: str, value: Text) -> None:
-        self.renderer.owner = signal.node
-        if signal.node is not None and signal.node.guard.always:
-            self.renderer.declare(name, "real", value, fixed=True)
-        else:
-            self.renderer.put(name, value)
+        self.renderer.owner = node
+        values = self.renderer.texts(self.graph.of(node, e) for e in node.trace.edges[signal.port])
+        for name, value in zip(self.fractions[signal], values, strict=True):
+            if node.guard.always:
+                self.renderer.declare(name, "real", value, fixed=True)
+            else:
+                self.renderer.put(name, value)
         self.renderer.owner = None
 
     def _behind(self, segment: Segment, node: Node) -> None:
