@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from twodof.blocks.declarations import Declared, Port, State, check_name
 from twodof.blocks.enumeration import Enumeration, comparing, plain_data
-from twodof.blocks.expressions.expr import Expr, as_expr, to_real, tracing
+from twodof.blocks.expressions.expr import Expr, as_expr, scalars, to_real, tracing
 from twodof.blocks.expressions.graph import leaves
 from twodof.blocks.namespaces import Clock, Inputs, Parameters, States
 from twodof.blocks.trace import clock_leaves, enumerations, leaves_of, matrices, mistake, returned, with_matrices
@@ -327,10 +327,9 @@ class MachineGraph:
             given = self._call(function)
             try:
                 found = as_expr(given, "bool")
+                scalars("a guard", found)
             except DiagramError as error:
                 raise self.fault(function, f"the guard gives {_described(given)}", _BOOL) from error
-        if found.width is not None:
-            raise self.fault(function, f"the guard gives {_described(given)}", _BOOL)
         return found
 
     def _values(self, function: MachineFunction, declared: Sequence[Any]) -> Recorded:
