@@ -231,29 +231,21 @@ def called(block: Declared, method: str, *arguments: Any) -> Any:
 
 
 def _edges(block: Declared, result: Any, outputs: Mapping[str, Expr]) -> dict[str, tuple[Expr, Expr]]:
-    if result == {}:
+    if isinstance(result, Mapping) and not result:
         return {}
     edges = {}
     with located(place(block, "edges")):
-        for port, pair in _pairs(result).items():
+        remedy = "return a dict: output -> (fraction, value after)"
+        if not isinstance(result, Mapping):
+            raise DiagramError(f"edges returns {_described(result)}", "", remedy)
+        for port, pair in result.items():
+            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
+                raise DiagramError(f"edges gives {_described(pair)} for {shown(port)}", "", remedy)
             if port not in outputs or outputs[port].width is not None:
-                raise DiagramError(
-                    f"edges names {shown(port)}, which is not a scalar output", "", "name an output of the block"
-                )
+                what = f"edges names {shown(port)}, which is not a scalar output"
+                raise DiagramError(what, "", "name an output of the block")
             edges[port] = (as_expr(pair[0], "real"), as_expr(pair[1], outputs[port].kind))
     return edges
-
-
-def _pairs(result: Any) -> Mapping[str, Any]:
-    """Return the result of `edges` if it is a mapping to pairs; else raise DiagramError."""
-    if not isinstance(result, Mapping):
-        raise DiagramError(
-            f"edges returns {_described(result)}", "", "return a dict: output -> (fraction, value after)"
-        )
-    for port, pair in result.items():
-        if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-            raise DiagramError(f"edges gives {_described(pair)} for {shown(port)}", "", "give (fraction, value after)")
-    return result
 
 
 MethodGraphs = dict[str, dict[str, tuple[Expr, ...]]]

@@ -178,7 +178,7 @@ class _Run:
         self.cell = cell
         self.watch = watch
         self.t = clock
-        self.u = {p.name: _zero(p) for p in cell.block.inputs}
+        self.u = {p.name: _number(0, p, p.name) for p in cell.block.inputs}
         self.x: dict[str, Any] = {}
         self.p: dict[str, Any] = {}
         self.y: dict[str, Any] = {}
@@ -246,7 +246,7 @@ class ReferenceMachine(Machine):
         with numbers.precision(program.precision):
             self._values = {path: _number(p.value, p, path) for path, p in self.parameters.items()}
             self._real_dt = numbers.real_type()(program.dt)
-            self._inputs = {name: _zero(port) for name, port in self.inputs.items()}
+            self._inputs = {name: _number(0, port, name) for name, port in self.inputs.items()}
             self._runs: dict[str, _Run] = {}
             for cell in self.hierarchy.cells:
                 dt = numbers.real_type()(program.dt * cell.rate.divider)
@@ -461,10 +461,6 @@ def _as_real(value: Any, declared: Port | Param) -> Any:
     if declared.kind != "real":
         return value
     return _elementwise(numbers.real_type(), value)
-
-
-def _zero(port: Port) -> Any:
-    return _number(0, port, port.name)
 
 
 def _elementwise(f: Any, *values: Any) -> Any:
