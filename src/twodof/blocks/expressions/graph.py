@@ -54,9 +54,9 @@ def ordered(roots: Iterable[Expr], below: Callable[[Expr], Sequence[Expr]], know
     return order
 
 
-def walk(roots: Iterable[Expr], loops: bool = True, known: Container[int] = ()) -> list[Expr]:
-    """Every node below `roots`, `ordered`. With `loops` false, loop bodies are not entered."""
-    return ordered(roots, attrgetter("args" if loops else "outside"), known)
+def walk(roots: Iterable[Expr], known: Container[int] = ()) -> list[Expr]:
+    """Every node below `roots`, those of loops' bodies too, `ordered`."""
+    return ordered(roots, attrgetter("args"), known)
 
 
 KEPT = ("vector", "build", "store", "fold", "call")
