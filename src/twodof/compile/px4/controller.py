@@ -18,7 +18,6 @@ from twodof.errors import DiagramError
 
 TYPES = {"real": "float32", "int32": "int32", "uint32": "uint32", "bool": "bool"}
 _C_TYPES = {"real": "float", "int32": "int32_t", "uint32": "uint32_t", "bool": "bool"}
-_SIZES = {"real": 4, "int32": 4, "uint32": 4, "bool": 1}
 QUEUE = 16
 LONGEST_FORMAT = 1450  # the logger of v1.14 has 1500 characters for it, a name included
 LARGEST = 1000  # bytes; the topic's queue holds 16 of them
@@ -100,14 +99,12 @@ def fields(program: FlatProgram, outputs: int) -> MessageFields:
             raise DiagramError(f"its signal {path!r} is {signal.kind}", program.name, remedy)
     found = MessageFields(ins, _named("out", rows[:outputs]) + _named("log", rows[outputs:]))
     every = [*found.inputs, *found.outputs]
-    size = sum(_SIZES[f.kind] * f.words for f in every)
+    size = sum((1 if f.kind == "bool" else 4) * f.words for f in every)
     text = found.description
     if text > LONGEST_FORMAT or size > LARGEST:
-        raise DiagramError(
-            f"its message would have {len(every)} signals ({size} bytes, {text} characters of description)",
-            program.name,
-            f"at most {LARGEST} bytes and {LONGEST_FORMAT} characters are logged: log fewer signals, or shorter names",
-        )
+        what = f"its message would have {len(every)} signals ({size} bytes, {text} characters of description)"
+        most = f"at most {LARGEST} bytes and {LONGEST_FORMAT} characters are logged"
+        raise DiagramError(what, program.name, f"{most}: log fewer signals, or shorter names")
     return found
 
 
@@ -246,27 +243,22 @@ def _table(names: ModuleNames, rows: Sequence[ExportedParameter]) -> str:
     lines = []
     for row in rows:
         fixed = "true" if row.fixed else "false"
-        if row.kind == "real":
-            bounds, standard = f"{_float(row.low)}, {_float(row.high)}, 0, 0", f".real = {_float(row.default)}"
-        else:
-            bounds = f"0.0f, 0.0f, {_integer(row.low)}, {_integer(row.high)}"
-            standard = f".integer = {_integer(row.default)}"
+        low, high, default = (_number(value, row.kind) for value in (row.low, row.high, row.default))
+        real = row.kind == "real"
+        bounds = f"{low}, {high}, 0, 0" if real else f"0.0f, 0.0f, {low}, {high}"
+        standard = f".{'real' if real else 'integer'} = {default}"
         kind = {"real": "f", "bool": "b"}.get(row.kind, "i")
         lines.append(f"    {{\"{row.name}\", '{kind}', {fixed}, {bounds}, {{{standard}}}}},")
     n = names.module
     return "\n".join([f"const {n}_Parameter {n}_parameters[{n}_PARAMETERS] = {{", *lines, "};", ""])
 
 
-def _float(value: float) -> str:
-    if abs(value) >= LARGEST_FLOAT:
-        return "-0x1.fffffep+127f" if value < 0 else "0x1.fffffep+127f"
-    return f"{float(value).hex()}f"
-
-
-def _integer(value: float) -> str:
-    if value <= SMALLEST_INT:
-        return "INT32_MIN"
-    return "INT32_MAX" if value >= LARGEST_INT else str(int(value))
+def _number(value: float, kind: str) -> str:
+    """Return a bound or default in C, the largest ones by name."""
+    if kind == "real":
+        largest = f"{'-' if value < 0 else ''}0x1.fffffep+127f"
+        return largest if abs(value) >= LARGEST_FLOAT else f"{float(value).hex()}f"
+    return {SMALLEST_INT: "INT32_MIN", LARGEST_INT: "INT32_MAX"}.get(int(value), str(int(value)))
 
 
 def _assignments(rows: Sequence[ExportedParameter], layout: MemoryLayout) -> str:
