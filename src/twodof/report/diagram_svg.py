@@ -139,8 +139,7 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
     symbols = [terminal(p.name, "in", _remark(p)) for p in given]
     place: dict[tuple[str | None, str], int] = {(None, p.name): i for i, p in enumerate(given)}
     inner: dict[int, Drawing] = {}
-    parts = list(diagram.parts.values())
-    for part in parts:
+    for part in diagram.parts.values():
         place[part.name, ""] = len(symbols)
         if depth > 0 and isinstance(part.item, Diagram):
             inner[len(symbols)] = _draw(part.item, depth - 1, True, count)
@@ -151,14 +150,14 @@ def _draw(diagram: Diagram, depth: int, border: bool, count: list[int]) -> Drawi
         place["", name] = len(symbols)
         symbols.append(terminal(name, "out", ""))
     nets, sources = _nets(diagram, place)
-    placed = layout([s.box for s in symbols], nets, border)
-    flipped = _flips(symbols, nets, placed, parts, place)
+    drawing = Drawing(diagram, symbols, nets, sources, layout([s.box for s in symbols], nets, border), inner)
+    flipped = _flips(drawing, place)
+    for name in flipped:
+        part = diagram.parts[name]
+        symbols[place[name, ""]] = symbol(part, input_names(part, diagram), flip=True)
     if flipped:
-        for part in parts:
-            if part.name in flipped:
-                symbols[place[part.name, ""]] = symbol(part, input_names(part, diagram), flip=True)
-        placed = layout([s.box for s in symbols], nets, border)
-    return Drawing(diagram, symbols, nets, sources, placed, inner)
+        drawing.placed = layout([s.box for s in symbols], nets, border)
+    return drawing
 
 
 def _remark(port: Port) -> str:
@@ -230,26 +229,19 @@ def _frame(part: Part, diagram: Diagram, shown: Drawing, pins: Sequence[str]) ->
     return BlockSymbol(Box(width, height, left, right, "", part.position), shapes, texts, part.name)
 
 
-def _flips(
-    symbols: list[BlockSymbol],
-    nets: list[Net],
-    placed: GraphLayout,
-    parts: list[Part],
-    place: dict[tuple[str | None, str], int],
-) -> set[str]:
+def _flips(drawing: Drawing, place: dict[tuple[str | None, str], int]) -> set[str]:
     """Return the sums whose second input comes from above."""
-    fed = {sink: net.source for net in nets for sink in net.sinks}
+    symbols, corners = drawing.symbols, drawing.placed.corners
+    fed = {sink: net.source for net in drawing.nets for sink in net.sinks}
     found = set()
-    for part in parts:
-        i = place[part.name, ""]
-        if getattr(type(part.item), "type_name", "") != "sum" or len(symbols[i].box.left) != 2:
+    for name, part in drawing.diagram.parts.items():
+        i = place[name, ""]
+        ends = [fed[i, pin] for pin in (0, 1) if (i, pin) in fed]
+        if getattr(type(part.item), "type_name", "") != "sum" or len(symbols[i].box.left) != 2 or len(ends) < 2:
             continue
-        ends = [fed.get((i, pin)) for pin in (0, 1)]
-        if None in ends or any(placed.corners[e[0]][0] >= placed.corners[i][0] for e in ends if e):
-            continue
-        heights = [placed.corners[e[0]][1] + symbols[e[0]].box.right[e[1]] for e in ends if e]
-        if heights[1] < heights[0]:
-            found.add(part.name)
+        heights = [corners[box][1] + symbols[box].box.right[pin] for box, pin in ends]
+        if heights[1] < heights[0] and all(corners[box][0] < corners[i][0] for box, _ in ends):
+            found.add(name)
     return found
 
 
@@ -287,28 +279,20 @@ def text_element(t: SymbolText) -> str:
 
 
 def _path(wire: list[Segment]) -> str:
-    pieces = []
-    for x1, y1, x2, y2 in _joined(wire):
-        pieces.append(f"M{x1:g} {y1:g}" + (f"H{x2:g}" if y1 == y2 else f"V{y2:g}"))
-    return "".join(pieces)
-
-
-def _joined(wire: list[Segment]) -> list[Segment]:
-    """Return the pieces without empty ones, with adjoining pieces joined."""
-    rows: dict[tuple[bool, float], list[tuple[float, float]]] = {}
+    """Return a wire's path without empty pieces, with adjoining pieces joined."""
+    rows: dict[tuple[bool, float], list[list[float]]] = {}
     for x1, y1, x2, y2 in wire:
-        if (x1, y1) != (x2, y2):
-            level = y1 == y2
-            rows.setdefault((level, y1 if level else x1), []).append(
-                (min(x1, x2), max(x1, x2)) if level else (min(y1, y2), max(y1, y2))
-            )
-    made: list[Segment] = []
+        level = y1 == y2
+        ends = sorted((x1, x2) if level else (y1, y2))
+        if ends[0] < ends[1]:
+            rows.setdefault((level, y1 if level else x1), []).append(ends)
+    path = ""
     for (level, at), spans in sorted(rows.items()):
-        merged: list[tuple[float, float]] = []
+        merged: list[list[float]] = []
         for low, high in sorted(spans):
             if merged and low <= merged[-1][1]:
-                merged[-1] = merged[-1][0], max(high, merged[-1][1])
+                merged[-1][1] = max(high, merged[-1][1])
             else:
-                merged.append((low, high))
-        made += [(a, at, b, at) if level else (at, a, at, b) for a, b in merged]
-    return made
+                merged.append([low, high])
+        path += "".join(f"M{a:g} {at:g}H{b:g}" if level else f"M{at:g} {a:g}V{b:g}" for a, b in merged)
+    return path
