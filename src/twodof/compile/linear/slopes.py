@@ -177,33 +177,23 @@ class Slopes:
         random = np.random.Generator(np.random.PCG64(2))
         different = _different(ties)
         trials: list[tuple[Slope, Tie]] = []
-        for tie in different:
-            normal = tie.slope / np.linalg.norm(tie.slope)
+        for tie, normal in different:
             noise = 1e-3 * random.standard_normal(self.seeds)
             trials += [(normal + noise, tie), (-normal + noise, tie)]
         trials += [(random.standard_normal(self.seeds), ties[0]) for _ in range(DIRECTIONS)]
         for direction, tie in trials:
             other, *_ = self._once(what, direction)
             if not (beside.agree(other) and first.meet(other)):
-                raise DiagramError(
-                    f"the point is on a kink: {tie.what}, and beside it the slopes differ",
-                    tie.where,
-                    "move the point off it with `at`, or take out the limit, friction or switch that makes it",
-                )
-        for tie in different:
+                raise _kink(tie, "beside it the slopes differ", "limit, friction or switch")
+        for tie, normal in different:
             if not tie.single:
                 continue
             # A motion within the border: friction that holds goes on holding, whatever else moves.
-            normal = tie.slope / np.linalg.norm(tie.slope)
             direction = random.standard_normal(self.seeds)
             direction -= (normal @ direction) * normal
             other, *_ = self._once(what, direction)
             if not beside.agree_along(other, direction):
-                raise DiagramError(
-                    f"the point is on a kink: {tie.what}, and what rests there goes on resting (dry friction, a stop)",
-                    tie.where,
-                    "move the point off it with `at`, or take out the friction or stop that makes it",
-                )
+                raise _kink(tie, "what rests there goes on resting (dry friction, a stop)", "friction or stop")
 
     def _once(self, what: str, direction: Slope | None) -> tuple[Matrices, TangentStep, States]:
         """Return the slopes over one tick, ties resolved by `direction`, with the step and the new states."""
@@ -254,8 +244,13 @@ def spread(start: NDArray[np.bool_], edges: NDArray[np.bool_]) -> NDArray[np.boo
     return found
 
 
-def _different(ties: Sequence[Tie]) -> list[Tie]:
-    """Return one tie of each group so near to one another that a motion across one crosses them all.
+def _kink(tie: Tie, why: str, cause: str) -> DiagramError:
+    remedy = f"move the point off it with `at`, or take out the {cause} that makes it"
+    return DiagramError(f"the point is on a kink: {tie.what}, and {why}", tie.where, remedy)
+
+
+def _different(ties: Sequence[Tie]) -> list[tuple[Tie, Slope]]:
+    """Return one tie of each group so near to one another that a motion across one crosses them all, and its normal.
 
     Each stage of an integration meets the borders of the first, somewhat turned.
     """
@@ -265,7 +260,7 @@ def _different(ties: Sequence[Tie]) -> list[Tie]:
         kind = tie.where, tie.what, tie.single
         if not any(kind == (t.where, t.what, t.single) and abs(n @ normal) > NEAR for t, n in found):
             found.append((tie, normal))
-    return [tie for tie, _ in found]
+    return found
 
 
 def close(a: Array, b: Array) -> bool:
