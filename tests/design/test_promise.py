@@ -176,7 +176,6 @@ def test_family_of_several_flights_has_their_spread() -> None:
         lambda: FAMILY.disturbed(gust=-1.0),
         lambda: promise(STOCK, FAMILY, goal=math.nan),
         lambda: promise(STOCK, FAMILY, members=3),
-        lambda: robustness(STOCK, FAMILY, region=2.0),
         lambda: Promise.from_json({"promise": 1}),
         lambda: Promise.from_json("x" * 100_000),
         lambda: promise(STOCK, FAMILY, members=40).verdict([], {}),

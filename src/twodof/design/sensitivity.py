@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from twodof.design.closed_loop_poles import feedback_gain
-from twodof.design.frequencies import frequencies_of_size
 from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.structured_hinf import peak_gain
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-
-_ROUNDS = 8
-_NEAR = 1e-8  # by what share the largest value may be missed where two peaks are alike
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,20 +34,6 @@ class Sensitivity:
             one.a - k * one.b @ one.c, k * one.b, -self.share * k * one.c, self.direct + self.share * k, one.dt
         )
 
-    @cached_property
-    def ends(self) -> list[tuple[float, float]]:
-        """(frequency, size) at 0 and at the Nyquist frequency, or infinity, where they are known."""
-        places = [(0.0, 0.0 if self.loop.dt is None else 1.0)]
-        if self.loop.dt is not None:
-            places.append((np.pi / self.loop.dt, -1.0))
-        of = self.loop if self.matrices is None else self.matrices
-        at = [(omega, complex(of.at(z)[0])) for omega, z in places]
-        if self.matrices is None:
-            at = [(omega, self.direct + self.share / (1.0 + l)) for omega, l in at]
-        if self.loop.dt is None:
-            at.append((np.inf, complex(self.direct + self.share * feedback_gain(self.loop))))
-        return [(omega, abs(value)) for omega, value in at if np.isfinite(value)]
-
     def response(self, omega: ArrayLike) -> Complex:
         """Return the frequency response at `omega` [rad/s], shape (k,)."""
         if self.matrices is not None:
@@ -59,26 +42,16 @@ class Sensitivity:
 
 
 def largest(of: Sensitivity, grid: Array) -> tuple[float, float]:
-    """(size, frequency [rad/s]) of the largest |of| over all frequencies; `grid` is where the search begins.
+    """(size, frequency [rad/s]) of the largest |of| over all frequencies.
 
-    A peak found is refined. Where there are matrices, a higher one is not left out. If there were one, the size just
-    above the peak would be met at some frequency (Bruinsma, Steinbuch 1990).
+    A peak found on `grid` is refined. Where there are matrices, a higher one is not left out.
     """
     best, place = _peak(of.response, grid)
-    for omega, size in of.ends:
-        if size > best:
-            best, place = size, omega
-    end = np.inf if of.loop.dt is None else np.pi / of.loop.dt
-    for _ in range(_ROUNDS if of.matrices is not None else 0):
-        assert of.matrices is not None
-        met = frequencies_of_size(of.matrices, best * (1.0 + _NEAR)) if best else np.zeros(0)
-        met = met[met < end]
-        if met.size < 2:
-            break
-        found, there = _peak(of.response, np.unique(np.concatenate([met, np.sqrt(met[1:] * met[:-1])])))
-        if found <= best * (1.0 + _NEAR):
-            break
-        best, place = found, there
+    if (own := of.matrices) is not None:
+        return max((best, place), peak_gain(own.a, own.b, own.c, np.array([[own.d]]), own.dt))
+    for omega, value in ((0.0, of.response(0.0)[0]), (np.inf, of.direct + of.share)):
+        if np.isfinite(value) and abs(value) > best:
+            best, place = float(abs(value)), omega
     return best, place
 
 

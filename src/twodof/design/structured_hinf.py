@@ -268,34 +268,27 @@ def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -
     Raises ParameterError for shapes that do not fit and numbers that are not finite.
     """
     check_system(a, b, c, d, "hinf_norm")
-    n = len(a)
-    through = float(np.linalg.norm(d, 2)) if d.size else 0.0
-    if n == 0:
-        return through, 0.0
-    poles = np.linalg.eigvals(a).astype(np.complex128)
-    if (np.abs(poles).max() >= 1.0) if dt is not None else (poles.real.max() >= 0.0):
+    poles = np.linalg.eigvals(a)
+    if ((np.abs(poles) >= 1.0) if dt is not None else (poles.real >= 0.0)).any():
         return math.inf, math.nan
-    if dt is None:
-        return _continuous(a, b, c, d, poles, through)
-    # The bilinear map keeps the norm: z = (1 + s) / (1 - s), w = tan(omega dt / 2).
-    inverse = np.linalg.inv(np.eye(n) + a)
-    root = math.sqrt(2.0)
-    ac, bc = inverse @ (a - np.eye(n)), root * inverse @ b
-    cc, dc = root * c @ inverse, d - c @ inverse @ b
-    norm, w = _continuous(ac, bc, cc, dc, np.linalg.eigvals(ac).astype(np.complex128), float(np.linalg.norm(dc, 2)))
-    return norm, 2.0 * math.atan(w) / dt
+    return peak_gain(a, b, c, d, dt)
 
 
-def _continuous(a: Array, b: Array, c: Array, d: Array, poles: Complex, through: float) -> tuple[float, float]:
-    size = np.abs(poles)
-    first = np.concatenate([[0.0], size, np.abs(poles.imag)])
+def peak_gain(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -> tuple[float, float]:
+    """Return the largest singular value over all frequencies, and its frequency [rad/s], of a system, stable or not."""
+    if dt is not None:
+        # The bilinear map keeps the norm: z = (1 + s) / (1 - s), w = tan(omega dt / 2).
+        inverse, root = np.linalg.inv(np.eye(len(a)) + a), math.sqrt(2.0)
+        turned = (inverse @ (a - np.eye(len(a))), root * inverse @ b, root * c @ inverse, d - c @ inverse @ b)
+        norm, w = peak_gain(*turned)
+        return norm, 2.0 * math.atan(w) / dt
+    poles = np.linalg.eigvals(a)
+    first = np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)])
     sizes = _sizes(a, b, c, d, first)
-    best, place = through, math.inf
+    best, place = float(np.linalg.norm(d, 2)), math.inf
     if sizes.max() > best:
         best, place = float(sizes.max()), float(first[sizes.argmax()])
-    if best == 0.0:
-        return 0.0, 0.0
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS if best > 0.0 else 0):
         level = best * (1.0 + 2.0 * TOLERANCE)
         met = _met(a, b, c, d, level)
         if met.size < 2:

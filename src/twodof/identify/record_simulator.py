@@ -47,7 +47,6 @@ class RecordSimulator:
         self._pieces = max(structure.substeps, LEAST_TICKS if moving else 1)
         self._machine = program_of(structure, record.dt, self._pieces).machine()
         self._values: dict[str, float] = {}
-        self._ran = False
         self._steps = record.steps * self._pieces
         direct = _direct(structure) if moving else frozenset()
         self._inputs = {
@@ -58,12 +57,11 @@ class RecordSimulator:
         if isinstance(self._machine, CompiledMachine):
             self._rerun = Rerun(self._machine, self._steps, self._inputs, self.outputs)
         positions = {name: record.outputs[name].position for name in self.outputs}
-        self._delay, self._late = structure.delay, 0.0
+        self._late = 0.0
         early = _common_fraction(np.concatenate(list(positions.values()))) if structure.delay else 0.0
         if early:
             # Linear interpolation would bend the response at each edge of the input: in closed loop, at every sample.
-            self._late, self._longest = early * record.dt, structure.unknowns[structure.delay].upper
-            self._values[structure.delay] = structure.unknowns[structure.delay].value
+            self._late, self._unknown = early * record.dt, structure.unknowns[structure.delay]
             positions = {name: _on_steps(position + early) for name, position in positions.items()}
         self._at = {name: _sampler(position, record.steps) for name, position in positions.items()}
 
@@ -72,9 +70,9 @@ class RecordSimulator:
         # Most runs of a Jacobian change one value.
         changed = {name: value for name, value in values.items() if self._values.get(name) != value}
         self._values |= changed
-        if self._late and (self._delay in changed or not self._ran):
-            changed[self._delay] = min(self._values[self._delay] + self._late, self._longest)
-        self._ran = True
+        if self._late:
+            own = self._values.get(self._unknown.name, self._unknown.value)
+            changed[self._unknown.name] = min(own + self._late, self._unknown.upper)
         if self._rerun is not None:
             simulated = self._rerun.run(changed)
         else:

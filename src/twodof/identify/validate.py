@@ -16,18 +16,13 @@ _WANDERING_LAGS, _WANDERING = 10, 0.15
 
 def fit_percent(measured: ArrayLike, simulated: ArrayLike) -> float:
     """FIT = 100 (1 - |y - y_sim| / |y - mean(y)|), 100 is perfect, 0 no better than the mean (MATLAB's compare)."""
-    y, error = _pair(measured, simulated)
-    spread = float(np.linalg.norm(y - y.mean()))
-    if spread == 0.0:
-        raise IdentificationError("the measured signal is constant", "fit_percent", "FIT needs a signal that moves")
-    return 100.0 * (1.0 - float(np.linalg.norm(error)) / spread)
+    y, error = _pair(measured, simulated, moving=True)
+    return 100.0 * (1.0 - float(np.linalg.norm(error)) / float(np.linalg.norm(y - y.mean())))
 
 
 def vaf(measured: ArrayLike, simulated: ArrayLike) -> float:
     """Variance accounted for, 100 (1 - var(y - y_sim) / var(y)) [%]; blind to a constant offset."""
-    y, error = _pair(measured, simulated)
-    if float(y.var()) == 0.0:
-        raise IdentificationError("the measured signal is constant", "vaf", "VAF needs a signal that moves")
+    y, error = _pair(measured, simulated, moving=True)
     return 100.0 * (1.0 - float(error.var()) / float(y.var()))
 
 
@@ -215,12 +210,15 @@ def compare(
     )
 
 
-def _pair(measured: ArrayLike, simulated: ArrayLike) -> tuple[Array, Array]:
+def _pair(measured: ArrayLike, simulated: ArrayLike, moving: bool = False) -> tuple[Array, Array]:
+    """Return the measured signal, and measured less simulated. If asked, the measured one must move."""
     y, model = np.asarray(measured, dtype=float), np.asarray(simulated, dtype=float)
     if y.shape != model.shape or y.size == 0:
         raise IdentificationError(f"measured {y.shape} and simulated {model.shape} differ or are empty", "validate")
     if not (np.isfinite(y).all() and np.isfinite(model).all()):
         raise IdentificationError("a signal holds NaN or infinity", "validate")
+    if moving and float(np.ptp(y)) == 0.0:
+        raise IdentificationError("the measured signal is constant", "validate", "choose a signal that moves")
     return y, y - model
 
 
