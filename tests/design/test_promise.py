@@ -9,7 +9,6 @@ import pytest
 from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.promise import Promise, promise
-from twodof.design.robustness import robustness
 from twodof.design.sampled_controller import SampledController
 from twodof.design.step_statistics import interval
 from twodof.errors import ParameterError
