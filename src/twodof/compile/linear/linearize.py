@@ -4,6 +4,7 @@ See docs/how-to/check-a-diagram.md for the assumptions on delays, rates, counter
 """
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -330,15 +331,9 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
     states = coordinates.values()
     now, after = coordinates.order(), coordinates.order(1)
 
-    last: dict[bytes, tuple[Array, Array]] = {}
-
-    def evaluated(z: Array) -> tuple[Array, Array]:
-        if z.tobytes() not in last:
-            last.clear()
-            last[z.tobytes()] = residual(z)
-        return last[z.tobytes()]
-
-    def residual(z: Array) -> tuple[Array, Array]:
+    @lru_cache(maxsize=1)  # of a point both the residual and its slopes are asked for
+    def evaluated(place: tuple[float, ...]) -> tuple[Array, Array]:
+        z = np.array(place)
         states[moving] = z[: len(moving)]
         coordinates.put(states)
         point.put_inputs(freed, z[len(moving) :])
@@ -360,21 +355,12 @@ def move_to_equilibrium(slopes: Slopes, free: Sequence[str], continuous: bool) -
         return
     from scipy.optimize import least_squares  # imported late: most commands start without it
 
-    best = least_squares(
-        lambda z: evaluated(z)[0], start, lambda z: evaluated(z)[1], xtol=1e-15, ftol=1e-15, gtol=1e-15
-    )
-    left = np.abs(evaluated(best.x)[0])
+    tight = {"xtol": 1e-15, "ftol": 1e-15, "gtol": 1e-15}
+    best = least_squares(lambda z: evaluated(tuple(z))[0], start, lambda z: evaluated(tuple(z))[1], **tight)
+    left = np.abs(evaluated(tuple(best.x))[0])
     # A residual is a difference of numbers of this size, each rounded some tens of times.
     if not left.max() <= 1e-9 * (1.0 + float(np.abs(best.x).max())):
         worst = int(np.argmax(left))
-        which = worst if continuous else now[worst]
-        raise DiagramError(
-            f"no equilibrium was found: {_name(slopes, which)} still changes by {left[worst]:.3g}",
-            slopes.name,
-            "start nearer to one with `at`, or free an input that can hold it",
-        )
-
-
-def _name(slopes: Slopes, place: int) -> str:
-    coordinates = slopes.coordinates
-    return coordinates.names()[coordinates.order().index(place)]
+        place = coordinates.order().index(worst if continuous else now[worst])
+        what = f"no equilibrium was found: {coordinates.names()[place]} still changes by {left[worst]:.3g}"
+        raise DiagramError(what, slopes.name, "start nearer to one with `at`, or free an input that can hold it")

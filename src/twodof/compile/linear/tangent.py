@@ -163,14 +163,12 @@ class TangentStep:
         def along(step: float, slope: States) -> States:
             return {key: _sum(x[key], slope[key], step) for key in x}
 
-        k1 = self.derivative(x, signals)
-        if self.program.integrator == "euler":
-            return along(h, k1)
-        k2 = self.derivative(along(0.5 * h, k1), signals)
-        k3 = self.derivative(along(0.5 * h, k2), signals)
-        k4 = self.derivative(along(h, k3), signals)
-        total = {key: _sum(_sum(_sum(k1[key], k2[key], 2.0), k3[key], 2.0), k4[key], 1.0) for key in x}
-        return along(h / 6.0, total)
+        stages = () if self.program.integrator == "euler" else ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0))
+        slope = total = self.derivative(x, signals)
+        for step, weight in stages:
+            slope = self.derivative(along(step * h, slope), signals)
+            total = {key: _sum(total[key], slope[key], weight) for key in x}
+        return along(h / (1.0 + sum(weight for _, weight in stages)), total)
 
     def projected(self, x: States) -> States:
         """Return `x` after the jumps of continuous states."""
