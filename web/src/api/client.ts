@@ -110,7 +110,6 @@ export function upload(path: string, content: Blob, sent: (share: number) => voi
 /** Role of this client, and the path of the link that only watches ("" if there is none). */
 export interface LabSession {
   role: "command" | "watch";
-  version: string;
   watch_link: string;
 }
 

@@ -123,24 +123,25 @@ export async function compileLoop(text: string, rig: string, signal: AbortSignal
   return (await (await request("POST", "diagrams/compile", { text, rig }, 40, signal)).json()) as PortableLoop;
 }
 
-/** Margins of one loop, SI; null if unlimited. */
+/** Margins of one loop, SI; null if unlimited. The gain margin is a factor above 1. */
 export interface LoopMargins {
-  about: string;
   stable: boolean;
-  motion_text: string;
   crossover: number | null;
   gain_margin: number | null;
   phase_margin: number | null;
   delay_margin: number | null;
-  disk_margin: number | null;
+}
+
+export interface AnalysedLoop extends LoopMargins {
+  about: string;
+  motion_text: string;
   ms: number | null;
   bode: { omega: number[]; gain: number[]; phase: number[] };
 }
 
 export interface Margins {
-  template: string;
   rig: string;
-  loops: Record<string, LoopMargins>;
+  loops: Record<string, AnalysedLoop>;
 }
 
 export interface Change {
@@ -157,7 +158,7 @@ export interface Rehearsal {
   against: string;
   costs: { parameter_bytes: number; state_bytes: number };
   trial: {
-    margins: Record<string, Omit<LoopMargins, "bode" | "about">>;
+    margins: Record<string, LoopMargins>;
     margins_unknown: string | null;
     fault: string | null;
   };

@@ -5,10 +5,7 @@ export interface DroneState {
   /** MAVLink system. */
   system: number;
   name: string;
-  url: string;
   link: "heard" | "lost";
-  /** False for a PX4. */
-  ours: boolean;
   virtual: boolean;
   armed: boolean;
   mode: string;
@@ -30,9 +27,6 @@ export interface DroneState {
   rings_locked: boolean;
   seed: number;
   battery: { voltage: number | null; charge: number | null };
-  /** Drone time [s]. */
-  time: number;
-  rig: string;
 }
 
 /** Log message of a drone; `time` in drone time [s]. */

@@ -16,7 +16,6 @@ export interface PredictedMotion {
   time: number[];
   theta: number[];
   x: number[];
-  M: number[];
   /** Largest pitch [rad]. */
   pitch: number;
   pitch_stop: number;
@@ -32,9 +31,7 @@ export interface PredictedMotion {
 
 export interface ExcitationPreview {
   excitation: Excitation;
-  unit: string;
   duration: number;
-  peak: number;
   time: number[];
   value: number[];
   motion: PredictedMotion | null;

@@ -6,11 +6,7 @@ export interface ExperimentRow {
   name: string;
   text: string;
   mode: string;
-  unit: string;
   rings: boolean;
-  thrust: number;
-  hold: number;
-  rest: number;
   duration: number;
   excitation: Excitation;
   /** Model that is identified; null for none. */
@@ -19,9 +15,6 @@ export interface ExperimentRow {
 
 export interface Choices {
   experiments: ExperimentRow[];
-  /** Argument names by kind. */
-  excitations: Record<string, string[]>;
-  limits: Record<string, number>;
   kinds: { name: string; text: string }[];
   structures: string[];
   flights: string[];
@@ -30,7 +23,6 @@ export interface Choices {
 export interface ExperimentAsked {
   name: string;
   excitation?: Excitation;
-  hold?: number;
 }
 
 export interface PlannedUnknown {
@@ -68,7 +60,6 @@ export interface Plan {
 export interface FlownExperiment {
   log: string;
   experiment: string;
-  rig: string;
   good: boolean;
   reason: string;
   put_back: boolean;

@@ -29,9 +29,7 @@ export interface LogList {
 
 /** Minimum and maximum per interval; null without samples. */
 export interface Spark {
-  channel: string;
   text: string;
-  unit: string;
   low: (number | null)[];
   high: (number | null)[];
 }
@@ -51,14 +49,12 @@ export interface LogSummary {
   virtual: boolean | null;
   drone: number | null;
   controller: string | null;
-  seed: number | null;
   reason: string | null;
   channels: number;
   spark: Spark | null;
 }
 
 export interface LogFacts extends LogSummary, LogKept {
-  parameters: [string, number][];
   texts: [number, string, string][];
   changes: [number, string, number][];
 }
@@ -73,7 +69,6 @@ export interface LogKept {
 /** Curve in base 64, little-endian: float64 times, float32 values. */
 export interface PackedCurve {
   label: string;
-  channel: string;
   held: boolean;
   time: string;
   value: string;
@@ -86,8 +81,6 @@ export interface Band {
 }
 
 export interface LogView {
-  title: string;
-  about: string;
   window: [number, number];
   views: { label: string; curves: PackedCurve[] }[];
   modes: Band[];
@@ -111,7 +104,6 @@ export interface LoggedStep {
 
 export interface LogComparison extends LogView {
   steps: Record<string, LoggedStep[]>;
-  zero: Record<string, number>;
 }
 
 /** Samples from `start` [s] at `rate` [Hz]; float32 columns in base 64. */

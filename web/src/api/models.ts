@@ -15,7 +15,6 @@ export interface ModelRow {
   /** Unix time [s]. */
   kept: number;
   experiment?: string;
-  structure?: string;
   values: ModelValue[];
   pitch: boolean;
   why: string;
@@ -26,8 +25,6 @@ export interface DesignAsked {
   name: string;
   /** Crossover of the rate loop [rad/s]. */
   crossover: number;
-  /** [rad]; default: the rule of the course. */
-  phase_margin?: number;
   method: "cascade" | "lqg";
   overwrite: boolean;
 }
@@ -35,8 +32,6 @@ export interface DesignAsked {
 export interface Designed {
   /** Saved diagram; null if it is not robust. */
   file: string | null;
-  name: string;
-  method: string;
   design: { gains: { rate: [number, number, number]; attitude: number } } | null;
   robustness: { robust: boolean; text: string };
   figures: Record<string, Interval>;
@@ -44,7 +39,7 @@ export interface Designed {
   level: number;
   /** Sample time of the bands [s]. */
   period: number;
-  bands: Record<"theta" | "M", { low: number[]; middle: number[]; high: number[] }>;
+  bands: Record<"theta", { low: number[]; middle: number[]; high: number[] }>;
 }
 
 const at = (name: string) => `models/${encodeURIComponent(name)}`;

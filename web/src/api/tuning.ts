@@ -1,4 +1,5 @@
 import { get, request, send } from "./client";
+import type { LoopMargins } from "./diagrams";
 
 /** Parameter of a drone, SI and radians. Changing a `tuning` one needs no lease. */
 export interface ParameterRow {
@@ -37,18 +38,6 @@ export interface Interval {
   high: number | null;
 }
 
-export interface LoopMargins {
-  stable: boolean;
-  crossover: number | null;
-  /** As a factor above 1. */
-  gain_margin: number | null;
-  /** [rad] */
-  phase_margin: number | null;
-  /** [s] */
-  delay_margin: number | null;
-  disk_margin: number | null;
-}
-
 /** Prediction of changed gains on the identified models. */
 export interface Preview {
   why: "";
@@ -56,13 +45,12 @@ export interface Preview {
   /** User's controller, "" for the stock one. */
   controller: string;
   touches: boolean;
-  parameters: string[];
   unstable: boolean;
   confirm: string;
   goal: number;
   level: number;
   time: number[];
-  bands: Record<"theta" | "q" | "M", { low: number[]; middle: number[]; high: number[] }>;
+  bands: Record<"theta", { low: number[]; middle: number[]; high: number[] }>;
   loops: Record<string, LoopMargins>;
   figures: Record<string, Interval>;
   verdict: { robust: boolean; text: string };
@@ -71,10 +59,8 @@ export interface Preview {
 /** Flown step of theta, scaled to the goal. */
 export interface MeasuredStep {
   at: number;
-  size: number;
   time: number[];
   theta: number[];
-  figures: Record<string, number | null>;
 }
 
 export interface Snapshot {
@@ -100,18 +86,13 @@ export const guardOf = (drone: number) => get<{ model: string | null; controller
 export const chooseGuard = (drone: number, model: string | null) =>
   send<{ model: string | null }>("PUT", `tuning/${drone}/model`, { model });
 
-export interface NoPreview {
-  why: string;
-  model: string;
-}
-
 export async function previewTuning(
   drone: number,
   changes: Record<string, number>,
   goal: number,
-): Promise<Preview | NoPreview> {
+): Promise<Preview | { why: string }> {
   const answer = await request("POST", `tuning/${drone}/preview`, { changes, goal }, 90);
-  return (await answer.json()) as Preview | NoPreview;
+  return (await answer.json()) as Preview | { why: string };
 }
 
 export const measuredSteps = (drone: number, log: string, goal: number) =>

@@ -1,3 +1,7 @@
+import { screenUnit } from "../design/units";
+
+export { DEGREES } from "../design/units";
+
 /** Kinds of curves; each has one colour on every page. */
 export type Kind = "measured" | "estimate" | "set-point" | "input" | "truth" | "simple" | "grey-box";
 
@@ -25,6 +29,23 @@ export interface Series {
   dash?: readonly number[];
 }
 
-export { DEGREES } from "../design/units";
+/** Convert SI values to the unit of the screen; null becomes NaN. */
+export function scaled(values: ArrayLike<number | null>, unit = ""): Float64Array {
+  const { factor } = screenUnit(unit);
+  return Float64Array.from(values, (value) => (value === null ? NaN : value * factor));
+}
+
+/** Return the curve of `y` [`unit`], SI, with a band in the same unit. */
+export function curve(
+  label: string,
+  kind: Kind,
+  x: ArrayLike<number>,
+  y: ArrayLike<number | null>,
+  unit = "",
+  { band, ...more }: { band?: { low: number[]; high: number[] }; colour?: string; dash?: readonly number[] } = {},
+): Series {
+  const made: Series = { label, x: Float64Array.from(x), y: scaled(y, unit), kind, ...more };
+  return band === undefined ? made : { ...made, band: { low: scaled(band.low, unit), high: scaled(band.high, unit) } };
+}
 
 export const DASHES: Partial<Record<Kind, readonly number[]>> = { "set-point": [6, 4], truth: [2, 3] };

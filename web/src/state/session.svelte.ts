@@ -31,6 +31,8 @@ class Session {
   private named = $state<string | null>(route.now.query.get("drone"));
   readonly number = $derived(chosen(route.now.query.get("drone") ?? this.named, this.numbers));
   readonly drone = $derived(this.number === undefined ? undefined : this.drones.get(this.number));
+  /** Why the chosen drone cannot be commanded, or "". */
+  readonly droneOff = $derived(this.off || (this.drone?.link === "lost" ? "The link is lost." : ""));
 
   private readonly clocks = new ClockWatch();
 

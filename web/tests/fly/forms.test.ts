@@ -34,26 +34,13 @@ describe("the form of an excitation", () => {
 });
 
 describe("what is followed", () => {
-  const now = {
-    theta: 0,
-    q: 0,
-    x: 0,
-    v: 0,
-    M: 0,
-    T: 0,
-    dropped: 0,
-    mode: 3,
-    wanted: { theta: Math.PI / 18, q: 0, x: 0.1, v: 0 },
-  };
+  const setpoints: Record<string, number> = { "setpoint.theta": Math.PI / 18, "setpoint.x": 0.1 };
+  const at = (mode: number) => (column: string) => (column === "state.mode" ? mode : (setpoints[column] ?? 0));
   it("is what the drone tells, whoever gave it", () => {
-    expect(followed(now, true)).toBe("follows pitch 10.00\u00a0deg");
-    expect(followed({ ...now, mode: 5 }, true)).toBe("follows position 0.100\u00a0m");
-    expect(followed({ ...now, mode: 1 }, true)).toBe("flies a moment, no loop");
-    for (const none of [
-      followed(now, false),
-      followed({ ...now, mode: NaN }, true),
-      followed({ ...now, mode: 0 }, true),
-    ])
+    expect(followed(at(3), true)).toBe("follows pitch 10.00\u00a0deg");
+    expect(followed(at(5), true)).toBe("follows position 0.100\u00a0m");
+    expect(followed(at(1), true)).toBe("flies a moment, no loop");
+    for (const none of [followed(at(3), false), followed(at(NaN), true), followed(at(0), true)])
       expect(none).toBe("follows nothing");
   });
   it("has steps and a slider within what may be typed", () => {

@@ -15,8 +15,9 @@ vi.mock("../../src/api/identification", () => ({
     return Promise.resolve({ log: `${name}.mcap`, experiment: name, reason: ends.shift() ?? "" } as FlownExperiment);
   },
   fitLog: () => Promise.resolve({ view: { fit: (fitted += 1) } }),
+  stopFlight: vi.fn(),
 }));
-vi.mock("../../src/api/jobs", () => ({ jobResult: (result: unknown) => Promise.resolve(result) }));
+vi.mock("../../src/api/jobs", () => ({ jobResult: (result: unknown) => Promise.resolve(result), cancelJob: vi.fn() }));
 
 const { Identification } = await import("../../src/pages/identify/identification.svelte");
 

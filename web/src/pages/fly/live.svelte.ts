@@ -4,55 +4,17 @@ import { History } from "../../chart/history";
 import { STEP_COLUMNS } from "../../chart/step_watch";
 
 const TRUTH = ["truth.theta", "truth.x"] as const;
-const COLUMNS = [
-  ...new Set([
-    ...STEP_COLUMNS,
-    "estimate.theta",
-    "estimate.q",
-    "estimate.x",
-    "estimate.v",
-    "setpoint.theta",
-    "setpoint.x",
-    "setpoint.thrust",
-    "command.M",
-    "command.T",
-  ]),
-];
+const COLUMNS = [...STEP_COLUMNS, "setpoint.thrust", "command.T"];
 const RATE_HZ = 250;
 const SHOW_MS = 100;
-
-/** Newest values, SI; NaN while unknown. */
-export interface Now {
-  theta: number;
-  q: number;
-  x: number;
-  v: number;
-  M: number;
-  T: number;
-  /** Index into signals.MODES. */
-  mode: number;
-  /** Set-points; that of `mode` counts. */
-  wanted: { theta: number; q: number; x: number; v: number };
-  dropped: number;
-}
-
-const NOTHING: Now = {
-  theta: NaN,
-  q: NaN,
-  x: NaN,
-  v: NaN,
-  M: NaN,
-  T: NaN,
-  mode: NaN,
-  wanted: { theta: NaN, q: NaN, x: NaN, v: NaN },
-  dropped: 0,
-};
 
 /** Rows of one drone while its page is open. */
 export class Live {
   readonly history: History;
-  now = $state.raw<Now>(NOTHING);
-  private dropped = 0;
+  /** Rows that were dropped because this page reads too slowly. */
+  dropped = $state(0);
+  /** Counter that refreshes the values ten times a second. */
+  private beat = $state(0);
 
   constructor(
     readonly drone: number,
@@ -61,14 +23,20 @@ export class Live {
     this.history = new History(virtual ? [...COLUMNS, ...TRUTH] : COLUMNS);
   }
 
+  /** Return the newest value of a column, SI; NaN while it is unknown. */
+  readonly value = (column: string): number => (this.beat > 0 ? this.history.held(column) : NaN);
+
   /** Start; returns a function that stops it. */
   start(): () => void {
+    let dropped = 0;
     const stop = telemetry.subscribe(this.drone, this.history.names, RATE_HZ, (rows) => {
-      this.dropped = rows.dropped;
+      dropped = rows.dropped;
       this.history.append(rows);
     });
     const timer = setInterval(() => {
-      if (this.history.length > 0 && !document.hidden) this.now = this.read();
+      if (this.history.length === 0 || document.hidden) return;
+      this.dropped = dropped;
+      this.beat += 1;
     }, SHOW_MS);
     return () => {
       stop();
@@ -92,25 +60,5 @@ export class Live {
       for (let k = 0; k < count; k += 1) values[k] = column?.at(from + k) ?? NaN;
     });
     return (await request("POST", `export/mat?columns=${names.join(",")}`, data)).blob();
-  }
-
-  private read(): Now {
-    const value = (name: string) => this.history.held(name);
-    return {
-      theta: value("estimate.theta"),
-      q: value("estimate.q"),
-      x: value("estimate.x"),
-      v: value("estimate.v"),
-      M: value("command.M"),
-      T: value("command.T"),
-      mode: value("state.mode"),
-      wanted: {
-        theta: value("setpoint.theta"),
-        q: value("setpoint.q"),
-        x: value("setpoint.x"),
-        v: value("setpoint.v"),
-      },
-      dropped: this.dropped,
-    };
   }
 }

@@ -1,7 +1,6 @@
 import type { Loop } from "../../api/drones";
 import { shownValue } from "../../design/units";
 import { controlLoop, type ControlLoop } from "../../loops";
-import type { Now } from "./live.svelte";
 
 /** Ranges of a loop's set-point, in SI. */
 interface Ranges {
@@ -31,10 +30,10 @@ export const loopRow = (loop: Loop): ControlLoop & Ranges => ({ ...controlLoop(l
 /** Loops in the order of the tabs. */
 export const LOOPS = (Object.keys(RANGES) as Loop[]).map(loopRow);
 
-/** Describe the set-point that the drone reports, whichever client sent it. */
-export function followed(now: Now, armed: boolean): string {
-  const row = controlLoop(now.mode);
+/** Describe the set-point that the drone reports, whichever client sent it; `value` reads a column of telemetry. */
+export function followed(value: (column: string) => number, armed: boolean): string {
+  const row = controlLoop(value("state.mode"));
   if (!armed || row === undefined) return "follows nothing";
   if (row.loop === "M") return "flies a moment, no loop";
-  return `follows ${row.short.toLowerCase()} ${shownValue(now.wanted[row.loop], row.unit)}`;
+  return `follows ${row.short.toLowerCase()} ${shownValue(value(`setpoint.${row.loop}`), row.unit)}`;
 }

@@ -37,7 +37,8 @@ export function windowOf(from: string, to: string): [number, number] | undefined
   return low < high && low >= 0 ? [low, high] : "The window must end after it begins.";
 }
 
-export function fitAsked(given: {
+/** What is chosen for a fit; "" for nothing. */
+export interface FitChoice {
   log: string;
   kind: string;
   structure: string;
@@ -45,8 +46,9 @@ export function fitAsked(given: {
   others: readonly string[];
   window: [number, number] | undefined;
   disturbance: string;
-}): FitAsked {
-  const { log, kind, structure, impulse, others, window, disturbance } = given;
+}
+
+export function fitAsked({ log, kind, structure, impulse, others, window, disturbance }: FitChoice): FitAsked {
   return {
     log,
     structure,

@@ -1,10 +1,6 @@
 // A fit's curves as the plots take them.
 import type { FitView, OutputCurves, ResidualTest } from "../../api/identification";
-import type { Series } from "../../chart/kinds";
-import { screenUnit } from "../../design/units";
-
-const numbers = (values: readonly (number | null)[], factor: number) =>
-  Float64Array.from(values, (value) => (value === null ? NaN : value * factor));
+import { curve, type Series } from "../../chart/kinds";
 
 /** Describe the fit of an output; in closed loop one sample ahead. */
 export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent_ahead">): string {
@@ -15,40 +11,29 @@ export function fitWords(output: Pick<OutputCurves, "fit_percent" | "fit_percent
 }
 
 export function fitSeries(output: OutputCurves): Series[] {
-  const { factor } = screenUnit(output.unit);
-  const x = Float64Array.from(output.time);
-  const found: Series[] = [{ label: "measured", x, y: numbers(output.measured, factor), kind: "measured" }];
-  if (output.simple)
-    found.push({ label: "simple", x, y: numbers(output.simple, factor), kind: "simple", dash: [6, 3] });
-  if (output.greybox) found.push({ label: "grey-box", x, y: numbers(output.greybox, factor), kind: "grey-box" });
+  const { time, unit, measured, simple, greybox } = output;
+  const found = [curve("measured", "measured", time, measured, unit)];
+  if (simple) found.push(curve("simple", "simple", time, simple, unit, { dash: [6, 3] }));
+  if (greybox) found.push(curve("grey-box", "grey-box", time, greybox, unit));
   return found;
 }
 
 export function residualSeries(output: OutputCurves): Series[] {
-  const { factor } = screenUnit(output.unit);
-  return [
-    {
-      label: output.greybox ? "measured − grey-box" : "measured − simple",
-      x: Float64Array.from(output.time),
-      y: numbers(output.residual, factor),
-      kind: output.greybox ? "grey-box" : "simple",
-    },
-  ];
+  const model = output.greybox ? "grey-box" : "simple";
+  return [curve(`measured − ${model}`, model, output.time, output.residual, output.unit)];
 }
 
 export function inputSeries(input: FitView["inputs"][number]): Series[] {
-  const { factor } = screenUnit(input.unit);
-  return [{ label: input.name, x: Float64Array.from(input.time), y: numbers(input.value, factor), kind: "input" }];
+  return [curve(input.name, "input", input.time, input.value, input.unit)];
 }
 
 /** Return a correlation over its lags, with its bound. */
 export function testSeries(test: ResidualTest): Series[] {
-  const x = Float64Array.from(test.lags);
-  const high = Float64Array.from(test.bound);
-  const low = high.map((value) => -value);
+  const band = { low: test.bound.map((value) => -value), high: test.bound };
+  const zero = test.lags.map(() => 0);
   return [
-    { label: "99 % bound", x, y: x.map(() => 0), kind: "set-point", band: { low, high } },
-    { label: "correlation", x, y: Float64Array.from(test.value), kind: "grey-box" },
+    curve("99 % bound", "set-point", test.lags, zero, "", { band }),
+    curve("correlation", "grey-box", test.lags, test.value),
   ];
 }
 

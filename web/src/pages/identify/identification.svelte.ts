@@ -11,29 +11,18 @@ import {
   type FlownExperiment,
   type Plan,
 } from "../../api/identification";
-import { cancelJob, jobResult, type Job } from "../../api/jobs";
+import type { Job } from "../../api/jobs";
 import type { Excitation } from "../../api/drones";
-import { experimentAsked, fitAsked, latestOf } from "./asked";
+import { BackgroundJob } from "../../state/background_job.svelte";
+import { experimentAsked, fitAsked, latestOf, type FitChoice } from "./asked";
 
 const MOST_TRIES = 3;
 
 export interface Running {
   doing: string;
-  job: string;
-  fraction: number;
-  text: string;
   /** A flight is stopped, a computation is cancelled. */
   flight: boolean;
-}
-
-export interface FitChoice {
-  log: string;
-  kind: string;
-  structure: string;
-  impulse: string;
-  others: readonly string[];
-  window: [number, number] | undefined;
-  disturbance: string;
+  job: BackgroundJob<unknown>;
 }
 
 function seed(): number {
@@ -68,7 +57,7 @@ export class Identification {
       this.choices = await identificationChoices();
       if (this.choice.log === "") this.chooseLog(this.choices.flights[0] ?? "");
     } catch (failure) {
-      this.failed(failure);
+      this.failure = messageOf(failure);
     }
   }
 
@@ -101,40 +90,31 @@ export class Identification {
     if (asked === undefined || this.running) return;
     this.plan = undefined;
     const doing = rehearse ? "Rehearsing on the virtual rig" : "Planning";
-    await this.run(
-      doing,
-      () => planExperiment(asked, drone, rehearse),
-      false,
-      (plan) => (this.plan = plan),
-    );
+    const job = new BackgroundJob<Plan>();
+    await this.run(doing, job, () => planExperiment(asked, drone, rehearse));
+    this.plan = job.result;
   }
 
   /** Fly the experiment; `since` is the reason of a repetition. */
   async fly(drone: number, since = ""): Promise<boolean> {
     const asked = this.asked();
-    if (asked === undefined) return false;
-    return this.run(
-      `Flying ${asked.name}${since && ` again: ${since}`}`,
-      () => flyExperiment(asked, drone, seed()),
-      true,
-      async (flown) => {
-        this.flown = flown;
-        await this.load();
-        this.chooseLog(flown.log);
-      },
-    );
+    if (asked === undefined || this.running) return false;
+    const job = new BackgroundJob<FlownExperiment>(stopFlight);
+    const doing = `Flying ${asked.name}${since && ` again: ${since}`}`;
+    await this.run(doing, job, () => flyExperiment(asked, drone, seed()), true);
+    if (job.result === undefined) return false;
+    this.flown = job.result;
+    await this.load();
+    this.chooseLog(job.result.log);
+    return true;
   }
 
-  async makeFit(): Promise<boolean> {
-    if (this.running) return false;
+  async makeFit(): Promise<void> {
+    if (this.running) return;
     this.fit = undefined;
-    let job = "";
-    const started = async () => {
-      const made = await fitLog(fitAsked(this.choice));
-      job = made.id;
-      return made;
-    };
-    return this.run("Identifying", started, false, (found) => (this.fit = { job, view: found.view }));
+    const job = new BackgroundJob<{ view: FitView }>();
+    await this.run("Identifying", job, () => fitLog(fitAsked(this.choice)));
+    if (job.result) this.fit = { job: job.now!.id, view: job.result.view };
   }
 
   /** Fly the impulse for the poles and the doublet for gain and delay, and fit both. */
@@ -159,16 +139,9 @@ export class Identification {
     await this.makeFit();
   }
 
-  async stop(): Promise<void> {
-    const { running } = this;
+  stop(): void {
     this.stopped = true;
-    // Before the server has told the job's number it is stopped as soon as that is known.
-    if (running === undefined || running.job === "") return;
-    try {
-      await (running.flight ? stopFlight(running.job) : cancelJob(running.job));
-    } catch (failure) {
-      this.failed(failure);
-    }
+    void this.running?.job.cancel();
   }
 
   private stopped = false;
@@ -178,39 +151,12 @@ export class Identification {
     return row === undefined ? undefined : experimentAsked(row, this.own);
   }
 
-  /** Run a job; returns whether it succeeded. */
-  private async run<T>(
-    doing: string,
-    start: () => Promise<Job<T>>,
-    flight: boolean,
-    done: (result: T) => unknown,
-  ): Promise<boolean> {
-    if (this.running !== undefined) return false;
-    this.failure = "";
-    this.stopped = false;
-    this.running = { doing, job: "", fraction: 0, text: "", flight };
-    let told = false;
-    try {
-      const result = await jobResult(await start(), (job) => {
-        this.running = { doing, job: job.id, fraction: job.fraction, text: job.text, flight };
-        if (this.stopped && !told) {
-          told = true;
-          void this.stop();
-        }
-      });
-      if (result === undefined) return false;
-      await done(result);
-      return true;
-    } catch (failure) {
-      this.failed(failure);
-      return false;
-    } finally {
-      this.running = undefined;
-    }
-  }
-
-  private failed(failure: unknown): void {
-    this.failure = messageOf(failure);
+  private async run<T>(doing: string, job: BackgroundJob<T>, start: () => Promise<Job<T>>, flight = false) {
+    [this.failure, this.stopped] = ["", false];
+    this.running = { doing, flight, job };
+    await job.run(start);
+    this.running = undefined;
+    this.failure = job.failure;
   }
 }
 

@@ -5,8 +5,8 @@ import type { FlownStep } from "../../chart/step_watch";
 /** Response from 0 to the goal; theta [rad]. */
 export interface ScaledStep {
   label: string;
-  time: Float64Array;
-  theta: Float64Array;
+  time: readonly number[];
+  theta: readonly number[];
 }
 
 /** Smallest step [rad]; below it is mostly noise. */
@@ -26,5 +26,5 @@ export function scaledStep(history: History, step: FlownStep, goal: number, labe
     times.push(history.time(row) - step.time);
     values.push(((value - step.before) * goal) / size);
   }
-  return times.length < 2 ? undefined : { label, time: Float64Array.from(times), theta: Float64Array.from(values) };
+  return times.length < 2 ? undefined : { label, time: times, theta: values };
 }

@@ -45,8 +45,8 @@ export class MeasuredSteps {
         .filter((step) => step !== undefined);
     return this.logged.slice(-SHOWN).map((step) => ({
       label: `flown at ${step.at.toFixed(1)} s`,
-      time: Float64Array.from(step.time),
-      theta: Float64Array.from(step.theta, (value) => value * goal),
+      time: step.time,
+      theta: step.theta.map((value) => value * goal),
     }));
   }
 

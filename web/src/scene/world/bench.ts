@@ -1,4 +1,12 @@
-import { CircleGeometry, Group, type Mesh, MeshBasicMaterial, PlaneGeometry, CanvasTexture } from "three";
+import {
+  CanvasTexture,
+  CircleGeometry,
+  Group,
+  MeshBasicMaterial,
+  PlaneGeometry,
+  type BufferGeometry,
+  type Mesh,
+} from "three";
 import { written } from "../../design/units";
 import {
   BAR_HEIGHT,
@@ -17,7 +25,7 @@ import type { Materials } from "./materials";
 import { box, rodX, rodZ, shaped } from "./shapes";
 
 /** Build the frame and its scale. */
-export function bench(materials: Materials): { group: Group; labels: Label[]; shadow: MeshBasicMaterial } {
+export function bench(materials: Materials): { group: Group; labels: Label[] } {
   const group = new Group();
   const { metal, steel, rubber, scale } = materials;
   const half = PROFILE / 2;
@@ -56,11 +64,8 @@ export function bench(materials: Materials): { group: Group; labels: Label[]; sh
       group.add(label.sprite);
     }
   }
-  const shadow = new MeshBasicMaterial({ map: softShadow(), transparent: true, depthWrite: false, color: 0x000000 });
-  const ground = shaped(new PlaneGeometry(1.5, 0.62), shadow, 0, -0.001, 0);
-  ground.rotation.x = -Math.PI / 2;
-  group.add(ground);
-  return { group, labels, shadow };
+  group.add(shadow(new PlaneGeometry(1.5, 0.62), -0.001));
+  return { group, labels };
 }
 
 /** Build the cart: bearings, plate, uprights and range sensor. */
@@ -90,14 +95,10 @@ export function rings(materials: Materials): Group {
   return group;
 }
 
-export function dropShadow(): Mesh {
-  const material = new MeshBasicMaterial({ map: softShadow(), transparent: true, depthWrite: false, color: 0x000000 });
-  const mesh = shaped(new CircleGeometry(0.2, 32), material, 0, 0.001, 0);
-  mesh.rotation.x = -Math.PI / 2;
-  return mesh;
-}
+export const dropShadow = (): Mesh => shadow(new CircleGeometry(0.2, 32), 0.001);
 
-function softShadow(): CanvasTexture {
+/** Build a soft shadow that lies at height `y`. */
+function shadow(geometry: BufferGeometry, y: number): Mesh {
   const canvas = document.createElement("canvas");
   canvas.width = canvas.height = 128;
   const ctx = canvas.getContext("2d")!;
@@ -107,5 +108,14 @@ function softShadow(): CanvasTexture {
   fade.addColorStop(1, "rgba(0,0,0,0)");
   ctx.fillStyle = fade;
   ctx.fillRect(0, 0, 128, 128);
-  return new CanvasTexture(canvas);
+  const map = new CanvasTexture(canvas);
+  const mesh = shaped(
+    geometry,
+    new MeshBasicMaterial({ map, transparent: true, depthWrite: false, color: 0 }),
+    0,
+    y,
+    0,
+  );
+  mesh.rotation.x = -Math.PI / 2;
+  return mesh;
 }

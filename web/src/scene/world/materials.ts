@@ -1,81 +1,47 @@
-import { Color, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial, type ColorRepresentation } from "three";
+import { Color, MeshBasicMaterial, MeshLambertMaterial, MeshPhongMaterial } from "three";
 import { colour } from "../../chart/draw/canvas";
 
-const THINGS = {
-  light: {
-    metal: "#c3c8cf",
-    steel: "#e7eaee",
-    plate: "#3c424c",
-    carbon: "#23272e",
-    guard: "#8a919c",
-    rubber: "#b3261e",
-  },
-  dark: {
-    metal: "#6f7783",
-    steel: "#b9c0ca",
-    plate: "#9aa2ae",
-    carbon: "#c9ced6",
-    guard: "#7d8591",
-    rubber: "#ff8a80",
-  },
-} as const;
-
-/** Materials of the scene; `paint` applies the theme. */
+/** Materials of the scene by the token of their colour; `paint` applies the theme. */
 export class Materials {
-  readonly metal = new MeshLambertMaterial();
-  readonly steel = new MeshPhongMaterial({ shininess: 60 });
-  readonly plate = new MeshLambertMaterial();
-  readonly carbon = new MeshLambertMaterial();
-  readonly guard = new MeshLambertMaterial();
-  readonly rubber = new MeshLambertMaterial();
-  readonly ring = new MeshLambertMaterial();
-  readonly nose = new MeshLambertMaterial();
-  readonly thrust = new MeshBasicMaterial();
-  readonly disc = new MeshBasicMaterial({ transparent: true, opacity: 0.2, depthWrite: false, side: 2 });
-  readonly blade = new MeshBasicMaterial({ transparent: true, opacity: 0.55, side: 2 });
-  readonly wanted = new MeshBasicMaterial();
-  readonly ghost = new MeshBasicMaterial({ transparent: true, opacity: 0.32, depthWrite: false });
-  readonly scale = new MeshBasicMaterial();
+  readonly metal = new MeshLambertMaterial({ name: "metal" });
+  readonly steel = new MeshPhongMaterial({ name: "steel", shininess: 60 });
+  readonly plate = new MeshLambertMaterial({ name: "plate" });
+  readonly carbon = new MeshLambertMaterial({ name: "carbon" });
+  readonly guard = new MeshLambertMaterial({ name: "guard" });
+  readonly rubber = new MeshLambertMaterial({ name: "bad" });
+  readonly ring = new MeshLambertMaterial({ name: "warn" });
+  readonly nose = new MeshLambertMaterial({ name: "estimate" });
+  readonly thrust = new MeshBasicMaterial({ name: "input" });
+  readonly disc = new MeshBasicMaterial({ name: "input", transparent: true, opacity: 0.2, depthWrite: false, side: 2 });
+  readonly blade = new MeshBasicMaterial({ name: "input", transparent: true, opacity: 0.55, side: 2 });
+  readonly wanted = new MeshBasicMaterial({ name: "set-point" });
+  readonly ghost = new MeshBasicMaterial({ name: "truth", transparent: true, opacity: 0.32, depthWrite: false });
+  readonly scale = new MeshBasicMaterial({ name: "soft" });
   readonly limit = new MeshBasicMaterial({ transparent: true, opacity: 0.38, depthWrite: false, side: 2 });
   readonly limitEdge = new MeshBasicMaterial();
-  readonly beam = new MeshBasicMaterial({ transparent: true, opacity: 0.45 });
+  readonly beam = new MeshBasicMaterial({ name: "bad", transparent: true, opacity: 0.45 });
+  private readonly all = Object.values(this) as (MeshBasicMaterial | MeshLambertMaterial | MeshPhongMaterial)[];
   dark = false;
+
+  constructor() {
+    this.warn(false);
+  }
 
   paint(): void {
     const page = new Color(colour("page"));
     this.dark = page.r + page.g + page.b < 1;
-    const things = THINGS[this.dark ? "dark" : "light"];
-    const give: [{ color: Color }, ColorRepresentation][] = [
-      [this.metal, things.metal],
-      [this.steel, things.steel],
-      [this.plate, things.plate],
-      [this.carbon, things.carbon],
-      [this.guard, things.guard],
-      [this.rubber, things.rubber],
-      [this.ring, colour("warn")],
-      [this.nose, colour("estimate")],
-      [this.thrust, colour("input")],
-      [this.disc, colour("input")],
-      [this.blade, colour("input")],
-      [this.wanted, colour("set-point")],
-      [this.ghost, colour("truth")],
-      [this.scale, colour("soft")],
-      [this.limit, colour("soft")],
-      [this.limitEdge, colour("soft")],
-      [this.beam, colour("bad")],
-    ];
-    for (const [material, value] of give) material.color.set(value);
+    for (const material of this.all) material.color.set(colour(material.name));
   }
 
+  /** Show the pitch limits as near, or as far. */
   warn(near: boolean): void {
-    const now = colour(near ? "bad" : "soft");
-    this.limit.color.set(now);
-    this.limitEdge.color.set(now);
+    for (const limit of [this.limit, this.limitEdge]) {
+      limit.name = near ? "bad" : "soft";
+      limit.color.set(colour(limit.name));
+    }
   }
 
   dispose(): void {
-    for (const one of Object.values(this))
-      if (one instanceof MeshBasicMaterial || one instanceof MeshLambertMaterial || one instanceof MeshPhongMaterial)
-        one.dispose();
+    for (const material of this.all) material.dispose();
   }
 }
