@@ -4,7 +4,7 @@ import { mount } from "svelte";
 import "../src/design/tokens.css";
 import "../src/design/base.css";
 import { History } from "../src/chart/history";
-import { DEGREES, type Channel, type Series } from "../src/chart/kinds";
+import { DEGREES, type Panel, type Series } from "../src/chart/kinds";
 import LinePlot from "../src/chart/LinePlot.svelte";
 import { latency } from "../src/chart/latency";
 import StripCharts from "../src/chart/StripCharts.svelte";
@@ -15,9 +15,10 @@ const asked = new URLSearchParams(location.search);
 const seconds = Number(asked.get("seconds") ?? 60);
 const live = Number(asked.get("live") ?? 0);
 
-const PANELS: readonly { label: string; channels: readonly Channel[] }[] = [
+const PANELS: readonly Panel[] = [
   {
     label: "Pitch",
+    least: 1,
     channels: [
       { column: "truth.theta", label: "truth", kind: "truth", unit: "deg", factor: DEGREES },
       { column: "estimate.theta", label: "estimate", kind: "estimate", unit: "deg", factor: DEGREES },
@@ -26,6 +27,7 @@ const PANELS: readonly { label: string; channels: readonly Channel[] }[] = [
   },
   {
     label: "Pitch rate",
+    least: 1,
     channels: [
       { column: "imu.gyro_y", label: "gyro", kind: "measured", unit: "deg/s", factor: DEGREES },
       { column: "estimate.q", label: "estimate", kind: "estimate", unit: "deg/s", factor: DEGREES },
@@ -34,6 +36,7 @@ const PANELS: readonly { label: string; channels: readonly Channel[] }[] = [
   },
   {
     label: "Position",
+    least: 1,
     channels: [
       { column: "tof.distance", label: "range", kind: "measured", unit: "m" },
       { column: "estimate.x", label: "estimate", kind: "estimate", unit: "m" },
@@ -42,6 +45,7 @@ const PANELS: readonly { label: string; channels: readonly Channel[] }[] = [
   },
   {
     label: "Velocity",
+    least: 1,
     channels: [
       { column: "truth.v", label: "truth", kind: "truth", unit: "m/s" },
       { column: "estimate.v", label: "estimate", kind: "estimate", unit: "m/s" },
@@ -50,6 +54,7 @@ const PANELS: readonly { label: string; channels: readonly Channel[] }[] = [
   },
   {
     label: "Commands",
+    least: 1,
     channels: [
       { column: "command.M", label: "M", kind: "input", unit: "" },
       { column: "command.T", label: "T", kind: "simple", unit: "" },

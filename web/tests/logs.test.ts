@@ -125,9 +125,9 @@ describe("words about logs", () => {
   });
   it("draws a spark with holes where nothing was logged, and a flat one in the middle", () => {
     expect(sparkPath([0, 1, null, 0], [1, 1, null, 0], 40, 10)).toBe(
-      "M5.0 0.0L15.0 0.0L15.0 0.0L5.0 10.0ZM35.0 10.0L35.0 10.0Z",
+      "M5.0 0.0L5.0 10.0L15.0 0.0L15.0 0.0M35.0 10.0L35.0 10.0",
     );
-    expect(sparkPath([3], [3], 10, 10)).toBe("M5.0 5.0L5.0 5.0Z");
+    expect(sparkPath([3], [3], 10, 10)).toBe("M5.0 5.0L5.0 5.0");
     expect(sparkPath([null], [null], 10, 10)).toBe("");
   });
 });

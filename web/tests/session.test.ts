@@ -50,19 +50,19 @@ describe("the chosen drone", () => {
   it("can be told nothing while the server is lost, and not by a link that only watches", async () => {
     vi.resetModules();
     const { session } = await import("../src/state/session.svelte");
-    let tell: (connected: boolean, retryAt: number) => void = () => {};
+    let tell: (connected: boolean) => void = () => {};
     session.start({
       onEvent: () => {},
-      onConnection: (listener: (connected: boolean, retryAt: number) => void) => (tell = listener),
+      onConnection: (listener: (connected: boolean) => void) => (tell = listener),
       start: () => {},
     } as unknown as Telemetry);
     vi.stubGlobal("fetch", () => new Promise(() => {}));
     vi.stubGlobal("sessionStorage", { getItem: () => null });
-    tell(true, 0);
+    tell(true);
     expect([session.off, session.serverLost]).toEqual(["", ""]);
     session.role = "watch";
     expect([session.off, session.serverLost]).toEqual(["This link can only watch.", ""]);
-    tell(false, 1);
+    tell(false);
     expect([session.off, session.serverLost]).toEqual(Array(2).fill("No connection to the server."));
   });
 });

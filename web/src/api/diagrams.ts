@@ -61,45 +61,21 @@ export async function catalogue(): Promise<Catalogue> {
 
 export async function shapes(blocks: readonly string[]): Promise<Answer[]> {
   // As texts put together: a number must arrive as it is written.
-  return (await postText("diagrams/shapes", `{"blocks": [${blocks.join(", ")}]}`)) as Answer[];
+  const body = new Blob([`{"blocks": [${blocks.join(", ")}]}`], { type: "application/json" });
+  return (await (await request("POST", "diagrams/shapes", body)).json()) as Answer[];
 }
 
-export async function canonical(text: string): Promise<string> {
-  return (await send<{ text: string }>("POST", "diagrams/read", { text })).text;
-}
+const at = (name: string) => `diagrams/files/${encodeURIComponent(name)}`;
+const textOf = async (answer: Promise<{ text: string }>) => (await answer).text;
 
-export async function check(text: string): Promise<Check> {
-  return await send<Check>("POST", "diagrams/check", { text });
-}
-
-export async function code(text: string, precision: string): Promise<Code> {
-  return await send<Code>("POST", "diagrams/code", { text, precision });
-}
-
-export async function starter(name: string): Promise<string> {
-  return (await get<{ text: string }>(`diagrams/starters/${encodeURIComponent(name)}`)).text;
-}
-
-export async function keptDiagrams(): Promise<KeptDiagram[]> {
-  return await get<KeptDiagram[]>("diagrams/files");
-}
-
-export async function keptText(name: string): Promise<string> {
-  return (await get<{ text: string }>(`diagrams/files/${encodeURIComponent(name)}`)).text;
-}
-
-export async function keep(name: string, text: string): Promise<string> {
-  return (await send<{ text: string }>("PUT", `diagrams/files/${encodeURIComponent(name)}`, { text })).text;
-}
-
-export async function forget(name: string): Promise<string> {
-  return (await send<{ text: string }>("DELETE", `diagrams/files/${encodeURIComponent(name)}`)).text;
-}
-
-async function postText(path: string, text: string): Promise<unknown> {
-  const body = new Blob([text], { type: "application/json" });
-  return await (await request("POST", path, body)).json();
-}
+export const canonical = (text: string) => textOf(send("POST", "diagrams/read", { text }));
+export const check = (text: string) => send<Check>("POST", "diagrams/check", { text });
+export const code = (text: string, precision: string) => send<Code>("POST", "diagrams/code", { text, precision });
+export const starter = (name: string) => textOf(get(`diagrams/starters/${encodeURIComponent(name)}`));
+export const keptDiagrams = () => get<KeptDiagram[]>("diagrams/files");
+export const keptText = (name: string) => textOf(get(at(name)));
+export const keep = (name: string, text: string) => textOf(send("PUT", at(name), { text }));
+export const forget = (name: string) => textOf(send("DELETE", at(name)));
 
 /** Closed loop of the diagram and the virtual rig as WebAssembly, and its initial state. */
 export interface PortableLoop {

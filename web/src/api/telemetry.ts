@@ -42,7 +42,7 @@ const CONNECTING = 0;
 export class Telemetry {
   private readonly subscriptions = new Map<number, Subscription>();
   private readonly listeners = new Set<(event: LabEvent) => void>();
-  private readonly watchers = new Set<(connected: boolean, retryAt: number) => void>();
+  private readonly watchers = new Set<(connected: boolean) => void>();
   /** Drones that this socket reported, and subscriptions refused before their drone was known. */
   private readonly told = new Set<number>();
   private readonly refused = new Set<number>();
@@ -63,7 +63,7 @@ export class Telemetry {
   stop(): void {
     clearTimeout(this.retry);
     this.drop();
-    this.say(false, 0);
+    this.say(false);
   }
 
   /** Reconnect at once, when the network or the tab is back. */
@@ -95,8 +95,8 @@ export class Telemetry {
     return () => this.listeners.delete(listener);
   }
 
-  /** Report changes of the connection; `retryAt` is the time of the next try, `Date.now()` [ms], or 0. */
-  onConnection(watcher: (connected: boolean, retryAt: number) => void): () => void {
+  /** Report changes of the connection. Returns a function that ends it. */
+  onConnection(watcher: (connected: boolean) => void): () => void {
     this.watchers.add(watcher);
     return () => this.watchers.delete(watcher);
   }
@@ -111,7 +111,7 @@ export class Telemetry {
       this.connected = true;
       this.heard();
       for (const id of this.subscriptions.keys()) this.ask(id);
-      this.say(true, 0);
+      this.say(true);
     };
     socket.onmessage = (message: MessageEvent) => {
       this.heard();
@@ -183,11 +183,11 @@ export class Telemetry {
     const wait = Math.min(LONGEST_WAIT_MS, FIRST_WAIT_MS * 2 ** this.attempts++);
     clearTimeout(this.retry);
     this.retry = setTimeout(() => this.open(), wait);
-    this.say(false, Date.now() + wait);
+    this.say(false);
   }
 
-  private say(connected: boolean, retryAt: number): void {
-    for (const watcher of this.watchers) watcher(connected, retryAt);
+  private say(connected: boolean): void {
+    for (const watcher of this.watchers) watcher(connected);
   }
 }
 

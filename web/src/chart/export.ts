@@ -1,6 +1,6 @@
 import { messageOf } from "../api/client";
 import type { History } from "./history";
-import { DASHES, type Channel, type Kind, type Series } from "./kinds";
+import { DASHES, type Channel, type Series, type Stroke } from "./kinds";
 import { colour } from "./draw/canvas";
 
 function quoted(text: string): string {
@@ -52,7 +52,7 @@ export function seriesCsv(
 /** Plot in an exported picture. */
 export interface Pictured {
   title: string;
-  lines: readonly { label: string; kind: Kind; colour?: string | undefined; dash?: readonly number[] | undefined }[];
+  lines: readonly Stroke[];
   canvas: HTMLCanvasElement;
 }
 

@@ -24,8 +24,6 @@ const RESTARTED = 0.5;
  * Rows are numbered from 0 as they come; `first` to `last` - 1 are there. Charts ask `listen` to learn of new ones.
  */
 export class History {
-  readonly names: readonly string[];
-  readonly capacity: number;
   readonly columns: readonly Pyramid[];
   private readonly times: Float64Array;
   private readonly byName = new Map<string, Pyramid>();
@@ -37,9 +35,10 @@ export class History {
   /** Number of restarts of the drone. Earlier rows are dropped. */
   restarts = 0;
 
-  constructor(names: readonly string[], capacity = ROWS) {
-    this.names = names;
-    this.capacity = capacity;
+  constructor(
+    readonly names: readonly string[],
+    readonly capacity = ROWS,
+  ) {
     this.times = new Float64Array(capacity);
     this.columns = names.map(() => new Pyramid(capacity));
     names.forEach((name, k) => this.byName.set(name, this.columns[k]!));

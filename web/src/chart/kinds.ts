@@ -9,24 +9,33 @@ export type Kind = "measured" | "estimate" | "set-point" | "input" | "truth" | "
 export const SERIES = [1, 2, 3, 4, 5, 6, 7, 8].map((n) => `series-${n}`);
 
 /** Column on a strip chart, with the unit of the screen and the factor from SI. */
-export interface Channel {
+export interface Channel extends Omit<Stroke, "dash"> {
   column: string;
-  label: string;
-  kind: Kind;
   unit: string;
   factor?: number;
+}
+
+/** How a curve is drawn and called. */
+export interface Stroke {
+  label: string;
+  kind: Kind;
   colour?: string;
+  dash?: readonly number[];
+}
+
+/** Channels of one strip chart. */
+export interface Panel {
+  label: string;
+  channels: readonly Channel[];
+  /** The y axis is never narrower than this, in the unit of the screen. */
+  least: number;
 }
 
 /** Curve of a static plot, rising in x. */
-export interface Series {
-  label: string;
+export interface Series extends Stroke {
   x: Float64Array;
   y: Float32Array | Float64Array;
-  kind: Kind;
   band?: { low: Float32Array | Float64Array; high: Float32Array | Float64Array };
-  colour?: string;
-  dash?: readonly number[];
 }
 
 /** Convert SI values to the unit of the screen; null becomes NaN. */

@@ -133,15 +133,7 @@ export class Pilot {
   }
 
   private take(said: URLSearchParams): void {
-    for (const { path, key } of KNOBS) {
-      if (!said.has(key)) continue;
-      try {
-        this.flight.set({ [path]: Number(said.get(key)) });
-        this.values[path] = Number(said.get(key));
-      } catch (reason) {
-        this.refusal = reason instanceof Error ? reason.message : String(reason);
-      }
-    }
+    for (const { path, key } of KNOBS) if (said.has(key)) this.set(path, Number(said.get(key)));
     this.mode = MODES.find((one) => one.name === said.get("mode")) ?? this.mode;
     if (said.get("rig") === "paper") this.start.rig = "paper";
     const seed = Number(said.get("seed") ?? 1);

@@ -1,16 +1,9 @@
 // Charts of a drone as it flies: what they show, and the latest rows of it.
 import { telemetry } from "../api/telemetry";
 import { History } from "../chart/history";
-import { DEGREES, type Channel } from "../chart/kinds";
+import { DEGREES, type Panel } from "../chart/kinds";
 
-/** Chart with the least height of its y axis. */
-export interface LivePanel {
-  label: string;
-  least: number;
-  channels: Channel[];
-}
-
-export const PITCH: LivePanel = {
+export const PITCH: Panel = {
   label: "Pitch θ",
   least: 4,
   channels: [
@@ -18,7 +11,7 @@ export const PITCH: LivePanel = {
     { column: "estimate.theta", label: "estimate", kind: "estimate", unit: "deg", factor: DEGREES },
   ],
 };
-export const POSITION: LivePanel = {
+export const POSITION: Panel = {
   label: "Position x",
   least: 0.1,
   channels: [
@@ -26,7 +19,7 @@ export const POSITION: LivePanel = {
     { column: "estimate.x", label: "estimate", kind: "estimate", unit: "m" },
   ],
 };
-export const MOMENT: LivePanel = {
+export const MOMENT: Panel = {
   label: "Moment M",
   least: 0.02,
   channels: [{ column: "command.M", label: "command", kind: "input", unit: "" }],
@@ -36,7 +29,7 @@ export const MOMENT: LivePanel = {
  * The latest `kept` rows of what these panels show of a drone, `rate` [Hz] a second, for as long as the component lives
  * that asks for it.
  */
-export function liveHistory(drone: () => number, panels: readonly LivePanel[], rate: number, kept: number): History {
+export function liveHistory(drone: () => number, panels: readonly Panel[], rate: number, kept: number): History {
   const columns = panels.flatMap((panel) => panel.channels.map((one) => one.column));
   const history = new History(columns, kept);
   $effect(() => telemetry.subscribe(drone(), history.names, rate, (rows) => history.append(rows)));

@@ -21,8 +21,6 @@ class Session {
   readonly serverLost = $derived(this.connected ? "" : "No connection to the server.");
   /** Why nothing can be changed, or "". The emergency stop is never off. */
   readonly off = $derived(this.serverLost || this.watchOnly);
-  /** When the server is tried again, by `Date.now()` [ms]; 0 while it is reached. */
-  retryAt = $state(0);
   texts = $state.raw<readonly DroneText[]>([]);
   clockEvent = $state<ClockEvent | undefined>(undefined);
   everConnected = $state(false);
@@ -38,8 +36,7 @@ class Session {
 
   start(from: Telemetry = telemetry): void {
     from.onEvent((event) => this.take(event));
-    from.onConnection((connected, retryAt) => {
-      this.retryAt = retryAt;
+    from.onConnection((connected) => {
       if (connected && !this.connected) {
         void this.catchUp();
         if (this.everConnected) toast("Connected to the server again.", "good");

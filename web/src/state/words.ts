@@ -1,7 +1,11 @@
 // How a drone stands, in words for a person; the drone's own sentence always goes first where it has one.
 import type { DroneState } from "../api/drones";
 
-export type Kind = "good" | "warn" | "bad" | "plain";
+export interface Word {
+  kind: "good" | "warn" | "bad" | "plain";
+  text: string;
+  title?: string;
+}
 
 const ACTIONS: Record<string, string> = {
   none: "flies what is asked for",
@@ -17,26 +21,37 @@ export function failsafeSentence(state: DroneState): string {
   return `The failsafe ${does}: ${state.failsafe_reason || "it names no reason"}.`;
 }
 
-export function linkWord(state: DroneState): { kind: Kind; text: string } {
+function linkWord(state: DroneState): Word {
   return state.link === "heard" ? { kind: "good", text: "Link" } : { kind: "bad", text: "Link lost" };
 }
 
-export function armedWord(state: DroneState): { kind: Kind; text: string } {
+export function armedWord(state: DroneState): Word {
   if (state.killed) return { kind: "bad", text: "Stopped" };
   return state.armed ? { kind: "warn", text: "Armed" } : { kind: "plain", text: "Disarmed" };
 }
 
-export function failsafeWord(state: DroneState): { kind: Kind; text: string } {
+export function failsafeWord(state: DroneState): Word {
   if (!state.armed) return { kind: "plain", text: "Failsafe ready" };
   if (state.failsafe === "none") return { kind: "good", text: "Failsafe watches" };
   return { kind: state.failsafe === "off" ? "bad" : "warn", text: `Failsafe: ${state.failsafe}` };
 }
 
-export function leaseWord(state: DroneState): { kind: Kind; text: string } {
+export function leaseWord(state: DroneState): Word {
   if (state.ours_leases) return { kind: "good", text: "You command" };
   if (state.lease_holder === null) return { kind: "plain", text: "Not commanded" };
   if (state.experiment) return { kind: "good", text: "Commanded by an experiment" };
   return { kind: "warn", text: `Commanded by client ${state.lease_holder[0]}` };
+}
+
+/** Return the words of a drone's state in the order of the status bar. */
+export function stateWords(state: DroneState): Word[] {
+  return [
+    linkWord(state),
+    armedWord(state),
+    { kind: "plain", text: modeWord(state) },
+    { ...failsafeWord(state), title: failsafeSentence(state) },
+    leaseWord(state),
+  ];
 }
 
 export function modeWord(state: DroneState): string {

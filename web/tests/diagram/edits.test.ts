@@ -33,7 +33,7 @@ import {
   renamePart,
   settled,
 } from "../../src/pages/diagram/model/edits";
-import { History } from "../../src/pages/diagram/model/history";
+import { History } from "../../src/pages/diagram/model/history.svelte";
 import { readJson, real } from "../../src/pages/diagram/model/json_text";
 
 const TEXT = `{"name": "d", "text": "",

@@ -92,9 +92,9 @@ describe("what a program depends on", () => {
 describe("a signal", () => {
   it("is followed into and out of sub-diagrams to the block that gives it", () => {
     const { d, shapes } = given();
-    expect(originOf(d, [], "sub.z", shapes)).toEqual({ of: "block", path: "sub.g.y" });
-    expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y" });
-    expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u" });
+    expect(originOf(d, [], "sub.z", shapes)).toEqual({ of: "block", path: "sub.g.y", unit: "" });
+    expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y", unit: "" });
+    expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u", unit: "" });
     expect(originOf(d, [], "nothing", shapes)).toBeUndefined();
   });
 });
@@ -121,7 +121,7 @@ describe("grouping", () => {
       ["a", "b.u"],
     ]);
     expect(diagram.connections).toContainEqual(["u", "sub_2.u"]);
-    expect(originOf(diagram, ["sub"], "x", shapes)).toEqual({ of: "block", path: "sub_2.b.y" });
+    expect(originOf(diagram, ["sub"], "x", shapes)).toEqual({ of: "block", path: "sub_2.b.y", unit: "" });
     expect(diagram.parts.find((part) => part.name === name)?.params).toEqual({ p: "p" });
   });
 });

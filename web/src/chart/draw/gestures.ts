@@ -6,9 +6,9 @@ const CLICK = 4; // pixels that a click may move
 
 /**
  * Handle pointers on a plot: drag pans, Shift and drag zooms to the marked range, two fingers and the wheel zoom, a click
- * sets a cursor, a double click resets the view. `wheelAlways`: the wheel needs no click before.
+ * sets a cursor, a double click resets the view. On a static plot the wheel needs a click before.
  */
-export function pointers(u: uPlot, view: () => View, wheelAlways: () => boolean, keep: AbortSignal): void {
+export function pointers(u: uPlot, view: () => View, keep: AbortSignal): void {
   const over = u.over;
   const down = new Map<number, number>();
   let mode: "pan" | "mark" | "pinch" | "" = "";
@@ -66,7 +66,8 @@ export function pointers(u: uPlot, view: () => View, wheelAlways: () => boolean,
   on("pointercancel", up);
   on("dblclick", () => view().reset());
   on("wheel", (event) => {
-    if (!wheelAlways() && !event.ctrlKey && !u.root.closest("[data-plot]")?.contains(document.activeElement)) return;
+    const taken = view() instanceof TimeView || event.ctrlKey;
+    if (!taken && !u.root.closest("[data-plot]")?.contains(document.activeElement)) return;
     event.preventDefault();
     if (Math.abs(event.deltaX) > Math.abs(event.deltaY)) view().pan(share(event.deltaX));
     else view().zoom(event.deltaY > 0 ? 1 / STEP : STEP, u.posToVal(at(event.clientX), "x"));

@@ -5,7 +5,7 @@ import type { Opened } from "./address";
 import { presumed } from "./canvas/arrange";
 import { diagramAt, readDiagram, writeDiagram, type Diagram } from "./model/diagram";
 import { edited, EditFault, settled } from "./model/edits";
-import { History } from "./model/history";
+import { History } from "./model/history.svelte";
 import { writeJson } from "./model/json_text";
 import { Shapes } from "./model/shapes";
 
@@ -42,10 +42,8 @@ class Editor {
   said = $state("");
   /** Counter of learnt shapes; drawings depend on it. */
   known = $state(0);
-  canUndo = $state(false);
-  canRedo = $state(false);
   readonly shapes = new Shapes();
-  private readonly history = new History();
+  readonly history = new History();
   private asked = new Set<string>();
 
   readonly here: Diagram = $derived(diagramAt(this.root, this.path) ?? this.root);
@@ -75,7 +73,6 @@ class Editor {
     this.starter = starter;
     this.history.clear();
     this.opened++;
-    this.look();
     this.say(`${diagram.name} is open: ${diagram.parts.length} blocks`);
   }
 
@@ -118,7 +115,6 @@ class Editor {
     if (after === before) return "";
     this.history.record(before, after, called, tag);
     this.root = after;
-    this.look();
     void this.learn(after);
     if (tag === "") this.say(called);
     return "";
@@ -139,13 +135,7 @@ class Editor {
   private show(diagram: Diagram, said: string): void {
     this.root = diagram;
     while (diagramAt(diagram, this.path) === undefined) this.path = this.path.slice(0, -1);
-    this.look();
     this.say(said);
-  }
-
-  private look(): void {
-    this.canUndo = this.history.canUndo;
-    this.canRedo = this.history.canRedo;
   }
 
   select(ids: Iterable<string>): void {

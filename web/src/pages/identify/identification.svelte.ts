@@ -6,7 +6,6 @@ import {
   planExperiment,
   stopFlight,
   type Choices,
-  type ExperimentRow,
   type FitView,
   type FlownExperiment,
   type Plan,
@@ -147,8 +146,7 @@ export class Identification {
   private stopped = false;
 
   private asked() {
-    const row: ExperimentRow | undefined = this.experiment;
-    return row === undefined ? undefined : experimentAsked(row, this.own);
+    return this.experiment && experimentAsked(this.experiment, this.own);
   }
 
   private async run<T>(doing: string, job: BackgroundJob<T>, start: () => Promise<Job<T>>, flight = false) {

@@ -58,21 +58,17 @@ export function sparkPath(
   const [least, greatest] = [Math.min(...known), Math.max(...known)];
   const y = (value: number): string =>
     (greatest > least ? height * (1 - (value - least) / (greatest - least)) : height / 2).toFixed(1);
-  const rows = low.map((value, k) => ({ x: ((k + 0.5) / low.length) * width, low: value, high: high[k] ?? null }));
-  const parts: string[] = [];
-  let run: { x: number; low: number; high: number }[] = [];
-  const close = (): void => {
-    if (run.length) {
-      const over = run.map((one) => `${one.x.toFixed(1)} ${y(one.high)}`);
-      const back = run.map((one) => `${one.x.toFixed(1)} ${y(one.low)}`).reverse();
-      parts.push(`M${[...over, ...back].join("L")}Z`);
+  let pen = "M";
+  const parts = low.map((value, k) => {
+    const top = high[k] ?? null;
+    if (value === null || top === null) {
+      pen = "M";
+      return "";
     }
-    run = [];
-  };
-  for (const row of rows) {
-    if (row.low === null || row.high === null) close();
-    else run.push({ x: row.x, low: row.low, high: row.high });
-  }
-  close();
+    const x = (((k + 0.5) / low.length) * width).toFixed(1);
+    const part = `${pen}${x} ${y(top)}L${x} ${y(value)}`;
+    pen = "L";
+    return part;
+  });
   return parts.join("");
 }

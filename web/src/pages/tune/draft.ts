@@ -1,6 +1,6 @@
 // What was edited and not sent yet: groups, search, what differs, what cannot be.
 import type { Change, ParameterRow } from "../../api/tuning";
-import { boundsMistake } from "../../design/units";
+import { boundsMistake, editableNumber, written } from "../../design/units";
 
 export type Edits = ReadonlyMap<string, number>;
 
@@ -57,6 +57,11 @@ export function searched(rows: readonly ParameterRow[], text: string): Parameter
 export function same(row: ParameterRow, value: number, other: number | null): boolean {
   if (other === null) return false;
   return row.kind === "int32" ? Math.round(value) === other : Math.fround(value) === Math.fround(other);
+}
+
+/** Format the value of a parameter. */
+export function shown(value: number | null, unit = ""): string {
+  return value === null ? "–" : written(editableNumber(value, unit, 6));
 }
 
 export const lowOf = (row: ParameterRow) => (row.low === null || row.low < -BOUNDLESS ? -Infinity : row.low);

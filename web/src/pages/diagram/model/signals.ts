@@ -1,11 +1,13 @@
 // From a wire to the signal that flows in it: through the borders of sub-diagrams to the block that gives it.
 import { diagramAt, findPart, type Diagram } from "./diagram";
-import { portOf, sourceEnd, type Shapes } from "./shapes";
+import { sourceEnd, type Shapes } from "./shapes";
 
 /** Output of a block by its path, "sub.gain.y", or an input of the diagram. */
 export interface Origin {
   readonly of: "block" | "input";
   readonly path: string;
+  /** Declared unit; "" if there is none. */
+  readonly unit: string;
 }
 
 const MOST = 200; // borders that a wire may cross
@@ -21,7 +23,7 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
     const [name, port] = end;
     if (name === null) {
       const outer = at.at(-1);
-      if (outer === undefined) return { of: "input", path: port };
+      if (outer === undefined) return { of: "input", path: port, unit: shapes.carried(here, port).unit };
       at = at.slice(0, -1);
       const fed = diagramAt(root, at)?.connections.find(([, to]) => to === `${outer}.${port}`)?.[0];
       if (fed === undefined) return undefined;
@@ -29,27 +31,13 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
       continue;
     }
     const item = findPart(here, name)?.item;
-    if (item?.is === "block") return { of: "block", path: [...at, name, port].join(".") };
+    if (item?.is === "block") {
+      return { of: "block", path: [...at, name, port].join("."), unit: shapes.carried(here, `${name}.${port}`).unit };
+    }
     const inner = item?.outputs.find(([output]) => output === port)?.[1];
     if (inner === undefined || inner === null) return undefined;
     at = [...at, name];
     text = inner;
   }
   return undefined;
-}
-
-/** Return the declared unit of a signal; "" if there is none. */
-export function unitOfOrigin(root: Diagram, origin: Origin, shapes: Shapes): string {
-  if (origin.of === "input") return root.inputs.map(portOf).find((one) => one.name === origin.path)?.unit ?? "";
-  // The block's path has as many names as there are sheets: what is behind it is the port, perhaps a field.
-  const names = origin.path.split(".");
-  for (let n = 0; n < names.length - 1; n++) {
-    const part = diagramAt(root, names.slice(0, n)) && findPart(diagramAt(root, names.slice(0, n))!, names[n]!);
-    if (part === undefined) return "";
-    if (part.item.is === "block") {
-      const port = names.slice(n + 1).join(".");
-      return shapes.of(part.item).outputs.find((one) => one.name === port)?.unit ?? "";
-    }
-  }
-  return "";
 }

@@ -36,6 +36,14 @@ const whole = (name: string, label: string, value: number, low: number, high: nu
   whole: true,
 });
 
+const numbers = (name: string, label: string, unit: string, values: readonly number[]): Field => ({
+  name,
+  label,
+  type: "numbers",
+  unit,
+  values,
+});
+
 const HOLD = 0.001;
 
 /** Return the kinds with initial values for a loop. */
@@ -45,6 +53,9 @@ export function kinds(loop: Loop): readonly Kind[] {
     number(name, label, "amplitude", AMPLITUDES[loop], -most, most);
   const slow = loop === "x" || loop === "v";
   const scale = slow ? 4 : 1;
+  const levels = [1, 0, -1, 0].map((sign) => sign * AMPLITUDES[loop]);
+  const harmonics = slow ? [1, 2, 3, 5, 7] : [2, 3, 5, 7, 11, 13, 19, 29];
+  const laws = { choices: ["linear", "logarithmic"], value: "logarithmic" };
   return [
     {
       kind: "impulse",
@@ -68,16 +79,7 @@ export function kinds(loop: Loop): readonly Kind[] {
       kind: "steps",
       label: "Steps",
       text: "Levels, one after the other.",
-      fields: [
-        {
-          name: "levels",
-          label: "Levels",
-          type: "numbers",
-          unit: "amplitude",
-          values: [1, 0, -1, 0].map((sign) => sign * AMPLITUDES[loop]),
-        },
-        seconds("hold", "Each held for", slow ? 4 : 2, HOLD),
-      ],
+      fields: [numbers("levels", "Levels", "amplitude", levels), seconds("hold", "Each held for", slow ? 4 : 2, HOLD)],
     },
     {
       kind: "sweep",
@@ -88,13 +90,7 @@ export function kinds(loop: Loop): readonly Kind[] {
         hertz("start_hz", "From", slow ? 0.1 : 0.2),
         hertz("end_hz", "To", slow ? 1 : 4),
         seconds("length", "Length", 20, HOLD),
-        {
-          name: "law",
-          label: "Frequency rises",
-          type: "choice",
-          choices: ["linear", "logarithmic"],
-          value: "logarithmic",
-        },
+        { name: "law", label: "Frequency rises", type: "choice", ...laws },
       ],
     },
     {
@@ -115,16 +111,16 @@ export function kinds(loop: Loop): readonly Kind[] {
       fields: [
         amplitude("peak", "Peak"),
         seconds("period", "Period", 10, HOLD),
-        {
-          name: "harmonics",
-          label: "Harmonics of 1/period",
-          type: "numbers",
-          unit: "",
-          values: slow ? [1, 2, 3, 5, 7] : [2, 3, 5, 7, 11, 13, 19, 29],
-        },
+        numbers("harmonics", "Harmonics of 1/period", "", harmonics),
       ],
     },
   ];
+}
+
+/** Return the kind of a name, or the first. */
+export function kindOf(loop: Loop, name: string): Kind {
+  const all = kinds(loop);
+  return all.find((one) => one.kind === name) ?? all[0]!;
 }
 
 export const COMMON: readonly Field[] = [

@@ -12,8 +12,8 @@ interface Step {
 const MOST = 500;
 
 export class History {
-  private readonly done: Step[] = [];
-  private readonly undone: Step[] = [];
+  private done = $state.raw<readonly Step[]>([]);
+  private undone = $state.raw<readonly Step[]>([]);
 
   get canUndo(): boolean {
     return this.done.length > 0;
@@ -26,28 +26,29 @@ export class History {
   record(before: Diagram, after: Diagram, called: string, tag = ""): void {
     if (before === after) return;
     const last = this.done.at(-1);
-    if (tag !== "" && last?.tag === tag && this.undone.length === 0) {
-      this.done[this.done.length - 1] = { ...last, after };
-    } else {
-      this.done.push({ before, after, called, tag });
-      if (this.done.length > MOST) this.done.shift();
-    }
-    this.undone.length = 0;
+    const one = tag !== "" && last?.tag === tag && this.undone.length === 0;
+    const step = one ? { ...last, after } : { before, after, called, tag };
+    this.done = [...(one ? this.done.slice(0, -1) : this.done), step].slice(-MOST);
+    this.undone = [];
   }
 
   undo(): Step | undefined {
-    const step = this.done.pop();
-    if (step !== undefined) this.undone.push(step);
+    const step = this.done.at(-1);
+    if (step === undefined) return undefined;
+    this.done = this.done.slice(0, -1);
+    this.undone = [...this.undone, step];
     return step;
   }
 
   redo(): Step | undefined {
-    const step = this.undone.pop();
-    if (step !== undefined) this.done.push(step);
+    const step = this.undone.at(-1);
+    if (step === undefined) return undefined;
+    this.undone = this.undone.slice(0, -1);
+    this.done = [...this.done, step];
     return step;
   }
 
   clear(): void {
-    this.done.length = this.undone.length = 0;
+    this.done = this.undone = [];
   }
 }
