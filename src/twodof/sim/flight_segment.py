@@ -190,7 +190,11 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
     """
     t0, t1 = window if window is not None else default_window(log)
     grid = _grid(log, t0, t1)
-    mode = _mode_at(log, grid)
+    mode = mode_at(log, grid + 0.5 * PERIOD)
+    if not mode.any():
+        raise LogError(
+            f"nothing is flown between {grid[0]:g} and {grid[-1]:g} s", log.source, "give a window with thrust or M"
+        )
     ahead = grid + 0.5 * PERIOD
     rails = bool(np.any(mode >= VELOCITY))
     setpoint = {name: _held(log, name, ahead) for name in ("x0", "v0") if rails or logged(log, name)}
@@ -205,7 +209,8 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
     start = {"x": 0.0, "v": 0.0}
     start |= {name: float(np.interp(begin, log[name].time, log[name].value)) for name in known}
     start["theta_previous"] = float(_held(log, "theta", np.array([begin]))[0])
-    trim_moment, trim_theta = _trim(log, hold)
+    # The rail's bias is not the mean pitch of this hold, which is mostly what stiction leaves: see `_balance`.
+    means = {} if hold is None else {name: float(np.mean(log[name].slice(*hold).value)) for name in ("M", "theta")}
     ranges = log["dist"].time if "dist" in log else np.empty(0)
     earlier = ranges[ranges < begin]
     return FlightSegment(
@@ -216,8 +221,8 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
         start=start,
         states=_controller_states(log, gains, begin, MODES[mode[0]]),
         hold=hold,
-        trim_moment=trim_moment,
-        trim_theta=trim_theta,
+        trim_moment=means.get("M"),
+        trim_theta=means.get("theta", 0.0),
         balance=_balance(log, begin) if rails else (0.0, 0.0, 0.0),
         velocity_bias=_velocity_bias(log, begin) if rails else 0.0,
         spun_up=begin - armed_at if armed_at is not None else 0.0,
@@ -259,16 +264,6 @@ def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
     return channel.value[np.maximum(channel.index(at, "hold"), 0)]
 
 
-def _mode_at(log: FlightLog, grid: Floats) -> NDArray[np.int32]:
-    """Return the mode at each step, (n,)."""
-    found = mode_at(log, grid + 0.5 * PERIOD)
-    if not found.any():
-        raise LogError(
-            f"nothing is flown between {grid[0]:g} and {grid[-1]:g} s", log.source, "give a window with thrust or M"
-        )
-    return found
-
-
 def _hold(log: FlightLog, begin: float) -> tuple[float | None, tuple[float, float] | None]:
     """(when the rotors started, the hold) before `begin`.
 
@@ -307,16 +302,6 @@ def _loop_opened(log: FlightLog, begin: float) -> float:
         if stretch.t0 <= begin < stretch.t1 and stretch.mode in ("open-loop", "rate", "velocity"):
             return stretch.t0
     return begin
-
-
-def _trim(log: FlightLog, hold: tuple[float, float] | None) -> tuple[float | None, float]:
-    """(mean M, mean theta) of the hold.
-
-    The rail's bias is not the mean pitch of this hold, which is mostly what stiction leaves: see `_balance`.
-    """
-    if hold is None:
-        return None, 0.0
-    return float(np.mean(log["M"].slice(*hold).value)), float(np.mean(log["theta"].slice(*hold).value))
 
 
 def _balance(log: FlightLog, begin: float) -> tuple[float, float, float]:

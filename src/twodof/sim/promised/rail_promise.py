@@ -47,10 +47,12 @@ class RailFamily:
     def __post_init__(self) -> None:
         for name, (low, high) in _BOUNDS.items():
             if not low <= getattr(self, name) <= high:
-                raise _error("RailFamily", f"{name} = {getattr(self, name)!r}", f"{low:g} to {high:g} is possible")
+                raise ParameterError(
+                    f"{name} = {getattr(self, name)!r}", "RailFamily", f"{low:g} to {high:g} is possible"
+                )
         p = check_covariance(self.covariance, len(RAIL), "RailFamily")
         if (np.diag(p) < 0.0).any() or float(np.linalg.det(p)) < -1e-12 * float(np.prod(np.diag(p)) + 1e-300):
-            raise _error("RailFamily", "the covariance has a negative direction", "identify again")
+            raise ParameterError("the covariance has a negative direction", "RailFamily", "identify again")
 
     @classmethod
     def from_identified(cls, pitch: object, rail: object, base: str = "paper", where: str = "model") -> Self:
@@ -207,11 +209,11 @@ def rail_promise(
     ParameterError for numbers out of range, and as `RailFamily.rigs` and `fly_lanes`.
     """
     if loop not in LOOPS:
-        raise _error("rail_promise", f"a loop {shown(loop)}", f"give {' or '.join(LOOPS)}")
+        raise ParameterError(f"a loop {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
     step = STEPS[loop]
     goal, duration = step.goal if goal is None else goal, step.duration if duration is None else duration
     if not 0.01 <= goal <= 1.0:
-        raise _error("rail_promise", f"a step of {goal!r}", "give .01 to 1 m/s or m")
+        raise ParameterError(f"a step of {goal!r}", "rail_promise", "give .01 to 1 m/s or m")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     rigs, diagrams = family.rigs(members, seed), tuple(controllers)
     flown = fly_lanes(
@@ -263,7 +265,3 @@ def _lost(flown: Mapping[str, Array], rigs: list[dict[str, float]], follows: str
     met = np.abs(flown["true_x"]).max(axis=0) > stops - 1e-3
     end = flown[follows][-BEFORE:].mean(axis=0)
     return float(np.mean(met | ~(np.abs(end - goal) < 0.5 * goal)))
-
-
-def _error(where: str, what: str, remedy: str) -> ParameterError:
-    return ParameterError(what, where, remedy)
