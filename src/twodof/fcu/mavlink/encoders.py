@@ -332,7 +332,7 @@ class TelemetryEncoders:
         return us // 1000 & MASK_32, *RANGE_CM, centimetres, BACKWARD, UNKNOWN_VARIANCE
 
     def _tof(self) -> tuple[Any, ...] | None:
-        """Return when the range was measured [us], its tick, the range, not rounded, and whether it is valid."""
+        """Return the time of the last range [us], its tick, the range as measured and whether it is valid."""
         if self._range is None:
             return None
         tick, dist, age = self.news[TOF], self._range.dist, self._range.dist_age
