@@ -6,7 +6,7 @@ change in place, as the actions follow each other: only the machine reads them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 
 from twodof.blocks.expressions.expr import Expr
@@ -94,39 +94,32 @@ class MachineSwitch:
         self._add(SwitchStatement(self.states[mode], cases, owner=self.node, reads=frozenset("s")))
 
     def _during(self) -> None:
-        leaves = self.chart.leaves
-        acting = [leaf for leaf in leaves if any(self._stays(leaf))]
-        if not acting:
-            return
-        cases = []
-        for leaf in acting:
+        leaves, cases = self.chart.leaves, []
+        for leaf in leaves:
             with self._collecting() as body:
                 self._stay(leaf)
-            cases.append(_case(leaf, body))
+            if body:
+                cases.append(_case(leaf, body))
+        if not cases:
+            return
         if len(leaves) == 1:
             self._add(LoopStatement("", cases[0].body, owner=self.node))
             return
-        if len(acting) == len(leaves):
+        if len(cases) == len(leaves):
             cases[-1].label = "default"  # so that a compiler sees that each output is given
         else:
             cases.append(Case("default", "", []))
         self._switch(cases)
 
-    def _stays(self, leaf: Leaf) -> Iterator[tuple[Mode, dict[str, Expr], dict[str, Expr]]]:
-        """Yield for each mode of a leaf what `during` gives: outputs that are wanted and stay, and variables."""
-        for k, mode in enumerate(leaf.path):
-            given = self.graph.action(mode.name, "during")
-            later = {name for m in leaf.path[k + 1 :] for name in self.graph.action(m.name, "during")}
-            outputs = {n: e for n, e in given.items() if n in self.targets and n not in self.variables | later}
-            variables = {n: e for n, e in given.items() if n in self.variables}
-            if outputs or variables:
-                yield mode, outputs, variables
-
     def _stay(self, leaf: Leaf) -> None:
-        for mode, outputs, variables in self._stays(leaf):
+        """Add what `during` gives in each mode of a leaf: outputs that are wanted and stay, and variables."""
+        for k, mode in enumerate(leaf.path):
+            given = self._of(self.graph.action(mode.name, "during"))
+            later = {name for m in leaf.path[k + 1 :] for name in self.graph.action(m.name, "during")}
             renderer = self._renderer(mode)
-            renderer.assign([(self.targets[name], e) for name, e in self._of(outputs).items()])
-            self._change(renderer, variables)
+            stay = {n: e for n, e in given.items() if n in self.targets and n not in self.variables | later}
+            renderer.assign([(self.targets[name], e) for name, e in stay.items()])
+            self._change(renderer, {n: e for n, e in given.items() if n in self.variables})
 
     def _transitions(self, routes: Sequence[Route]) -> None:
         """Add the transitions out of a mode: if, else if, ..."""
@@ -182,10 +175,10 @@ class MachineSwitch:
             self._add(self._line(f"{self.states[state]} = {text};"))
 
     def _act(self, mode: Mode, values: Mapping[str, Expr]) -> None:
-        self._change(self._renderer(mode), values)
+        self._change(self._renderer(mode), self._of(values))
 
     def _change(self, renderer: Renderer, values: Mapping[str, Expr]) -> None:
-        commit(renderer, changed(self.node, self._of(values), self.states.__getitem__))
+        commit(renderer, changed(self.node, values, self.states.__getitem__))
 
     def _renderer(self, mode: Mode) -> Renderer:
         """Return a fresh one for each action: what it names is another value once the variables have changed."""
