@@ -8,7 +8,7 @@ from twodof.compile.c.expressions import Leaves, Renderer, Used
 from twodof.compile.c.graph import ProgramGraph
 from twodof.compile.c.operators import ATOM, C_TYPES
 from twodof.compile.c.statements import Assign, Call, CNames, Copy, LoopStatement, Statement, Text, constant, name_of
-from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Node
+from twodof.compile.program.flat_program import FlatParameter, FlatProgram, FlatSignal, Node
 from twodof.compile.program.layout import MemoryLayout
 
 # Names that the file of a program defines behind its prefix.
@@ -49,20 +49,18 @@ class Scope:
                 found = state(*item.data)
                 return Text(found, ATOM, frozenset((name_of(found), found)))
             elif item.op == "param":
-                found = f"p->{self.parameter(item)}"
+                found = self.parameter(item.data)
             return Text(found, ATOM, frozenset((name_of(found),)))
 
         return text
 
-    def parameter(self, item: Expr) -> str:
-        """Return the member of P that a `param` leaf stands for."""
-        layout = self.layout
-        return (layout.derived if isinstance(item.data, tuple) else layout.parameters)[item.data].name
+    def parameter(self, key: FlatParameter | tuple[Node, str]) -> str:
+        """Return the C of a given parameter, or of a derived one by its node and name."""
+        return f"p->{(self.layout.derived[key] if isinstance(key, tuple) else self.layout.parameters[key]).name}"
 
     def given(self, node: Node, name: str) -> str:
         """Return the C of a block's parameter, given or derived."""
-        given, layout = node.parameters.get(name), self.layout
-        return f"p->{(layout.derived[node, name] if given is None else layout.parameters[given]).name}"
+        return self.parameter(node.parameters.get(name) or (node, name))
 
     def state(self, node: Node, name: str) -> str:
         """Return the lvalue of a state."""
