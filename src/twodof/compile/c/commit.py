@@ -16,7 +16,7 @@ def changes(node: Node) -> bool:
 
 
 @dataclass
-class Change:
+class StateChange:
     """The next value `e` of the state `name` of `node`, whose lvalue is `place`."""
 
     node: Node
@@ -41,12 +41,12 @@ class Change:
         return [(Text(str(k)) if self.e.op == "vector" else None, text) for k, text in enumerate(texts)]
 
 
-def changed(node: Node, values: Mapping[str, Expr], place: Callable[[str], str]) -> list[Change]:
+def changed(node: Node, values: Mapping[str, Expr], place: Callable[[str], str]) -> list[StateChange]:
     """Return the changes of a block's states, whose lvalues `place` gives."""
-    return [Change(node, name, e, place(name)) for name, e in values.items() if not _keeps(name, e)]
+    return [StateChange(node, name, e, place(name)) for name, e in values.items() if not _keeps(name, e)]
 
 
-def commit(renderer: Renderer, rows: Sequence[Change]) -> None:
+def commit(renderer: Renderer, rows: Sequence[StateChange]) -> None:
     """Add the statements of changes that happen together."""
     arrays = [row for row in rows if not row.numbers]
     # The signals that arrays are made of must be computed before any state changes.
@@ -56,7 +56,7 @@ def commit(renderer: Renderer, rows: Sequence[Change]) -> None:
     for row in rows:
         own = [next(texts) for _ in row.numbers]
         stores += [(row, at, value) for at, value in row.stores(renderer, own)]
-    copies: list[tuple[Change, Text]] = []
+    copies: list[tuple[StateChange, Text]] = []
     for row in arrays:
         renderer.owner = row.node
         if any(row.name in _states(other.e) for other in rows if other.node is row.node):
@@ -64,7 +64,7 @@ def commit(renderer: Renderer, rows: Sequence[Change]) -> None:
         else:
             renderer.assign([(row.place, row.e)])
     replaced: set[str] = set()
-    ready: list[tuple[Change, Text | None, Text]] = []
+    ready: list[tuple[StateChange, Text | None, Text]] = []
     for row, at, value in stores:
         renderer.owner = row.node
         if at is not None and at.reads & replaced:
@@ -85,14 +85,14 @@ def commit(renderer: Renderer, rows: Sequence[Change]) -> None:
     renderer.owner = None
 
 
-def _kept(renderer: Renderer, row: Change, name: str, value: Text, kind: str) -> Text:
+def _kept(renderer: Renderer, row: StateChange, name: str, value: Text, kind: str) -> Text:
     """Keep a number in a variable."""
     new = renderer.names.new(f"{row.node.path}.{name}")
     renderer.declare(new, kind, value, fixed=True)
     return Text(new, reads=frozenset((new,)))
 
 
-def _beside(renderer: Renderer, row: Change) -> Text:
+def _beside(renderer: Renderer, row: StateChange) -> Text:
     """Return an array beside the states."""
     source = renderer.text(row.e)
     if row.e.op != "state":

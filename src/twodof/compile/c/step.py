@@ -7,7 +7,7 @@ from twodof.blocks.declarations import Port
 from twodof.blocks.diagram import Rate
 from twodof.blocks.expressions.expr import Expr
 from twodof.blocks.state_machine import StateMachine
-from twodof.compile.c.commit import Change, changed, commit
+from twodof.compile.c.commit import StateChange, changed, commit
 from twodof.compile.c.expressions import Leaves
 from twodof.compile.c.graph import leaf
 from twodof.compile.c.machine_switch import MachineSwitch
@@ -213,7 +213,7 @@ class StepEmitter:
             self.guarded(self.tests(guard), body)
 
     def _updates(self, nodes: Sequence[Node]) -> None:
-        rows: list[Change] = []
+        rows: list[StateChange] = []
         for node in nodes:
             idle = not any(s in self.schedule.live for s in node.outputs.values())
             if isinstance(node.block, StateMachine) and idle and self.schedule.ready(node):

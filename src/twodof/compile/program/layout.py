@@ -17,7 +17,7 @@ WIDEST_LOCAL = 256  # a wider array that is computed at a tick stands in S, not 
 
 @dataclass(frozen=True)
 class Member:
-    """A struct's member: C name, type, the path, unit and remark that its comment shows, and the path of its block."""
+    """A struct's member: its C name and type, what its comment shows, and the path of its block."""
 
     name: str
     kind: str
