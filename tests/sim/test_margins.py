@@ -83,7 +83,7 @@ def used(rig: str, flight: tuple[dict[str, Any], dict[str, NDArray[Any]]], seeds
     machine.set_many({f"rig.{name}": value for name, value in values.items()} | {"rig.seed": seeds})
     machine.reset()
     start = conditions.get("x_start", 0.0)
-    states = InitialState(x=start).flight_states(path.removeprefix("flight.") for path in machine.states)
+    states = InitialState(x=start).flight_states(path.removeprefix("flight.") for path in program().states)
     for path, value in states.items():
         machine.set_state(f"flight.{path}", value)
     healthy = {"setpoint_new": True, "link_new": True, "imu_new": True, "rings": conditions["rings"]}

@@ -102,10 +102,14 @@ def _frame(data: memoryview, at: int) -> tuple[int, int, int]:
     return op, start, start + size
 
 
-def _read(kind: Callable[[ReadDataStream], Record], content: bytes) -> Record:
-    """Return a record. Raises ValueError for one that differs from what its parts make."""
+def _read(kind: Callable[[ReadDataStream], Record], content: bytes, extended: bool = False) -> Record:
+    """Return a record. Raises ValueError for one that differs from what its parts make.
+
+    An `extended` one may have further fields at its end, as the format allows to later versions.
+    """
     record = kind(ReadDataStream(BytesIO(content)))
-    if encoded(record)[RECORD_HEAD_BYTES:] != content:
+    plain = encoded(record)[RECORD_HEAD_BYTES:]
+    if plain != (content[: len(plain)] if extended else content):
         raise ValueError("it does not consist of its parts")
     return record
 
@@ -234,9 +238,9 @@ class _Walk:
             case Opcode.HEADER:
                 if at != len(MAGIC):
                     raise ValueError("it does not belong there")
-                _read(Header.read, content)
+                self._read(Header.read, content)
             case Opcode.SCHEMA:
-                schema = _read(Schema.read, content)
+                schema = self._read(Schema.read, content)
                 self._schemas.setdefault(schema.id, schema)
             case Opcode.CHANNEL:
                 self._channel(content)
@@ -246,15 +250,18 @@ class _Walk:
                 self._attachment(content)
             case Opcode.DATA_END:
                 self._in_summary = True
-                sum_stated = _read(DataEnd.read, content).data_section_crc
+                sum_stated = self._read(DataEnd.read, content).data_section_crc
                 self._sealed = sum_stated == zlib.crc32(self._data[:at]) if sum_stated else None
             case Opcode.STATISTICS:
-                self._stated = _read(Statistics.read, content).message_count
+                self._stated = self._read(Statistics.read, content).message_count
             case Opcode.FOOTER:
                 self._footer(content, end)
 
+    def _read(self, kind: Callable[[ReadDataStream], Record], content: bytes) -> Record:
+        return _read(kind, content, extended=not self._salvage)  # in a damaged file it has swallowed the next record
+
     def _footer(self, content: bytes, end: int) -> None:
-        footer = _read(Footer.read, content)
+        footer = self._read(Footer.read, content)
         if self._raw[end : end + len(MAGIC)] != MAGIC:
             raise ValueError("the mark at the end is missing")
         summary = self._data[min(footer.summary_start, end) : end - 4]
@@ -263,7 +270,7 @@ class _Walk:
         self.contents.finished = True
 
     def _table(self, content: bytes, at: int, end: int) -> None:
-        table, sound = _unsealed(_read(Metadata.read, content), content)
+        table, sound = _unsealed(self._read(Metadata.read, content), content)
         name, rows = table.name, table.metadata
         if sound is False:
             self._lose(at, end - at, f"the checksum of table {shown(name)} is wrong")
@@ -274,7 +281,7 @@ class _Walk:
         self.contents.metadata.append((name, rows))
 
     def _channel(self, content: bytes) -> None:
-        channel, sound = _unsealed(_read(Channel.read, content), content)
+        channel, sound = _unsealed(self._read(Channel.read, content), content)
         number, name, found = channel.id, channel.topic, self.contents
         if number in found.streams or number in self._foreign:
             return
