@@ -116,8 +116,8 @@ UPLOAD_S = 30.0
 
 Answer = FtpPacket | Iterator[FtpPacket]
 """An answer, or a burst."""
-Work = Callable[[], Answer]
-"""What makes the answer in the background, where the disk is read or written."""
+Work = Callable[[], Answer | Callable[[], Answer]]
+"""What makes the answer in the background, where the disk is read or written; or what makes it of that afterwards."""
 
 
 class FileTransfer(Service):
@@ -202,8 +202,12 @@ class FileTransfer(Service):
             raise FileFault(FtpError.PROTECTED if request.op in _REFUSED else FtpError.UNKNOWN)
         return does(client, request)
 
-    def _done(self, client: FtpClient, request: FtpPacket, result: Answer | Exception) -> None:
+    def _done(self, client: FtpClient, request: FtpPacket, result: Answer | Callable[[], Answer] | Exception) -> None:
         client.busy = False
+        try:
+            result = result() if callable(result) else result
+        except FileFault as fault:
+            result = fault
         if isinstance(result, FileFault):
             result = request.nak(result.code)
         elif isinstance(result, OSError):
@@ -234,10 +238,14 @@ class FileTransfer(Service):
             data += line
         return request.ack(data) if data else request.nak(FtpError.END)
 
-    def _opened(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
+    def _opened(self, client: FtpClient, request: FtpPacket) -> Callable[[], FtpPacket]:
         file = self.tree.open(request.text)
-        number = client.open(FtpSession(file), request.session)
-        return request.ack(struct.pack("<I", file.size), session=number)
+
+        def answer() -> FtpPacket:  # in the thread that knows the sessions
+            number = client.open(FtpSession(file), request.session)
+            return request.ack(struct.pack("<I", file.size), session=number)
+
+        return answer
 
     def _checksum(self, request: FtpPacket) -> FtpPacket:
         return request.ack(struct.pack("<I", self.tree.checksum(request.text)))
