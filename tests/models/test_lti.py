@@ -55,6 +55,13 @@ def test_step_of_the_pitch_rate_is_the_closed_form() -> None:
     np.testing.assert_allclose(q, closed, rtol=0, atol=1e-10)
 
 
+def test_a_pitched_drone_falls_along_its_axis_with_g() -> None:
+    """Nose up and at rest, a drone whose thrust holds its weight accelerates backwards by g theta."""
+    drop = Longitudinal(x_u=0.0, x_q=0.0, m_u=0.0, m_q=0.0).state_space().zero_order_hold(DT)
+    u = drop.simulate(np.zeros(50), x0=[0.0, 0.0, 0.1])[:, 0]
+    np.testing.assert_allclose(u, -9.81 * 0.1 * DT * np.arange(50), rtol=0, atol=1e-12)
+
+
 def test_input_before_the_record_fills_the_delay() -> None:
     plant = Velocity(4.748, 1.168).state_space()
     delayed = DelayedStateSpace(plant.a, plant.b, plant.c, plant.d, 0.0187)
