@@ -184,3 +184,20 @@ def test_a_network_that_does_not_take_makes_frames_wait_their_turn() -> None:
     run(line, 10.0, 10.1)
     assert [raw for raw in sink.sent if raw[:1] != b"b"] == [b"%d" % number for number in range(10)]
     assert len(sink.sent) == 20
+
+
+def test_many_clients_of_one_frame_each_do_not_starve_another() -> None:
+    """Ten clients ask for as much as the line carries, each with one frame at a time; an eleventh asks for a fifth."""
+    line, sink = made(5000.0)
+    offered = 0
+    for step in range(5000):
+        now = 10.0 + 0.008 * step
+        line.offer(f"crowd {step % 10}", bytes(40), now)
+        if step % 25 == 0:
+            for _ in range(5):
+                offered += 1
+                line.offer("pilot", b"p" * 40, now)
+        run(line, now, now + 0.008)
+    served = sum(raw[:1] == b"p" for raw in sink.sent)
+    # An eleventh of the line is 9 % of what it carries, 45 % of what the pilot asks for.
+    assert served > 0.4 * offered

@@ -12,6 +12,7 @@ from twodof.companion.router import Router
 from twodof.errors import LinkError, LinkLost
 from twodof.link.connection import BROKEN_OFF_S
 from twodof.link.mavlink.framing import Frame, Parser
+from twodof.link.signing import Admission
 from twodof.link.transport import open_transport
 from twodof.link.transport.base import Packet, Transport
 from twodof.link.transport.tcp import TcpTransport
@@ -65,6 +66,7 @@ class CompanionLink(ABC):
         self.router = router
         self._component = component
         self._pause = FIRST_BACK_OFF_S
+        self._admission = Admission(router.signing)
 
     @abstractmethod
     def take(self, packet: Packet) -> None:
@@ -102,10 +104,9 @@ class CompanionLink(ABC):
 
     def accepts(self, frame: Frame, peer: Hashable) -> bool:
         """Return whether a frame is signed as it must be."""
-        router = self.router
-        if router.signing is None:
-            return True
-        return router.signing.admits(frame, router.clock(), lambda: self.transport.send(self._component.time(), peer))
+        return self._admission.admits(
+            frame, self.router.clock(), lambda: self.transport.send(self._component.time(), peer)
+        )
 
 
 class VehicleLink(CompanionLink):

@@ -199,10 +199,10 @@ class Router:
         identity = (self.system, component)
         client.write(self.encoded(sent, component, client.number(identity, self._lost(identity))))
 
-    def encoded(self, sent: Any, component: int = COMPANION, sequence: int = 0, system: int = 0) -> bytes:
+    def encoded(self, sent: Any, component: int = COMPANION, sequence: int = 0, system: int | None = None) -> bytes:
         """Encode a message of the drone's system, or of another, signed if there is a key."""
         signing = (self.signing.outgoing(),) if self.signing is not None else ()
-        return encode(sent, system or self.system, component, sequence, *signing)
+        return encode(sent, self.system if system is None else system, component, sequence, *signing)
 
     def _meet(self, client: CompanionClient, identity: Identity, now: float) -> None:
         """Note the identity of a client. It gets what this identity asked for from another address before."""

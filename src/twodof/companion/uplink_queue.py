@@ -1,7 +1,8 @@
 """The queue to the flight controller: kills first, a turn for every client, and no more than the line carries.
 
 A frame that fits goes out at once. Beyond that each client has a queue of its own. The client of which the fewest bytes
-were sent is served next, so that a client that floods loses its own frames only.
+were sent is served next, so that a client that floods loses its own frames only. One that comes anew counts as
+served as much as the one that was served last.
 """
 
 from collections import deque
@@ -60,6 +61,7 @@ class UplinkQueue:
         self._free_at = 0.0  # when the line will have sent what it was given
         self._urgent: dict[tuple[Hashable, Hashable], bytes] = {}
         self._queues: dict[Hashable, _Queue] = {}  # none is empty
+        self._level = 0  # bytes that were sent of the client which was served last
 
     def connect(self, transport: Transport) -> None:
         """Start with an open link."""
@@ -95,9 +97,7 @@ class UplinkQueue:
             return True
         if not self.waiting and self._room(now):
             return self._send(raw, now)
-        queue = self._queues.get(source)
-        if queue is None:  # as if it had waited with the others
-            queue = self._queues[source] = _Queue(min((one.served for one in self._queues.values()), default=0))
+        queue = self._queues.setdefault(source, _Queue(self._level))
         if queue.size + len(raw) > MOST_QUEUED_BYTES:
             self.counts.crowded_out += 1
             return False
@@ -120,7 +120,7 @@ class UplinkQueue:
             if now > deadline:
                 self.counts.stale += 1
             else:
-                queue.served += len(raw)
+                self._level = queue.served = queue.served + len(raw)
                 self._send(raw, now)
         if not self.waiting:
             return None

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, Self
 from twodof.errors import LinkError, LinkLost
 from twodof.link.mavlink.framing import Frame, FramingCounts, Parser, decode, encode
 from twodof.link.mavlink.messages import message
-from twodof.link.signing import Signing
+from twodof.link.signing import Admission, Signing
 from twodof.link.statistics import LinkStatistics
 from twodof.link.transport.base import Packet, Transport
 
@@ -60,6 +60,7 @@ class Connection:
         self.system = system
         self.component = component
         self.signing = signing
+        self._admission = Admission(signing)
         self.statistics = LinkStatistics()
         self._clock = clock
         self._parsers: OrderedDict[Hashable, Parser] = OrderedDict()
@@ -216,7 +217,7 @@ class Connection:
 
     def _lets_in(self, frame: Frame, peer: Hashable) -> bool:
         """Return True if a frame is signed as it must be, and is not a question about time that is answered here."""
-        if self.signing is not None and not self.signing.admits(frame, self._clock(), partial(self.ping, peer)):
+        if not self._admission.admits(frame, self._clock(), partial(self.ping, peer)):
             return False
         if frame.known:
             self.transport.confirm(peer)

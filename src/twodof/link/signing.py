@@ -272,7 +272,9 @@ def _lock(path: Path) -> int:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         os.close(descriptor)
-        raise LinkError("another process signs with these time stamps", str(path), remedy) from error
+        taken = isinstance(error, BlockingIOError)
+        what = "another process signs with these time stamps" if taken else f"cannot be locked: {error.strerror}"
+        raise LinkError(what, str(path), remedy) from error
     return descriptor
 
 
@@ -354,7 +356,6 @@ class Signing:
         self.stamps = stamps
         self.counts = SigningCounts()
         self._outgoing = _Outgoing(key.secret, link_id & 0xFF)
-        self._told = -TELL_S
 
     def __repr__(self) -> str:
         return f"Signing({self.key!r}, link {self._outgoing.link_id})"
@@ -363,15 +364,6 @@ class Signing:
         """Return the argument with which `framing.encode` signs the next frame."""
         self._outgoing.timestamp = self.stamps.next_own()
         return self._outgoing
-
-    def admits(self, frame: Frame, now: float, tell: Callable[[], None]) -> bool:
-        """Return whether a frame is accepted at `now` [s]; a peer that signs rightly and is behind is told our time."""
-        verdict = self.check(frame)
-        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE) and now - self._told >= TELL_S:
-            self._told = now
-            with suppress(LinkError):  # the peer is gone, or no stamps are left
-                tell()
-        return verdict is SigningVerdict.ACCEPTED
 
     def check(self, frame: Frame) -> SigningVerdict:
         """Judge a received frame and count the verdict."""
@@ -402,3 +394,22 @@ class Signing:
     def close(self) -> None:
         """Store the time stamps. Raises LinkError if that fails."""
         self.stamps.close()
+
+
+class Admission:
+    """Decides which frames of one link are let in; without `signing` all are."""
+
+    def __init__(self, signing: Signing | None) -> None:
+        self._signing = signing
+        self._told = -TELL_S
+
+    def admits(self, frame: Frame, now: float, tell: Callable[[], None]) -> bool:
+        """Return whether a frame is accepted at `now` [s]; a peer that signs rightly and is behind is told our time."""
+        if self._signing is None:
+            return True
+        verdict = self._signing.check(frame)
+        if verdict in (SigningVerdict.REPEATED, SigningVerdict.STALE) and now - self._told >= TELL_S:
+            self._told = now
+            with suppress(LinkError):  # the peer is gone, or no stamps are left
+                tell()
+        return verdict is SigningVerdict.ACCEPTED

@@ -377,6 +377,16 @@ def test_arming_acknowledges_a_stop_by_the_failsafe() -> None:
     assert cockpit.run().mode == OFF
 
 
+def test_a_repeated_request_does_not_arm_after_a_stop() -> None:
+    """Its first copy has armed the drone, and its acknowledgement got lost: nobody asks for a second flight."""
+    cockpit = offboard()
+    cockpit.failsafe.acts = STOPPED_BY_FAILSAFE
+    cockpit.run(2)
+    cockpit.failsafe.acts = None
+    assert "stopped the motors" in cockpit.commander.arming.arm(ME, repeated=True).text
+    assert cockpit.arm().accepted
+
+
 def test_the_failsafe_sees_a_disarming_before_it_arms_again() -> None:
     cockpit = offboard()
     cockpit.failsafe.acts = STOPPED_BY_FAILSAFE

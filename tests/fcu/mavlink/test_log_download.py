@@ -192,6 +192,23 @@ def test_in_real_time_the_disk_is_read_by_another_thread_and_sent_bit_by_bit(tmp
     log.close()
 
 
+def test_a_request_for_data_does_not_cut_off_the_list(tmp_path: Path) -> None:
+    log = written(tmp_path, (20,) * 12)
+    world = world_of(log, lockstep=False)
+    world.say(message("LOG_REQUEST_LIST", start=0, end=0xFFFF, **US))
+    found: list[Any] = []
+    for _ in patiently():
+        world.run(1, armed=True)
+        fresh = world.taken("LOG_ENTRY")
+        if fresh and not found:
+            world.say(message("LOG_REQUEST_DATA", id=0, ofs=0, count=PART, **US))
+        found += fresh
+        if len(found) >= 12 or world.taken("LOG_DATA"):
+            break
+    assert [entry.id for entry in found] == [*range(12)]
+    log.close()
+
+
 def test_however_many_ask_a_control_period_has_a_bounded_share_and_everybody_a_turn(tmp_path: Path) -> None:
     log = written(tmp_path, (3,) * 30)
     world = world_of(log, lockstep=False)

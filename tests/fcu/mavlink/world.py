@@ -110,7 +110,7 @@ class Commander:
     def obstacles(self) -> str:
         return self.unfit()
 
-    def arm(self, source: Source) -> CommandResult:
+    def arm(self, source: Source, repeated: bool = False) -> CommandResult:
         return self._note("arm", source)
 
     def disarm(self, source: Source) -> CommandResult:

@@ -14,7 +14,7 @@ from tests.patience import PATIENCE_S, patiently
 from twodof.errors import ParameterError
 from twodof.fcu.parameters import store_file
 from twodof.fcu.parameters.parameter_store import ParameterStore
-from twodof.fcu.parameters.store_file import StoredParameters, text_of
+from twodof.fcu.parameters.store_file import RETRY_S, StoredParameters, text_of
 
 VALUES = {"RATE_KP": 0.07, "SAFE_SP_T": 0.4, "COM_DL_LOSS_T": 20}
 
@@ -141,6 +141,14 @@ def test_a_disk_that_refuses_is_reported_and_stops_nothing(tmp_path: Path) -> No
     store.set("RATE_KP", 0.05)
     assert store["RATE_KP"] == 0.05
     (tmp_path / "file").unlink()
+    store.flush()
+    store.set("RATE_KP", 0.06)
+    begun = time.monotonic()
+    for _ in patiently():
+        if "0.06" in (tmp_path / "file" / "p.json").read_text():
+            break
+    assert time.monotonic() - begun < RETRY_S, "what follows a success does not wait for another try"
+    store.set("RATE_KP", 0.05)
     store.close()
     assert store.failure is None
     with ParameterStore(tmp_path / "file" / "p.json") as again:

@@ -57,8 +57,12 @@ class ArmingControl:
             return None
         return step.causes & ~BIT["link_lost"] if self.lease.link_alive else step.causes
 
-    def arm(self, source: Source) -> CommandResult:
-        """Ask the failsafe to arm; IN_PROGRESS if nothing speaks against it: `answer` has the answer a tick later."""
+    def arm(self, source: Source, repeated: bool = False) -> CommandResult:
+        """Ask the failsafe to arm; IN_PROGRESS if nothing speaks against it: `answer` has the answer a tick later.
+
+        A new request acknowledges that the failsafe has stopped the motors; one that is `repeated`, sent again for want
+        of an answer, is of before the stop and does not.
+        """
         result = self.lease.take(source, "arming")
         if not result.accepted:
             return result
@@ -66,9 +70,9 @@ class ArmingControl:
             return self.answer
         if self.flies:
             return DONE
-        # Where the failsafe has stopped the motors this request acknowledges it: some causes last until it is disarmed.
-        causes = 0 if self.word else self.missing
-        if against := self._against_arming(causes) or self._unfit():
+        if self.word and repeated:
+            return rejected("not armed: the failsafe has stopped the motors, arm anew")
+        if against := self.obstacles():
             return rejected(f"not armed: {against}")
         # The failsafe arms on an edge: where it has not seen the last disarming yet, a tick later.
         return self.pull(self._vehicle.now + (self._vehicle.failsafe != DISARMED))
@@ -137,13 +141,15 @@ class ArmingControl:
 
     def obstacles(self) -> str:
         """Return what speaks against arming a drone that is not armed, "" if nothing does."""
-        return self._against_arming(self.missing) or self._unfit()
+        return self._against_arming() or self._unfit()
 
-    def _against_arming(self, causes: int | None) -> str:
+    def _against_arming(self) -> str:
         rig, mode = self._vehicle.rig, self.setpoints.custom_mode
         if self.killed_by is not None:
             system, component = self.killed_by
             return f"killed by system {system}, component {component}: release it first (twodof kill --release)"
+        # After a stop some causes last until it is disarmed, as a request to arm does: the failsafe judges then.
+        causes = 0 if self.word else self.missing
         if causes is None:
             return "no sensor was heard yet"
         if not rig.safety_off:

@@ -82,7 +82,10 @@ class Controllers:
 
         Raises LogError or DiagramError where the disk refuses.
         """
-        if self._kept is not None:
+        if self._kept is not None and self.uploads is not None:
+            for kind in TEMPLATES:  # first, as one that is kept may be damaged
+                if not self._kept.file(kind).exists():
+                    self.uploads.remove(kind)
             _fill(self.uploads, self._kept.flashed())
 
     def forget(self) -> None:

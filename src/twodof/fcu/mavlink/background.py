@@ -1,11 +1,13 @@
 """Work beside the control loop: on the disk by a thread of its own, and much sending in small portions."""
 
 import asyncio
+import threading
 from collections import deque
 from collections.abc import Callable, Hashable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 from twodof.errors import TwodofError
@@ -35,23 +37,41 @@ class BackgroundWorker:
 
     def __init__(self, inline: bool = False) -> None:
         self._inline = inline
-        self._pool = ThreadPoolExecutor(1, "files")
+        self._wanted: SimpleQueue[tuple[Future[object], Work]] = SimpleQueue()
         self._jobs: deque[tuple[Future[object], Done]] = deque()
+        self._thread: threading.Thread | None = None
 
     def submit(self, work: Work, done: Done) -> bool:
         """Queue `work`; return False where too much waits already."""
+        job = Future[object]()
         if self._inline:
-            _hand_over(self._pool.submit(work), done)
+            _do(job, work)
+            _hand_over(job, done)
             return True
         if len(self._jobs) >= MOST_WAITING:
             return False
-        self._jobs.append((self._pool.submit(work), done))
+        if self._thread is None:  # a pool's thread would hold up the program's end as long as the disk does not answer
+            self._thread = threading.Thread(target=self._run, name="files", daemon=True)
+            self._thread.start()
+        self._jobs.append((job, done))
+        self._wanted.put((job, work))
         return True
 
     def poll(self) -> None:
         """Hand over finished work."""
         while self._jobs and self._jobs[0][0].done():
             _hand_over(*self._jobs.popleft())
+
+    def _run(self) -> None:
+        while True:
+            _do(*self._wanted.get())
+
+
+def _do(job: Future[object], work: Work) -> None:
+    try:
+        job.set_result(work())
+    except Exception as fault:  # noqa: BLE001  it is raised where the result is handed over
+        job.set_exception(fault)
 
 
 def _hand_over(job: Future[object], done: Done) -> None:

@@ -27,12 +27,16 @@ MOST_REMEMBERED = 64
 
 
 class ReceivedCommand(NamedTuple):
-    """Command to this drone; any of its seven numbers `params` may be NaN."""
+    """Command to this drone; any of its seven numbers `params` may be NaN.
+
+    `repeated`: its sender says that it was sent before, and has got no answer.
+    """
 
     number: int
     params: tuple[float, ...]
     source: Source
     peer: Hashable
+    repeated: bool = False
 
     @property
     def what(self) -> Hashable:
@@ -95,7 +99,8 @@ class CommandService(Service):
                 (got.param5, got.param6, got.param7) if name == "COMMAND_LONG" else (float(got.x), float(got.y), got.z)
             )
             params = (got.param1, got.param2, got.param3, got.param4, *last)
-            command = ReceivedCommand(got.command, params, sender, received.peer)
+            repeated = getattr(got, "confirmation", 0) > 0
+            command = ReceivedCommand(got.command, params, sender, received.peer, repeated)
             self.acknowledge(command, self._carried_out(command, received))
             vehicle.bus.publish(CommandHandled())
         return True
@@ -138,9 +143,8 @@ class CommandService(Service):
         what, sequence = command.what, received.frame.sequence
         if what in self._pending:
             return CommandResult(MavResult.IN_PROGRESS)
-        confirmation = getattr(received.message, "confirmation", 0)
         # What stops motors is carried out as often as it comes: somebody may have armed in between.
-        copies = [what] if confirmation else []
+        copies = [what] if command.repeated else []
         copies += [] if self._vehicle.lockstep else [(what, sequence)]
         again = any(0 <= self._tick - self._done.get(copy, self._tick + 1) <= LATEST_TICKS for copy in copies)
         if again and not stops_motors(command.number, command.params[0]):

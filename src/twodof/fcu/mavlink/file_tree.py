@@ -92,19 +92,20 @@ class FileTree:
         return mavlink_crc32(file.read(0, file.size))
 
     def target(self, path: str) -> Path:
-        """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed."""
+        """Return the file of an upload to `path`. Raises FileFault where uploads are not allowed, or too many."""
         folder, name = _split(path)
         if folder != CONTROLLERS or self._controllers is None or not _UPLOADED.fullmatch(name):
             raise FileFault(FtpError.PROTECTED)
-        return self._controllers / name
-
-    def upload(self, path: str, content: bytes) -> None:
-        """Write an upload, whole or not at all. Raises FileFault, OSError, LogError."""
-        target, there = self.target(path), self._uploads()
+        target, there = self._controllers / name, self._uploads()
         if target.is_symlink():
             raise FileFault(FtpError.PROTECTED)
         if target not in there and len(there) >= MOST_UPLOADS:
             raise FileFault(FtpError.FAIL)
+        return target
+
+    def upload(self, path: str, content: bytes) -> None:
+        """Write an upload, whole or not at all. Raises FileFault, OSError, LogError."""
+        target = self.target(path)
         make_folder(target.parent)
         with atomic_write(target) as file:
             file.write(content)

@@ -268,11 +268,18 @@ class FileTransfer(Service):
 
         return read
 
-    def _create(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
+    def _create(self, client: FtpClient, request: FtpPacket) -> Work:
         self._check_lease(client)
-        self.tree.target(request.text)
-        self._make_room_for_upload()
-        return request.ack(session=client.open(FtpSession(None, request.text, self._clock()), request.session))
+
+        def answer() -> FtpPacket:
+            self._make_room_for_upload()
+            return request.ack(session=client.open(FtpSession(None, request.text, self._clock()), request.session))
+
+        def checked() -> Callable[[], FtpPacket]:
+            self.tree.target(request.text)
+            return answer
+
+        return checked
 
     def _write(self, client: FtpClient, request: FtpPacket) -> FtpPacket:
         session = client.upload(request)

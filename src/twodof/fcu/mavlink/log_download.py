@@ -43,6 +43,7 @@ class LogDownload(Service):
         self._background = BackgroundWorker(inline=vehicle.lockstep)
         self._sender = PacedSender(lambda peer, sent: vehicle.send(sent, peer), vehicle.lockstep, A_TICK)
         self._lists: OrderedDict[Hashable, list[StoredLog]] = OrderedDict()
+        self._entries: dict[Hashable, Iterator[Any]] = {}
         self._data: dict[Hashable, Iterator[Any]] = {}
         self._pack = Packer("LOG_DATA")
 
@@ -57,7 +58,12 @@ class LogDownload(Service):
 
     def _end(self, peer: Hashable) -> None:
         self._sender.stop(peer)
+        self._entries.pop(peer, None)
         self._data.pop(peer, None)
+
+    def _start(self, peer: Hashable) -> None:
+        """Send what a client still has to get: the list goes before the data."""
+        self._sender.start(peer, chain(self._entries.get(peer, ()), self._data.get(peer, ())))
 
     def _list(self, received: Received) -> None:
         peer, got = received.peer, received.message
@@ -69,7 +75,8 @@ class LogDownload(Service):
             self._keep(peer, found)
             rows = [*enumerate(found)][got.start : got.end + 1]
             entries = (self._entry(len(found), *row) for row in rows) if found else iter([message("LOG_ENTRY")])
-            self._sender.start(peer, chain(entries, self._data.get(peer, ())))
+            self._entries[peer] = entries
+            self._start(peer)
 
         self._background.submit(self._log.logs, listed)
 
@@ -92,7 +99,7 @@ class LogDownload(Service):
                 return
             self._keep(peer, logs)
             self._data[peer] = self._parts(peer, logs[got.id], got.id, got.ofs, got.count)
-            self._sender.start(peer, self._data[peer])
+            self._start(peer)
 
         known = self._lists.get(peer)
         if known:

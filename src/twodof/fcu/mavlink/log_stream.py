@@ -106,7 +106,8 @@ class LogStreamService(Service):
         self._log.stop()
         if stream is not None:
             self._sender.stop(stream.peer)
-            self._vehicle.explain(stream.peer, why)
+            if why:
+                self._vehicle.explain(stream.peer, why)
 
     def _messages(self, stream: LogStreamClient) -> Iterator[Any]:
         """Yield the messages of a stream, None at the end of each portion, until it is given up."""

@@ -6,7 +6,6 @@ also when clients come at other times. What several clients get in one tick is e
 service of its own.
 """
 
-from collections import defaultdict
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -108,7 +107,7 @@ class StreamService(Service):
             if number in telemetry.messages
         }
         self._intervals: dict[Hashable, dict[int, int]] = {}  # of each client's messages
-        self._streams: list[MessageStream] | None = None  # None: to be planned
+        self._streams: dict[tuple[int, int], MessageStream] = {}  # by message and interval
         self._tick = -1
         vehicle.bus.subscribe(ClientJoined, lambda joined: self._begin(joined.peer, ours=False))
         vehicle.bus.subscribe(ClientRecognised, lambda known: self._begin(known.peer, ours=True))
@@ -120,12 +119,12 @@ class StreamService(Service):
         tick = step.tick
         if tick <= self._tick:
             self.restart()
-        if self._streams is None or tick != self._tick + 1:
-            self._streams = self._planned(tick - 1)
+        if tick != self._tick + 1:
+            self._plan(tick - 1)
         self._tick = tick
         telemetry, packed = self._telemetry, dict[int, Any]()
         telemetry.observe(step)
-        due = [stream for stream in self._streams if stream.due == tick]
+        due = [stream for stream in self._streams.values() if stream.due == tick]
         for number in self._changes.seen(step):
             served = {peer for stream in due if stream.number == number for peer in stream.peers}
             for peer, intervals in self._intervals.items():
@@ -140,30 +139,40 @@ class StreamService(Service):
             stream.last, stream.due = due_ticks(tick, stream.interval, stream.number % MOST_OFFSET)
 
     def restart(self) -> None:
-        self._tick, self._streams = -1, None
+        self._plan(-1)
         self._telemetry.restart()
 
     def _begin(self, peer: Hashable, ours: bool) -> None:
         """Send a client twodof's own messages, or the others, at their default rates."""
-        defaults = {number: one for number, one in self._defaults.items() if (number >= FIRST_OWN_ID) is ours}
-        self._intervals.setdefault(peer, {}).update(defaults)
-        self._streams = None
+        self._intervals.setdefault(peer, {})
+        for number, interval in self._defaults.items():
+            if (number >= FIRST_OWN_ID) is ours:
+                self._stream(peer, number, interval)
 
     def _leave(self, left: ClientLeft) -> None:
+        for number in self._intervals.get(left.peer, {}):
+            self._stream(left.peer, number, STOPPED)
         self._intervals.pop(left.peer, None)
-        self._streams = None
 
-    def _planned(self, tick: int) -> list[MessageStream]:
-        """Return the streams, with the first ticks after `tick` in which they are due."""
-        peers: defaultdict[tuple[int, int], list[Hashable]] = defaultdict(list)
-        for peer, intervals in self._intervals.items():
-            for key in intervals.items():
-                peers[key].append(peer)
-        return [
-            MessageStream(number, interval, them, *due_ticks(tick, interval, number % MOST_OFFSET))
-            for (number, interval), them in peers.items()
-            if interval > 0
-        ]
+    def _plan(self, tick: int) -> None:
+        """Let all streams be due after `tick`."""
+        self._tick = tick
+        for (number, interval), stream in self._streams.items():
+            stream.last, stream.due = due_ticks(tick, interval, number % MOST_OFFSET)
+
+    def _stream(self, peer: Hashable, number: int, interval: int) -> None:
+        """Send a message to a client at an interval from now on."""
+        before = number, self._intervals[peer].get(number, STOPPED)
+        if before in self._streams:
+            self._streams[before].peers.remove(peer)
+            if not self._streams[before].peers:
+                del self._streams[before]
+        self._intervals[peer][number] = interval
+        if interval > 0:
+            key = number, interval
+            if key not in self._streams:
+                self._streams[key] = MessageStream(*key, [], *due_ticks(self._tick, interval, number % MOST_OFFSET))
+            self._streams[key].peers.append(peer)
 
     def _send(self, number: int, peer: Hashable, packed: dict[int, Any]) -> None:
         if number not in packed:
@@ -190,8 +199,7 @@ class StreamService(Service):
             wanted = self._defaults.get(number, STOPPED)
         else:
             wanted = max(wanted, TICK_NS)
-        self._intervals[command.peer][number] = wanted
-        self._streams = None
+        self._stream(command.peer, number, wanted)
         return DONE
 
     def _get(self, command: ReceivedCommand) -> CommandResult:

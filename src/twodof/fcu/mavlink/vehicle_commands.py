@@ -40,7 +40,7 @@ class ArmingCommands:
 
     def _arm_or_disarm(self, command: ReceivedCommand) -> CommandResult:
         if command.params[0] == 1.0:  # with FORCE too no check is skipped
-            return self._commander.arming.arm(command.source)
+            return self._commander.arming.arm(command.source, command.repeated)
         if command.params[0] != 0.0:
             return denied("arm is 1, disarm is 0")
         if whole(command.params[1]) == FORCE:

@@ -176,9 +176,10 @@ class LogWriter:
         else:
             self._guarded(lambda writer: writer.text(level, self._stamp_us, line))
 
-    def parameters(self, values: Mapping[str, float]) -> None:
-        """Take all parameters, SDLOG_MODE among them; new and changed ones go into the log being written."""
-        before, self._parameters = self._parameters, dict(values)
+    def parameters(self, values: Mapping[str, float], relisted: bool) -> None:
+        """Take changed parameters, or all; new and changed ones go into the log being written. SDLOG_MODE acts."""
+        before = self._parameters
+        self._parameters = dict(values) if relisted else before | dict(values)
         changed = {name: value for name, value in values.items() if before.get(name) != value}
         self._guarded(lambda writer: [writer.parameter(name, value, self._stamp_us) for name, value in changed.items()])
 

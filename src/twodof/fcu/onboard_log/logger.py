@@ -3,7 +3,7 @@
 import struct
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -65,8 +65,8 @@ class OnboardLogger:
         self._closed = self._ended = False
         self._thread = threading.Thread(target=self._serve, name="on-board log", daemon=True)
         self._thread.start()
-        for event in (ParametersChanged, ParametersRelisted):
-            store.bus.subscribe(event, lambda _: self._changed(store))
+        store.bus.subscribe(ParametersChanged, lambda changed: self._changed(store, changed.values))
+        store.bus.subscribe(ParametersRelisted, lambda _: self._changed(store, None))
 
     @property
     def failure(self) -> TwodofError | None:
@@ -162,10 +162,11 @@ class OnboardLogger:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _changed(self, store: ParameterStore) -> None:
-        values = {row.name: store[row.name] for row in store.rows}
-        self.folder.max_logs = int(values["SDLOG_DIRS_MAX"])
-        self._put(lambda writer: writer.parameters(values))
+    def _changed(self, store: ParameterStore, names: Container[str] | None) -> None:
+        """Log the parameters of these names; None: the list is another one."""
+        values = {row.name: store[row.name] for row in store.rows if names is None or row.name in names}
+        self.folder.max_logs = int(store["SDLOG_DIRS_MAX"])
+        self._put(lambda writer: writer.parameters(values, relisted=names is None))
 
     def _put(self, note: Note) -> None:
         # Notes are few; when thousands wait the disk is dead.

@@ -141,8 +141,10 @@ class StoreFile:
                 if failure is not None:
                     self._retry = time.monotonic() + RETRY_S
                     self._at = min(self._at, self._retry)
-                elif self._wanted is kept:
-                    self._wanted, self._at = None, math.inf
+                else:
+                    self._retry = 0.0
+                    if self._wanted is kept:
+                        self._wanted, self._at = None, math.inf
                 self._changed.notify_all()
 
     def _store(self, kept: StoredParameters) -> TwodofError | None:

@@ -129,12 +129,13 @@ def _unsure(estimate: Estimate) -> Iterator[str]:
 
 
 def _symbol(label: str) -> str:
-    """Return an estimate's label as HTML: Table 1's symbol, else the part after `_` as a subscript."""
+    """Return an estimate's label as HTML: Table 1's symbol, else a letter with what follows `_` as its subscript."""
     known = {row.key: row.symbol for row in (*_PAPER, *_DRY)}
     if label in known:
         return known[label]
     stem, below, index = label.partition("_")
-    return f"{escape(_GREEK.get(stem, stem))}<sub>{escape(index)}</sub>" if below else escape(stem)
+    letter = _GREEK.get(stem, stem)
+    return f"{escape(letter)}<sub>{escape(index)}</sub>" if below and len(letter) == 1 else escape(label)
 
 
 def _in_symbols(remark: str, labels: Sequence[str]) -> str:
