@@ -1,8 +1,12 @@
 """The fence: how a reader ends is told, and the next file is read."""
 
+import json
+import mmap
 import os
 import signal
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -43,3 +47,41 @@ def test_end_of_a_reader_is_told_by_its_cause(tmp_path: Path, how: str, says: st
     with pytest.raises(LogError, match=says):
         fence.read(misbehave, path, how)
     assert fence.read(misbehave, path, "not at all")[0] == {"where": str(path), "bytes": 7}
+
+
+def forge(data: bytes, where: str, text: str) -> fence.Answer:
+    """Run behind the fence as a reader that a hostile file has taken over: write any answer into the parent's file."""
+    for place in Path("/proc/self/fd").iterdir():
+        try:
+            if "answer" in str(place.readlink()):
+                with mmap.mmap(int(place.name), 8 + len(text)) as memory:
+                    memory.write(len(text).to_bytes(8, "little") + text.encode())
+                os._exit(0)
+        except OSError:
+            continue
+    os.abort()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="finds the answer's file as Linux names it")
+@pytest.mark.parametrize(
+    "answer",
+    [
+        {},
+        [],
+        {"answer": 1},
+        {"error": ["a", "b"], "arrays": []},
+        {"answer": 1, "arrays": [["<f8", [-1_000_000_000_000]], ["<f8", [100_000_000_000]]]},
+        {"answer": 1, "arrays": [["<f8", [-1]]]},
+        {"answer": 1, "arrays": [["<f8", [1.5]]]},
+        {"answer": 1, "arrays": [["|O", [1]]]},
+        {"answer": 1, "arrays": [[]]},
+        {"answer": 1, "arrays": [["<f8", 3]]},
+    ],
+    ids=repr,
+)
+def test_a_forged_answer_is_an_error_of_the_file(tmp_path: Path, answer: Any) -> None:
+    path = tmp_path / "a.log"
+    path.write_bytes(b"content")
+    with pytest.raises(LogError, match="has ended"):
+        fence.read(forge, path, json.dumps(answer))
+    assert fence.read(misbehave, path, "not at all")[0]["bytes"] == 7

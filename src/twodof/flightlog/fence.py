@@ -122,12 +122,17 @@ class Fence:
     def _ask(self, request: dict[str, Any], file: int, size: int) -> tuple[Any, list[NDArray[Any]]]:
         where = request["where"]
         seconds = WALL_FACTOR * _processor_time(size)
+        try:
+            answer = _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER))
+        except OSError as reason:
+            remedy = "raise the limit of a file's size (ulimit -f)"
+            raise LogError(f"there is no room for what it holds: {reason.strerror}", where, remedy) from reason
         if self._warm is None:
             self._warm = _start()
         (_, control), status = self._warm, b""
         control.settimeout(seconds)
         try:
-            with _empty_file(MOST_TEXT + min(ANSWER + ANSWER_PER_BYTE * size, MOST_ANSWER)) as answer:
+            with answer:
                 socket.send_fds(control, [json.dumps(request).encode() + b"\n"], [file, answer.fileno()])
                 status = control.recv(100)
                 if not status:
@@ -135,7 +140,7 @@ class Fence:
                 found = None if int(status) else _unpacked(answer)
         except TimeoutError:
             raise LogError(f"is not read within {seconds:g} s", where, _REMEDY) from None
-        except (OSError, EOFError, ValueError) as reason:
+        except (OSError, EOFError, ValueError, RecursionError) as reason:
             raise LogError(f"the process that reads files has ended: {reason}", where, "try again") from reason
         finally:
             if not status:
@@ -258,12 +263,22 @@ def _unpacked(answer: IO[bytes]) -> tuple[dict[str, Any], list[NDArray[Any]]]:
     answer.seek(0)
     plain = json.loads(answer.read(min(int.from_bytes(answer.read(8), "little"), MOST_TEXT)))
     arrays = []
-    for kind, shape in plain["arrays"]:
+    given = plain.get("arrays") if isinstance(plain, dict) else None
+    if not isinstance(given, list) or not ("answer" in plain or _is_texts(plain.get("error"), 3)):
+        raise EOFError
+    for one in given:
+        kind, shape = one if isinstance(one, list) and len(one) == 2 else ("", [])
+        if kind not in _KINDS or not isinstance(shape, list) or any(type(n) is not int or n < 0 for n in shape):
+            raise EOFError
         left -= math.prod(shape) * np.dtype(kind).itemsize
-        if left < 0 or kind not in _KINDS:
+        if left < 0:
             raise EOFError
         arrays.append(np.fromfile(answer, kind, math.prod(shape)).reshape(shape))
     return plain, arrays
+
+
+def _is_texts(given: object, count: int) -> bool:
+    return isinstance(given, list) and len(given) == count and all(isinstance(one, str) for one in given)
 
 
 def _how_it_ended(status: int, size: int, where: str) -> tuple[str, str, str]:

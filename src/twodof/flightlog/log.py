@@ -108,6 +108,8 @@ class Channel:
         """
         at = _floats(t, "t")
         _check_finite(at, "t", at, "time")
+        if how not in ("hold", "next"):
+            raise LogError(f"no way {how!r} of choosing a sample", self.name or "channel", "take hold or next")
         if how == "hold":
             return np.searchsorted(self.time, at, side="right") - 1
         after = np.searchsorted(self.time, at, side="left")

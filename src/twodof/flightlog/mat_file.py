@@ -94,7 +94,7 @@ def _vectors(held: Mapping[str, Any], where: str, time: str) -> dict[str, Channe
     vectors = {
         name: np.asarray(value, dtype=np.float64).ravel()
         for name, value in held.items()
-        if value.dtype.kind in "fiub" and value.size == max(value.shape, default=0)
+        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.size == max(value.shape, default=0)
     }
     if time not in vectors:
         raise LogError(f"{time!r:.80} is not a vector of numbers", where, "name the vector of time stamps")

@@ -44,8 +44,6 @@ _CODEC = re.compile(rb"\x04\0\0\0zstd|\x03\0\0\0lz4")
 """The codec in a chunk's record, with its length."""
 _BEFORE_CODEC = RECORD_HEAD_BYTES + 28
 _INDEX_BYTES = 16
-_RUN = 256
-"""Most messages that become a table at once."""
 Record = TypeVar("Record", bound=McapRecord)
 
 
@@ -161,6 +159,8 @@ class _Walk:
                 if self._salvage and op not in (_IN_SUMMARY if self._in_summary else _IN_DATA):
                     raise ValueError("it does not belong there")
                 self._record(op, at, start, end)
+            except MemoryError:  # no damage: the fence says it
+                raise
             except Exception as reason:  # noqa: BLE001  the library may raise anything on damaged bytes
                 why = reason.what if isinstance(reason, LogError) else f"{reason!s:.200}"
                 what = f"the {_NAMES.get(op, f'record {op:#04x}')} at byte {at} is damaged: {why}" if end else why
@@ -201,6 +201,10 @@ class _Walk:
             raise LogError("was not closed: the recording was cut off", self._where, RECOVER)
         if at < len(self._data):
             self._lose(at, len(self._data) - at, "goes on after its end")
+        if self._doubts and not self._sealed:
+            found.unverified.append(f"no checksum vouches for {listed(self._doubts)}")
+        if self._sealed is False and not self._salvage:
+            self._lose(0, 0, "the checksum of the data is wrong")
         if not found.lost and not found.unverified:
             if self._sealed is False:
                 self._lose(0, 0, "the checksum of the file is wrong: a part was changed that is not used")
@@ -208,8 +212,6 @@ class _Walk:
                 self._lose(0, 0, f"{total} messages of {self._stated} are there")
         if self._salvage:
             self._check_schemas()
-        if self._doubts and not self._sealed:
-            found.unverified.append(f"no checksum vouches for {listed(self._doubts)}")
 
     def _check_schemas(self) -> None:
         """List damaged schemas as lost; the writer replaces them."""
@@ -287,10 +289,8 @@ class _Walk:
             return
         if len(found.streams) + len(self._foreign) >= MAX_CHANNELS:
             raise ValueError(f"more than {MAX_CHANNELS} channels")
-        if sound is False:
-            self._lose(0, 0, f"the checksum of topic {shown(name)} is wrong")
-            why = f"the description of topic {shown(name)}, whose checksum is wrong: its name, unit and fields"
-            found.unverified.append(why)
+        if sound is False and not self._salvage:
+            raise ValueError(f"the checksum of topic {shown(name)} is wrong")
         schema = self._schemas.get(channel.schema_id)
         stream = parse(channel, "" if schema is None else schema.name)
         if stream is None:
@@ -300,7 +300,10 @@ class _Walk:
             raise ValueError(f"channel {shown(stream.mat)} is there twice")
         found.streams[number] = stream
         self._schema_of[number] = channel.schema_id
-        if sound is None:
+        if sound is False:
+            why = f"the description of topic {shown(name)}, whose checksum is wrong: its name, unit and fields"
+            found.unverified.append(why)
+        elif sound is None:
             self._doubts[f"the description of topic {shown(name)}"] = None
 
     def _attachment(self, content: bytes) -> None:
@@ -337,9 +340,14 @@ class _Walk:
         if length != stream.content_bytes:
             raise ValueError(f"a message of {stream.topic} has {length} bytes")
         size = stream.row.itemsize
-        rows = np.frombuffer(body, stream.row, min((len(body) - at) // size, _RUN), at)
-        alike = (rows["op"] == Opcode.MESSAGE) & (rows["length"] == length) & (rows["channel"] == number)
-        rows = rows[: int(np.append(alike, False).argmin())]
+        most, count, step, found = (len(body) - at) // size, 0, 1, 1
+        # Doubled as long as all belong to the stream: the cost stays in proportion to what is found.
+        while count < most and found == step:
+            rows = np.frombuffer(body, stream.row, min(2 * step, most - count), at + count * size)
+            alike = (rows["op"] == Opcode.MESSAGE) & (rows["length"] == length) & (rows["channel"] == number)
+            step, found = len(rows), int(np.append(alike, False).argmin())
+            count += found
+        rows = np.frombuffer(body, stream.row, count, at)
         if (rows["cdr"] != CDR_LITTLE_ENDIAN).any():
             raise ValueError(f"a message of {stream.topic} is not little-endian CDR")
         stamp = rows["stamp"].copy() if stream.stamped else None

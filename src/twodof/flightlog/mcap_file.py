@@ -22,8 +22,8 @@ from twodof.flightlog.provenance import noted
 NOTE = "twodof"
 END_NOTE = "twodof.end"
 RECOVERED_NOTE = "twodof.recovered"
-CHUNK_SAMPLES = 8192
-"""Samples of a chunk, which a reader that seeks inflates: about a second of every topic at full rate."""
+CHUNK_SAMPLES, CHUNK_BYTES = 8192, 1 << 22
+"""Most of a chunk, which a reader that seeks inflates: about a second of every topic at full rate."""
 
 
 def decode_mcap(data: bytes, where: str) -> FlightLog:
@@ -59,7 +59,9 @@ def parts_of(contents: McapContents) -> Iterator[bytes]:
     samples = [contents.joined(number) for number in contents.streams]
     samples = [some.part(np.argsort(some.time_ns, kind="stable")) for some in samples]
     every = np.sort(np.concatenate([np.empty(0, np.uint64), *(some.time_ns for some in samples)]))
-    bounds = np.append(np.unique(every[::CHUNK_SAMPLES]), every[-1:] + np.uint64(1))
+    widest = max((stream.row.itemsize for stream in contents.streams.values()), default=1)
+    each = max(1, min(CHUNK_SAMPLES, CHUNK_BYTES // widest))
+    bounds = np.append(np.unique(every[::each]), every[-1:] + np.uint64(1))
     edges = [np.searchsorted(some.time_ns, bounds).tolist() for some in samples]
     for n in range(len(bounds) - 1):
         yield encoder.chunk({k: some.part(slice(*edges[k][n : n + 2])) for k, some in enumerate(samples)})

@@ -189,8 +189,8 @@ def _long_table(log: FlightLog) -> pa.Table:
 def _channels_of_long(table: pa.Table, described: Mapping[str, dict[str, Any]], where: str) -> dict[str, Channel]:
     """Return the channels of a long table, rows in any order; units and fields as described, else from TOPICS."""
     time, value = _numbers(table, "time", where), _numbers(table, "value", where)
-    channel_code, channel_names = _codes(table, "channel")
-    field_code, field_names = _codes(table, "field")
+    channel_code, channel_names = _codes(table, "channel", where)
+    field_code, field_names = _codes(table, "field", where)
     group = channel_code * len(field_names) + field_code
     order = np.argsort(group, kind="stable")
     rows_of: dict[str, dict[str, NDArray[np.intp]]] = {name: {} for name in (*described, *channel_names)}
@@ -219,9 +219,11 @@ def _unit_and_fields(
     return unit_of(name), known if set(known) == labels else ()
 
 
-def _codes(table: pa.Table, column: str) -> tuple[NDArray[np.intp], list[str]]:
-    """Return a column of names as codes, and the names, each once."""
+def _codes(table: pa.Table, column: str, where: str) -> tuple[NDArray[np.intp], list[str]]:
+    """Return a column of names as codes, and the names, each once. Raises LogError for an empty cell."""
     cells = table.column(column)
+    if cells.null_count:
+        raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "write it again")
     if not pa.types.is_dictionary(cells.type):
         cells = cells.cast(pa.string()).dictionary_encode()
     coded = pa.chunked_array(cells.unify_dictionaries().chunks, cells.type).combine_chunks()
@@ -311,4 +313,7 @@ def _numbers(table: pa.Table, column: str, where: str, nulls: bool = False) -> N
     cells = table.column(column)
     if cells.null_count and not nulls:
         raise LogError(f"{cells.null_count} empty cells in column {column!r}", where, "fill or remove the rows")
-    return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)
+    try:
+        return np.asarray(pc.cast(cells, pa.float64()).to_numpy(), dtype=np.float64)
+    except pa.ArrowException as reason:
+        raise LogError(f"column {column!r} is not of numbers: {reason!s:.200}", where) from reason

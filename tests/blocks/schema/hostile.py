@@ -192,6 +192,7 @@ def too_large(share: int) -> dict[str, tuple[bytes, str]]:
             custom(inputs=[{"name": "u", "shape": [10**5, 10**5]}]),
             "more than 1000000 values",
         ),
+        "a shape of many long numbers": (custom(inputs=[{"name": "u", "shape": [10**39 + 7] * 40_000}]), "not one of"),
         "a shape of one number": (custom(inputs=[{"name": "u", "shape": [2]}]), "not one of a matrix"),
         "a negative shape": (custom(inputs=[{"name": "u", "shape": [2, -3]}]), "not"),
         "too many blocks in a row": (gains(150_000 if share == 1 else 105_000), "bytes of diagram"),

@@ -169,7 +169,7 @@ def followed(
             sight(roots, order, values)
         return [values[id(r)] for r in roots]
 
-    def value_of(item: Expr, args: list[Any], bound: Mapping[Any, Any], values: Mapping[int, Any]) -> Any:
+    def value_of(item: Expr, args: list[Any], bound: Mapping[Any, Any], values: dict[Any, Any]) -> Any:
         if item.op == "bound":
             return bound[item.data]
         if item.op not in LOOPS:
@@ -183,7 +183,10 @@ def followed(
 
         if item.op == "build":
             return build(length, lambda i: turn(i)[0])
-        return fold(length, args, turn)[which[0]]
+        run = (length, depth, *map(id, item.args))  # all results of a loop come from one run of it
+        if run not in values:
+            values[run] = fold(length, args, turn)
+        return values[run][which[0]]
 
     return values_of(roots, {}, known)
 

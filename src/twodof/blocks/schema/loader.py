@@ -241,7 +241,8 @@ class Loader:
 
     def _declaration(self, cls: type[Any], form: Any, where: str) -> Any:
         given = read(form, f"a {cls.__name__.lower()}", _FIELDS[cls], where)
-        size = given["shape"] if isinstance(given["shape"], list) else [given["width"]]
+        shape = given["shape"]
+        size = shape if isinstance(shape, list) and len(shape) == 2 else [given["width"]]  # others are refused below
         self._count(1, math.prod(n for n in size if type(n) is int), where)
         given |= {key: self._plain(given[key], where) for key in _NUMBERS if key in given}
         _visible(given["unit"], given.get("text", ""), where)
