@@ -20,12 +20,15 @@ from typing import Any
 
 import pytest
 
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import started
 from twodof.cli import watch
 from twodof.cli.app import run
 from twodof.gcs.drone import Drone
+from twodof.link.mavlink.messages import message
 
 pytestmark = pytest.mark.slow
 
@@ -120,6 +123,22 @@ def test_no_drone_is_an_error_with_its_remedy(
     assert run(["watch", "--once", "--json"]) == 2
     said = json.loads(capsys.readouterr().out)["error"]
     assert (said["kind"], "twodof up" in said["remedy"]) == ("LinkLost", True)
+
+
+def test_texts_during_connecting_are_shown() -> None:
+    async def work() -> list[str]:
+        waiting = [message("STATUSTEXT", severity=4, text=b"battery low")]
+
+        def spoil(_: int, sent: Any) -> list[Any]:
+            return [waiting.pop(), sent] if waiting and sent.get_type() == "TWODOF_RIG" else [sent]
+
+        async with Peer(spoil=spoil) as peer:
+            watched = watch.WatchedDrone(peer.url, None, None)
+            await watched.connect()
+            await watched.leave()
+            return [line["text"] for line in watched.texts]
+
+    assert run_virtual(work()) == ["battery low"]
 
 
 def plain(raw: str) -> str:

@@ -184,6 +184,8 @@ def test_services_hear_of_peers_that_leave_and_messages_to_them_are_nothing() ->
         assert server.lost == before + 1
         server.send(message("TWODOF_TICK", tick=2**40, until=0, number=0))
         assert server.lost == before + 2, "what fits no field is dropped"
+        with pytest.raises(AssertionError, match="no peer of a server"):
+            server.send(message("TWODOF_TICK", tick=0, until=0, number=0), "nobody")
         await clients[1].close()
 
     left = run(work).grants.left

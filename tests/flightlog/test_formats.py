@@ -176,7 +176,14 @@ WRONG: list[tuple[str, bytes | str, str]] = [
     (".csv", TIDY + "lmnf,M,0,1\nlmnf,N,0,1\nlmnf,M,nan,2\nlmnf,N,nan,2\n", "lmnf: time is nan at sample 1"),
     (".csv", '# twodof.flightlog {"version": 2}\n' + TIDY + "q,,0,1\n", "layout version 2, not 1"),
     (".csv", "# twodof.flightlog {\n" + TIDY + "q,,0,1\n", "not JSON"),
-    (".csv", '# twodof.flightlog {"version": 1}\n' + TIDY + "q,,0,1\n", "cannot be read: KeyError: 'channels'"),
+    *(
+        (
+            ".csv",
+            f'# twodof.flightlog {{"version": 1{rest}}}\n{TIDY}q,,0,1\n',
+            "line of units and provenance is damaged",
+        )
+        for rest in ("", ', "channels": [{"name": "q"}], "provenance": {}', ', "channels": [], "provenance": 1')
+    ),
     (".ulg", b"", "the file is empty"),
     (".ulg", b"ULog", "is no ULog file"),
     (".ulg", px4_log(0)[:7] + b"\x09" + bytes(8), "is of ULog version 9"),

@@ -190,6 +190,15 @@ def test_px4s_topics_become_channels(tmp_path: Path) -> None:
     assert log.provenance["dropouts"] == {"count": 1, "total_s": 0.03}
 
 
+def test_instances_stay_apart_and_subscriptions_join(tmp_path: Path) -> None:
+    again = message("A", struct.pack("<BH", 0, 98) + b"distance_sensor")
+    again += b"".join(message("D", struct.pack("<HQf", 98, 10**7 + k, 0.25)) for k in range(5))
+    (tmp_path / "a.ulg").write_bytes(px4_log() + again)
+    assert read_log(tmp_path / "a.ulg")["dist"].value.tolist() == [0.5] * 40 + [0.25] * 5
+    found = scan_ulog(px4_log() + again, "a.ulg").topics
+    assert found["distance_sensor", 1]["current_distance"].tolist() == [7.0] * 40
+
+
 def test_a_log_that_ends_in_a_message(tmp_path: Path) -> None:
     whole = px4_log(4)
     path = tmp_path / "a.ulg"

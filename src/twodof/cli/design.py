@@ -2,13 +2,13 @@
 
 import json as json_text
 import math
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
 from twodof.cli.flown import write_view
+from twodof.cli.input import read_input
 from twodof.cli.options import Force, Json, Members, PromiseFile, PromisePlot, Seed, StockGains, argument, group, option
 from twodof.cli.output import exit_unless, print_fields, print_json, progress, say_line, table_console
 from twodof.design.cascade import SEPARATION, CascadeDesign
@@ -23,7 +23,6 @@ from twodof.flight.gains import load_gains
 from twodof.flight.starters import DIAGRAM_HELP, load_diagram, save_diagram
 from twodof.flightlog.atomic import atomic_write, check_free
 from twodof.flightlog.files import read_log
-from twodof.flightlog.provenance import read_bytes
 from twodof.report.plots.comparison_view import promise_view
 from twodof.report.plots.flight_view import check_place
 from twodof.sim.promised.rail_design import RailDesign, rail_design
@@ -151,7 +150,7 @@ def verdict(
 def _document(source: str | Path) -> Any:
     """Return the JSON of a file, or of standard input for "-". Raises LogError, ParameterError."""
     try:
-        return json_text.loads(sys.stdin.buffer.read(MAX_BYTES) if source == "-" else read_bytes(source, MAX_BYTES))
+        return json_text.loads(read_input(source, MAX_BYTES))
     except (ValueError, RecursionError) as reason:
         remedy = "give what `twodof identify --json` printed"
         raise ParameterError(f"it is not JSON: {reason!s:.80}", str(source), remedy) from reason

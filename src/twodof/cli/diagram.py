@@ -12,6 +12,7 @@ from rich.table import Table
 
 from twodof.blocks.declarations import unknown_name
 from twodof.cli.diagram_tests import run_tests
+from twodof.cli.input import read_input
 from twodof.cli.margins import margins
 from twodof.cli.options import Force, Json, Reals, argument, flag, group, option
 from twodof.cli.output import exit_unless, print_fields, print_json, table, table_console
@@ -26,7 +27,6 @@ from twodof.flight.starters import DIAGRAM_HELP, load_diagram, new_diagram
 from twodof.flight.templates import TEMPLATES, TemplateFit, nearest_template, template_fit
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
-from twodof.flightlog.provenance import read_bytes
 from twodof.report.code_page import code_page
 from twodof.report.diagram_svg import find, to_svg
 from twodof.report.state_machine_svg import machine_at, machine_svg
@@ -252,7 +252,7 @@ def _at(text: str | None) -> dict[str, Any]:
     if text is None:
         return {}
     try:
-        found = json_text.loads(text if text.lstrip().startswith("{") else read_bytes(text, MAX_AT_BYTES))
+        found = json_text.loads(text if text.lstrip().startswith("{") else read_input(text, MAX_AT_BYTES))
     except (ValueError, RecursionError) as error:
         raise DiagramError(f"this is no JSON: {error!s:.200}", "--at", 'write {"theta": 0.1}') from error
     if not isinstance(found, dict):

@@ -5,11 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import typer
-from rich.table import Table
-
-from twodof.cli.options import Force, Json, Reals
-from twodof.cli.output import print_json, table_console
+from twodof.cli.options import Force, Json, Reals, argument, flag, option
+from twodof.cli.output import exit_unless, print_json, table, table_console
 from twodof.compile.diagram_test.coverage import Coverage, measure_coverage
 from twodof.compile.diagram_test.run_scenarios import run_scenarios, to_junit
 from twodof.compile.diagram_test.scenario import ScenarioResult
@@ -23,15 +20,15 @@ RunOn = Literal["reference", "native", "wasm", "cortex-m7"]
 
 
 def run_tests(
-    diagram: Annotated[str, typer.Argument(metavar="DIAGRAM", help=DIAGRAM_HELP)],
-    tests: Annotated[list[Path], typer.Argument(metavar="TESTS...", help="Files of tests (TOML).")],
-    target: Annotated[RunOn, typer.Option(help="What runs it; all give the same bits.")] = "native",
+    diagram: Annotated[str, argument(DIAGRAM_HELP, "DIAGRAM")],
+    tests: Annotated[list[Path], argument("Files of tests (TOML).", "TESTS...")],
+    target: Annotated[RunOn, option("What runs it; all give the same bits.")] = "native",
     precision: Reals = "float64",
-    junit: Annotated[Path | None, typer.Option(metavar="FILE", help="Write the results as JUnit XML.")] = None,
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a page with plots of what failed.")] = None,
-    coverage: Annotated[bool, typer.Option("--coverage", help="Say which decisions were never taken.")] = False,
+    junit: Annotated[Path | None, option("Write the results as JUnit XML.", "FILE")] = None,
+    html: Annotated[Path | None, option("Write a page with plots of what failed.", "FILE")] = None,
+    coverage: Annotated[bool, flag("Say which decisions were never taken.", "--coverage")] = False,
     coverage_min: Annotated[
-        float | None, typer.Option(metavar="PERCENT", min=0.0, max=100.0, help="Fail if fewer sides are taken.")
+        float | None, option("Fail if fewer sides are taken.", "PERCENT", min=0.0, max=100.0)
     ] = None,
     force: Force = False,
     json: Json = False,
@@ -70,8 +67,7 @@ def run_tests(
             table_console().print(f"  FAILED coverage: below {coverage_min:g} %")
         for path in filter(None, (junit, html)):
             table_console().print(f"written: {path}")
-    if not passed:
-        raise typer.Exit(1)
+    exit_unless(passed)
 
 
 def _write(path: Path, text: str) -> None:
@@ -111,8 +107,8 @@ def _print_coverage(covered: Coverage) -> None:
     )
     if missing:
         console.print("never taken:")
-        table = Table("block", "where", "decision", "side", box=None, pad_edge=False)
+        rows = table("block", "where", "decision", "side")
         for decision, side in missing:
             place = decision.place or decision.kind
-            table.add_row(decision.path, place, decision.text, side)
-        console.print(table)
+            rows.add_row(decision.path, place, decision.text, side)
+        console.print(rows)

@@ -7,12 +7,12 @@ from typing import Annotated, Any
 import typer
 
 from twodof.cli.connection import KeyOfDrone, SystemOfDrone, UrlOfDrone
+from twodof.cli.input import read_input
 from twodof.cli.options import Force, Json, argument, flag, option
 from twodof.cli.output import print_json, table, table_console
 from twodof.errors import ParameterError, shown
 from twodof.flightlog.atomic import atomic_write
 from twodof.flightlog.files import check_folder
-from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.async_drone import DEFAULT_URL
 from twodof.gcs.drone import Drone
 from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
@@ -44,7 +44,7 @@ def parameters(
     names, changes = _parsed(wanted or ())
     if save is not None:
         check_folder(save, force)
-    file = None if load is None else ParameterFile.read(read_bytes(load, MAX_BYTES), str(load))
+    file = None if load is None else ParameterFile.read(read_input(load, MAX_BYTES), str(load))
     with Drone.connect(url, key=key, drone=drone, take_lease=False) as there:
         described = there.parameters.describe() if there.there.ours else {}
         if file is not None:

@@ -98,6 +98,8 @@ class WatchedDrone:
         drone = await AsyncDrone.connect(self.url, _CONNECT_S, key=self._key, take_lease=False, drone=self.system)
         self.drone, self.system, self.lost = drone, drone.session.system, None
         drone.telemetry("estimate.theta").on(lambda _: self._note_sample())
+        for line in drone.messages:  # of the time in which it was connected
+            self._note_text(line)
         drone.session.on(self._note_text, StatusText)
         # Subscriptions are gone after a restart: a new session asks for all of them again.
         drone.session.on(lambda _: drone.session.end(LinkLost("it has restarted", drone.url)), DroneRestarted)

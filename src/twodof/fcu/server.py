@@ -93,11 +93,11 @@ class Server:
         return str(replace(address, port=port) if address.listens and port else address)
 
     def send(self, message: Any, peer: Hashable | None = None) -> None:
-        """Send to one peer, or to all; a message that a peer refuses, or that does not fit, is dropped and counted."""
-        one = peer if isinstance(peer, Peer) else None
-        for connection in self.connections if one is None else (one.connection,):
+        """Send to one Peer, or to all; a message that a peer refuses, or that does not fit, is dropped and counted."""
+        assert peer is None or isinstance(peer, Peer), f"{peer!r} is no peer of a server"
+        for connection in self.connections if peer is None else (peer.connection,):
             try:
-                connection.send(message, None if one is None else one.there)
+                connection.send(message, None if peer is None else peer.there)
             except LinkError:
                 self._dropped += 1
 

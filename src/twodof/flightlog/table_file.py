@@ -153,7 +153,20 @@ def _described(meta: bytes | None, where: str) -> tuple[dict[str, dict[str, Any]
     head = provenance.from_json(meta.decode("utf-8", "replace"), where)
     if head.get("version") != _VERSION:
         raise LogError(f"is of layout version {head.get('version')!r}, not {_VERSION}", where, "use a newer twodof")
-    return {row["name"]: row for row in head["channels"]}, head["provenance"]
+    match head:
+        case {"channels": list(rows), "provenance": dict(kept)} if all(map(_is_row, rows)):
+            return {row["name"]: row for row in rows}, kept
+    remedy = "write it again; a CSV file can be read without that line"
+    raise LogError("its line of units and provenance is damaged", where, remedy)
+
+
+def _is_row(row: object) -> bool:
+    """Return True for a channel's row in the line of JSON."""
+    match row:
+        case {"name": str(), "unit": str(), "samples": int(), "fields": list(fields), **more}:
+            columns = more.get("columns", [])
+            return isinstance(columns, list) and all(isinstance(one, str) for one in (*fields, *columns))
+    return False
 
 
 def _is_long(names: Sequence[str]) -> bool:

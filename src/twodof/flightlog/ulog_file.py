@@ -116,7 +116,11 @@ def scan_ulog(data: bytes, where: str, salvage: bool = False) -> ULogContents:
     found.changes = [*theirs.changed_parameters]
     found.texts = [(one.log_level, one.timestamp, one.message) for one in (*theirs.logged_messages, *tagged)]
     found.dropouts_ms = [one.duration for one in theirs.dropouts]
-    found.topics = {(one.name, one.multi_id): one.data for one in theirs.data_list}
+    for one in sorted(theirs.data_list, key=lambda one: one.msg_id):
+        # A topic that was subscribed to again, under another number, goes on.
+        before = found.topics.get((one.name, one.multi_id))
+        joined = before and {name: np.append(before[name], column) for name, column in one.data.items()}
+        found.topics[one.name, one.multi_id] = joined or one.data
     found.formats = tuple(theirs.message_formats)
     return found
 

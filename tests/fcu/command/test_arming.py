@@ -20,6 +20,15 @@ from twodof.signals import ATTITUDE, OFF, OPEN_LOOP
 # Arming.
 
 
+def streaming(thrust: float = 0.4) -> Cockpit:
+    """Return one in offboard with a level set-point, not armed."""
+    cockpit = Cockpit()
+    cockpit.run(2)
+    assert cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=thrust)).accepted
+    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    return cockpit
+
+
 def test_arming_is_an_edge_that_the_failsafe_answers_in_its_tick() -> None:
     cockpit = Cockpit()
     cockpit.run(3)
@@ -102,10 +111,7 @@ def test_sticks_count_for_half_a_second(ago: int, arms: bool) -> None:
 
 
 def test_a_stream_with_thrust_that_goes_on_in_offboard_does_not_keep_from_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit = streaming()
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
     assert cockpit.arm().accepted
 
@@ -125,10 +131,7 @@ def test_what_was_asked_for_in_another_mode_does_not_keep_from_arming_in_one_tha
 
 def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -> None:
     """The order that PX4 documents: stream, offboard, arm. In the tick in which it arms nothing is asked for yet."""
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    assert cockpit.commander.set_mode(ME, modes.OFFBOARD).accepted
+    cockpit = streaming()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     assert cockpit.run().mode == OFF
     assert cockpit.commander.arming.answer.accepted
@@ -137,11 +140,8 @@ def test_in_offboard_what_is_streamed_flies_from_the_tick_after_it_has_armed() -
 
 
 def test_in_offboard_a_stream_without_thrust_arms_and_stands() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
+    cockpit = streaming(thrust=0.0)
     commander = cockpit.commander
-    commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
-    commander.set_mode(ME, modes.OFFBOARD)
     assert cockpit.arm().accepted
     commander.setpoint(ME, LEVEL_FLIGHT._replace(thrust=0.0))
     assert cockpit.run().mode == OFF
@@ -150,20 +150,14 @@ def test_in_offboard_a_stream_without_thrust_arms_and_stands() -> None:
 
 
 def test_what_an_old_stream_asked_for_does_not_fly_after_arming() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit = streaming()
     cockpit.run(FRESH + 1)
     assert cockpit.arm().accepted
     assert cockpit.run(20).mode == OFF
 
 
 def test_an_arming_that_was_refused_leaves_nothing_that_keeps_from_the_next() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit = streaming()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS
     cockpit.failsafe.causes = BIT["tilted"]
     cockpit.run(2)
@@ -217,10 +211,7 @@ def test_what_is_streamed_in_another_mode_than_offboard_does_not_fly_when_it_arm
 
 
 def test_a_set_point_for_the_very_tick_in_which_it_arms_flies_from_the_next_on() -> None:
-    cockpit = Cockpit()
-    cockpit.run(2)
-    cockpit.commander.setpoint(ME, LEVEL_FLIGHT)
-    cockpit.commander.set_mode(ME, modes.OFFBOARD)
+    cockpit = streaming()
     cockpit.commander.setpoint(ME, LEVEL_FLIGHT._replace(theta0=0.1), cockpit.tick + 1)
     cockpit.run()
     assert cockpit.commander.arming.arm(ME).result == MavResult.IN_PROGRESS

@@ -1,4 +1,4 @@
-// A canvas needs colours as numbers; the tokens hold `light-dark(...)`, which only an element resolves.
+// A canvas cannot resolve `light-dark(...)`, which the tokens hold; an element can.
 
 const found = new Map<string, string>();
 const listeners = new Set<() => void>();
@@ -9,7 +9,7 @@ function changed(): void {
   for (const tell of listeners) tell();
 }
 
-/** Return the present colour of a token of design/tokens.css. */
+/** Return the present colour of a token of design/tokens.css or, for the scene, of design/base.css. */
 export function colour(token: string): string {
   const known = found.get(token);
   if (known !== undefined) return known;
