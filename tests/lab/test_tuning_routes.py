@@ -164,6 +164,13 @@ class TestGuard:
         assert status == 422, told
         assert "valid number" in told["what"]
 
+    @pytest.mark.parametrize("damaged", [b"", b"\xff", b"[1]", b'{"1": 5}'])
+    def test_a_damaged_choice_guards_nothing_and_is_made_anew(self, lab: ServedLab, damaged: bytes) -> None:
+        (lab.folder / "models" / ".chosen").write_bytes(damaged)
+        status, told = lab.call("GET", "tuning/1")
+        assert (status, told["model"]) == (200, None)
+        assert lab.call("PUT", "tuning/1/model", {"model": "careful"})[1]["model"] == "careful"
+
     def test_a_watcher_may_preview_and_not_change(self, lab: ServedLab) -> None:
         watcher = replace(lab, token="only-to-look")
         assert watcher.call("GET", "tuning/1")[0] == 200

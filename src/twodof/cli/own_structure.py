@@ -99,13 +99,15 @@ def _pairs(given: Sequence[str], known: Sequence[str], option: str, structure: S
     found: dict[str, str] = {}
     for one in given:
         name, sign, column = one.partition("=")
+        if not sign and option == "--hold":
+            raise ParameterError(f"{shown(one)} names no hold", option, f"write {known[0]}=linear")
         column = column if sign else name
         if name not in known:
             noun = "output" if option == "--output" else "input"
             raise ParameterError(
                 f"the structure '{structure.name}' has no {noun} {shown(name)}",
                 option,
-                f"write NAME=COLUMN; the structure has: {', '.join(known)}",
+                f"write NAME={'linear' if option == '--hold' else 'COLUMN'}; the structure has: {', '.join(known)}",
             )
         if name in found:
             raise ParameterError(f"{name!r:.80} is named twice", option, "name each once")

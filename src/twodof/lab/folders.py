@@ -6,7 +6,9 @@ import re
 import secrets
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 from twodof.errors import LogError, ParameterError, Rejected, shown
@@ -28,11 +30,13 @@ class NamedFiles:
 
     def listed(self) -> list[dict[str, Any]]:
         """List name, bytes and time of the last change [s, unix] of each, the latest first."""
-        found = [(path.stem, path.stat()) for path in self.folder.glob(f"*{self._suffix}") if path.is_file()]
-        rows = [{"name": name, "bytes": stat.st_size, "changed": stat.st_mtime} for name, stat in found]
-        return sorted(
-            (row for row in rows if _NAME.fullmatch(str(row["name"]))), key=lambda row: -float(row["changed"])
-        )
+        rows: list[dict[str, Any]] = []
+        for path in self.folder.glob(f"*{self._suffix}"):
+            with suppress(OSError):  # it was deleted meanwhile
+                stat = path.stat()
+                if _NAME.fullmatch(path.stem) and S_ISREG(stat.st_mode):
+                    rows.append({"name": path.stem, "bytes": stat.st_size, "changed": stat.st_mtime})
+        return sorted(rows, key=lambda row: -row["changed"])[: self._most]
 
     def place(self, name: str) -> Path:
         """Return the place of a file, which may be missing. Raises ParameterError for a wrong name."""
@@ -130,7 +134,7 @@ class LogTrash:
 
     def listed(self) -> list[dict[str, Any]]:
         """Remove expired entries; list entry, name and end [s, unix] of the others, the latest first."""
-        rows = []
+        rows: list[dict[str, Any]] = []
         for path in [*self.folder.iterdir()] if self.folder.is_dir() else ():
             match = _ENTRY.fullmatch(path.name)
             if match is None or not is_log(match[3]):

@@ -19,6 +19,7 @@ from twodof.errors import DiagramError, LogError, ParameterError, Rejected, Twod
 from twodof.flight.templates import ATTITUDE
 from twodof.flightlog.atomic import atomic_write, make_folder
 from twodof.flightlog.log import FlightLog
+from twodof.flightlog.provenance import read_bytes
 from twodof.gcs.active_controller import ActiveController
 from twodof.gcs.parameters import BY_NAME
 from twodof.lab.answers import mistakes_in_words
@@ -39,15 +40,20 @@ class _Estimated(BaseModel):
     value: float | None = None
     sigma: float | None = None
     sigma_robust: float | None = None
-    unit: str = ""
+    unit: str | None = None
+
+    @property
+    def quoted(self) -> float | None:
+        """Return the robust standard deviation where the document has one, which may be null."""
+        return self.sigma_robust if "sigma_robust" in self.model_fields_set else self.sigma
 
 
 class _Identified(BaseModel):
     """Part of a model's document that lists show."""
 
-    experiment: str = ""
-    structure: str = ""
-    method: str = ""
+    experiment: str | None = None
+    structure: str | None = None
+    method: str | None = None
     informative: Any = None
     estimates: dict[str, _Estimated] = {}
     sums: dict[str, _Estimated] | None = None
@@ -56,6 +62,7 @@ class _Identified(BaseModel):
 
 Parsed = TypeVar("Parsed")
 _DOCUMENT, _IDENTIFIED = TypeAdapter(dict[str, Any]), TypeAdapter(_Identified)
+_CHOSEN = TypeAdapter(dict[str, str])
 
 
 class ModelFolder(NamedFiles):
@@ -92,9 +99,9 @@ class ModelFolder(NamedFiles):
         told: dict[str, Any] = {"name": name, "kept": self.there(name).stat().st_mtime, "values": [], "pitch": False}
         try:
             found = self._parsed(name, _IDENTIFIED)
-            told |= {key: getattr(found, key)[:80] for key in ("experiment", "structure", "method")}
+            told |= {key: (getattr(found, key) or "")[:80] for key in ("experiment", "structure", "method")}
             told["values"] = [
-                {"name": key, "value": one.value, "sigma": one.sigma_robust or one.sigma, "unit": one.unit}
+                {"name": key, "value": one.value, "sigma": one.quoted, "unit": one.unit or ""}
                 for key, one in [*found.estimates.items(), *(found.sums or {}).items()][:50]
                 if not key.endswith(("_0", "_trim", "_bias"))
             ]
@@ -114,7 +121,7 @@ class ModelFolder(NamedFiles):
     def chosen(self, drone: int) -> str | None:
         """Return the model that guards a drone's tuning, or None."""
         name = self._choices().get(str(drone))
-        return name if name is not None and self.place(name).is_file() else None
+        return name if name in (row["name"] for row in self.listed()) else None
 
     def choose(self, drone: int, name: str | None) -> None:
         """Let a model guard a drone's tuning, or none. Raises as `family`."""
@@ -126,9 +133,10 @@ class ModelFolder(NamedFiles):
             json.dump({key: value for key, value in choices.items() if value is not None}, file)
 
     def _choices(self) -> dict[str, str]:
-        path = self.folder / _CHOICES
-        found: dict[str, str] = json.loads(path.read_bytes()) if path.is_file() else {}
-        return found
+        try:
+            return _CHOSEN.validate_json(read_bytes(self.folder / _CHOICES, MAX_BYTES))
+        except (ValidationError, LogError):  # none yet, or damaged: no model guards then, until one is chosen
+            return {}
 
 
 SHOWN_S = 3.0

@@ -286,13 +286,14 @@ class Jobs:
         if not in_real_time:
             self._check_share(watcher)
 
-        async def run(job: Job) -> Any:
+        async def run(job: Job) -> None:
             # What flies does not wait for what computes, for a viewer perhaps.
             async with nullcontext() if in_real_time else self._turns:
                 job.text = ""
                 process = _WorkProcess(f"job {kind}", TwodofError, background=True, nice=not in_real_time)
                 try:
-                    return await process.run(work, arguments, LONGEST_S, lambda *told: self._tell(job, *told))
+                    job.result = await process.run(work, arguments, LONGEST_S, lambda *told: self._tell(job, *told))
+                    job.state = "done"  # also where a cancel comes while its process ends
                 finally:
                     await process.close()
 
@@ -305,12 +306,13 @@ class Jobs:
         `cancel` refuses.
         """
 
-        async def run(job: Job) -> Any:
-            return json.loads(dumps(await work(lambda *told: self._tell(job, *told))))
+        async def run(job: Job) -> None:
+            job.result = json.loads(dumps(await work(lambda *told: self._tell(job, *told))))
+            job.state = "done"
 
         return self._begin(Job(secrets.token_hex(8), kind), run)
 
-    def _begin(self, job: Job, run: Callable[[Job], Awaitable[Any]]) -> Job:
+    def _begin(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> Job:
         self._jobs[job.id] = job
         for old in [one.id for one in self.all if one.over][: max(0, len(self._jobs) - MOST_KEPT)]:
             del self._jobs[old]
@@ -354,14 +356,15 @@ class Jobs:
         if len(running) - running.count(None) >= MOST_OF_WATCHERS:
             raise Rejected("too many jobs of those who watch wait already", "jobs", "wait for one")
 
-    async def _run(self, job: Job, run: Callable[[Job], Awaitable[Any]]) -> None:
+    async def _run(self, job: Job, run: Callable[[Job], Awaitable[None]]) -> None:
         try:
-            job.result = await run(job)
-            job.fraction, job.text, job.state = 1.0, "", "done"
+            await run(job)
+            job.fraction, job.text = 1.0, ""
         except TwodofError as error:
             job.error, job.state = {"what": error.what, "where": error.where, "remedy": error.remedy}, "failed"
         except asyncio.CancelledError:
-            job.state, job.text = "cancelled", ""
+            if not job.over:
+                job.state, job.text = "cancelled", ""
             raise
         except Exception as fault:  # noqa: BLE001  whatever it was, the job has failed and says so
             what = f"its process could not be run: {fault}"

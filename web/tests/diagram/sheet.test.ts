@@ -92,9 +92,9 @@ describe("what a program depends on", () => {
 describe("a signal", () => {
   it("is followed into and out of sub-diagrams to the block that gives it", () => {
     const { d, shapes } = given();
-    expect(originOf(d, [], "sub.z", shapes)).toEqual({ of: "block", path: "sub.g.y", unit: "" });
-    expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y", unit: "" });
-    expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u", unit: "" });
+    expect(originOf(d, [], "sub.z", shapes)).toEqual({ of: "block", path: "sub.g.y", sheet: ["sub"], source: "g.y" });
+    expect(originOf(d, ["sub"], "x", shapes)).toEqual({ of: "block", path: "b.y", sheet: [], source: "b.y" });
+    expect(originOf(d, [], "u", shapes)).toEqual({ of: "input", path: "u", sheet: [], source: "u" });
     expect(originOf(d, [], "nothing", shapes)).toBeUndefined();
   });
 });
@@ -121,7 +121,12 @@ describe("grouping", () => {
       ["a", "b.u"],
     ]);
     expect(diagram.connections).toContainEqual(["u", "sub_2.u"]);
-    expect(originOf(diagram, ["sub"], "x", shapes)).toEqual({ of: "block", path: "sub_2.b.y", unit: "" });
+    expect(originOf(diagram, ["sub"], "x", shapes)).toEqual({
+      of: "block",
+      path: "sub_2.b.y",
+      sheet: ["sub_2"],
+      source: "b.y",
+    });
     expect(diagram.parts.find((part) => part.name === name)?.params).toEqual({ p: "p" });
   });
 });

@@ -29,6 +29,7 @@ from twodof.lab.processes import Answer
 from twodof.report.plots.comparison_view import MOST_FLIGHTS
 
 router = lab_router("/api/logs", "logs")
+MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 READ_S, CONVERT_S = 30.0, 90.0
 Name = Annotated[str, Path(min_length=1, max_length=260, description="Of a log, as the list tells it.")]
@@ -100,6 +101,8 @@ async def summary(lab: CurrentLab, name: Name) -> dict[str, Any]:
         key = (str(path), found.st_mtime_ns, found.st_size)
         if key not in lab.summaries:
             lab.summaries[key] = await _work(lab, log_summary, str(path))
+            while len(lab.summaries) > MOST_SUMMARIES:
+                del lab.summaries[next(iter(lab.summaries))]
         return {"unreadable": ""} | lab.summaries[key]
     except (TwodofError, OSError) as reason:
         return {"unreadable": _in_words(reason) if isinstance(reason, TwodofError) else "it was deleted"}

@@ -46,9 +46,7 @@ export function pointers(u: uPlot, view: () => View, keep: AbortSignal): void {
         { left: Math.min(start, now), width: Math.abs(now - start), top: 0, height: over.clientHeight },
         false,
       );
-    } else if (far > CLICK) {
-      view().pan(share(start - now), seen);
-    }
+    } else if (far > CLICK) view().pan(share(start - now), seen);
   });
   const up = (event: PointerEvent): void => {
     if (!down.delete(event.pointerId)) return;
@@ -57,9 +55,7 @@ export function pointers(u: uPlot, view: () => View, keep: AbortSignal): void {
       u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
       const ends = [u.posToVal(Math.min(start, now), "x"), u.posToVal(Math.max(start, now), "x")] as const;
       if (far > CLICK) view().setRange(...ends);
-    } else if (mode === "pan" && far <= CLICK && event.type === "pointerup") {
-      view().pin(u.posToVal(now, "x"));
-    }
+    } else if (mode === "pan" && far <= CLICK && event.type === "pointerup") view().pin(u.posToVal(now, "x"));
     mode = "";
   };
   on("pointerup", up);

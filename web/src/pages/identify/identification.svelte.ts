@@ -69,19 +69,9 @@ export class Identification {
   /** Choose a log, and the experiment that it is named after. */
   chooseLog(log: string): void {
     const impulse = latestOf(this.choices?.flights ?? [], "impulse", this.names) ?? "";
-    const kind = latestOf([log], "impulse", this.names)
-      ? "impulse"
-      : latestOf([log], "doublet", this.names)
-        ? "doublet"
-        : "";
-    this.choice = {
-      ...this.choice,
-      log,
-      kind,
-      impulse: kind === "doublet" ? impulse : "",
-      window: undefined,
-      others: [],
-    };
+    const kind = ["impulse", "doublet"].find((name) => latestOf([log], name, this.names)) ?? "";
+    const own = { log, kind, impulse: kind === "doublet" ? impulse : "", window: undefined, others: [] };
+    this.choice = { ...this.choice, ...own };
   }
 
   async makePlan(drone: number | undefined, rehearse: boolean): Promise<void> {
@@ -100,12 +90,13 @@ export class Identification {
     if (asked === undefined || this.running) return false;
     const job = new BackgroundJob<FlownExperiment>(stopFlight);
     const doing = `Flying ${asked.name}${since && ` again: ${since}`}`;
-    await this.run(doing, job, () => flyExperiment(asked, drone, seed()), true);
-    if (job.result === undefined) return false;
-    this.flown = job.result;
-    await this.load();
-    this.chooseLog(job.result.log);
-    return true;
+    const landed = async (flown: FlownExperiment) => {
+      this.flown = flown;
+      await this.load();
+      this.chooseLog(flown.log);
+    };
+    await this.run(doing, job, () => flyExperiment(asked, drone, seed()), landed);
+    return job.result !== undefined;
   }
 
   async makeFit(): Promise<void> {
@@ -149,12 +140,19 @@ export class Identification {
     return this.experiment && experimentAsked(this.experiment, this.own);
   }
 
-  private async run<T>(doing: string, job: BackgroundJob<T>, start: () => Promise<Job<T>>, flight = false) {
+  /** Run a job; that of a flight is running until `landed` has shown what was flown. */
+  private async run<T>(
+    doing: string,
+    job: BackgroundJob<T>,
+    start: () => Promise<Job<T>>,
+    landed?: (flown: T) => Promise<void>,
+  ): Promise<void> {
     [this.failure, this.stopped] = ["", false];
-    this.running = { doing, flight, job };
+    this.running = { doing, flight: landed !== undefined, job };
     await job.run(start);
-    this.running = undefined;
     this.failure = job.failure;
+    if (job.result !== undefined) await landed?.(job.result);
+    this.running = undefined;
   }
 }
 

@@ -6,8 +6,9 @@ import { sourceEnd, type Shapes } from "./shapes";
 export interface Origin {
   readonly of: "block" | "input";
   readonly path: string;
-  /** Declared unit; "" if there is none. */
-  readonly unit: string;
+  /** Sheet and source there: "gain.y", or an input. */
+  readonly sheet: readonly string[];
+  readonly source: string;
 }
 
 const MOST = 200; // borders that a wire may cross
@@ -23,7 +24,7 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
     const [name, port] = end;
     if (name === null) {
       const outer = at.at(-1);
-      if (outer === undefined) return { of: "input", path: port, unit: shapes.carried(here, port).unit };
+      if (outer === undefined) return { of: "input", path: port, sheet: [], source: port };
       at = at.slice(0, -1);
       const fed = diagramAt(root, at)?.connections.find(([, to]) => to === `${outer}.${port}`)?.[0];
       if (fed === undefined) return undefined;
@@ -32,7 +33,7 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
     }
     const item = findPart(here, name)?.item;
     if (item?.is === "block") {
-      return { of: "block", path: [...at, name, port].join("."), unit: shapes.carried(here, `${name}.${port}`).unit };
+      return { of: "block", path: [...at, name, port].join("."), sheet: at, source: `${name}.${port}` };
     }
     const inner = item?.outputs.find(([output]) => output === port)?.[1];
     if (inner === undefined || inner === null) return undefined;
@@ -40,4 +41,10 @@ export function originOf(root: Diagram, path: readonly string[], source: string,
     text = inner;
   }
   return undefined;
+}
+
+/** Return the declared unit of a signal; "" if there is none. */
+export function unitOf(root: Diagram, origin: Origin, shapes: Shapes): string {
+  const sheet = diagramAt(root, origin.sheet);
+  return sheet === undefined ? "" : shapes.carried(sheet, origin.source).unit;
 }
