@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,7 @@ def test_a_file_says_what_the_objects_say(tmp_path: Path) -> None:
     assert first.inputs["c"] == StepInput(2.0, 0.1, 1.0)
     assert first.inputs["d"] == RampInput(0.5, 0.1, 0.2)
     assert first.inputs["e"] == SineInput(0.5, 2.0, 0.1, 1.0)
-    assert first.inputs["f"] == PointsInput([[0.0, 1.0], [0.5, 2.0]], "hold")
+    assert first.inputs["f"] == PointsInput([(0.0, 1.0), (0.5, 2.0)], "hold")
     assert first.inputs["h"] == PointsInput([(0.0, 1.0), (0.1, 2.0), (0.2, -0.3)], "interpolate")
     assert list(first.checks) == ["y never above 1", "y settles within .1 of 1 by .5"]
     table = second.table
@@ -78,46 +79,80 @@ TEST = '[[test]]\nname = "t"\nduration = 1.0\n'
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        ("", "test: it is missing"),
-        ("test = 3", "valid list .given: 3"),
+        ("", ", test: it is missing"),
+        ("test = 3", "test: Input should be a valid list .given: 3"),
+        ("test = [3]", "test.1: Input should be a valid dictionary .given: 3"),
         ("[[test]\n", "not TOML"),
         ("x = " + "[" * 5000, "not TOML"),
         ("dt = 0\n" + TEST, "dt: Input should be greater .*given: 0"),
-        ("dt = true\n" + TEST, "valid number .given: True"),
+        ("dt = true\n" + TEST, "dt: Input should be a valid number .given: True"),
         ("dt = 1" + "0" * 400 + "\n" + TEST, "dt: Input should be a valid number"),
-        ('integrator = "ode45"\n' + TEST, "integrator"),
-        ("[[test]]\nduration = 1\n", "name"),
+        ('integrator = "ode45"\n' + TEST, ", integrator: Input should be 'rk4' or 'euler'"),
+        ("[[test]]\nduration = 1\n", ", test 1, name: it is missing"),
+        ('[[test]]\nname = "a\\u001b[31m"\n', r"test 1: name = 'a\\x1b\[31m'"),
         (TEST + TEST, "two tests are named 't'"),
-        (TEST + "durations = 3\n", "test.1.durations: there is no such key"),
-        (TEST + 'checks = ["y is nice"]\n', "not an assertion"),
-        (TEST + "checks = [3]\n", "test.1.checks.1: Input should be a valid string"),
-        (TEST + 'inputs.u = "1"\n', "'1' is not a signal"),
+        (TEST + "durations = 3\n", "test 1, durations: there is no such key .did you mean 'duration'"),
+        (TEST + 'checks = ["y is nice"]\n', "test 1 .t., 'y is nice': this is not an assertion"),
+        (TEST + 'checks = ["y settles within true of 1 by 0.5"]\n', "this is not an assertion"),
+        (TEST + "checks = [3]\n", "test 1, checks.1: Input should be a valid string"),
+        (TEST + 'inputs.u = "1"\n', "test 1 .t., u: '1' is not a signal"),
+        (TEST + "inputs.u = 1" + "0" * 400 + "\n", "test 1 .t., u: a number is too large"),
         (TEST + "inputs.u = { steps = 1 }\n", "not a signal"),
-        (TEST + "inputs.u = { step = 1, before = 2 }\n", "not a step: 'before'"),
-        (TEST + "inputs.u = { sine = 1 }\n", "missing .* 'hz'"),
-        (TEST + "inputs.u = { step = nan }\n", "not a finite number"),
-        (TEST + "inputs.u = { points = [[0.0, 1.0]] }\n", "missing .* 'between'"),
+        (TEST + "inputs.u = { step = 1, before = 2 }\n", "u, before: there is no such key .*keys: step, at, from"),
+        (TEST + "inputs.u = { step = 1, form = 2 }\n", "u, form: there is no such key .did you mean 'from'"),
+        (TEST + "inputs.u = { step = true }\n", "u, step: Input should be a valid number .given: True"),
+        (TEST + "inputs.u = { step = 1" + "0" * 400 + " }\n", "test 1 .t., u, step: Input should be a valid number"),
+        (TEST + "inputs.u = { sine = 1, hzz = 2 }\n", "u, hzz: there is no such key .did you mean 'hz'"),
+        (TEST + "inputs.u = { sine = 1 }\n", "u, hz: it is missing"),
+        (TEST + "inputs.u = { sine = 1.0, hz = 1e308 }\n", "test 1 .t., u, sine: hz = 1e.308"),
+        (TEST + "inputs.u = { step = nan }\n", "test 1 .t., u, step: nan is not a finite number"),
+        (TEST + "inputs.u = { points = [[0.0, 1.0]] }\n", "u, between: it is missing"),
+        (TEST + 'inputs.u = { points = [[0, "x"]], between = "hold" }\n', "u, points.1.2: Input .*given: 'x'"),
+        (TEST + 'inputs.u = { points = [[0]], between = "hold" }\n', "test 1 .t., u, points.1.2: "),
+        (
+            TEST + 'inputs.u = { points = [[0, 1]], csv = "data/in.csv", between = "hold" }\n',
+            "u, csv: there is no such",
+        ),
         (TEST + 'inputs.u = { points = [[0.1, 1.0], [0.0, 2.0]], between = "hold" }\n', "do not increase"),
-        (TEST + 'inputs.u = { csv = "data/in.csv", column = "w", between = "hold" }\n', "no column 'w'"),
+        (
+            TEST + 'inputs.u = { csv = "data/in.csv", column = [], between = "hold" }\n',
+            "u, column: Input should be .*str",
+        ),
+        (
+            TEST + 'inputs.u = { csv = "data/in.csv", column = "w", between = "hold" }\n',
+            "u, in.csv: there is no column 'w'",
+        ),
         (TEST + 'inputs.u = { csv = "data/no.csv", column = "u", between = "hold" }\n', "cannot be read"),
         (TEST + 'inputs.u = { csv = "../in.csv", column = "u", between = "hold" }\n', "not in the folder"),
         (TEST + 'inputs.u = { csv = "/etc/passwd", column = "u", between = "hold" }\n', "not in the folder"),
+        (TEST + 'inputs.u = { csv = "a\\u0000b", column = "u", between = "hold" }\n', "not in the folder"),
         (TEST + 'inputs.u = { points = [[1e308, 1.0]], between = "hold" }\n', "do not increase to at most"),
-        (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "tolerance"),
-        (TEST + '[test.table]\nabsolute = 0\ncsv = "data/in.csv"\n', "table.between: it is missing"),
+        (TEST + '[test.table]\nbetween = "hold"\ncsv = "data/in.csv"\n', "table: it does not say a tolerance"),
+        (TEST + '[test.table]\nabsolute = 0\ncsv = "data/in.csv"\n', "table, between: it is missing"),
+        (TEST + '[test.table]\nabsolut = 0\nbetween = "hold"\n', "table, absolut: .*did you mean 'absolute'"),
+        (
+            TEST + '[test.table]\nabsolute = true\nbetween = "hold"\n',
+            "table, absolute.float: Input should be a valid num",
+        ),
+        (TEST + '[test.table]\nabsolute = {y = "1"}\nbetween = "hold"\n', "table, absolute.*y: Input .*given: '1'"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\n', "one of both"),
+        (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncsv = "data/in.csv"\nrows = []\n', "one of both"),
         (TEST + '[test.table]\nabsolute = {Y = 1}\nbetween = "hold"\ncsv = "data/in.csv"\n', "of 'Y', which is not"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["y"]\nrows = [[1.0]]\n', "first column"),
         (TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick"]\nrows = [[0.5]]\n', "not increase"),
         (
             TEST + '[test.table]\nabsolute = 0\nbetween = "hold"\ncolumns = ["tick", "y"]\nrows = [[0]]\n',
-            "1 cells for 2",
+            "test 1 .t., table, table, row 1: 1 cells for 2",
         ),
     ],
 )
 def test_what_a_file_must_not_say_is_refused(tmp_path: Path, text: str, what: str) -> None:
-    with pytest.raises(DiagramError, match=what):
-        read_scenarios(write(tmp_path, text))
+    file = write(tmp_path, text)
+    with pytest.raises(DiagramError) as refused:
+        read_scenarios(file)
+    where, message = str(refused.value).split("x.toml", 1)
+    assert where == f"{tmp_path}/"
+    assert re.search(what, message)
 
 
 def test_a_wrong_table_is_refused(tmp_path: Path) -> None:
@@ -126,13 +161,14 @@ def test_a_wrong_table_is_refused(tmp_path: Path) -> None:
     for content, what in (
         (b"time,y\n1,0\n0,0\n", "does not increase"),
         (b"time,y\nnan,0\n", "does not increase"),
-        (b"time,y,y\n0,0,0\n", "names"),
+        (b"time,y,y\n0,0,0\n", "3 columns, 2 names"),
         (b"time,y\n0\n", "1 cells for 2"),
-        (b"\xff\xfe", "UTF-8"),
+        (b"\xff\xfe", "in.csv: cannot be read: 'utf-8' codec can't decode byte 0xff"),
+        (b'time,"y\n', "in.csv: cannot be read: unexpected end of data"),
         (b"", "first column is ''"),
     ):
         place.write_bytes(content)
-        with pytest.raises(DiagramError, match=what):
+        with pytest.raises(DiagramError, match=f"x.toml, test 1 .t., table, .*{what}"):
             read_scenarios(file)
 
 
@@ -165,6 +201,7 @@ def outcome(tmp_path: Path, first: str = "flying", second: str = "idle") -> str:
 def test_a_test_reads_and_reports_names(tmp_path: Path) -> None:
     assert outcome(tmp_path) == "arming: all 3 assertions hold"
     assert outcome(tmp_path, second="armed") == ("arming: mode as in table, within 0: idle at 0.1 s is not armed")
+    assert outcome(tmp_path, second="nan") == ("arming: mode as in table, within 0: idle at 0.1 s is not nan")
     assert outcome(tmp_path, first="armed").endswith("flying at 0 s is not armed")
 
 

@@ -188,13 +188,14 @@ FORMS: Mapping[str, str] = {
     "falls to V before T": "falls to <high> before <stop>",
     "final value within B of V": "final value within <band> of <value>",
 }
-"""The forms of a claim, and their patterns; a word in angle brackets stands for a number or the name of a value."""
+"""The forms of a claim, and their patterns; in angle brackets a time or a band, or a number or the name of a value."""
 
 
 def _pattern(form: str) -> re.Pattern[str]:
     def number(found: re.Match[str]) -> str:
-        time = found[1] in ("start", "stop", "from", "until")
-        return f"(?P<{found[1]}>{_NUMBER})(?: ?s\\b)?" if time else rf"(?P<{found[1]}>{_NUMBER}|[A-Za-z]\w*)"
+        if found[1] in ("start", "stop", "from", "until"):
+            return f"(?P<{found[1]}>{_NUMBER})(?: ?s\\b)?"
+        return f"(?P<{found[1]}>{_NUMBER})" if found[1] == "band" else rf"(?P<{found[1]}>{_NUMBER}|[A-Za-z]\w*)"
 
     return re.compile(rf"(?P<signal>{_SIGNAL}) {re.sub(r'<(.*?)>', number, form)}", re.ASCII)
 

@@ -3,6 +3,7 @@
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -126,7 +127,7 @@ def _with_names(judgement: Judgement, enumeration: Enumeration | None) -> Judgem
     """Return `judgement` with the names of an enumeration's members in its text."""
     if enumeration is None or judgement.value is None or judgement.limit is None:
         return judgement
-    found, limit = (enumeration.name_of(round(v)) for v in (judgement.value, judgement.limit))
+    found, limit = (enumeration.name_of(round(v) if isfinite(v) else v) for v in (judgement.value, judgement.limit))
     _, more, count = judgement.text.partition("; ")
     text = f"{found} at {judgement.time:.6g} s is not {limit}{more}{count.partition(',')[0]}"
     return replace(judgement, text=text)

@@ -23,6 +23,7 @@ Between = Literal["hold", "interpolate"]
 BETWEEN: tuple[Between, ...] = ("hold", "interpolate")
 MAX_TIME = 1e9
 """In seconds or ticks."""
+MAX_HZ = 1e9
 
 INPUT, OUTPUT = "input ", "output "
 """Prefixes of a column's name, for a diagram with an input and an output of one name."""
@@ -84,6 +85,8 @@ class SineInput:
 
     def __post_init__(self) -> None:
         _check_finite("sine", self.amplitude, self.hz, self.phase, self.offset)
+        if abs(self.hz) > MAX_HZ:
+            raise DiagramError(f"hz = {self.hz:g}", "sine", f"give at most {MAX_HZ:g} Hz")
 
     def values(self, steps: int, dt: float, whole: bool = False) -> Array:
         """Return the values at the ticks 0 .. steps - 1."""

@@ -1,14 +1,16 @@
 """Scenarios in a TOML file."""
 
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import inf
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
-from twodof.blocks.declarations import NAME
+from twodof.blocks.declarations import NAME, located
 from twodof.compile.diagram_test.assertions import assertion
 from twodof.compile.diagram_test.run_scenarios import DT
 from twodof.compile.diagram_test.scenario import (
@@ -24,7 +26,7 @@ from twodof.compile.diagram_test.scenario import (
     read_table,
     table_of_rows,
 )
-from twodof.errors import DiagramError, shown
+from twodof.errors import DiagramError, listed, shown
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,10 +43,44 @@ class _Model(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
 
+M = TypeVar("M", bound=_Model)
+
+
+class _Step(_Model):
+    step: float
+    at: float = 0.0
+    before: float = Field(0.0, alias="from")
+
+
+class _Ramp(_Model):
+    ramp: float
+    start: float = 0.0
+    stop: float = inf
+    before: float = Field(0.0, alias="from")
+
+
+class _Sine(_Model):
+    sine: float
+    hz: float
+    phase: float = 0.0
+    offset: float = 0.0
+
+
+class _Points(_Model):
+    points: list[Annotated[tuple[float, float], Strict(False)]]  # in TOML a pair is a list
+    between: Between
+
+
+class _Csv(_Model):
+    csv: str
+    column: str
+    between: Between
+
+
 class _Table(_Model):
-    csv: str = ""
+    csv: str | None = None
     columns: list[str] = Field(default_factory=list)
-    rows: list[list[Any]] = Field(default_factory=list)
+    rows: list[list[Any]] | None = None
     between: Between
     absolute: float | dict[str, float] | None = None
     relative: float | dict[str, float] | None = None
@@ -52,19 +88,38 @@ class _Table(_Model):
 
 
 class _Test(_Model):
-    name: str = Field(min_length=1)
+    name: str = Field(min_length=1, max_length=120)
     text: str = ""
     duration: float | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     inputs: dict[str, Any] = Field(default_factory=dict)
     checks: list[str] = Field(default_factory=list)
-    table: _Table | None = None
+    table: dict[str, Any] | None = None
 
 
 class _File(_Model):
     dt: float = Field(DT, ge=1e-6, le=1e3)
     integrator: Literal["rk4", "euler"] = "rk4"
-    test: list[_Test] = Field(min_length=1)
+    test: list[dict[str, Any]] = Field(min_length=1)
+
+
+def _read(model: type[M], given: Any, where: str) -> M:
+    """Return `given` as `model`. Raises DiagramError with the key that is unknown, missing or wrong."""
+    try:
+        return model.model_validate(given)
+    except ValidationError as error:
+        # A misspelt key is missing too: say first how it is spelt. The deepest place is the most exact one.
+        wrong = min(error.errors(), key=lambda one: (one["type"] != "extra_forbidden", -len(one["loc"])))
+        place = ".".join(str(part + 1 if isinstance(part, int) else part) for part in wrong["loc"])
+        keys = [field.alias or name for name, field in model.model_fields.items()]
+        what, remedy = f"{wrong['msg']} (given: {shown(wrong['input'])})", "correct it there"
+        if wrong["type"] == "missing":
+            what, remedy = "it is missing", f"keys: {listed(keys)}"
+        elif wrong["type"] == "extra_forbidden":
+            near = get_close_matches(place[:200], keys, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            what, remedy = "there is no such key", f"{hint}keys: {listed(keys)}"
+        raise DiagramError(what, f"{where}, {place:.200}", remedy) from error
 
 
 def read_scenarios(path: str | Path) -> ScenarioFile:
@@ -75,29 +130,28 @@ def read_scenarios(path: str | Path) -> ScenarioFile:
     path = Path(path)
     where = str(path)
     try:
-        found = _File.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        given = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise DiagramError(f"cannot be read: {error.strerror}", where, "name a TOML file with tests") from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part + 1 if isinstance(part, int) else part) for part in first["loc"])
-        what = {"missing": "it is missing", "extra_forbidden": "there is no such key"}.get(
-            first["type"], f"{first['msg']} (given: {shown(first['input'])})"
-        )
-        raise DiagramError(what, f"{where}, {place}", "correct it there") from error
     except (RecursionError, ValueError) as error:  # TOMLDecodeError and UnicodeDecodeError among them
         raise DiagramError(f"not TOML: {error!s:.200}", where, "correct it there") from error
-    names = [test.name for test in found.test]
+    found = _read(_File, given, where)
+    scenarios = tuple(_scenario(row, f"{where}, test {i}", path.parent) for i, row in enumerate(found.test, 1))
+    names = [scenario.name for scenario in scenarios]
     if len(set(names)) < len(names):
         twice = max(names, key=names.count)
         raise DiagramError(f"two tests are named {shown(twice)}", where, "give each a name of its own")
-    scenarios = tuple(_scenario(test, f"{where}, {test.name}", path.parent) for test in found.test)
     return ScenarioFile(path, found.dt, found.integrator, scenarios)
 
 
-def _scenario(test: _Test, where: str, folder: Path) -> Scenario:
+def _scenario(row: Mapping[str, Any], where: str, folder: Path) -> Scenario:
+    test = _read(_Test, row, where)
+    if not test.name.isprintable():
+        raise DiagramError(f"name = {shown(test.name)}", where, "write it without control characters")
+    where = f"{where} ({test.name})"
     for check in test.checks:
-        assertion(check, lambda signal, name: 0.0)  # names of members are known with the diagram
+        with located(where, keep=True):
+            assertion(check, lambda signal, name: 0.0)  # names of members are known with the diagram
     inputs = {key: _input(value, f"{where}, {key}", folder) for key, value in test.inputs.items()}
     table = None if test.table is None else _expected(test.table, f"{where}, table", folder)
     return Scenario(
@@ -114,52 +168,64 @@ def _parameters(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[s
             yield prefix + key, value
 
 
-_SIGNALS: Mapping[str, tuple[type[InputSignal], tuple[str, ...]]] = {
-    "step": (StepInput, ("step", "at", "from")),
-    "ramp": (RampInput, ("ramp", "start", "stop", "from")),
-    "sine": (SineInput, ("sine", "hz", "phase", "offset")),
-    "points": (PointsInput, ("points", "between")),
+_SIGNALS: Mapping[str, tuple[type[_Model], Callable[..., InputSignal]]] = {
+    "step": (_Step, StepInput),
+    "ramp": (_Ramp, RampInput),
+    "sine": (_Sine, SineInput),
+    "points": (_Points, PointsInput),
 }
-"""Class and keys of a signal, in the order of the class's fields, by the first key."""
+"""Keys and class of a signal, with its fields in the same order, by the first key."""
 
 
 def _input(value: Any, where: str, folder: Path) -> InputValue:
     if isinstance(value, list):
         return [_input(one, where, folder) for one in value]
-    if isinstance(value, (bool, int, float)) or (isinstance(value, str) and NAME.fullmatch(value)):
+    if isinstance(value, str) and NAME.fullmatch(value):
         return value
-    row = dict(value) if isinstance(value, dict) else {}
-    if "csv" in row:
-        table = read_table(_beside(row.pop("csv"), where, folder))
-        if table.ticks:
-            raise DiagramError("the rows are at ticks", where, 'name the first column "time", in seconds')
-        rows, values = table.column(row.pop("column", ""))
-        row["points"] = list(zip(table.at[rows].tolist(), values.tolist(), strict=True))
-    kind = next((k for k in _SIGNALS if k in row), "")
+    if isinstance(value, (bool, int, float)):
+        try:
+            return float(value)
+        except OverflowError as error:
+            raise DiagramError("a number is too large", where, "write one that a float64 holds") from error
+    kinds = (*_SIGNALS, "csv")
+    kind = next((k for k in kinds if isinstance(value, dict) and k in value), "")
     if not kind:
-        kinds = ", ".join((*_SIGNALS, "csv"))
-        raise DiagramError(f"{shown(value)} is not a signal", where, f"give a number, or a table with one of {kinds}")
-    signal, keys = _SIGNALS[kind]
-    names = dict(zip(keys, (field.name for field in fields(signal)), strict=True))  # type: ignore[arg-type]
-    try:
-        return signal(**{names[key]: one for key, one in row.items()})
-    except (KeyError, TypeError, ValueError) as error:
-        what = f"{shown(value)} is not a {kind}: {error}"
-        raise DiagramError(what, where, f"its keys are {', '.join(keys)}") from error
+        what, remedy = f"{shown(value)} is not a signal", f"give a number, or a table with one of {', '.join(kinds)}"
+        raise DiagramError(what, where, remedy)
+    if kind == "csv":
+        return _column(_read(_Csv, value, where), where, folder)
+    model, signal = _SIGNALS[kind]
+    given = _read(model, value, where)
+    with located(where, keep=True):
+        return signal(*dict(given).values())
 
 
-def _expected(given: _Table, where: str, folder: Path) -> ExpectedTable:
-    if bool(given.csv) == bool(given.rows):
+def _column(given: _Csv, where: str, folder: Path) -> PointsInput:
+    """Return the points in a column of a CSV file."""
+    with located(where, keep=True):
+        table = read_table(_beside(given.csv, "csv", folder))
+        if table.ticks:
+            raise DiagramError("the rows are at ticks", table.name, 'name the first column "time", in seconds')
+        rows, values = table.column(given.column)
+        return PointsInput(list(zip(table.at[rows].tolist(), values.tolist(), strict=True)), given.between)
+
+
+def _expected(value: Mapping[str, Any], where: str, folder: Path) -> ExpectedTable:
+    given = _read(_Table, value, where)
+    if (given.csv is None) == (given.rows is None):
         raise DiagramError("it names a CSV file or has rows, one of both", where, "write csv = or columns = and rows =")
     if given.absolute is None and given.relative is None:
         raise DiagramError("it does not say a tolerance", where, "write absolute = or relative =; 0 is exact")
-    table = read_table(_beside(given.csv, where, folder)) if given.csv else table_of_rows(given.columns, given.rows)
-    return ExpectedTable(table, given.between, given.absolute or 0.0, given.relative or 0.0, given.at)
+    with located(where, keep=True):
+        if given.csv is None:
+            table = table_of_rows(given.columns, given.rows or ())
+        else:
+            table = read_table(_beside(given.csv, "csv", folder))
+        return ExpectedTable(table, given.between, given.absolute or 0.0, given.relative or 0.0, given.at)
 
 
-def _beside(name: Any, where: str, folder: Path) -> Path:
+def _beside(name: str, where: str, folder: Path) -> Path:
     """Return a file in the folder of the tests; tests of others read nothing else."""
-    place = (folder / str(name)).resolve()
-    if not place.is_relative_to(folder.resolve()):
+    if "\0" in name or not (place := (folder / name).resolve()).is_relative_to(folder.resolve()):
         raise DiagramError(f"{shown(name)} is not in the folder of the tests", where, "copy it beside the tests")
     return place
