@@ -221,6 +221,7 @@ def test_a_name_where_a_number_belongs_is_refused(tmp_path: Path) -> None:
         (('"time", "mode"', '"time", "flies.y"'), "table, row 1, flies.y: 'flying' is not a number"),
         (("mode always", "flies.y always"), "flies.y: 'flying' is not a number"),
         (("number = 1", 'number = "flying"'), "number: 'flying' is not a signal"),
+        (('asked = "broken"', "asked = 77"), "arming, asked: 77 is not a member of Mode"),
     ):
         file.write_text(NAMED.format(first="flying", second="idle").replace(*change), encoding="utf-8")
         tests = read_scenarios(file)

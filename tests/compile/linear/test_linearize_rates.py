@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from time import process_time
 from typing import Any
 
 import control
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.compile.linear.linear_diagrams import DT, Smooth, chain, same_response
-from twodof.blocks import Block, Diagram, Port, State, int32, store, to_int32
+from twodof.blocks import Block, Diagram, Port, State, int32, store, to_int32, where
 from twodof.blocks import library as lib
 from twodof.compile import build
 from twodof.compile.linear import integer_states
@@ -183,11 +184,11 @@ def test_rates_that_hardly_ever_meet_are_refused_with_a_remedy() -> None:
 
 
 class Recorder(Block):
-    """u three steps ago, from a ring whose index never comes round, or is the tick."""
+    """u three steps ago, from a ring whose index never comes round, or is the tick; `full` stays from the start."""
 
     inputs = (Port("u"),)
     outputs = (Port("y"),)
-    states = (State("past", width=8), State("count", 0, "int32"))
+    states = (State("past", width=8), State("count", 0, "int32"), State("full", False, "bool"))
 
     def __init__(self, ticks: bool = False) -> None:
         self.ticks = ticks
@@ -196,7 +197,8 @@ class Recorder(Block):
         return x.past[self._place(x, t, 5)]
 
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
-        return {"past": store(x.past, self._place(x, t, 0), u.u), "count": x.count if self.ticks else x.count + 1}
+        count = x.count if self.ticks else x.count + 1
+        return {"past": store(x.past, self._place(x, t, 0), u.u), "count": count, "full": x.full | True}
 
     def _place(self, x: Any, t: Any, ahead: int) -> Any:
         return ((to_int32(t.tick) if self.ticks else x.count) + ahead) % int32(8)
@@ -205,7 +207,9 @@ class Recorder(Block):
 def test_an_index_that_never_comes_round_is_named_and_holding_it_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """If it is held, what is written is never read: B was 0 without a word."""
     monkeypatch.setattr(integer_states, "MAX_STEPS", 1000)
-    with pytest.raises(DiagramError, match=r"count do not stay or come round.*depends on them: y \(let count come"):
+    with pytest.raises(
+        DiagramError, match=r"bool states count do not stay or come round.*depends on them: y \(let count come"
+    ):
         linearize(chain(Recorder()), DT)
     with pytest.raises(DiagramError, match="what is written would never be read") as found:
         linearize(chain(Recorder()), DT, at={"b0.count": 100})
@@ -252,3 +256,47 @@ def test_a_delay_that_is_cut_acts_through_the_whole_step() -> None:
     model = linearize(d, DT, inputs=["b0.y"], time="discrete")
     np.testing.assert_allclose(model.a, [[np.exp(-DT)]], rtol=1e-13)
     np.testing.assert_allclose(model.b, [[1.0 - np.exp(-DT)]], rtol=1e-9)  # up to RK4's DT^5 / 120
+
+
+class Bent(Block):
+    """u, with a kink at 0 at one tick of each round of a counter, or with another slope there."""
+
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    states = (State("count", 0, "int32"),)
+
+    def __init__(self, slope: float, round_: int = 4, kink: bool = True) -> None:
+        self.slope = slope
+        self.round = round_
+        self.kink = kink
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        bent = u.u * where(x.count == 2, self.slope, 1.0)
+        return where(u.u > 0.0, u.u, bent) if self.kink else bent
+
+    def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"count": (x.count + 1) % int32(self.round)}
+
+
+def test_a_counter_that_moves_the_model_is_refused() -> None:
+    for round_, why in ((10, "a whole-number state moves, and the model"), (101, "count come round after 101 periods")):
+        with pytest.raises(DiagramError, match=why):
+            linearize(chain(Bent(2.0, round_, kink=False), lib.DiscreteFilter((0.5,), (1.0, -0.5))), DT)
+
+
+def test_a_kink_is_sought_at_each_different_tick_once() -> None:
+    def slow(slope: float) -> Diagram:
+        d = chain(lib.ZeroOrderHold(), Bent(slope), lib.FirstOrder(2.0, 0.3))
+        d.add("held", lib.ZeroOrderHold(), rate=(200, 0), u="u")
+        d.output("slow", "held")
+        return d
+
+    times = []
+    for u in (1.0, 0.0):  # beside the border and on it
+        start = process_time()
+        linearize(slow(1.0), DT, at={"u": u})
+        times.append(process_time() - start)
+    assert times[1] < 4.0 * times[0]
+    with pytest.raises(DiagramError, match="the point is on a kink") as found:
+        linearize(slow(2.0), DT)
+    assert found.value.where == "b1"

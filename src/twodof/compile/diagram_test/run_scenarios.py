@@ -271,6 +271,8 @@ def _typed(port: Port, data: NDArray[np.float64], where: str) -> NDArray[Any]:
     if odd.size:
         remedy = f"give whole numbers from {low} to {high}"
         raise DiagramError(f"{odd[0]:g} does not fit {port.kind}", where, remedy)
+    if port.enum is not None:
+        port.enum.plain(np.unique(data).astype(int).tolist(), where)
     return data.astype(port.kind)
 
 

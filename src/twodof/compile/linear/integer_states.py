@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from twodof.blocks.declarations import element_names
 from twodof.blocks.expressions.derivative import Value, plain
 from twodof.blocks.expressions.graph import leaves, walk
-from twodof.blocks.expressions.numbers import FLOATS, Integer, Vector
+from twodof.blocks.expressions.numbers import FLOATS, KINDS, Integer, Vector
 from twodof.compile.linear.operating_point import OperatingPoint, Parts, elements
 from twodof.compile.linear.tangent import TangentStep
 from twodof.compile.program.flat_program import FlatProgram, FlatSignal, Key, Node
@@ -32,6 +32,12 @@ class Cycle:
     names: tuple[str, ...]
     values: list[Whole_]
     ring: str = ""
+
+    @property
+    def moving(self) -> list[str]:
+        """The states that change."""
+        columns = zip(self.names, zip(*self.values, strict=True), strict=True)
+        return [name for name, column in columns if len(set(map(_key, column))) > 1]
 
 
 class IntegerStates:
@@ -71,10 +77,10 @@ class IntegerStates:
         # Values that do not depend on these states are computed once.
         fixed: dict[Any, Value] = {}
         step.evaluate(node, roots, states, memos={node: fixed})
-        moving: set[int] = set()
+        moved: set[int] = set()
         for e in walk(roots):
-            if (e.op == "state" and e.data in names) or any(id(a) in moving for a in e.args):
-                moving.add(id(e))
+            if (e.op == "state" and e.data in names) or any(id(a) in moved for a in e.args):
+                moved.add(id(e))
                 fixed.pop(id(e), None)
         seen: dict[Whole_, int] = {}
         values: list[Whole_] = []
@@ -82,33 +88,35 @@ class IntegerStates:
             now = tuple(plain(states[node, name]) for name in names)
             key = tuple(_key(v) for v in now)
             if key in seen:
-                cycle = values[seen[key] :]
-                if len(cycle) > 1:
-                    self.cycles[node] = Cycle(names, cycle, self._ring(node, names, cycle))
-                for name, value in zip(names, cycle[0], strict=True):
+                cycle = Cycle(names, values[seen[key] :])
+                if cycle.moving:
+                    cycle.ring = self._ring(node, cycle)
+                    self.cycles[node] = cycle
+                for name, value in zip(names, cycle.values[0], strict=True):
                     self.point.states[node, name] = value
                 return
             seen[key] = len(values)
             values.append(now)
             found = step.evaluate(node, roots, states, memos={node: dict(fixed)})
             states |= {(node, name): v for name, v in zip(names, found, strict=True)}
+        moving = Cycle(names, values[len(values) // 2 :]).moving
         free = self.parts.free_outputs(node)
         ask = f", or ask for the outputs {', '.join(free)} only" if free else ""
         remedy = "give them with `at`, which holds them there"
-        if index := self._indexes(node, names):
+        if index := self._indexes(node, moving):
             remedy = f"let {index} come round, as in where(i + 1 < n, i + 1, int32(0)), so that the buffer is a ring"
         raise DiagramError(
-            f"its integer or bool states {', '.join(names)} do not stay or come round within {MAX_STEPS} steps; "
+            f"its integer or bool states {', '.join(moving)} do not stay or come round within {MAX_STEPS} steps; "
             f"what depends on them: {', '.join(self.parts.outputs_of(node))}",
             node.path,
             remedy + ask,
         )
 
-    def _indexes(self, node: Node, names: Iterable[str]) -> str:
-        """Return the one of the states `names` that is the write index of a buffer of reals, or ""."""
+    def _indexes(self, node: Node, names: Iterable[str], kinds: Iterable[str] = FLOATS) -> str:
+        """Return the one of the states `names` that is the write index of a buffer of these kinds, or ""."""
         for e in node.trace.update.values():
             item = e
-            while item.op == "store" and item.kind in FLOATS:
+            while item.op == "store" and item.kind in kinds:
                 if found := leaves([item.args[1]], "state") & set(names):
                     return min(found)
                 item = item.args[0]
@@ -135,15 +143,19 @@ class IntegerStates:
             notes[f"{node.path}.{name}"] = "held by `at`; left alone it moves"
         return notes
 
-    def _ring(self, node: Node, names: tuple[str, ...], cycle: list[Whole_]) -> str:
-        """Return the state that counts 0 .. N - 1 round and round, N the cycle's length, or ""."""
-        columns = dict(zip(names, zip(*cycle, strict=True), strict=True))
-        moving = [name for name, column in columns.items() if len(set(map(_key, column))) > 1]
-        if len(moving) != 1:
+    def _ring(self, node: Node, cycle: Cycle) -> str:
+        """Return the write index of a buffer that counts 0 .. N - 1 round and round, N the cycle's length, or ""."""
+        if len(cycle.moving) != 1 or not self._indexes(node, cycle.moving, KINDS):
             return ""
-        places = [v.value if isinstance(v, Integer) else -1 for v in columns[moving[0]]]
-        counts = [(places[0] + i) % len(cycle) for i in range(len(cycle))]
-        return moving[0] if places == counts else ""
+        (name,) = cycle.moving
+        values = [row[cycle.names.index(name)] for row in cycle.values]
+        places = [v.value if isinstance(v, Integer) else -1 for v in values]
+        counts = [(places[0] + i) % len(places) for i in range(len(places))]
+        return name if places == counts else ""
+
+    def rings(self) -> set[Key]:
+        """Return the states that are write indices of rings."""
+        return {(node, cycle.ring) for node, cycle in self.cycles.items() if cycle.ring}
 
     def _index(self, key: Key, ahead: int) -> tuple[int, int]:
         """Return length and write index, `ahead` periods on, of a state that is a ring; (0, 0) for other states."""
@@ -194,7 +206,7 @@ class IntegerStates:
                 found |= set(range(1, n))
             else:
                 raise DiagramError(
-                    f"its whole-number states {', '.join(cycle.names)} come round after {n} periods only",
+                    f"its whole-number states {', '.join(cycle.moving)} come round after {n} periods only",
                     node.path,
                     "hold them with `at`, or linearize around this block",
                 )
@@ -227,9 +239,9 @@ class IntegerStates:
             self.point.states |= before
 
     def guilty(self) -> str:
-        """Return the states in cycles that are not write indices of rings, or else all states in cycles."""
+        """Return the states that move in cycles without write indices of rings, or else in all cycles."""
         others = [n for n, c in self.cycles.items() if not c.ring] or list(self.cycles)
-        return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].names)
+        return ", ".join(f"{n.path}.{name}" for n in others for name in self.cycles[n].moving)
 
 
 def _key(value: Any) -> Any:
@@ -286,6 +298,16 @@ class Coordinates:
         """Return the values at the point, in the program's order."""
         states = [float(v) for key in self.keys for v in elements(self.point.states[key])]
         return np.array(states + [float(v) for s in self.held for v in elements(self.point.held[s])], dtype=np.float64)
+
+    def of_read_states(self, read: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Return a mask of the coordinates, in program order, whose state has an element among `read`."""
+        found = np.array(read)
+        at = 0
+        for key in self.keys:
+            end = at + self.point.width(key)
+            found[at:end] = read[at:end].any()
+            at = end
+        return found
 
     def put(self, z: Array) -> None:
         """Set the point's states and held signals to values in the program's order."""

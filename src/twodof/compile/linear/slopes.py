@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.expressions import numbers
 from twodof.blocks.expressions.derivative import Dual, Slope, Tie, plain
 from twodof.blocks.expressions.numbers import FLOATS
 from twodof.compile.linear.integer_states import Coordinates, IntegerStates
@@ -21,6 +22,7 @@ WHAT = ("next", "slope", "projection")  # of the states: after a period, their d
 MAX_STATES = 1500
 DIRECTIONS = 8  # tried at a tie beside those across each
 SAME = 1e-9  # relative: what two branches that agree may differ by, rounded on their ways
+REST = 1e-12  # relative: what two ticks at rest may differ by
 NEAR = 0.9  # the cosine of the angle between two borders that count as one
 
 
@@ -133,7 +135,7 @@ class Slopes:
         for visit in visits[1:]:
             total = total.then(visit.found)
         if strict:
-            self._check(what, visits)
+            self._check(what, visits, total)
         return total
 
     def _visits(self, what: str) -> list[_Visit]:
@@ -157,14 +159,22 @@ class Slopes:
     def _ties(self, step: TangentStep) -> list[Tie]:
         return [t for t in step.tangent.ties if t.where in self._paths]
 
-    def _check(self, what: str, visits: Sequence[_Visit]) -> None:
-        """Raise DiagramError if one of the ticks is on a kink."""
+    def _check(self, what: str, visits: Sequence[_Visit], total: Matrices) -> None:
+        """Raise DiagramError if one of the ticks is on a kink. Of ticks that are alike the first is checked."""
+        read = self.coordinates.of_read_states(observed(total.change[:, : self.size], total.output[:, : self.size]))
+        rings = self.whole.rings()  # a kink does not move with the place at which a ring is written
+        whole = [(n, s.name) for n, s in self._whole if (n, s.name) not in rings]
+        checked: list[tuple[Any, Array]] = []
         with self.point.kept():
             for visit in visits:
-                if visit.ties:
-                    self.point.states, self.point.held, self.point.tick = visit.states, visit.held, visit.tick
-                    first, *_ = self._once(what, None)
-                    self._check_kinks(what, first, visit.found, visit.ties)
+                self.point.states, self.point.held, self.point.tick = visit.states, visit.held, visit.tick
+                chosen = self.parts.due(visit.tick), [numbers.plain(visit.states[key]) for key in whole]
+                values = self.coordinates.values()[read]
+                if not visit.ties or any(chosen == c and np.allclose(values, v, REST, REST) for c, v in checked):
+                    continue
+                first, *_ = self._once(what, None)
+                self._check_kinks(what, first, visit.found, visit.ties)
+                checked.append((chosen, values))
 
     def _follow(self, step: TangentStep, new: States) -> None:
         """Move the point to the tick after `step`, with its `new` states; what `at` holds stays."""
