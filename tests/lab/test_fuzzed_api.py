@@ -98,6 +98,23 @@ def test_a_body_that_cannot_be_decoded_is_refused_as_malformed(server: Served, b
     assert answer.json["remedy"]
 
 
+@pytest.mark.parametrize("value", [b"NaN", b"1e999", b"[" * 400 + b"]" * 400, rb'"\ud800"'])
+def test_a_model_that_json_cannot_hold_is_refused(server: Served, value: bytes) -> None:
+    answer = server.ask("PUT", "/api/models/odd", b'{"x": %b}' % value)
+    assert (answer.status, answer.json["where"]) == (422, "model odd")
+    assert server.ask("GET", "/api/models/odd").status == 404
+
+
+def test_all_names_may_have_80_letters(server: Served) -> None:
+    snapshots = "/api/drones/1/parameters/snapshots"
+    for count, status in ((80, 201), (81, 422)):
+        name = "n" * count
+        for answer in (server.ask("PUT", f"/api/models/{name}", {}), server.ask("POST", snapshots, {"name": name})):
+            assert answer.status == status
+            assert status == 201 or "at most 80" in answer.json["what"]
+    assert server.ask("GET", f"{snapshots}/{'n' * 80}?other={'n' * 80}").status == 200
+
+
 @pytest.mark.parametrize("value", [False, True, "0.1"])
 @pytest.mark.parametrize(
     ("method", "path", "fine", "field"),

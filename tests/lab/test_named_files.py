@@ -19,7 +19,9 @@ def test_files_are_kept_listed_and_deleted(tmp_path: Path) -> None:
     assert kept.content("before the flight") == b"text"
     with pytest.raises(Rejected, match="there is a snapshot"):
         kept.save("before the flight", "other")
-    kept.save("before the flight", "a longer text", overwrite=True)
+    with pytest.raises(ParameterError, match="more than 10 bytes"):
+        kept.save("before the flight", "a longer text", overwrite=True)
+    (tmp_path / "snapshots" / "before the flight.params").write_text("a longer text")
     with pytest.raises(LogError):
         kept.content("before the flight")
     kept.save("second", "")

@@ -9,14 +9,19 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from stat import S_ISREG
-from typing import Any
+from typing import Annotated, Any
+
+from pydantic import Field
 
 from twodof.errors import LogError, ParameterError, Rejected, shown
 from twodof.flightlog.atomic import atomic_write, check_free, make_folder, numbered
 from twodof.flightlog.provenance import read_bytes
 from twodof.lab.answers import NotThere
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]{0,79}")
+LONGEST_NAME = 80
+_NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9 ._+-]{{0,{LONGEST_NAME - 1}}}")
+FileName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME)]
+"""Name in a request of a file among NamedFiles."""
 
 
 class NamedFiles:
@@ -41,7 +46,7 @@ class NamedFiles:
     def place(self, name: str) -> Path:
         """Return the place of a file, which may be missing. Raises ParameterError for a wrong name."""
         if not _NAME.fullmatch(name) or name.endswith(self._suffix):
-            remedy = "take letters, digits, space, . _ + -, at most 80, and begin with a letter or digit"
+            remedy = f"take at most {LONGEST_NAME} letters, digits, space, . _ + -, and begin with a letter or digit"
             raise ParameterError(f"{shown(name)} cannot be a {self._kind}'s name", f"{self._kind}s", remedy)
         return self.folder / f"{name}{self._suffix}"
 
@@ -57,8 +62,13 @@ class NamedFiles:
         return read_bytes(self.there(name), self._most_bytes)
 
     def save(self, name: str, text: str, overwrite: bool = False) -> None:
-        """Write a file, whole or not at all. Raises ParameterError for a wrong name, Rejected for an existing one."""
+        """Write a file, whole or not at all.
+
+        Raises ParameterError for a wrong name and a text that is too long, Rejected for an existing file.
+        """
         path = self.place(name)
+        if len(text.encode()) > self._most_bytes:
+            raise ParameterError(f"has more than {self._most_bytes} bytes", f"{self._kind} {name}", "keep less in it")
         make_folder(self.folder)
         if not path.exists() and len(self.listed()) >= self._most:
             raise Rejected(f"there are {self._most} {self._kind}s already", f"{self._kind}s", "delete one")
@@ -77,13 +87,15 @@ class NamedFiles:
 SUFFIXES = (".mcap", ".mat", ".parquet", ".csv", ".ulg")
 """Suffixes of logs."""
 LONGEST = 120
+LogName = Annotated[str, Field(min_length=1, max_length=2 * LONGEST + 20)]
+"""Name in a request of a log that may be there, as "12:NAME"."""
 _NEW = re.compile(r"[A-Za-z0-9][A-Za-z0-9_. +-]*")
 
 
 def is_log(name: str) -> bool:
     """Return True for the name of a log: printable, not hidden, with a log's suffix."""
     return (
-        len(name) <= 2 * LONGEST
+        len(name.encode("utf-8", "replace")) <= 2 * LONGEST  # file systems count bytes; notes have longer names
         and not name.startswith(".")
         and name.isprintable()
         and not set(name) & {"/", "\\"}
@@ -116,7 +128,7 @@ class LogTrash:
         self.folder, self._logs = folder / ".trash", folder
 
     def put(self, path: Path) -> dict[str, Any]:
-        """Move a log and its notes here; return its entry."""
+        """Move a log and its notes here; return its entry. Raises LogError."""
         make_folder(self.folder)
         now, name = int(time.time()), path.name
         entry = self.folder / f"{now}-{secrets.token_hex(4)}-{name}"
@@ -124,7 +136,7 @@ class LogTrash:
         return {"entry": entry.name, "name": name, "until": now + KEPT_DAYS * _DAY_S}
 
     def restore(self, entry: str) -> str:
-        """Restore a log and its notes; return its name, numbered if that is taken. Raises NotThere."""
+        """Restore a log and its notes; return its name, numbered if that is taken. Raises NotThere, LogError."""
         found = next((row for row in self.listed() if row["entry"] == entry), None)
         if found is None:
             raise NotThere("there is no such deleted log", entry[:40], "it may have been removed for good")
@@ -149,9 +161,13 @@ class LogTrash:
 
 
 def _move(path: Path, target: Path) -> None:
-    """Move a log with its notes."""
+    """Move a log with its notes. Raises LogError."""
     notes = path.with_name(path.name + NOTES)
-    path.rename(target)
+    try:
+        path.rename(target)
+    except OSError as refusal:
+        remedy = "see that it is there, that its name is short, and that the disk has room"
+        raise LogError(f"cannot be moved: {refusal.strerror}", path.name, remedy) from refusal
     if notes.is_file():
         notes.rename(target.with_name(target.name + NOTES))
 
@@ -233,10 +249,7 @@ class LogShelf:
     def take_in(self, path: Path, name: str) -> str:
         """Move an uploaded log to its place; return its name, numbered if that is taken."""
         target = numbered(self.folder / new_name(name))
-        try:
-            path.rename(target)
-        except OSError as refusal:
-            raise LogError(f"cannot be kept: {refusal.strerror}", name, "see that the disk has room") from refusal
+        _move(path, target)
         return target.name
 
     def _folders(self) -> list[Path]:

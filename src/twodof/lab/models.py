@@ -84,8 +84,14 @@ class ModelFolder(NamedFiles):
         return hashlib.sha256(self.content(name)).hexdigest()
 
     def keep(self, name: str, document: Mapping[str, Any], overwrite: bool = False) -> dict[str, Any]:
-        """Save a model and return its row. Raises ParameterError for a wrong name, Rejected for an existing one."""
-        self.save(name, json.dumps(document, indent=1, allow_nan=False), overwrite)
+        """Save a model and return its row. Raises as `save`, and ParameterError for what JSON cannot hold."""
+        try:
+            text = json.dumps(document, indent=1, allow_nan=False)
+            _DOCUMENT.validate_json(text)
+        except (ValueError, RecursionError) as reason:
+            what = "it holds NaN, infinity, half a character, or nests too deep"
+            raise ParameterError(what, f"model {name}", "give null for such a number, and nest it less") from reason
+        self.save(name, text, overwrite)
         return self.row(name)
 
     def values(self, name: str) -> dict[str, float]:

@@ -241,6 +241,17 @@ def test_deleting_is_undone_with_the_notes_and_ends_after_its_days(
     assert not list((server.folder / "flights" / ".trash").iterdir())
 
 
+def test_long_names_are_left_out_or_refused(server: Served) -> None:
+    paths = [server.folder / "flights" / name for name in (f"{'é' * 122}.csv", f"{'k' * 236}.csv")]
+    for path in paths:
+        path.write_text("time,q\n")
+    assert [names(server).count(path.name) for path in paths] == [0, 1]
+    refusal = server.ask("DELETE", f"/api/logs/{paths[1].name}")
+    assert (refusal.status, refusal.json["what"]) == (422, "cannot be moved: File name too long")
+    for path in paths:
+        path.unlink()
+
+
 def test_another_folder_is_only_read_and_a_watcher_changes_nothing(server: Served) -> None:
     assert server.ask("GET", "/api/logs/1%3Atheirs.parquet").json["ours"] is False
     assert server.ask("DELETE", "/api/logs/1%3Atheirs.parquet").status == 409

@@ -18,13 +18,14 @@ from twodof.gcs.async_drone import BUILDS
 from twodof.lab import diagram_work
 from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import NotThere, RequestBody
+from twodof.lab.folders import FileName
 from twodof.lab.lab import CurrentLab, Lab
 from twodof.lab.processes import Answer, Told
 
 router = lab_router("/api/diagrams", "diagrams")
 FAST_S, COMPILE_S = 10.0, 30.0
 MOST_TEXT = MAX_BYTES + (1 << 20)  # a text in JSON has its quotes escaped
-Name = Annotated[str, Path(min_length=1, max_length=80, description="Of a file in the folder of diagrams, no ending.")]
+Name = Annotated[FileName, Path(description="Of a file in the folder of diagrams, no ending.")]
 
 
 class AskedDiagram(RequestBody):

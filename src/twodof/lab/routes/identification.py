@@ -17,12 +17,12 @@ from twodof.lab.access import WATCHERS_MAY, CurrentClient, lab_router, takes
 from twodof.lab.answers import Finite, RequestBody
 from twodof.lab.drones.lab_drone import LabDrone
 from twodof.lab.flights import AskedExperiment, design, fly_experiment, identify, offered, plan
+from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import MAX_BYTES
 from twodof.lab.processes import Job
 
 router = lab_router("/api/identification", "identification")
-LogName = Annotated[str, Field(min_length=1, max_length=160)]
 Second = Annotated[Finite, Field(ge=0.0, le=1e6)]
 DroneNumber = Annotated[int, Field(ge=1, le=255)]
 
@@ -32,7 +32,7 @@ class AskedPlan(RequestBody):
 
     experiment: AskedExperiment
     drone: DroneNumber | None = None
-    model: Annotated[str, Field(max_length=60)] | None = None
+    model: FileName | None = None
     rehearse: bool = False
 
 
@@ -129,22 +129,21 @@ def _flown(one: LabDrone, lent: ExitStack, job: Job) -> None:
 
 
 models_router = lab_router("/api/models", "models")
-ModelName = Annotated[str, Path(min_length=1, max_length=60, description="What the model was called when it was kept.")]
-Name = Annotated[str, Field(min_length=1, max_length=60)]
+ModelName = Annotated[FileName, Path(description="What the model was called when it was kept.")]
 
 
 class AskedKeeping(RequestBody):
     """Job of a fit whose model is kept, and the model's name."""
 
     job: Annotated[str, Field(max_length=40)]
-    name: Name
+    name: FileName
     overwrite: bool = False
 
 
 class AskedController(RequestBody):
     """Design: the diagram's name, crossover [rad/s] and phase margin [rad] of the rate loop, method."""
 
-    name: Name
+    name: FileName
     crossover: Annotated[float, Field(ge=1.0, le=120.0)] = 20.0
     phase_margin: Annotated[float, Field(gt=0.0, lt=math.pi / 2)] | None = None
     method: Literal["cascade", "lqg"] = "cascade"

@@ -22,7 +22,7 @@ from twodof.flightlog.provenance import MAX_FILE_BYTES
 from twodof.lab import log_work
 from twodof.lab.access import lab_router, takes
 from twodof.lab.answers import RequestBody
-from twodof.lab.folders import KEPT_DAYS, MOST_NOTES
+from twodof.lab.folders import KEPT_DAYS, MOST_NOTES, LogName
 from twodof.lab.lab import CurrentLab, Lab
 from twodof.lab.log_work import summary as log_summary
 from twodof.lab.processes import Answer
@@ -32,7 +32,7 @@ router = lab_router("/api/logs", "logs")
 MOST_SUMMARIES = 4000
 MOST_UPLOADED = MAX_FILE_BYTES // 2
 READ_S, CONVERT_S = 30.0, 90.0
-Name = Annotated[str, Path(min_length=1, max_length=260, description="Of a log, as the list tells it.")]
+Name = Annotated[LogName, Path(description="Of a log, as the list tells it.")]
 Moment = Annotated[float | None, Query(description="Of the log's time [s]; left out: the whole of it.")]
 Points = Annotated[int, Query(ge=10, le=log_work.MOST_POINTS, description="Of each curve, about.")]
 Format = Literal["mcap", "mat", "parquet", "csv", "ulg"]

@@ -16,6 +16,7 @@ from twodof.gcs.parameter_file import MAX_BYTES, ParameterFile
 from twodof.gcs.parameters import BY_NAME, INT32, ParameterEntry, SentChange, same_as
 from twodof.lab.access import WATCHERS_MAY, lab_router, takes
 from twodof.lab.answers import Finite, NotThere, RequestBody
+from twodof.lab.folders import FileName, LogName
 from twodof.lab.lab import CurrentLab
 from twodof.lab.models import measured_steps
 from twodof.lab.routes.session import NamedDrone
@@ -73,14 +74,14 @@ def _row(entry: ParameterEntry) -> dict[str, Any]:
 
 
 files_router = lab_router("/api/drones/{number}/parameters", "parameters")
-SnapshotName = Annotated[str, Path(min_length=1, max_length=60, description="What the snapshot is called.")]
+SnapshotName = Annotated[FileName, Path(description="What the snapshot is called.")]
 TEXT = "text/plain; charset=utf-8"
 
 
 class AskedSnapshot(RequestBody):
     """Name and note of a new snapshot."""
 
-    name: Annotated[str, Field(min_length=1, max_length=60)]
+    name: FileName
     note: Annotated[str, Field(max_length=200)] = ""
     overwrite: bool = False
 
@@ -119,7 +120,7 @@ async def snapshot(lab: CurrentLab, one: NamedDrone, name: SnapshotName, other: 
     """Compare a snapshot with the drone, or with the snapshot `other`."""
     kept = _of(lab, name)
     if other:
-        theirs = _of(lab, other[:60]).values
+        theirs = _of(lab, other).values
         names = sorted({*kept.values, *theirs})
         rows = [{"name": n, "before": theirs.get(n), "value": kept.values.get(n)} for n in names]
         return {"changes": [row for row in rows if row["before"] != row["value"]], "missing": [], "about": kept.about}
@@ -172,8 +173,6 @@ def _unit(entry: ParameterEntry) -> str:
 tuning_router = lab_router("/api/tuning", "tuning")
 READING_S = 30.0
 """Longest time for reading a log [s]."""
-ModelName = Annotated[str, Field(min_length=1, max_length=60)]
-
 StepSize = Annotated[Finite, Field(ge=0.001, le=0.8)]
 USUAL_STEP = math.radians(10.0)
 
@@ -181,7 +180,7 @@ USUAL_STEP = math.radians(10.0)
 class AskedModel(RequestBody):
     """Name of a model; null for none."""
 
-    model: ModelName | None
+    model: FileName | None
 
 
 class AskedChanges(RequestBody):
@@ -189,7 +188,7 @@ class AskedChanges(RequestBody):
 
     changes: dict[Annotated[str, Field(max_length=200)], Finite] = Field(default_factory=dict, max_length=200)
     goal: StepSize = USUAL_STEP
-    model: ModelName | None = None
+    model: FileName | None = None
 
 
 @tuning_router.get("/{number}")
@@ -232,7 +231,7 @@ async def preview(lab: CurrentLab, one: NamedDrone, asked: AskedChanges) -> dict
 async def measured(
     lab: CurrentLab,
     one: NamedDrone,
-    log: Annotated[str, Body(min_length=1, max_length=200)],
+    log: Annotated[LogName, Body()],
     goal: Annotated[StepSize, Body()] = USUAL_STEP,
 ) -> dict[str, Any]:
     """Return the steps of theta in a log, each scaled to `goal` [rad] and begun at 0.
