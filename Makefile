@@ -72,7 +72,7 @@ check: $(VENV)/ready-dev
 	$(BIN)/python -m pytest -q tests/test_layers.py
 	@tools/web.sh "$(CURDIR)/$(BIN)/python" check
 
-bench: $(VENV)/ready-bench tools
+bench: $(VENV)/ready-dev tools
 	$(BIN)/python -m bench
 
 # The site carries the page Play; where the npm registry is not reached, it goes on without.
@@ -127,10 +127,6 @@ $(VENV)/ready-dev: requirements/dev.txt pyproject.toml $(VENV)/ready-pip
 	$(BIN)/python $(INSTALL) --no-deps -e .
 	@touch $@ $(VENV)/ready-run $(VENV)/ready-sandbox $(VENV)/ready-docs
 
-$(VENV)/ready-bench: requirements/bench.txt $(VENV)/ready-dev
-	$(BIN)/python $(INSTALL) --require-hashes -r requirements/bench.txt
-	@touch $@
-
 # What maintains the pins has an environment of its own, so that nobody else installs it.
 MAINTAIN := $(VENV)/maintain
 $(MAINTAIN)/ready: requirements/maintain.txt requirements/pip.txt | $(BIN)/python
@@ -150,7 +146,6 @@ lock: $(MAINTAIN)/ready
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra compiler -o requirements/compiler.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra wasm -o requirements/sandbox.txt pyproject.toml
 	$(LOCK_PROJECT) -c requirements/dev.txt --extra docs -o requirements/docs.txt pyproject.toml
-	$(LOCK) -c requirements/dev.txt -o requirements/bench.txt requirements/bench.in
 	$(LOCK) -o requirements/node.txt requirements/node.in
 	$(LOCK) -o requirements/pip.txt requirements/pip.in
 	$(LOCK) -o requirements/maintain.txt requirements/maintain.in
@@ -158,7 +153,7 @@ lock: $(MAINTAIN)/ready
 # One document for each file of pins: name, version, purl and hashes of every part, checked against CycloneDX's schema.
 sbom: $(MAINTAIN)/ready
 	@mkdir -p out/sbom
-	@for pins in run compiler sandbox docs bench dev maintain pip; do \
+	@for pins in run compiler sandbox docs dev maintain pip; do \
 		PYTHONWARNINGS=ignore $(MAINTAIN)/bin/cyclonedx-py requirements --validate --output-reproducible --short-PURLs \
 			--mc-type library --pyproject pyproject.toml -o out/sbom/$$pins.cdx.json requirements/$$pins.txt && \
 		[ $$(grep -c '^[^ #].*==' requirements/$$pins.txt) = $$(grep -c '"purl"' out/sbom/$$pins.cdx.json) ] && \

@@ -98,7 +98,7 @@ class Figure:
 
 def machine() -> dict[str, Any]:
     """Processor, cores, load, system, compilers and versions of what takes part."""
-    packages = ("twodof", "numpy", "scipy", "control", "mujoco", "numba", "ziglang")
+    packages = ("twodof", "numpy", "scipy", "control", "mujoco", "ziglang")
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),

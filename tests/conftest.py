@@ -18,6 +18,8 @@ from hypothesis import settings
 from hypothesis.internal.conjecture.providers import HypothesisProvider
 from hypothesis.internal.constants_ast import Constants
 
+from twodof.flightlog.public_data import PUBLIC_LOGS, cache_folder
+
 PROJECT = Path(__file__).resolve().parents[1]
 SLOW_FILE = re.compile(r"^pytestmark = .*\bpytest\.mark\.slow\b", re.MULTILINE)
 BEGAN = pytest.StashKey[float]()
@@ -98,8 +100,10 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def flight_data() -> Path:
-    """Folder of the seven real flight logs; skips, saying so, where it is not at hand."""
-    folder = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data"))
-    if not folder.is_dir():
-        pytest.skip(f"no flight logs in {folder}: set TWODOF_FLIGHT_DATA to the folder that holds them")
-    return folder
+    """Folder of the seven real flight logs; skips, saying so, where they are not at hand."""
+    named = os.environ.get("TWODOF_FLIGHT_DATA")
+    folders = [Path(named)] if named else [PROJECT / "../shared/flight-data", cache_folder()]
+    for folder in folders:
+        if all((folder / f"{name}.mat").is_file() for name in PUBLIC_LOGS):
+            return folder
+    pytest.skip("no real flight logs: fetch them by `twodof log fetch`, or set TWODOF_FLIGHT_DATA to their folder")

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from twodof.cli import app
+from twodof.flightlog.public_data import cache_folder
 
 PROJECT = Path(__file__).resolve().parents[1]
 PAGES = [page for page in sorted((PROJECT / "docs").rglob("*.md")) if "```console" in page.read_text(encoding="utf-8")]
@@ -65,7 +66,9 @@ def save_files(text: str, folder: Path) -> None:
 def run_page(text: str, folder: Path) -> Iterator[tuple[Command, int, str]]:
     """Run a page's commands in `folder`, with the page's files; yield each with its exit status and output."""
     save_files(text, folder)
-    logs = Path(os.environ.get("TWODOF_FLIGHT_DATA", PROJECT / "../shared/flight-data")).resolve()
+    named = os.environ.get("TWODOF_FLIGHT_DATA")
+    folders = [Path(named)] if named else [PROJECT / "../shared/flight-data", cache_folder()]
+    logs = next((folder for folder in folders if folder.is_dir()), folders[0]).resolve()
     missing = set() if logs.is_dir() else {"$LOGS"}
     for command in commands(text):
         named = set(re.findall(r"\$LOGS|[\w-]+\.[a-z]\w+", command.line))
