@@ -189,8 +189,9 @@ def test_a_rig_from_a_model_has_the_models_figures(tmp_path: Any) -> None:
 def test_bad_input_is_refused_with_the_remedy(tmp_path: Any) -> None:
     with pytest.raises(DiagramError, match="there is no loop 'yaw'"):
         cascade_loop("yaw")
-    with pytest.raises(ParameterError, match="says none of"):
-        identified_rig({"a": 1.0})
+    for nothing in ({"a": 1.0}, {"lag": 0.01}):
+        with pytest.raises(ParameterError, match="says none of"):
+            identified_rig(nothing)
     for bad in (math.nan, -5.0, 1e12):
         with pytest.raises(ParameterError, match="no rig has"):
             identified_rig({"mu": bad})

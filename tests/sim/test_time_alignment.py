@@ -21,6 +21,13 @@ def test_a_loop_that_reads_at_100_hz_is_a_loop() -> None:
     assert driven(at_100_hz).mean() > 0.98
 
 
+def test_a_loop_may_stand_still_for_two_steps_and_lasts_25() -> None:
+    loop = np.random.default_rng(3).standard_normal(60)
+    # Of a value that stands still the first step may be the message's, unless the log ends with it.
+    assert [driven(np.append(loop, np.full(n, 9.0))).sum() for n in range(1, 6)] == [61, 61, 61, 60, 60]
+    assert [driven(np.append(loop[:n], np.full(9, 9.0))).sum() for n in (25, 26)] == [0, 26]
+
+
 def test_a_constant_is_no_loop() -> None:
     assert not driven(np.full(100, 0.4)).any()
 

@@ -4,6 +4,7 @@ import functools
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from twodof.design.pitch_family import PitchFamily
 from twodof.design.promise import STEPS, Promise
 from twodof.design.specification import Specification, read_specification
 from twodof.errors import ParameterError
-from twodof.flight.gains import DEFAULT, STUDENT
+from twodof.flight.gains import DEFAULT, STUDENT, Gains
 from twodof.rig.steady_state import model_parameters
 from twodof.sim.linear import cascade_margins
 from twodof.sim.promised.rail_promise import BEFORE, RailFamily, check_rail, fly_lanes, rail_promise
@@ -85,12 +86,13 @@ def test_promise_comes_back_from_its_file() -> None:
     assert json.dumps(Promise.from_json(json.loads(text)).to_json(), allow_nan=False) == text
 
 
-def test_a_step_into_the_stop_promises_nothing() -> None:
-    lost = rail_promise(FAMILY, "velocity", gains=STUDENT, members=40, goal=0.4, duration=2.0)
+@pytest.mark.parametrize(("gains", "goal"), [(STUDENT, 0.4), (replace(STUDENT, velocity=(0.01, 0.0)), 0.1)])
+def test_a_step_into_the_stop_or_not_followed_promises_nothing(gains: Gains, goal: float) -> None:
+    lost = rail_promise(FAMILY, "velocity", gains=gains, members=40, goal=goal, duration=2.0)
     assert lost.failed == 1.0
     assert "nothing is promised" in lost.table()
-    wanted = Specification(loop="velocity", overshoot=0.5, step=0.4)
-    assert not any(row.met for row in check_rail(wanted, FAMILY, STUDENT, promised=lost))
+    wanted = Specification(loop="velocity", overshoot=0.5, step=goal)
+    assert not any(row.met for row in check_rail(wanted, FAMILY, gains, promised=lost))
 
 
 @pytest.mark.long
