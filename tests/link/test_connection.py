@@ -87,6 +87,29 @@ async def test_a_round_trip_is_measured() -> None:
 
 
 @in_loop
+async def test_a_question_about_time_is_answered_to_its_sender() -> None:
+    """Unless it is for another component: that question is for the user."""
+    here, there = memory_pair()
+    async with Connection(here, 1, 1) as drone, Connection(there, 255, 190) as ground:
+        for sequence, (system, component) in enumerate([(0, 0), (1, 0), (1, 1), (1, 2), (9, 0), (0, 1)]):
+            asked = message("TIMESYNC", ts1=7, target_system=system, target_component=component)
+            there.send(encode(asked, 255, 190, sequence))
+            got = drone.receive_now()
+            assert (got is None) is (sequence < 3)
+            answer = there.receive_now()
+            assert (answer is None) is (sequence >= 3)
+        for number, system in enumerate((0, 9)):
+            there.send(encode(message("PING", time_usec=7, seq=3, target_system=system), 255, 190, 6 + number))
+        got = drone.receive_now()
+        assert got is not None
+        assert got.message.target_system == 9
+        answered = ground.receive_now()
+        assert answered is not None
+        sent = answered.message
+        assert (sent.time_usec, sent.seq, sent.target_system, sent.target_component) == (7, 3, 255, 190)
+
+
+@in_loop
 async def test_every_peer_has_its_own_sequence() -> None:
     async with (
         Connection(await open_transport("memin://two"), 1, 1) as drone,

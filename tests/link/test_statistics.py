@@ -38,6 +38,15 @@ def test_a_sender_that_begins_anew_is_no_loss() -> None:
     assert (counts.lost, counts.restarts, counts.received) == (0, 1, 110)
 
 
+def test_the_window_ends_where_it_says() -> None:
+    # 63 behind the newest is within it, 64 behind is a sender that begins anew.
+    assert counted([100, 163, 100]).duplicated == 1
+    assert counted([99, 163, 99]).restarts == 1
+    assert counted([100, 163, 101]).lost == 61
+    late = counted([100, *range(163, 226), 162])
+    assert (late.lost, late.restarts, late.duplicated) == (61, 0, 0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_against_a_channel_whose_losses_are_known(seed: int) -> None:
     chance = random.Random(seed)
@@ -71,6 +80,7 @@ def test_round_trips_and_the_other_clock() -> None:
     assert trips.least == pytest.approx(0.002)
     assert trips.offset == pytest.approx(7.0)
     assert trips.count == 3
+    assert trips.mean == pytest.approx(0.01128)  # a tenth of the difference each time: .01, .0092
     assert trips.answered(1, 200.0) is None  # twice
     assert trips.answered(99, 200.0) is None  # never asked
     for token in range(1000):
@@ -87,6 +97,10 @@ def test_the_link_s_loss_is_over_all_senders() -> None:
     # Sender 1: 4 sent, 1 lost (one came twice); sender 2: 5 sent, 3 lost.
     assert statistics.senders[1, 1].loss == pytest.approx(1 / 4)
     assert statistics.loss == pytest.approx(4 / 9)
+    assert repr(statistics) == "<6 frames of 2 senders, 44 % lost>"
+    statistics.round_trips.asked(1, 0.0)
+    statistics.round_trips.answered(1, 0.0125)
+    assert repr(statistics) == "<6 frames of 2 senders, 44 % lost, round trip 12.5 ms>"
 
 
 def test_senders_are_bounded() -> None:

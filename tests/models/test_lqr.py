@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
@@ -25,35 +28,45 @@ def test_a_plant_without_delay_gets_the_gains_of_python_control() -> None:
     assert gains.history == ()
 
 
-def cost(gains: LqrGains) -> float:
-    """The sum that the attitude's LQR minimises, flown from theta = 5 deg and -1 rad/s until all is at rest."""
-    held = PAPER_PITCH_RATE.state_space().zero_order_hold(PERIOD)
-    x, past, total, spent = np.array([np.radians(5.0), -1.0]), [0.0] * len(gains.history), 0.0, 0.0
-    for _ in range(5000):
+def cost(plant: DelayedStateSpace, largest: Sequence[float], gains: LqrGains) -> float:
+    """The sum that an LQR minimises, flown from errors of `largest` until all is at rest; the last two: sum, moment."""
+    held = plant.zero_order_hold(PERIOD)
+    *states, most_integral, most_moment = largest
+    x, past, total, spent = np.array(states) * [1.0, -0.5][: len(states)], [0.0] * len(gains.history), 0.0, 0.0
+    for _ in range(2000):
         total += PERIOD * x[0]
         moment = -float(np.dot(gains.state, x)) - gains.integral * total - float(np.dot(gains.history, past))
-        spent += (x[0] / np.radians(5.0)) ** 2 + (x[1] / 2.0) ** 2 + (total / 0.3) ** 2 + (moment / 0.1) ** 2
+        spent += sum((x / states) ** 2) + (total / most_integral) ** 2 + (moment / most_moment) ** 2
         x = held.phi @ x + held.new[:, 0] * past[-1]
         past = [moment, *past[:-1]]
     return spent
 
 
-def test_no_neighbour_of_the_gains_costs_less() -> None:
-    best = attitude_lqr()
+RIGID = DelayedStateSpace.of([[0.0]], [PAPER_PITCH_RATE.mu], [[1.0]], [[0.0]], PAPER_PITCH_RATE.tau)
+
+
+@pytest.mark.parametrize(
+    ("best", "plant", "largest"),
+    [
+        (attitude_lqr(), PAPER_PITCH_RATE.state_space(), (np.radians(5.0), 2.0, 0.3, 0.1)),
+        (rate_lqr(), RIGID, (1.0, 0.2, 0.06)),
+    ],
+    ids=["attitude", "rate"],
+)
+def test_no_neighbour_of_the_gains_costs_less(
+    best: LqrGains, plant: DelayedStateSpace, largest: tuple[float, ...]
+) -> None:
     assert len(best.history) == 5  # 20 ms, five steps
-    least = cost(best)
-    for i in range(2):
-        for share in (0.99, 1.01):
-            state = list(best.state)
-            state[i] *= share
-            assert cost(LqrGains(tuple(state), best.integral, best.history)) > least
+    least = cost(plant, largest, best)
     for share in (0.99, 1.01):
-        assert cost(LqrGains(best.state, share * best.integral, best.history)) > least
-        assert cost(LqrGains(best.state, best.integral, tuple(share * k for k in best.history))) > least
+        for i, gain in enumerate(best.state):
+            state = (*best.state[:i], share * gain, *best.state[i + 1 :])
+            assert cost(plant, largest, replace(best, state=state)) > least
+        assert cost(plant, largest, replace(best, integral=share * best.integral)) > least
+        assert cost(plant, largest, replace(best, history=tuple(share * k for k in best.history))) > least
 
 
 def test_what_cannot_be_stabilised_is_refused() -> None:
     # The integral of the rate of a plant with a spring is its angle: no moment holds it elsewhere.
     with pytest.raises(ParameterError, match="no state feedback"):
         lqr(PAPER_PITCH_RATE.state_space(), 1, (np.inf, 1.0), 0.2, 0.03)
-    assert rate_lqr().integral > 0.0

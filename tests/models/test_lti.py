@@ -98,6 +98,8 @@ def test_a_step_that_does_not_settle_says_so() -> None:
     figures = step_figures(t, 0.5 * t, 0.0, 1.0)
     assert np.isnan(figures.settling_time)
     assert np.isnan(figures.rise_time)
+    at_once = step_figures(t, np.ones(101), 0.0, 1.0)
+    assert (at_once.settling_time, at_once.rise_time, at_once.overshoot) == (0.0, 0.0, 0.0)
 
 
 def test_bad_models_are_refused() -> None:

@@ -1,6 +1,7 @@
 """Ready-made structures, run by the reference interpreter, against closed forms and independent integrators."""
 
 from collections.abc import Mapping
+from itertools import product
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from twodof.models import (
     rail,
     velocity,
 )
+from twodof.models.dry_friction import after_friction
 from twodof.models.lti import DelayedStateSpace
 
 pytestmark = pytest.mark.slow
@@ -158,6 +160,20 @@ def test_friction_holds_until_the_moment_exceeds_it() -> None:
     q = run(free_response(), values, u)["q"]
     assert (q[:200] == 0.0).all()
     assert q[-1] > 0.0
+
+
+def test_friction_stops_turns_back_and_lets_go_inside_a_step() -> None:
+    """Under a constant drive, against the motion followed from the moment of the stop on."""
+    dt, frictions = 0.5, (0.0, 0.1, 1.0, 2.0)
+    cases = product((-1.0, -0.1, 0.0, 0.05, 0.3, 2.0), (-2.0, -0.1, 0.0, 0.05, 0.7, 2.0), frictions, frictions)
+    for v, drive, more, less in (map(np.float64, case) for case in cases):
+        slope = drive - more if v > 0.0 else drive + less
+        left = dt if v == 0.0 else dt + v / slope if v * slope < 0.0 else 0.0
+        after_stop = left * (max(0.0, drive - more) + min(0.0, drive + less))
+        sticks = v == 0.0 and -less <= drive <= more
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = after_friction(0.0 if sticks else v + drive * dt, drive, more, less, dt)
+        assert found == pytest.approx(after_stop if left > 0.0 else v + slope * dt, abs=1e-12), (v, drive, more, less)
 
 
 def test_delay_inside_a_step_is_exact_for_the_continuous_block() -> None:
