@@ -33,7 +33,7 @@ def cost(plant: DelayedStateSpace, largest: Sequence[float], gains: LqrGains) ->
     held = plant.zero_order_hold(PERIOD)
     *states, most_integral, most_moment = largest
     x, past, total, spent = np.array(states) * [1.0, -0.5][: len(states)], [0.0] * len(gains.history), 0.0, 0.0
-    for _ in range(2000):
+    for _ in range(5000):
         total += PERIOD * x[0]
         moment = -float(np.dot(gains.state, x)) - gains.integral * total - float(np.dot(gains.history, past))
         spent += sum((x / states) ** 2) + (total / most_integral) ** 2 + (moment / most_moment) ** 2
