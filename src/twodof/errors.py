@@ -14,7 +14,7 @@ _SHORT.maxlevel, _SHORT.maxstring, _SHORT.maxother, _SHORT.maxlong = 3, 80, 80, 
 
 
 def shown(value: object) -> str:
-    """`value` as a message may show it: short, however large, deep or hostile it is."""
+    """Return `value` as short text for a message, however large, deep or hostile it is."""
     return _SHORT.repr(value)[:120]
 
 
@@ -83,11 +83,11 @@ class LogError(TwodofError):
 
 
 class RecordingError(LogError):
-    """A recording cannot go on, the disk being full or silent; what was acknowledged is in its file."""
+    """A recording cannot go on because its disk is full or does not answer; all acknowledged data is in its file."""
 
 
 class DownloadError(LogError):
-    """A public log is not at hand and cannot be fetched now."""
+    """A public log is not stored on this computer and cannot be downloaded now."""
 
 
 class IdentificationError(TwodofError):
@@ -128,7 +128,7 @@ class RefusalReason(IntEnum):
 
 
 class Rejected(TwodofError):
-    """The drone received a command and refused it; `reason` is what it said, `code` the same for programs."""
+    """The drone received a command and refused it. `reason` is its text for people, `code` its reason for programs."""
 
     def __init__(self, what: str, where: str = "", remedy: str = "", code: RefusalReason = RefusalReason.OTHER) -> None:
         super().__init__(what, where, remedy)
@@ -136,9 +136,9 @@ class Rejected(TwodofError):
 
     @property
     def reason(self) -> str:
-        """Why, in the drone's words where it gave any."""
+        """Reason for the refusal, in the drone's words where it gave any."""
         return self.what
 
 
 class Timeout(TwodofError, TimeoutError):
-    """A call's deadline passed before the drone had answered, or before what was waited for came."""
+    """A call's deadline passed before the drone answered or the awaited state was reached."""

@@ -140,7 +140,7 @@ def test_an_unfit_px4_changes_nothing(folder: Path, capfd: pytest.CaptureFixture
     arguments = ["--to", "px4-dir", "--out", str(folder / "module"), "--px4", str(folder / "px4")]
     found = answer(capfd, "flash", "pid-attitude", *arguments, status=1)
     assert found["error"]["kind"] == "CompileError"
-    assert "does not fit it" in found["error"]["what"]
+    assert "does not fit this PX4" in found["error"]["what"]
     assert not (folder / "module").exists()
 
 

@@ -51,9 +51,9 @@ class RestartPolicy:
 
 
 class AppSupervisor:
-    """Runs `command` until it ends by itself, is given up or the task is cancelled; `log` gets its lines and ours.
+    """Supervisor of the app `command`. `log` gets the lines of the app's output and of the supervisor.
 
-    It is not started again while `killed` returns True for its drone.
+    After a crash the app is not started again while `killed` returns True: while its drone is killed.
     """
 
     def __init__(
@@ -78,9 +78,9 @@ class AppSupervisor:
         self._room, self._room_at, self._left_out = MOST_LINES, 0.0, 0
 
     async def run(self) -> int:
-        """Return its exit status: 0, or the last one if it is given up (128 + n: ended by signal n).
+        """Run the app, restart it after crashes, and return its last exit status (128 + n: ended by signal n).
 
-        Status 2, a mistake of the caller, is not tried again.
+        Status 0 is success, status 2 a usage error: after both the app is not started again.
         """
         loop = asyncio.get_running_loop()
         crashes, wait = 0, self._restarts.first
@@ -104,7 +104,7 @@ class AppSupervisor:
             wait = min(2.0 * wait, self._restarts.longest)
 
     async def _once(self) -> int:
-        """Run it once, until the last of its processes has ended."""
+        """Run the app once, until the last of its processes has ended."""
         self.starts += 1
         try:
             child, said = await self._start()

@@ -44,21 +44,21 @@ GROUPS: Mapping[int, tuple[str, ...]] = MappingProxyType(
 
 @cache
 def profile(name: str) -> Mapping[int, int]:
-    """Return the intervals [us] by message id of the rates called `name`. Raises LinkError for an unknown name."""
+    """Return the message intervals [us], by message id, of the set of rates `name`. Raises LinkError if unknown."""
     if name not in PROFILES:
-        raise LinkError(f"no rates {shown(name)}", "companion", f"there are {listed(PROFILES)}")
+        raise LinkError(f"no set of rates {shown(name)}", "companion", f"choose one of {listed(PROFILES)}")
     rates = {number: rate for number, rate in VEHICLE_PROFILES.get(name, {}).items() if number not in _ON_CHANGE}
     timed = {number: round(1e6 / rate) if rate > 0.0 else EVERY for number, rate in rates.items()}
     return dict.fromkeys(map(dialect.message_id, _OWN), EVERY) | timed
 
 
 def group(number: int) -> tuple[int, ...] | None:
-    """Return the message ids of a group of REQUEST_DATA_STREAM, None for all."""
+    """Return the message ids of group `number` of REQUEST_DATA_STREAM; None for group 0, which is all messages."""
     return None if number == 0 else tuple(map(dialect.message_id, GROUPS.get(number, ())))
 
 
 def is_ours(message_id: int) -> bool:
-    """Return True for twodof's own messages."""
+    """Return True for the id of one of twodof's own messages."""
     return FIRST_OWN_ID <= message_id <= LAST_OWN_ID
 
 
@@ -72,9 +72,11 @@ class Wish:
 
 @dataclass(eq=False)
 class CompanionClient:
-    """One peer of one transport. `defaults` are the intervals that it gets unasked, `heard` when it last spoke [s].
+    """Client of the companion: one peer of one transport.
 
-    `on_board`: a program of the drone itself. `stays`: a default address, which is sent to even if it never speaks.
+    `defaults` are the message intervals [us] that the client gets unasked, by message id; `heard` is the time of its
+    last frame [s]. `on_board`: the client is a program of the drone itself. `stays`: the client is a default address,
+    which gets messages even if it never sends any.
     """
 
     name: str
@@ -97,7 +99,7 @@ class CompanionClient:
         return f"<client {self.name}>"
 
     def add_identity(self, identity: Identity) -> None:
-        """Remember an identity, unless it has too many."""
+        """Remember an identity of the client, up to `MOST_IDENTITIES`."""
         if len(self.identities) < MOST_IDENTITIES:
             self.identities.add(identity)
 
@@ -109,7 +111,7 @@ class CompanionClient:
         self.knows_ours = False
 
     def set(self, message_id: int, wish: Wish | None) -> bool:
-        """Store a wish, None for the default. Return False if it has too many."""
+        """Store the client's wish for a message, None for the default. Return False if the client has too many."""
         if wish is None:
             self.wishes.pop(message_id, None)
         elif message_id in self.wishes or len(self.wishes) < MOST_WISHES:
@@ -119,7 +121,7 @@ class CompanionClient:
         return True
 
     def interval(self, message_id: int, default: int = OFF) -> int:
-        """Return the interval [us] at which it wants a message: as asked, by its rates, or else `default`."""
+        """Return the interval [us] at which the client wants a message: its wish, or its `defaults`, or `default`."""
         asked = self.wishes.get(message_id)
         if asked is not None:
             return asked.interval
@@ -128,10 +130,10 @@ class CompanionClient:
         return self.defaults.get(message_id, default)
 
     def wants(self, frame: Frame, vehicle_interval: int, default: int) -> bool:
-        """Return whether it gets a frame that the vehicle sends at `vehicle_interval` [us].
+        """Return whether the client gets this frame of a message that the vehicle sends at `vehicle_interval` [us].
 
-        A message that comes too fast is thinned by the time in it, never by our clock. The same flight then gives the
-        same messages in lockstep and in real time. Messages without a time are not thinned.
+        A message that comes too fast is thinned by the time stamp in it, never by this computer's clock. The same
+        flight then gives the same messages in lockstep and in real time. Messages without a time are not thinned.
         """
         number = frame.message_id
         if number in self.due_once:
@@ -149,11 +151,11 @@ class CompanionClient:
         return due
 
     def deliver(self, frame: Frame, lost: int = 0) -> None:
-        """Send a frame, numbered so that thinned messages do not count as lost, but `lost` frames of its sender do."""
+        """Send a frame under the client's own numbering: thinned frames do not count as lost, only `lost` frames do."""
         self.write(renumbered(frame, self.number((frame.system, frame.component), lost)))
 
     def number(self, identity: Identity, lost: int = 0) -> int:
-        """Return the sequence number of the next frame to it from `identity`."""
+        """Return the sequence number of the next frame from `identity` to this client, after `lost` lost frames."""
         number = self._sequences.pop(identity, 0)
         self._sequences[identity] = number + 1
         if len(self._sequences) > MOST_SENDERS:
@@ -161,7 +163,7 @@ class CompanionClient:
         return (number + lost) & 0xFF
 
     def write(self, raw: bytes) -> None:
-        """Give bytes to the transport, which drops and counts them if the client does not read."""
+        """Send bytes to the client. The transport drops and counts them if the client does not read."""
         try:  # noqa: SIM105 (`suppress` takes half a microsecond, for each frame and client)
             self.transport.send(raw, self.peer)
         except LinkLost:

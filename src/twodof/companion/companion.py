@@ -88,12 +88,12 @@ class Companion:
                 raise end
 
     async def run(self) -> None:
-        """Route until a part fails, whose exception it raises, or until it is cancelled."""
+        """Route frames until cancelled. Raises the exception of the first part that fails."""
         await asyncio.gather(*self._tasks)
 
     @property
     def urls(self) -> list[tuple[str, str]]:
-        """URL of each client link, with the port that the system chose for port 0, and its rates."""
+        """URL of each client link, with the port that the system chose for port 0, and the name of its rates."""
         return [port.address for port in self.ports]
 
     @property
@@ -103,12 +103,12 @@ class Companion:
 
     @property
     def killed(self) -> bool:
-        """True from the kill that the drone reported to its release."""
+        """True while the drone is killed, as it reports."""
         return self.router.killed
 
     @property
     def lost(self) -> int:
-        """How often the link to the flight controller was lost."""
+        """Number of times that the link to the flight controller was lost."""
         return self._vehicle.lost
 
     async def _look(self) -> None:

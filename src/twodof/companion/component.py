@@ -49,7 +49,7 @@ class ComputerStatus:
         self._traffic: list[Traffic] = []
 
     def status(self) -> Any:
-        """Return ONBOARD_COMPUTER_STATUS, with "unknown" for everything that cannot be read."""
+        """Return the message ONBOARD_COMPUTER_STATUS; a field that cannot be read has MAVLink's value for unknown."""
         now = self._clock()
         since, self._last = max(now - self._last, 1e-3), now
         used, total = self._memory()
@@ -132,7 +132,7 @@ class CompanionComponent:
         self._router.tell(self._computer.status(), vehicle=False)
 
     def link(self, stands: bool, why: str) -> None:
-        """Tell at once that the link to the vehicle was cut, or stands again."""
+        """Report at once that the link to the vehicle works again (`stands`) or is lost, with `why` as the text."""
         self.state = ACTIVE if stands else CRITICAL
         self._texts = self._texts % 65535 + 1
         for part in statustext(why, MavSeverity.INFO if stands else MavSeverity.WARNING, self._texts):
@@ -140,7 +140,7 @@ class CompanionComponent:
         self._router.tell(self._heartbeat())
 
     def time(self) -> bytes:
-        """Return a signed question for the time, which tells ours to a peer that hears nothing else of us yet."""
+        """Return an encoded TIMESYNC request. Its signature tells our time to a peer that gets no other message yet."""
         return self._router.encoded(message("TIMESYNC", ts1=self._now()))
 
     def handle(self, frame: Frame, client: CompanionClient | None) -> None:

@@ -33,9 +33,9 @@ GIVES_PLACE_S = 10.0
 
 @dataclass(frozen=True)
 class Serve:
-    """A URL at which clients are served, and the rates that they get unasked (`client.PROFILES`).
+    """A URL at which clients are served, and the name of the message rates that they get unasked.
 
-    `on_board`: only programs of the drone connect there, which may speak as its own system; no other client may.
+    `on_board`: only programs of the drone connect there. They may use the drone's own system id; other clients may not.
     """
 
     url: str
@@ -70,18 +70,18 @@ class CompanionLink(ABC):
 
     @abstractmethod
     def take(self, packet: Packet) -> None:
-        """Take a packet that came."""
+        """Handle an incoming packet."""
 
     @abstractmethod
     async def keep(self) -> None:
-        """Read the link and open it again, for ever."""
+        """Read the link, and open it again whenever it breaks, until cancelled."""
 
     async def open(self) -> None:
         """Open the link. Raises LinkError."""
         self.transport = await open_transport(self.url, OPEN_S)
 
     async def read(self) -> LinkLost:
-        """Hand packets to `take` until the link is lost, and return why."""
+        """Hand packets to `take` until the link is lost; return the reason."""
         try:
             while True:
                 packet = await self.transport.receive(WAIT_S)
@@ -103,7 +103,7 @@ class CompanionLink(ABC):
         return Parser(mavlink1=self.router.signing is None)
 
     def accepts(self, frame: Frame, peer: Hashable) -> bool:
-        """Return whether a frame is signed as it must be."""
+        """Return whether a frame has the signature that the link demands; send a peer with an old clock our time."""
         return self._admission.admits(
             frame, self.router.clock(), lambda: self.transport.send(self._component.time(), peer)
         )
@@ -117,7 +117,7 @@ class VehicleLink(CompanionLink):
     ) -> None:
         super().__init__(url, router, component)
         self.lost = 0
-        """How often the link was lost."""
+        """Number of times that the link was lost."""
         self.bytes_in = 0
         self._tell = tell or (lambda text: None)
         self._parser = self.new_parser()
@@ -230,7 +230,7 @@ class ClientLink(CompanionLink):
 
     @property
     def address(self) -> tuple[str, str]:
-        """URL with the port that it listens on, and rates."""
+        """URL, with the port that the link listens on, and the name of its rates."""
         address, transport = parse(self.url), self.transport
         if isinstance(transport, UdpTransport | TcpTransport):
             if address.bind_name:

@@ -1,6 +1,6 @@
 """The rules by which frames pass between the vehicle and the clients, without sockets and without a clock of its own.
 
-All frames that arrive are whole, and their checksum held.
+All incoming frames are complete, and their checksums are right.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,7 +31,7 @@ _ABOUT_MESSAGES = (frame_fields.SET_MESSAGE_INTERVAL, frame_fields.GET_MESSAGE_I
 
 @dataclass(slots=True)
 class RouterCounts:
-    """Frames of the vehicle, and frames that ended here by cause."""
+    """Number of frames from the vehicle, and of frames without a receiver, with a false sender, or going in circles."""
 
     from_vehicle: int = 0
     nobody: int = 0
@@ -51,8 +51,8 @@ class _Behind:
 class Router:
     """Routes frames for the vehicle `system`. `clock` gives seconds.
 
-    `signing` signs messages in the companion's own name. With it all frames that arrive were signed with its key.
-    `own` takes the frames that are for the companion itself, with the client that sent them, None for the vehicle.
+    `signing` signs messages in the companion's own name; all incoming frames then carry a signature by the same key.
+    `own` handles frames for the companion itself; it is called with the frame and its client, None for the vehicle.
     """
 
     def __init__(
@@ -96,12 +96,12 @@ class Router:
         self.refresh()
 
     def started(self) -> None:
-        """Tell the vehicle all streams again, after it has reconnected or restarted."""
+        """Request all streams anew from a vehicle that has reconnected or restarted."""
         self.streams.asked.clear()
         self.refresh()
 
     def refresh(self) -> None:
-        """Tell the vehicle which streams have changed."""
+        """Request the streams that have changed from the vehicle."""
         for number, wish in self.streams.changes():
             self._to_vehicle(message("COMMAND_LONG", **self._interval_fields(number, wish)))
 

@@ -18,7 +18,7 @@ _ON_REQUEST = ("TWODOF_BATCH", "TWODOF_TRUTH")
 
 @cache
 def _timed() -> frozenset[int]:
-    """Return the messages whose rates the vehicle is told even without a client.
+    """Return the messages whose interval is sent to the vehicle even if no client wants one.
 
     These are the messages with a rate, and TWODOF_TOF, which comes so often that it should not cross the line unused.
     """
@@ -34,7 +34,7 @@ def _streamed() -> frozenset[int]:
 
 
 class Streams:
-    """The clients and their wishes; `asked` is what the vehicle was told last, by message id."""
+    """The clients and their wishes. `asked` has the wish last sent to the vehicle, by message id."""
 
     def __init__(self) -> None:
         self.clients: list[CompanionClient] = []
@@ -54,13 +54,13 @@ class Streams:
         return Wish(min(timed, default=EVERY if EVERY in intervals else OFF))
 
     def changes(self) -> list[tuple[int, Wish]]:
-        """Return the messages whose union differs from what the vehicle was told, as told from now on."""
+        """Return id and wish of each message whose wish has changed, and count it as sent to the vehicle."""
         numbers = _timed().union(self.asked, *(client.wishes for client in self.clients))
         before = dict(self.asked)
         return [(number, wish) for number in sorted(numbers) if (wish := self.told(number)) != before.get(number)]
 
     def told(self, number: int) -> Wish:
-        """Return the union for a message, as told to the vehicle from now on; an unused message is not remembered."""
+        """Return the union of wishes for a message, and count it as sent to the vehicle; forget an unused message."""
         wish = self.union(number)
         self.asked[number] = wish
         if wish.interval == OFF and number not in _timed():
@@ -77,7 +77,7 @@ class Streams:
 
 
 def wish_of(number: int, asked: CommandFields) -> Wish | None:
-    """Return the wish in command 511, None for the default again or for numbers that make no sense."""
+    """Return the wish in command 511; None for a return to the default, or for numbers that make no sense."""
     interval = asked.params[1]
     if not math.isfinite(interval) or (interval == 0.0 and number != BATCH):
         return None
@@ -89,5 +89,5 @@ def wish_of(number: int, asked: CommandFields) -> Wish | None:
 
 
 def whole(value: float) -> int:
-    """Return a parameter of a command as an integer, -1 if it is none."""
+    """Return a parameter of a command as an integer, -1 if it is not finite or too large."""
     return round(value) if math.isfinite(value) and abs(value) < 2**31 else -1

@@ -1,8 +1,8 @@
 """The queue to the flight controller: kills first, a turn for every client, and no more than the line carries.
 
 A frame that fits goes out at once. Beyond that each client has a queue of its own. The client of which the fewest bytes
-were sent is served next, so that a client that floods loses its own frames only. One that comes anew counts as
-served as much as the one that was served last.
+were sent is served next, so that a client that floods loses its own frames only. A new client starts with the byte
+count of the client that was served last.
 """
 
 from collections import deque
@@ -64,7 +64,7 @@ class UplinkQueue:
         self._level = 0  # bytes that were sent of the client which was served last
 
     def connect(self, transport: Transport) -> None:
-        """Start with an open link."""
+        """Send over `transport`, which is open, from now on."""
         self.transport = transport
         self._free_at = 0.0
 
@@ -83,10 +83,10 @@ class UplinkQueue:
     def offer(
         self, source: Hashable, raw: bytes, now: float, urgent: Hashable | None = None, stale_s: float = STALE_S
     ) -> bool:
-        """Send a frame of `source` now or in its turn, unless it waits for `stale_s`; return False if it was dropped.
+        """Send a frame of `source` now, or in its turn within `stale_s` [s]; return False if it was dropped.
 
-        An `urgent` frame goes before all turns and is never dropped for want of room. While it waits, another one of
-        the same source and the same `urgent` is redundant.
+        A frame with a key `urgent` goes before all others and is never dropped for want of room. While it waits, a
+        second frame of the same source with the same key is ignored.
         """
         if self.transport is None:
             self.counts.cut += 1

@@ -35,9 +35,9 @@ _THETA, _Q = 0, 1
 
 @dataclass(frozen=True)
 class CascadeDesign:
-    """`gains` and what each loop was made for: its crossover [rad/s] and its phase margin [rad], by the loop's name.
+    """Gains of the cascade, with the crossover [rad/s] and the phase margin [rad] that each gives, by loop name.
 
-    The figures are those of the sampled loop, each with the loops inside it closed.
+    The figures are those of the sampled loops, each with the loops inside it closed.
     """
 
     gains: Gains
@@ -46,7 +46,10 @@ class CascadeDesign:
 
     @classmethod
     def of(cls, pitch: PitchRate, gains: Gains, lag: float = 0.0) -> Self:
-        """Return the rate and attitude loops of `gains`, NaN where |L| is not 1."""
+        """Return `gains` with the figures of their rate and attitude loops; the crossover is NaN if |L| is never 1.
+
+        `lag` [s] is that of the rotors.
+        """
         member = PitchMembers.of({"w_n": pitch.w_n, "xi": pitch.xi, "mu": pitch.mu, "dead_time": pitch.tau, "lag": lag})
         loops = pitch_loops(member, gains)
         found = {name: margins(loops[name]) for name in ("rate", "attitude")}
@@ -54,7 +57,7 @@ class CascadeDesign:
         return cls(gains, crossovers, {name: one.phase_margin for name, one in found.items()})
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return the gains and figures as plain data."""
         return {
             "gains": self.gains.to_json(),
             "crossovers": dict(self.crossovers),
@@ -71,28 +74,28 @@ class CascadeLoops:
         self.cart = None if velocity is None else velocity.state_space()
 
     def rate(self, gains: PidGains, omega: float) -> complex:
-        """L of the rate loop."""
+        """Return L of the rate loop at `omega` [rad/s]."""
         return complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _Q)
 
     def theta_by_q0(self, gains: PidGains, omega: float) -> complex:
-        """From the rate's set-point to the theta that is published, a sample old, with the rate loop closed."""
+        """Return the response of the published theta, one sample old, to the set-point of q, the rate loop closed."""
         theta = complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _THETA)
         return theta / (1.0 + self.rate(gains, omega)) * cmath.exp(-1j * omega * PERIOD)
 
     def theta_by_theta0(self, gains: PidGains, attitude: float, omega: float) -> complex:
-        """From the set-point of theta to theta itself, both loops closed."""
+        """Return the response of theta itself to its set-point, both loops closed; `attitude` is the outer gain."""
         around = attitude * self.theta_by_q0(gains, omega)
         return around / (1.0 + around) * cmath.exp(1j * omega * PERIOD)
 
     def v_by_force(self, gains: PidGains, attitude: float, omega: float) -> complex:
-        """From the force that the velocity loop asks for to v, for small angles."""
+        """Return the response of v to the force [N] that the velocity loop demands, for small angles."""
         if self.cart is None:
-            raise ParameterError("there is no model of the cart", "cascade", "give the velocity's model")
+            raise ParameterError("there is no model of the cart", "cascade", "give the `velocity` model")
         tilt = self.theta_by_theta0(gains, attitude, omega)
         return -tilt / LIFT * sampled_response(self.cart, omega, 1)
 
     def x_by_v0(self, gains: PidGains, attitude: float, velocity: PidGains, omega: float) -> complex:
-        """From the velocity's set-point to x, the velocity loop closed."""
+        """Return the response of x to the set-point of v, the velocity loop closed."""
         around = complex(velocity.response(omega)[0]) * self.v_by_force(gains, attitude, omega)
         z = cmath.exp(1j * omega * PERIOD)
         return around / (1.0 + around) * PERIOD * 0.5 * (z + 1.0) / (z - 1.0)
@@ -108,16 +111,16 @@ def cascade_design(
     separation: float = SEPARATION,
     kept: Gains = DEFAULT,
 ) -> CascadeDesign:
-    """Gains for the cascade whose rate loop crosses over at `crossover` [rad/s].
+    """Return gains of the cascade whose rate loop crosses over at `crossover` [rad/s].
 
-    With `phase_margin` [rad] the rate loop is a PID that has both exactly; without, it is the course's loop shaping,
-    `shaped_pid`, whose margin follows. Each outer loop crosses over at a `separation`-th of the inner one: attitude P,
-    velocity PI (60 degrees) and position P. `lag` [s] is that of the rotors, beside the delay of `pitch`. Without the
-    `velocity` model the outer gains are those of `kept`. Raises ParameterError for what no gains give, in the loop's
-    name, and for gains that the drone refuses.
+    With `phase_margin` [rad] the rate PID meets both figures exactly; without, it is `shaped_pid`, whose margin
+    follows. The crossover of each outer loop is that of the loop inside it over `separation`: attitude P, velocity PI
+    (60 degrees) and position P. `lag` [s] is that of the rotors, in addition to the delay of `pitch`. Without the
+    `velocity` model the outer gains are those of `kept`. Raises ParameterError, with the name of the loop, if no gains
+    meet a figure, and for gains that the drone refuses.
     """
     if not 1.0 < separation < 1e3:
-        raise ParameterError(f"a separation of {separation!r}", "cascade", "give 3 to 10; 5 is usual")
+        raise ParameterError(f"a separation of {separation!r} is out of range", "cascade", "give 3 to 10; 5 is usual")
     loops = CascadeLoops(pitch, velocity, lag)
     if phase_margin is None:
         rate = shaped_pid(pitch.mu, crossover)
@@ -149,17 +152,17 @@ def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:
     if lag == 0.0:
         return plain
     if not 0.0 < lag < 10.0:
-        raise ParameterError(f"a lag of {lag!r} s", "cascade", "give 0 to 10 s")
+        raise ParameterError(f"a lag of {lag!r} s is out of range", "cascade", "give 0 to 10 s")
     a = np.zeros((3, 3))
     a[:2, :2], a[:2, 2], a[2, 2] = plain.a, plain.b[:, 0], -1.0 / lag
     return DelayedStateSpace.of(a, [0.0, 0.0, 1.0 / lag], np.eye(2, 3), [[0.0], [0.0]], pitch.tau)
 
 
 LOW, HIGH = np.array([0.0, 0.0, 0.0, 0.1]), np.array([0.12, 0.5, 0.003, 15.0])
-"""What the drone takes for Kp, Ki, Kd and the attitude's Kp."""
+"""Bounds of the drone on Kp, Ki, Kd and the attitude's Kp."""
 
 BANDWIDTH, SENSITIVITY, MOMENT = 5.0, 2.0, 2.0
-"""Where a specification does not say: [rad/s], the largest |S|, and the largest |M| per radian of a step."""
+"""Defaults of a specification: bandwidth [rad/s], the largest |S|, and the largest |M| per radian of a step."""
 
 _CROSSOVERS = (14.0, 24.0)
 _FLAT = 1e-3  # of |S| at low frequency, in the weight
@@ -168,7 +171,10 @@ _OVERSHOOT = 1.25  # the peak of theta - theta_0 that the weight allows at high 
 
 @dataclass(frozen=True, eq=False)
 class HinfCascade:
-    """`gains` and the weighted `norm`: at most 1 where every weight is kept. `norms` are those of each start."""
+    """Gains and their weighted H-infinity `norm`, with its peak at `omega` [rad/s]; up to 1 it keeps every weight.
+
+    `norms` has the norm that was reached from each start.
+    """
 
     gains: Gains
     norm: float
@@ -205,9 +211,9 @@ def cascade_hinf(
 
 
 def weighted_cascade(family: PitchFamily, specification: Specification) -> Callable[[Array], tuple[System, System]]:
-    """Return the weighted closed loops, from theta_0 and from a moment added to M, at 250 Hz.
+    """Return a function from the gains (Kp, Ki, Kd, the attitude's Kp) to two weighted closed loops at 250 Hz.
 
-    They are functions of the gains (Kp, Ki, Kd, the attitude's Kp).
+    The input of the first loop is theta_0, that of the second a moment added to M.
     """
     wanted = BANDWIDTH if specification.bandwidth is None else specification.bandwidth
     peak = SENSITIVITY if specification.peak_sensitivity is None else specification.peak_sensitivity
@@ -217,7 +223,7 @@ def weighted_cascade(family: PitchFamily, specification: Specification) -> Calla
     aw, bw, cw, dw = _error_weight(wanted)
 
     def closed(x: Array) -> tuple[System, System]:
-        a, b, c, d = nominal.under(SampledController.of_cascade(*x)).broken()
+        a, b, c, d = nominal.under(SampledController.of_cascade(*x)).closed_with_moment_input()
         m = len(a)
         # theta_0 -> (weighted error, M): the weight's state is the last one.
         wide = np.zeros((m + 1, m + 1))

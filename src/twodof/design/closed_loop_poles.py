@@ -1,4 +1,4 @@
-"""The poles of 1 + L = 0: eigenvalues, also of a continuous loop with a delay, and what the worst of them does."""
+"""Poles of a closed loop, the roots of 1 + L = 0, also with a continuous delay; the motion of the worst pole."""
 
 import math
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Motion:
 
     @property
     def text(self) -> str:
-        """In words: "swings at 31 rad/s, growing"."""
+        """Description in words: "swings at 31 rad/s, growing"."""
         way = "growing" if self.growth > 0.0 else "dying out" if self.growth < 0.0 else "for ever"
         if self.omega == 0.0:
             return f"runs away, {way} by a factor e in {1.0 / self.growth:.2g} s" if self.growth > 0.0 else way
@@ -39,10 +39,9 @@ class Motion:
 def closed_loop_poles(loop: LoopTransfer) -> Complex:
     """Return the poles of the closed loop in the z plane or in rad/s: shape (k,), the least stable first.
 
-    A continuous loop with a delay has infinitely many. This gives those that lie to the right. They come from Chebyshev
-    collocation of the delay line, and Newton's method refines them. Source: Breda, Maset and Vermiglio, Stability of
-    Linear Delay Differential Equations, 2015, ch. 5. Raises ParameterError where 1 + D is 0, so that the loop is not
-    well posed.
+    A continuous loop with a delay has infinitely many poles, of which the rightmost ones are returned. They come from
+    Chebyshev collocation of the delay line, refined by Newton's method. Source: Breda, Maset and Vermiglio, Stability
+    of Linear Delay Differential Equations, 2015, ch. 5. Raises ParameterError if 1 + D is 0: an ill-posed loop.
     """
     k = feedback_gain(loop)
     if not loop.delay:
@@ -53,19 +52,19 @@ def closed_loop_poles(loop: LoopTransfer) -> Complex:
 
 
 def feedback_gain(loop: LoopTransfer) -> float:
-    """1 / (1 + D). Raises ParameterError where that is infinite."""
+    """Return 1 / (1 + D) of a loop with the direct path D. Raises ParameterError if D is -1."""
     if abs(1.0 + loop.d) < 1e-12:
         raise ParameterError(
-            "its direct path is -1: the closed loop is not well posed", "closed loop", "put a delay or a lag into it"
+            "its direct path is -1: the loop is not well posed", "closed loop", "put a delay or a lag into the loop"
         )
     return 1.0 / (1.0 + loop.d)
 
 
 def worst_motion(loop: LoopTransfer, poles: Complex) -> Motion | None:
-    """Return the motion of the least stable pole of those that the feedback moves; None if it moves none.
+    """Return the motion of the least stable pole among those that the feedback moves; None if it moves none.
 
-    A pole on the border of stability may be one of the open loop too. This loop does not move it: nothing in it sees
-    or reaches that state. An example is an estimator's bias.
+    The feedback does not move a pole on the border of stability that the open loop has too, such as that of an
+    estimator's bias: the loop does not observe its state, or does not reach it.
     """
     s = logarithms(poles, loop.dt)
     fast = 1.0 / loop.dt if loop.dt else max(1.0, float(np.abs(poles).max(initial=0.0)))
@@ -81,7 +80,7 @@ def worst_motion(loop: LoopTransfer, poles: Complex) -> Motion | None:
 
 
 def logarithms(poles: Complex, dt: float | None) -> Complex:
-    """Poles in rad/s: log(z) / dt of sampled ones; a pole at 0 is infinitely fast."""
+    """Return poles in rad/s: log(z) / dt for a sample time `dt` [s], where z = 0 gives -inf; unchanged for None."""
     if dt is None:
         return poles
     found = np.full(poles.shape, -np.inf, np.complex128)
@@ -142,8 +141,8 @@ MAX_GAINS = 5000
 def root_locus(loop: LoopTransfer, gains: ArrayLike) -> Complex:
     """Return the closed loop's poles for each factor in `gains` on L, shape (k, n): column j follows one pole.
 
-    In the z plane, or in rad/s. A pole is matched with the nearest one of the gain before. Raises ParameterError for
-    no gains, one that is not finite, more than `MAX_GAINS`, and a continuous loop with a delay.
+    The poles are in the z plane, or in rad/s. Each is matched with the nearest pole at the gain before. Raises
+    ParameterError for no gains, a gain that is not finite, more than `MAX_GAINS`, and a continuous loop with a delay.
     """
     from scipy.optimize import linear_sum_assignment  # imported late: most commands start without it
 

@@ -19,7 +19,7 @@ from twodof.flight.starters.attitude import pid_attitude
 from twodof.models.plant import PitchRate
 
 CROSSOVER = 20.0
-"""Of the rate loop [rad/s], where nobody says another."""
+"""Default crossover of the rate loop [rad/s]."""
 
 METHODS = ("cascade", "lqg")
 """The cascade of the drone, or LQG: state feedback with a Kalman filter."""
@@ -27,11 +27,11 @@ METHODS = ("cascade", "lqg")
 
 @dataclass(frozen=True, eq=False)
 class DesignedController:
-    """`diagram` is what flies; `cascade` says how its gains were found (None of another method).
+    """A controller for `family`, as the `diagram` that flies, with the results of its checks.
 
-    `robustness` tells whether the whole family is stable with it, and `saturation` what the motors' limits make of a
-    step. `promise` says how it will fly, and `requirements` what a specification asks for. It is `ready` to fly where
-    it is stable and these are kept.
+    `cascade` has the gains and their figures; it is None for another method. `robustness` says whether the controller
+    keeps the whole family stable, `saturation` what the motors' limits do to a step, and `promise` how the drone will
+    fly. `requirements` compares the controller with the specification.
     """
 
     method: str
@@ -45,11 +45,11 @@ class DesignedController:
 
     @property
     def ready(self) -> bool:
-        """Return True if it is stable for all drones found, and meets the specification."""
+        """Return True if all sampled drones are stable under the controller, and it meets the specification."""
         return self.robustness.robust and all(one.met for one in self.requirements)
 
     def to_json(self) -> dict[str, Any]:
-        """Everything but the diagram, as plain data."""
+        """Return everything but the diagram, as plain data."""
         return {
             "family": self.family.to_json(),
             "method": self.method,
@@ -74,18 +74,21 @@ def design_controller(
     progress: Callable[[str, float], None] = lambda text, share: None,
     anti_windup: str = "none",
 ) -> DesignedController:
-    """Design by the course's rule for `crossover` [rad/s] and `phase_margin` [rad], or for a `specification`.
+    """Design a controller for `crossover` [rad/s] and `phase_margin` [rad] of the rate loop, or for a `specification`.
 
-    `goal` [rad] is the step of the pitch that is promised; a specification names its own. `progress` is called with
-    the present task and the share done. `anti_windup` is that of the cascade's PID (`pid_attitude`). Raise
-    ParameterError for numbers out of range and gains that the drone does not take.
+    `separation` is that of `cascade_design`. `goal` [rad] is the step of the pitch that is promised; a specification
+    names its own. `members` drones, drawn with `seed`, make the promise. `progress` is called with the present task and
+    the share done. `anti_windup` is that of the cascade's PID (`pid_attitude`). Raise ParameterError for numbers out of
+    range and gains that the drone refuses.
     """
     if method not in METHODS:
-        raise ParameterError(f"no method {shown(method)}", "design", f"there are: {', '.join(METHODS)}")
+        raise ParameterError(f"there is no method {shown(method)}", "design", f"choose one of {', '.join(METHODS)}")
     if specification is not None and method != "cascade":
-        raise ParameterError("a specification optimises the gains of the cascade", f"method {method}", "leave it out")
+        remedy = "leave the specification out, or choose the method cascade"
+        raise ParameterError("a specification is for the method cascade only", f"method {method}", remedy)
     if anti_windup != "none" and method != "cascade":
-        raise ParameterError("anti-windup is of the cascade's PID", f"method {method}", "leave it out")
+        remedy = "leave anti-windup out, or choose the method cascade"
+        raise ParameterError("anti-windup is for the method cascade only", f"method {method}", remedy)
     v = family.values
     plant = PitchRate(v["w_n"], v["xi"], v["mu"], v["dead_time"])
     goal = goal if specification is None else specification.goal

@@ -27,21 +27,21 @@ _ROUNDING = 4e-15
 
 
 def frequencies_of_size(g: LoopTransfer, size: float) -> Array:
-    """Candidates [rad/s], sorted, among which is every frequency at which |G| is `size`. A delay does not matter."""
+    """Return sorted candidates [rad/s] that include every frequency at which |G| is `size`; a delay changes none."""
     square = size**2
     last = np.hstack([g.d / square * g.c, g.b.T / square, np.full((1, 1), g.d**2 / square - 1.0)])
     return _on_the_axis(g, last, g.d)
 
 
 def frequencies_of_the_real(g: LoopTransfer) -> Array:
-    """Sorted candidates [rad/s]. Every frequency at which G without its delay is real is among them."""
+    """Return sorted candidates [rad/s] that include every frequency at which G, without its delay, is real."""
     return _on_the_axis(g, np.hstack([g.c, -g.b.T, np.zeros((1, 1))]), None)
 
 
 def _on_the_axis(g: LoopTransfer, last: Array, through: float | None) -> Array:
-    """Frequencies of the eigenvalues near the axis, of the rows of G, of G~ driven by G's output, and `last`.
+    """Return the frequencies of eigenvalues near the axis of the pencil made of the rows of G and G~ and of `last`.
 
-    G~ is driven by G's input instead where `through` is None.
+    The input of G~ is the output of G or, if `through` is None, the input of G.
     """
     from scipy.linalg import eig  # imported late: most commands start without it
 
@@ -72,7 +72,7 @@ def _on_the_axis(g: LoopTransfer, last: Array, through: float | None) -> Array:
 
 
 def refined_roots(f: Callable[[float], float], grid: Array, values: Array) -> list[float]:
-    """Return the roots of `f` between neighbours of `grid` where `values` change sign, to the last digits."""
+    """Return the roots of `f`, to the last digits, between points of `grid` where `values` there change sign."""
     from scipy.optimize import brentq  # imported late: most commands start without it
 
     signs = np.sign(values)
@@ -101,10 +101,11 @@ _MOST = 40_000
 
 
 def frequency_grid(loop: LoopTransfer, closed: Complex, further: Array, below: float = 1e-3) -> Array:
-    """Frequencies [rad/s], sorted and > 0, from far below the slowest pole to the Nyquist frequency.
+    """Return sorted frequencies [rad/s] > 0, from far below the slowest pole to the Nyquist frequency.
 
-    In continuous time they end where |L| stays below `below`. The frequencies `further` are among them, with a point
-    between each two. Raises ParameterError where a delay turns the loop more often than can be looked at.
+    `closed` has the closed loop's poles. In continuous time the frequencies end where |L| stays below `below`. Those in
+    `further` are included, with a point between each two. Raises ParameterError if a delay turns the phase of the loop
+    too many times for a grid.
     """
     every = np.concatenate([loop.poles(), closed])
     s = logarithms(every[np.abs(every) > 0.0], loop.dt)
@@ -135,7 +136,7 @@ def frequency_grid(loop: LoopTransfer, closed: Complex, further: Array, below: f
 
 
 def _end(loop: LoopTransfer, start: float, below: float) -> float:
-    """From where on |L| stays below `below` or goes on to its direct path."""
+    """Return the frequency above which |L| stays below `below` or near its direct path."""
     end = start
     for _ in range(40):
         if abs(loop.response(end)[0]) < below or loop.d:

@@ -1,4 +1,4 @@
-"""LoopTransfer: what a signal has become once around the loop, L, as matrices, sampled or continuous with a delay."""
+"""LoopTransfer: the transfer L once around a feedback loop, as matrices, sampled or continuous with a delay."""
 
 import math
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 MAX_STATES = 600
-"""Of a loop: beyond it the searches take minutes."""
+"""Largest number of states of a loop; with more the searches take minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,23 +41,25 @@ class LoopTransfer:
         if shapes != ((n, n), (n, 1), (1, n)):
             raise _error(f"shapes {shapes} are not a loop of one input and one output", "give (n,n), (n,1), (1,n)")
         if n > MAX_STATES:
-            raise _error(f"{n} states", f"at most {MAX_STATES}: shorten the delays, or sample more slowly")
+            raise _error(f"{n} states are over {MAX_STATES}", "shorten the delays, or sample more slowly")
         if not all(np.isfinite(part).all() for part in (self.a, self.b, self.c, self.d)):
             raise _error("a matrix holds NaN or infinity", "give finite numbers")
         if not 0.0 < (1.0 if self.dt is None else self.dt) < math.inf or not 0.0 <= self.delay < math.inf:
-            raise _error(f"sample time {self.dt} s and delay {self.delay} s", "give finite times, None if continuous")
+            what = f"a sample time of {self.dt} s or a delay of {self.delay} s cannot be"
+            raise _error(what, "give a finite sample time > 0, or None if continuous, and a finite delay >= 0")
         if self.delay and self.dt is not None:
-            raise _error("a sampled loop has its delays as states", "use DelayedStateSpace.zero_order_hold")
+            raise _error("a sampled loop cannot have a `delay`", "make it states: DelayedStateSpace.zero_order_hold")
         if self.delay and self.d:
-            raise _error("a delay around a direct path", "add a lag, however fast, or sample it with zero_order_hold")
+            what = "a delay around a direct path D gives infinitely many poles that do not die out"
+            raise _error(what, "add a lag, however fast, or sample the loop with zero_order_hold")
 
     @classmethod
     def of(cls, model: Any, source: int | str = 0, to: int | str | None = None, negate: bool = False) -> Self:
-        """L of a model from its input `source` to its output `to` (default: of the same name or place).
+        """Return the loop from input `source` of a model to its output `to` (default: that of the same name or index).
 
-        `model` is a LinearModel, DelayedStateSpace, SampledStateSpace or another loop. With `negate` the sign is
-        turned: for a model that was cut in a closed loop, in which the feedback's minus is in it. Raises ParameterError
-        for another type and an unknown name.
+        `model` is a LinearModel, DelayedStateSpace, SampledStateSpace or another loop. `negate` turns the sign, for a
+        model that was cut out of a closed loop and contains the minus of the feedback. Raises ParameterError for
+        another type and an unknown name.
         """
         inputs: tuple[str, ...] = ()
         outputs: tuple[str, ...] = ()
@@ -83,7 +85,7 @@ class LoopTransfer:
         return cls(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), float(gain), dt)
 
     def times(self, other: "LoopTransfer") -> "LoopTransfer":
-        """Return the product of both, `other` first: a controller's `times` a plant's is their loop.
+        """Return the product of both loops, with the signal through `other` first: `controller.times(plant)`.
 
         Raises ParameterError for different sample times.
         """
@@ -108,12 +110,12 @@ class LoopTransfer:
         return LoopTransfer(even[:n, :n], even[:n, n:], even[n:, :n], self.d, self.dt, self.delay)
 
     def response(self, omega: ArrayLike) -> Complex:
-        """L at the frequencies `omega` [rad/s], shape (k,)."""
+        """Return L at the frequencies `omega` [rad/s], shape (k,)."""
         w = np.atleast_1d(np.asarray(omega, dtype=float))
         return self.at(1j * w if self.dt is None else np.exp(1j * w * self.dt))
 
     def at(self, place: ArrayLike) -> Complex:
-        """L at points of the s plane, or of the z plane where it is sampled, shape (k,); infinite at its poles."""
+        """Return L at points of the s plane, of the z plane if sampled, shape (k,); infinite at the poles of L."""
         s = np.atleast_1d(np.asarray(place, dtype=np.complex128))
         if len(self.a):
             n = len(self.a)
@@ -140,7 +142,7 @@ class LoopTransfer:
     def to_control(self) -> Any:
         """Return the loop as python-control's StateSpace.
 
-        Raises CompileError if that is not installed, and ParameterError for a continuous loop with a delay.
+        Raises CompileError if python-control is not installed, and ParameterError for a continuous loop with a delay.
         """
         if self.delay:
             raise _error("python-control has no delays in continuous time", "sample it with zero_order_hold first")
@@ -175,18 +177,18 @@ def _error(what: str, remedy: str) -> ParameterError:
 
 
 _HIDDEN = 1e-10
-"""A motion shown by less than this share is not shown."""
+"""Share in the output below which the motion of a state counts as not shown."""
 
 _NOTHING = 1e-11
-"""A state moved by less than this share is not: roundings make 1e-14, a state that counts 1e-5 and more."""
+"""Share below which a state counts as not reached: roundings make 1e-14, a state that counts 1e-5 and more."""
 
 
 def minimal(loop: LoopTransfer) -> LoopTransfer:
     """Return the transfer without states that cancel exactly: they would look like a crossing near frequency 0.
 
     The vectors b, A b, A^2 b, ... span the states that the input reaches. Arnoldi's iteration builds an orthonormal
-    basis of them, vector by vector. It ends when the next vector has nothing new. The same with c for those that are
-    seen. After many states that is told less sharply, so integrators that nothing shows are looked for by themselves.
+    basis of them, vector by vector, and ends when the next vector adds nothing. The same iteration with c finds the
+    states that the output shows. It is less sharp for many states, so unseen integrators are removed separately.
     """
     basis = _reached(loop.a, loop.b[:, 0])
     a, b, c = basis.T @ loop.a @ basis, basis.T @ loop.b, loop.c @ basis

@@ -24,7 +24,7 @@ _HALF_POWER = math.sqrt(0.5)
 
 @dataclass(frozen=True)
 class GainCrossing:
-    """At `omega` [rad/s] L is real and negative: with `factor` times the gain a closed-loop pole is on the border."""
+    """Frequency `omega` [rad/s] where L is real and < 0: with `factor` times the gain L is -1, the stability border."""
 
     factor: float
     omega: float
@@ -32,9 +32,9 @@ class GainCrossing:
 
 @dataclass(frozen=True)
 class PhaseCrossing:
-    """At `omega` [rad/s] |L| is 1 and the phase is `phase` [rad] above -pi, in (-pi, pi]: lag of that much is too much.
+    """Frequency `omega` [rad/s] where |L| is 1, and the phase of L above -pi there, `phase` [rad] in (-pi, pi].
 
-    Where it is negative, lead of its size is too much.
+    So much further lag brings the loop to the border of stability; if `phase` is negative, so much lead does.
     """
 
     phase: float
@@ -42,16 +42,17 @@ class PhaseCrossing:
 
     @property
     def delay(self) -> float:
-        """The delay [s] that turns L to -1 here."""
+        """Further delay [s] that turns L to -1 at this frequency."""
         return (self.phase % (2.0 * math.pi)) / self.omega
 
 
 @dataclass(frozen=True, eq=False)
 class LoopMargins:
-    """The margins of `loop`; of an unstable one its crossings, which say what would make it stable, and `motion`.
+    """Margins of `loop`. For an unstable loop, the crossings say which change would make it stable.
 
-    `gains` and `phases` are all crossings by frequency. `poles` are the closed loop's, the least stable first; `motion`
-    is what the worst of them does. `ms` and `mt` are the largest |S| and |T|, at `ms_at` and `mt_at` [rad/s].
+    `gains` and `phases` are all crossings, by rising frequency. `poles` are those of the closed loop (z plane, or
+    rad/s), the least stable first; `motion` is that of the worst pole. `ms` and `mt` are the largest |S| and |T|, at
+    `ms_at` and `mt_at` [rad/s]. `bandwidth` [rad/s] is where |T| falls through -3 dB.
     """
 
     loop: LoopTransfer
@@ -73,17 +74,17 @@ class LoopMargins:
 
     @property
     def increase(self) -> GainCrossing | None:
-        """The smallest factor above 1 that brings the loop to the border; None if there is none."""
+        """Crossing with the smallest factor above 1: more gain than that is unstable. None if there is none."""
         return min((g for g in self.gains if g.factor > 1.0), key=lambda g: g.factor, default=None)
 
     @property
     def decrease(self) -> GainCrossing | None:
-        """The largest factor below 1 that brings the loop to the border; None if there is none."""
+        """Crossing with the largest factor below 1: less gain than that is unstable. None if there is none."""
         return max((g for g in self.gains if g.factor < 1.0), key=lambda g: g.factor, default=None)
 
     @property
     def gain_margin(self) -> float:
-        """The smaller of both gain margins as a factor above 1, up or down; infinity if there is none."""
+        """The smaller of the gain margins up and down, as a factor above 1; infinity if there is none."""
         factors = [g.factor if g.factor > 1.0 else 1.0 / g.factor for g in self.gains]
         return min(factors, default=math.inf)
 
@@ -98,7 +99,7 @@ class LoopMargins:
 
     @property
     def phase_margin(self) -> float:
-        """Of the crossing nearest to -pi [rad], negative for lead; infinity if |L| is 1 nowhere."""
+        """Phase margin [rad] at the crossing nearest to -pi, negative for lead; infinity if |L| is 1 nowhere."""
         nearest = self._nearest_phase
         return math.inf if nearest is None else nearest.phase
 
@@ -115,7 +116,7 @@ class LoopMargins:
 
     @property
     def delay_margin(self) -> float:
-        """The shortest further delay [s] that brings the loop to the border; infinity if there is none."""
+        """The shortest further delay [s] that brings the loop to the border of stability; infinity if there is none."""
         return min((p.delay for p in self.phases), default=math.inf)
 
     @property
@@ -129,7 +130,7 @@ class LoopMargins:
         return logarithms(self.poles, self.loop.dt)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data in SI units: radians, factors and seconds; infinity stays infinity."""
+        """Return plain data in SI units: radians, factors and seconds; infinity stays infinity."""
         named = ("stable", "crossover", "gain_margin", "phase_margin", "delay_margin", "modulus_margin", "bandwidth")
         return {
             **{name: getattr(self, name) for name in (*named, "ms", "ms_at", "mt", "mt_at")},
@@ -146,15 +147,15 @@ class LoopMargins:
 
 
 def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
-    """Return the margins of `loop` with negative feedback, by `skew` of the disk margin.
+    """Return the margins of `loop` with negative feedback; `skew` is that of the disk margin (`DiskMargin`).
 
     `loop` is a LoopTransfer, or a model that `LoopTransfer.of` takes.
 
-    Every frequency is a root found to its last digits. Eigenvalues of matrices say which there are. So it does not miss
-    narrow resonances, or crossings that lie close together. It follows the phase of a continuous delay on a grid of 16
-    points a turn, to where |L| stays under 1e-3. Right for unstable open loops too: stability comes from the closed
-    loop's poles. Raises ParameterError for what is not a loop, a skew that is not finite, a loop whose 1 + D is 0, and
-    a delay that turns the loop too often.
+    Every frequency is a root found to its last digits. Eigenvalues say how many roots there are, so narrow resonances
+    and crossings that lie close together are not missed. The phase of a continuous delay is followed on a grid of 16
+    points a turn, to where |L| stays under 1e-3. Stability comes from the closed loop's poles, so the result is right
+    for unstable open loops too. Raises ParameterError for another type, a skew that is not finite, a loop whose 1 + D
+    is 0, and a delay that turns the phase too many times.
     """
     if not math.isfinite(skew):
         raise ParameterError(f"skew {skew} is not finite", "margins", "use 0 (balanced), 1 (S) or -1 (T)")
@@ -217,7 +218,7 @@ def _gains(loop: LoopTransfer, grid: Array, values: Complex) -> list[GainCrossin
 
 
 def _ends(loop: LoopTransfer) -> list[tuple[float, complex]]:
-    """L at frequency 0 and at the Nyquist frequency, where it is real, unless a pole is there."""
+    """Return L at frequency 0 and at the Nyquist frequency, where L is real, unless it has a pole there."""
     poles = loop.poles()
     if loop.dt is None:
         ends = [(0.0, 0.0, _ON_THE_POINT * max(1.0, float(np.abs(poles).max(initial=0.0))))]
@@ -249,11 +250,11 @@ def _bandwidth(t: Sensitivity, grid: Array) -> float:
 
 
 FROM, TO, LEAST = 0.05, 30.0, 100.0
-"""The span of frequencies, in crossovers, and the least end [rad/s]."""
+"""Range of a Bode plot as multiples of the crossover, and the least upper end [rad/s]."""
 
 
 class Bode(NamedTuple):
-    """At the frequencies `omega` [rad/s] the gain [dB] and the unwrapped phase [rad] of a loop, all (n,)."""
+    """Bode plot of a loop: frequencies `omega` [rad/s], gain [dB] and unwrapped phase [rad], all (n,)."""
 
     omega: Array
     gain: Array
@@ -270,7 +271,7 @@ def bode(of: LoopMargins, points: int = 300) -> Bode:
 
 
 def bode_at(of: LoopMargins, omega: Array) -> Bode:
-    """Return the Bode plot at the frequencies `omega` [rad/s], rising, (n,).
+    """Return the Bode plot at the rising frequencies `omega` [rad/s], shape (n,).
 
     The phase at the crossover is -pi plus the phase margin, so that the margin can be read from the plot.
     """

@@ -15,15 +15,18 @@ from twodof.signals import PERIOD
 Complex = NDArray[np.complex128]
 
 FORMS = MappingProxyType({"P": (), "PI": ("ki",), "PD": ("kd",), "PID": ("ki", "kd")})
-"""What each form has besides Kp."""
+"""Gains of each form besides Kp."""
 
 INTEGRAL_SHARE = 0.1
-"""Of the crossover: where the zero of the integral is; it costs 6 degrees."""
+"""Zero of the integral as a share of the crossover; it costs 6 degrees of phase."""
 
 
 @dataclass(frozen=True)
 class PidGains:
-    """Kp e + Ki Ts z/(z - 1) e + Kd (z - 1)/((1/N + Ts) z - 1/N) e at 250 Hz, as the platform's: `n` is N [rad/s]."""
+    """Gains of the platform's PID, Kp e + Ki Ts z/(z - 1) e + Kd (z - 1)/((1/N + Ts) z - 1/N) e at 250 Hz.
+
+    `n` is the filter N [rad/s] of the derivative.
+    """
 
     kp: float
     ki: float = 0.0
@@ -67,9 +70,10 @@ def pid(
     output: int = 0,
     n: float = 100.0,
 ) -> PidGains:
-    """Return the gains for a sampled loop of `plant` with `crossover` [rad/s] and `phase_margin` [rad]; see `pid_at`.
+    """Return the gains that give the sampled loop `crossover` [rad/s] and `phase_margin` [rad] exactly; see `pid_at`.
 
-    The plant has one input, and `output` is its controlled one. It is held and delayed as it flies at 250 Hz.
+    `plant` has one input; `output` is the index of its controlled output. The plant is sampled at 250 Hz with its hold
+    and delay, as in flight. `n` [rad/s] is the filter of the derivative.
     """
     _positive("crossover", crossover)
     if crossover >= math.pi / PERIOD:
@@ -90,17 +94,19 @@ def pid_at(
 
     C G = exp(j (phase_margin - pi)) at the crossover is two equations. PI and PD have two gains. PID has its third by
     Ki = `INTEGRAL_SHARE` crossover Kp (Astrom and Hagglund, Advanced PID Control, sec. 6.3). P only meets the
-    crossover. Raises ParameterError for an unknown form, numbers that cannot be, and where a gain would be negative:
-    the form cannot give that phase there.
+    crossover. Raises ParameterError for an unknown form, for numbers out of range, and if a gain would be negative: the
+    form cannot give that phase at the crossover.
     """
     if form not in FORMS:
         raise ParameterError(f"there is no form {shown(form)}", "pid", f"use {', '.join(FORMS)}")
     for name, value in (("crossover", crossover), ("N", n)):
         _positive(name, value)
     if not -math.pi < phase_margin < math.pi:
-        raise ParameterError(f"a phase margin of {phase_margin!r} rad", "pid", "give radians, 0.5 to 1.2 are usual")
+        what = f"a phase margin of {phase_margin!r} rad is out of range"
+        raise ParameterError(what, "pid", "give it in radians: 0.5 to 1.2 is usual")
     if not (cmath.isfinite(response) and abs(response) > 0.0):
-        raise ParameterError(f"the plant's response is {response!r} there", "pid", "choose another crossover")
+        what = f"the plant's response at {crossover:g} rad/s is {response!r}"
+        raise ParameterError(what, "pid", "choose another crossover")
     wanted = cmath.exp(1j * (phase_margin - math.pi)) / response
     if form == "P":
         return PidGains(float(abs(wanted)), n=n)
@@ -116,12 +122,12 @@ def pid_at(
 
 
 def sampled_response(plant: DelayedStateSpace, omega: float, output: int = 0) -> complex:
-    """G(z) of `plant` from its input to `output` at `omega` [rad/s], held and delayed at 250 Hz."""
+    """Return G(z) of `plant` from its input to `output` at `omega` [rad/s], sampled at 250 Hz with hold and delay."""
     if plant.b.shape[1] != 1 or not 0 <= output < plant.c.shape[0]:
         raise ParameterError(
-            f"a plant with {plant.b.shape[1]} inputs and {plant.c.shape[0]} outputs, of which {output} is asked",
+            f"the plant has {plant.b.shape[1]} inputs and {plant.c.shape[0]} outputs, and output {output} is asked for",
             "pid",
-            "give a plant with one input, and the place of an output",
+            "give a plant with one input, and the index of one of its outputs",
         )
     return complex(transfer(*plant.zero_order_hold(PERIOD).augmented(), cmath.exp(1j * omega * PERIOD))[0, output, 0])
 

@@ -1,4 +1,4 @@
-"""PitchFamily: the pitch as a log shows it, an estimate with its covariance and what disturbs it; its members."""
+"""PitchFamily: a pitch model identified from logs, with the covariance of its parameters and its disturbances."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 PARAMETERS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {"w_n": (1e-3, 100.0), "xi": (-1.0, 10.0), "mu": (1e-3, 1e5), "dead_time": (0.0, 0.25), "lag": (0.0, 1.0)}
 )
-"""What a member has, with the bounds outside of which a drawn one is drawn again."""
+"""Parameters of a member with their bounds; a member drawn outside of them is drawn again."""
 
 NOISE_SEED = 1
 MOST_MEMBERS = 100_000
@@ -49,12 +49,13 @@ class PitchMembers:
 
 @dataclass(frozen=True, eq=False)
 class PitchFamily:
-    """theta'' = -w_n^2 theta - 2 xi w_n theta' + mu m + gust; m follows M behind `dead_time` and the rotors' `lag`.
+    """Family of drones with theta'' = -w_n^2 theta - 2 xi w_n theta' + mu m + gust.
 
-    `values` has the names of `PARAMETERS`. `covariance` (k, k) is that of the `uncertain` ones, in their order. `gust`
-    [rad/s2] is the standard deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time`
-    [s]. `q_noise` [rad/s] is that of a sample of the measured rate. Raises ParameterError for a name or number that
-    cannot be.
+    m follows M behind `dead_time` and the rotors' `lag`. `values` has the estimate by the names of `PARAMETERS`.
+    `covariance` (k, k) is that of the parameters named in `uncertain`, in their order. `gust` [rad/s2] is the standard
+    deviation of the disturbance, a Gauss-Markov process with the correlation time `gust_time` [s]. `q_noise` [rad/s] is
+    the standard deviation of a sample of the measured rate. Raises ParameterError for an unknown or missing name and
+    for a number out of its bounds.
     """
 
     values: Mapping[str, float]
@@ -66,19 +67,20 @@ class PitchFamily:
 
     def __post_init__(self) -> None:
         if set(self.values) != set(PARAMETERS):
-            raise _error(f"the values {listed(self.values)}", f"give {', '.join(PARAMETERS)}")
+            raise _error(f"the values have the names {listed(self.values)}", f"give {', '.join(PARAMETERS)}")
         figures = {name: (self.values[name], *bounds) for name, bounds in PARAMETERS.items()}
         figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
         for name, (value, low, high) in figures.items():
             if not low <= value <= high:
-                raise _error(f"{name} = {value!r}", f"{low:g} to {high:g} is possible")
+                raise _error(f"{name} = {value!r} is out of range", f"give {low:g} to {high:g}")
         k = len(self.uncertain)
         if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
-            raise _error(f"the uncertain {listed(self.uncertain)}", f"name some of {', '.join(PARAMETERS)}, each once")
+            what = f"the uncertain parameters {listed(self.uncertain)} are unknown or named twice"
+            raise _error(what, f"name some of {', '.join(PARAMETERS)}, each once")
         p = check_covariance(self.covariance, k)
         if k and float(np.linalg.eigvalsh(_scaled(p)).min()) < -1e-6:
-            raise _error("the covariance has a negative direction", "identify again, or give sigmas alone")
+            raise _error("the covariance has a negative eigenvalue", "identify again, or give sigmas alone")
 
     @classmethod
     def of(
@@ -89,7 +91,9 @@ class PitchFamily:
         gust_time: float = 0.1,
         q_noise: float = 0.0,
     ) -> Self:
-        """Return a family of the paper's parameters (`tau` may replace dead_time and lag) with independent `sigmas`.
+        """Return a family with `values` and independent standard deviations `sigmas`, both by parameter name.
+
+        `tau` may replace dead_time and lag in both.
 
         Raises ParameterError as the class does.
         """
@@ -99,15 +103,15 @@ class PitchFamily:
 
     @classmethod
     def from_identified(cls, document: object, where: str = "model") -> Self:
-        """Return the family of what `twodof identify --json` prints, of one flight or of several.
+        """Return the family in `document`, the output of `twodof identify --json` for one flight or for several.
 
-        Of one flight the larger of the two standard deviations counts, with the correlation. The noise of q is taken
-        for that of the sensor, unless gusts were identified too. Of several flights their spread counts, for what
+        For one flight each parameter has the larger of its plain and its robust standard deviation. The noise of q is
+        taken for the sensor's, unless gusts were identified too. For several flights their spread counts, for what
         differs between them also differs in the next one. Raises ParameterError for another document and where w_n,
         xi, mu or tau is missing.
         """
         if not isinstance(document, Mapping):
-            raise _error(f"{shown(document)} is not a model", "give what `twodof identify --json` prints", where)
+            raise _error(f"{shown(document)} is not a model", "give the output of `twodof identify --json`", where)
         try:
             if "repeated" in document:
                 return cls._of_several(document, where)
@@ -116,8 +120,8 @@ class PitchFamily:
             return cls._of_one(document, where)
         except (KeyError, TypeError, ValueError, AttributeError, IndexError) as reason:
             raise _error(
-                f"it is not a model that was identified ({type(reason).__name__}: {reason!s:.80})",
-                "give what `twodof identify --json` prints",
+                f"this is not an identified model ({type(reason).__name__}: {reason!s:.80})",
+                "give the output of `twodof identify --json`",
                 where,
             ) from reason
 
@@ -179,12 +183,12 @@ class PitchFamily:
         return PitchMembers.of(self.values)
 
     def draw(self, count: int, seed: int = NOISE_SEED) -> PitchMembers:
-        """`count` members by the normal distribution of the estimate; those beyond `PARAMETERS` are drawn again.
+        """Draw `count` members by the estimate's normal distribution; draw those out of bounds (`PARAMETERS`) again.
 
-        Raises ParameterError for a count that is not 1 to `MOST_MEMBERS`, and where most draws are beyond the bounds.
+        Raises ParameterError for a count that is not 1 to `MOST_MEMBERS`, and if most draws are out of bounds.
         """
         if not 1 <= count <= MOST_MEMBERS:
-            raise _error(f"{count} members", f"give 1 to {MOST_MEMBERS}")
+            raise _error(f"{count} members cannot be drawn", f"give 1 to {MOST_MEMBERS}")
         columns = {name: np.full(count, float(self.values[name])) for name in PARAMETERS}
         if self.uncertain:
             centre = np.array([self.values[name] for name in self.uncertain], dtype=float)
@@ -194,13 +198,13 @@ class PitchFamily:
         return PitchMembers(**columns)
 
     def root(self) -> Array:
-        """Return a square root of the covariance, (k, k): its product with its own transpose."""
+        """Return a square root of the covariance, (k, k): the root times its transpose is the covariance."""
         size = np.sqrt(np.diag(self.covariance))
         values, vectors = np.linalg.eigh(_scaled(self.covariance))
         return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data, which `from_json` reads back."""
+        """Return plain data, which `from_json` reads back."""
         return {
             "values": {name: float(value) for name, value in self.values.items()},
             "uncertain": list(self.uncertain),
@@ -212,7 +216,7 @@ class PitchFamily:
 
     @classmethod
     def from_json(cls, data: object, where: str = "family") -> Self:
-        """Return the family of a `to_json`. Raise ParameterError for anything else."""
+        """Return the family that `to_json` wrote. Raise ParameterError for anything else."""
         try:
             if not isinstance(data, Mapping):
                 raise TypeError(shown(data))
@@ -226,21 +230,22 @@ class PitchFamily:
                 float(data["q_noise"]),
             )
         except (KeyError, TypeError, ValueError) as reason:
-            raise _error(f"it is not a family ({reason!s:.80})", "give what a promise holds", where) from reason
+            raise _error(f"this is not a family ({reason!s:.80})", "give the `family` of a promise", where) from reason
 
 
 def check_covariance(covariance: Array, size: int, where: str = "PitchFamily") -> Array:
     """Check that a covariance is finite and symmetric, (size, size), and return it. Raises ParameterError."""
     p = np.asarray(covariance, dtype=float)
     if p.shape != (size, size) or not np.isfinite(p).all() or not np.allclose(p, p.T, rtol=1e-6, atol=1e-300):
-        raise _error(f"a covariance of shape {p.shape}", f"give finite numbers, symmetric, ({size}, {size})", where)
+        what = f"a covariance of shape {p.shape} is not finite, not symmetric or not ({size}, {size})"
+        raise _error(what, f"give finite numbers, symmetric, ({size}, {size})", where)
     return p
 
 
 def draw_within(centre: Array, root: Array, bounds: Array, count: int, rng: np.random.Generator) -> Array:
-    """Draw (count, k) parameters around `centre` (k,); those beyond `bounds` (k, 2) are drawn again.
+    """Draw (count, k) parameters around `centre` (k,); draw those outside `bounds` (k, 2) again.
 
-    `root` (k, k) is a square root of the covariance. Raises ParameterError where most draws are beyond the bounds.
+    `root` (k, k) is a square root of the covariance. Raises ParameterError if most draws are outside the bounds.
     """
     kept, tried = np.zeros((0, len(centre))), 0
     while len(kept) < count:
@@ -249,20 +254,20 @@ def draw_within(centre: Array, root: Array, bounds: Array, count: int, rng: np.r
         tried += len(rows)
         if len(kept) < (1.0 - _REFUSED) * tried:
             raise _error(
-                "most members that are drawn cannot be: the data hardly tell the parameters",
+                "most drawn members are out of bounds: the data hardly determine the parameters",
                 "identify again, with more excitation or with w_n and xi held",
             )
     return kept[:count]
 
 
 def _told_apart(labels: Iterable[str]) -> list[str]:
-    """Without the sum tau where its parts are there: dead time and lag."""
+    """Return the labels without the sum tau if its parts, dead time and lag, are among them."""
     every = list(labels)
     return [label for label in every if label != "tau" or "dead_time" not in every]
 
 
 def _own(label: str) -> str:
-    """Return the values with the paper's one delay as a dead time without lag."""
+    """Return the parameter that a label stands for: the paper's one delay tau is a dead time without lag."""
     return "dead_time" if label == "tau" else label
 
 

@@ -27,9 +27,10 @@ _CHUNK = 64  # steps between two calls of `progress`
 class PitchLoop:
     """Loop of n members under one controller, sampled at 250 Hz as they fly.
 
-    M is held, the dead time exact, q that of the sample itself and theta that of the sample before. The states are
-    theta, q, the rotors' moment and the gust, then the moments under way, the theta published, and the states of the
-    controller. The gust enters as a Gauss-Markov process with the correlation time `gust_time` [s].
+    M is held between samples and the dead time is exact. The controller reads q of the present sample and theta of the
+    sample before. The states are theta, q, the rotors' moment and the gust, then the moments in the delay line, the
+    published theta, and the states of the controller. The gust is a Gauss-Markov process with the correlation time
+    `gust_time` [s].
     """
 
     members: PitchMembers
@@ -44,7 +45,7 @@ class PitchLoop:
 
     @cached_property
     def plant(self) -> tuple[Array, Array]:
-        """(A, b) of the plant, the moments under way and the published theta: (n, m, m), (n, m)."""
+        """Matrices (A, b) of the plant, its delay line and the published theta: shapes (n, m, m) and (n, m)."""
         from scipy.linalg import expm  # imported late: most commands start without it
 
         g, n = self.members, len(self.members)
@@ -78,8 +79,8 @@ class PitchLoop:
         return a, b
 
     @cached_property
-    def _broken(self) -> tuple[Array, Array, Array]:
-        """(A, b, c) of plant and controller in a row, from the moment that acts to M: (n, m, m), (n, m), (m,)."""
+    def _open(self) -> tuple[Array, Array, Array]:
+        """Matrices (A, b, c) of the open loop, from the acting moment to M: (n, m, m), (n, m), (m,)."""
         plant, b = self.plant
         k, (n, m) = self.controller, b.shape
         size = len(k.a)
@@ -91,11 +92,11 @@ class PitchLoop:
 
     @cached_property
     def matrices(self) -> tuple[Array, Array, Array, Array]:
-        """(A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
+        """Matrices (A, B, C, D) of the closed loop: (n, m, m), (n, m, 2), (n, 3, m), (n, 3, 2).
 
         Inputs: theta_0 and the noise of q. Outputs: theta, the measured q, and M.
         """
-        a, b, moment = self._broken
+        a, b, moment = self._open
         given, (n, m) = self.controller.d[0, [0, 2]], b.shape
         drive = b[:, :, None] * given
         drive[:, m - len(self.controller.a) :] = self.controller.b[:, [0, 2]]
@@ -105,33 +106,33 @@ class PitchLoop:
         return a + b[:, :, None] * moment, drive, c, d
 
     def poles(self) -> Complex:
-        """Return the poles of each member in the z plane, (n, m), without the gust's."""
+        """Return the poles of each member in the z plane, (n, m), without the pole of the gust."""
         a = np.delete(np.delete(self.matrices[0], GUST, axis=1), GUST, axis=2)
         return np.linalg.eigvals(a).astype(np.complex128)
 
     def radii(self) -> Array:
-        """Return each member's largest pole magnitude, (n,), without the gust's: below 1 the member is stable."""
+        """Return the largest pole magnitude of each member, (n,), without the gust: below 1 the member is stable."""
         return np.asarray(np.abs(self.poles()).max(axis=1))
 
-    def broken(self) -> tuple[Array, Array, Array, Array]:
-        """Return (A, B, C, D) of the first member's closed loop, without its gust.
+    def closed_with_moment_input(self) -> tuple[Array, Array, Array, Array]:
+        """Return (A, B, C, D) of the first member's closed loop, without the gust.
 
-        From (theta_0, a moment added to M ahead of the delay) to (theta, the M of the controller).
+        Inputs: theta_0 and a moment added to M before the delay. Outputs: theta and the controller's M.
         """
         a, drive, c, d = (part[0] for part in self.matrices)
         kept = np.delete(np.arange(len(a)), GUST)
-        both = np.stack([drive[:, 0], self._broken[1][0]], axis=1)
+        both = np.stack([drive[:, 0], self._open[1][0]], axis=1)
         through = np.array([[0.0, 0.0], [d[2, 0], 0.0]])
         return a[np.ix_(kept, kept)], both[kept], c[[0, 2]][:, kept], through
 
     def loop_transfer(self) -> LoopTransfer:
-        """L of the first member, broken at M."""
-        a, b, c = self._broken
+        """Return L of the first member's loop, broken at M."""
+        a, b, c = self._open
         kept = np.delete(np.arange(len(c)), GUST)
         return LoopTransfer(a[0][np.ix_(kept, kept)], b[0][kept, None], -c[None, kept], 0.0, PERIOD)
 
     def theta_response(self, omega: Array) -> Complex:
-        """From theta_0 to theta at `omega` [rad/s], closed: (n, k)."""
+        """Return the closed-loop response of theta to theta_0 at `omega` [rad/s], shape (n, k)."""
         a, drive, c, _ = self.matrices
         z = np.exp(1j * np.atleast_1d(omega) * PERIOD)
         whole = z[None, :, None, None] * np.eye(a.shape[1]) - a[:, None]
@@ -139,7 +140,7 @@ class PitchLoop:
         return np.asarray((c[:, None, :1] @ inner)[..., 0, 0])
 
     def moment_response(self, omega: Array) -> Complex:
-        """L, the loop broken at M, at `omega` [rad/s]: (n, k). With positive sign: the loop is 1 + L = 0."""
+        """Return L of each loop, broken at M, at `omega` [rad/s], shape (n, k); the closed loop solves 1 + L = 0."""
         plant, b = self.plant
         z = np.exp(1j * np.atleast_1d(omega) * PERIOD)
         # The moments under way are a delay line; rotors and pitch are solved for by hand, for all members at once.
@@ -163,13 +164,14 @@ class PitchLoop:
     ) -> tuple[Array, Array, Array]:
         """Return theta, q and M, each (steps, n), for the set-point `theta_0` (steps,) [rad].
 
-        Flights start from rest, the gust as ever. `gust` [rad/s2] and `q_noise` [rad/s] are standard deviations; q has
-        its noise in it. `progress` is called with the share done. Raise ParameterError for a set-point that is empty
-        or not finite.
+        Flights start from rest, with the gust already stationary. `gust` [rad/s2] and `q_noise` [rad/s] are standard
+        deviations; the returned q includes its noise. `progress` is called with the share done (0 to 1). Raise
+        ParameterError for a set-point that is empty or not finite.
         """
         goal = np.asarray(theta_0, dtype=float)
         if goal.ndim != 1 or not goal.size or not np.isfinite(goal).all():
-            raise ParameterError(f"a set-point of shape {goal.shape}", "simulate", "give finite numbers, (steps,)")
+            what = f"a set-point of shape {goal.shape} is empty, not finite or of more than one dimension"
+            raise ParameterError(what, "simulate", "give finite numbers of shape (steps,)")
         a, b, c, d = self.matrices
         n, steps = len(self.members), goal.size
         rng = np.random.default_rng(seed)
@@ -190,11 +192,11 @@ class PitchLoop:
 
 
 PITCH_LOOPS = ("motors", "rate", "attitude")
-"""At M with both loops closed, at q in rate mode, and at theta with the rate loop closed."""
+"""Where a loop is broken: at M with both loops closed, at q in rate mode, and at theta with the rate loop closed."""
 
 
 def pitch_loops(member: PitchMembers, gains: Gains) -> dict[str, LoopTransfer]:
-    """L of each of `PITCH_LOOPS`, sampled at 250 Hz as it flies, for the first of `member` and stock `gains`."""
+    """Return L at each of `PITCH_LOOPS`, sampled at 250 Hz, of the first of `member` with the stock law's `gains`."""
     plant = PitchLoop(member, SampledController.of_cascade(*gains.rate, gains.attitude))
     rate = plant.under(SampledController.of_cascade(*gains.rate, 0.0))
     inner = plant.under(SampledController.of_cascade(*gains.rate, gains.attitude, theta_loop=False))

@@ -24,7 +24,7 @@ LEVEL = 0.95
 MEMBERS = 1000
 
 CHANCE = 0.05
-"""Steps outside are put down to chance as long as that many come by chance at least so often."""
+"""Probability: a number of broken steps that is at least so likely counts as chance."""
 
 _LEAD = 500  # steps before the step, in which the gust becomes what it is in flight
 _LEAST_MEMBERS, _MOST_MEMBERS = 40, 20_000
@@ -37,10 +37,10 @@ _TIMES = {"rise_time": (1.0, "s"), "overshoot": (100.0, "%"), "settled_error": (
 class PromisedStep:
     """A step that can be promised: the `setpoint` of a loop, and the channel that `follows` it.
 
-    `goal` [rad, m/s or m] and `duration` [s] are the usual ones; `factor` and `unit` show the goal. `channels` have
-    bands; of those in `zeroed` the mean of the half second before the step is taken away. The largest sizes of `peaks`
-    (channels by the figure's name) are figures, beside those of the response. `figures` have factor and unit as shown.
-    `failure` is the end of the sentence about the share of members of which nothing can be promised.
+    `goal` [rad, m/s or m] and `duration` [s] are defaults; `factor` and `unit` convert the goal for display. `channels`
+    have bands; from those in `zeroed` the mean of the half second before the step is subtracted. `peaks` maps a figure
+    to the channel whose largest magnitude it is. `figures` has the factor and unit for display of every figure.
+    `failure` ends the sentence about the share of members for which nothing can be promised.
     """
 
     setpoint: str
@@ -92,7 +92,7 @@ STEPS: Mapping[str, PromisedStep] = MappingProxyType(
         "position": replace(_VELOCITY, setpoint="x0", follows="x", duration=4.5, unit="m"),
     }
 )
-"""What can be promised, by loop. `rail_use` is how far the drone comes from where it was."""
+"""Steps that can be promised, by loop. `rail_use` is the largest distance from the place before the step."""
 
 CHANNELS = STEPS["attitude"].channels
 """Channels of a step of the pitch: theta [rad], measured q [rad/s], and M about its mean before the step."""
@@ -103,9 +103,9 @@ _THETA_LATER = 0.25 * PERIOD
 
 @dataclass(frozen=True)
 class Measured:
-    """One flown step: `outside`, the share of its time that each channel was out of its band, and its `figures`.
+    """One flown step: its `figures`, and the share of its time that each channel was `outside` of its band.
 
-    `promised` holds the intervals of the figures.
+    `promised` holds the promised intervals (low, high) of the figures.
     """
 
     outside: Mapping[str, float]
@@ -122,7 +122,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Verdict:
-    """All `steps` of a flight, at least one, beside a promise at `level`."""
+    """Verdict on a promise at `level` by a flight with one or more `steps`."""
 
     level: float
     steps: tuple[Measured, ...]
@@ -149,7 +149,7 @@ class Verdict:
         return all(self.kept(name) for name in self.names)
 
     def table(self) -> str:
-        """Return measured beside promised, as text for a terminal."""
+        """Return the measured and the promised figures as text for a terminal."""
         n = len(self.steps)
         lines = [f"{n} step{'s' * (n > 1)}, promised at {100.0 * self.level:g} %"]
         for name in self.names:
@@ -189,12 +189,12 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class Promise:
-    """The step of a `loop` of `STEPS` by `goal` [rad, m/s or m], promised at `level`.
+    """Promise of a step of a `loop` of `STEPS` by `goal` [rad, m/s or m], at `level`.
 
     `low`, `middle` and `high` are the bands of the channels, each (steps,) at 250 Hz from the step on. A share `level`
-    of flights stays inside for the whole time. `figures` are intervals with as large a share, each by itself. `failed`
-    is the share of members that are unstable or lost: if it is not 0, nothing else counts. `family` is the family's
-    `to_json`.
+    of flights stays inside for the whole time. `figures` has intervals (low, middle, high); each figure by itself lies
+    inside with the same share. `failed` is the share of members that are unstable or lost: if it is not 0, nothing else
+    counts. `family` is the `to_json` of the family.
     """
 
     controller: str
@@ -222,7 +222,7 @@ class Promise:
         failed: float,
         flown: Mapping[str, Array],
     ) -> Self:
-        """Return the promise that follows from flights of members: `flown` has (steps, members) of each channel."""
+        """Return the promise made from simulated flights: `flown` has each channel, shape (steps, members)."""
         flown = {name: np.clip(np.nan_to_num(flown[name], nan=1e6), -1e6, 1e6) for name in STEPS[loop].channels}
         low, middle, high = step_bands(flown, level)
         figures = {name: interval(values, level) for name, values in step_figures(flown, loop, goal).items()}
@@ -231,7 +231,7 @@ class Promise:
 
     @property
     def step(self) -> PromisedStep:
-        """Return the row of `STEPS`."""
+        """Return the step of `STEPS` that is promised."""
         return STEPS[self.loop]
 
     @property
@@ -259,34 +259,35 @@ class Promise:
         return "\n".join(lines)
 
     def verdict(self, time: ArrayLike, signals: Mapping[str, ArrayLike]) -> Verdict:
-        """Return one flown step beside what was promised.
+        """Compare one flown step with the promise.
 
-        `time` [s] is from the step on, with at least .2 s before it; `signals` has channels of a step from 0 to `goal`,
-        each of the shape of `time`. Channels that are missing are left out. Raise ParameterError for other signals,
-        shapes, numbers that are not finite, and a record that does not hold the step.
+        `time` [s] counts from the step, with at least .2 s before it; `signals` has channels of a step from 0 to
+        `goal`, each of the shape of `time`. Channels that are missing are not compared. Raise ParameterError for other
+        signals, shapes, numbers that are not finite, and a record that does not cover the step.
         """
         t, end = np.asarray(time, dtype=float), self.time[-1]
         given = {name: np.asarray(values, dtype=float) for name, values in signals.items()}
         if t.ndim != 1 or not t.size or not (np.diff(t) > 0.0).all() or not (t[0] <= -0.2 and t[-1] >= end - PERIOD):
-            raise _error(f"a time of shape {t.shape} does not hold the step", f"give rising times, -0.5 to {end:.2f} s")
+            what = f"the times, of shape {t.shape}, do not cover the step"
+            raise _error(what, f"give rising times from -0.5 to {end:.2f} s")
         fits = all(y.shape == t.shape and np.isfinite(y).all() for y in given.values())
         if not given or not set(given) <= set(self.step.channels) or not fits:
             remedy = f"give {', '.join(self.step.channels)}, a finite number for each time"
-            raise _error(f"signals {', '.join(map(str, given)) or 'none'}", remedy)
+            raise _error(f"the signals {', '.join(map(str, given)) or 'none'} do not fit the promise", remedy)
         flown = {name: np.interp(self.time, t, y) for name, y in given.items()}
         for name in set(self.step.zeroed) & set(given):
             flown[name] -= float(given[name][(t < 0.0) & (t >= -TRIM * PERIOD)].mean())
         return Verdict(self.level, (self._measured(flown),))
 
     def verdict_of(self, log: FlightLog) -> Verdict:
-        """Return all steps that `steps_of` finds in `log`, beside what was promised. Raise as it does."""
+        """Compare all steps that `steps_of` finds in `log` with the promise. Raise the errors of `steps_of`."""
         return Verdict(self.level, tuple(self.verdict(*one).steps[0] for one in self.steps_of(log)))
 
     def steps_of(self, log: FlightLog) -> list[tuple[Array, dict[str, Array]]]:
         """Return all steps by `goal`, up or down, that `log` holds: (time from the step, the channels).
 
-        Each is turned and moved as if it went up from 0, and begins half a second before the step. Raise
-        ParameterError if there is none of that size, LogError if channels are missing.
+        Each record is shifted and, if need be, inverted to a step up from 0. It begins half a second before the step.
+        Raise ParameterError if there is no step of that size, LogError if channels are missing.
         """
         step, end, found = self.step, self.time[-1], []
         grid = np.asarray(np.arange(-TRIM, len(self.time)) * PERIOD, dtype=np.float64)
@@ -302,7 +303,7 @@ class Promise:
         if not found:
             size = f"{step.factor * self.goal:g} {step.unit}"
             raise ParameterError(
-                f"it holds no step of {step.setpoint} by {size} that lasts {end:.2f} s",
+                f"the log has no step of {step.setpoint} by {size} that lasts {end:.2f} s",
                 log.source,
                 f"fly one in {self.loop} mode, or promise the step that was flown",
             )
@@ -333,9 +334,9 @@ class Promise:
 
     @classmethod
     def from_json(cls, data: object, where: str = "promise") -> Self:
-        """Return the promise that `to_json` gave, also from a version before. Raise ParameterError for anything else.
+        """Return the promise that `to_json` wrote, here or in an earlier version. Raise ParameterError for other data.
 
-        Before, a promise of the rail had the key `rail_promise`, and the failed share was `unstable` or `lost`.
+        Earlier, a promise of the rail had the key `rail_promise`, and the failed share was `unstable` or `lost`.
         """
         try:
             if not isinstance(data, Mapping) or 1 not in (data.get("promise"), data.get("rail_promise")):
@@ -367,12 +368,12 @@ class Promise:
             )
         except (KeyError, TypeError, ValueError, OverflowError, StopIteration) as reason:
             raise ParameterError(
-                f"it is not a promise ({reason!s:.80})", where, "give the file that `twodof design` wrote"
+                f"this is not a promise ({reason!s:.80})", where, "give the file that `twodof design` wrote"
             ) from reason
 
 
 def step_figures(flown: Mapping[str, Array], loop: str, goal: float) -> dict[str, Array]:
-    """Return each figure, (n,), that the channels `flown` (steps, n) of a step tell."""
+    """Return the figures, (n,) each, of n steps with the channels `flown` (steps, n), as far as these are there."""
     step = STEPS[loop]
     found = step_statistics(flown[step.follows], goal) if step.follows in flown else {}
     peaks = {name: np.abs(flown[one]).max(axis=0) for name, one in step.peaks.items() if one in flown}
@@ -398,7 +399,7 @@ def promise(
     ParameterError for numbers out of range.
     """
     if not 1e-3 <= goal <= 0.8:
-        raise _error(f"a step of {goal!r} rad", "give 0.001 to 0.8 rad")
+        raise _error(f"a step of {goal!r} rad is out of range", "give 0.001 to 0.8 rad")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     loop = PitchLoop(family.draw(members, seed), controller, family.gust_time)
     steps = round(duration / PERIOD) + 1
@@ -412,17 +413,17 @@ def promise(
 
 
 def check_numbers(duration: float, level: float, members: int, among: tuple[int, int]) -> None:
-    """Raise ParameterError for a duration [s], a level or a number of members that is out of range."""
+    """Raise ParameterError for a duration [s], a level or a number of members (`among` its bounds) out of range."""
     if not 0.1 <= duration <= 20.0:
-        raise _error(f"a duration of {duration!r} s", "give 0.1 to 20 s")
+        raise _error(f"a duration of {duration!r} s is out of range", "give 0.1 to 20 s")
     if not 0.5 <= level <= 0.999:
-        raise _error(f"a level of {level!r}", "give 0.5 to 0.999")
+        raise _error(f"a level of {level!r} is out of range", "give 0.5 to 0.999")
     if not among[0] <= members <= among[1]:
-        raise _error(f"{members} members", f"give {among[0]} to {among[1]}")
+        raise _error(f"{members} members are too few or too many", f"give {among[0]} to {among[1]}")
 
 
 def _row(given: Mapping[str, float | None] | Sequence[float | None]) -> tuple[float, float, float]:
-    """Return the low end, the middle and the high end of a figure of a file."""
+    """Return (low, middle, high) of a figure in a promise file."""
     ends = [given[side] for side in ("low", "middle", "high")] if isinstance(given, Mapping) else list(given)
     low, middle, high = (math.inf if value is None else float(value) for value in ends)
     return low, middle, high

@@ -37,7 +37,8 @@ class SampledController:
     def __post_init__(self) -> None:
         check_system(self.a, self.b, self.c, self.d, "SampledController")
         if self.d.shape != (1, len(INPUTS)):
-            raise ParameterError(f"{self.d.shape} outputs and inputs", "SampledController", "give 1 and 3")
+            what = f"D of shape {self.d.shape} is not that of 3 inputs and 1 output"
+            raise ParameterError(what, "SampledController", f"give (1, 3): M from {', '.join(INPUTS)}")
 
     @classmethod
     def of(cls, diagram: Diagram, values: Mapping[str, Any] | None = None) -> Self:
@@ -71,5 +72,5 @@ class SampledController:
         return cls(a, b, np.array([[ki, kd]]), (kp + ki * PERIOD + kd * rise) * error)
 
     def response(self, omega: float) -> Complex:
-        """From (theta_0, theta, q) to M at `omega` [rad/s], shape (3,)."""
+        """Return the response of M to (theta_0, theta, q) at `omega` [rad/s], shape (3,)."""
         return np.asarray(transfer(self.a, self.b, self.c, self.d, np.exp(1j * omega * PERIOD))[0, 0])

@@ -1,4 +1,4 @@
-"""SaturatedStep: a step on the estimate with the motors' limits, beside the same step without them."""
+"""SaturatedStep: a simulated step of theta with and without the motors' limits."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from twodof.signals import HOVER, PERIOD
 Array = NDArray[np.float64]
 
 WOUND_UP = 0.02
-"""Of the step: so much more overshoot by the motors' limits is an integral that winds up."""
+"""Share of the step: so much more overshoot by the motors' limits counts as windup of the integral."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class SaturatedStep:
 
     @property
     def text(self) -> str:
-        """In a sentence."""
+        """The result as a sentence."""
         step = f"a step of {math.degrees(self.goal):.3g} deg"
         if self.saturated == 0.0:
             return (
@@ -59,13 +59,13 @@ class SaturatedStep:
         return f"{progress}: the integral winds up" if self.winds_up else progress
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data; an infinite time is null."""
+        """Return plain data; an infinite time is null."""
         plain = {name: value if math.isfinite(value) else None for name, value in vars(self).items()}
         return {**plain, "winds_up": self.winds_up}
 
 
 def acting_moment(moment: float, thrust: float = HOVER) -> float:
-    """Return the part of M that the two pairs of motors give at `thrust`: each is between 0 and 1."""
+    """Return the part of M that acts at `thrust`: each of the two pairs of motors is limited to 0 to 1."""
     return 0.5 * (min(max(thrust + moment, 0.0), 1.0) - min(max(thrust - moment, 0.0), 1.0))
 
 
@@ -76,14 +76,15 @@ def saturated_step(
     duration: float = DURATION,
     progress: Callable[[float], None] = lambda share: None,
 ) -> SaturatedStep:
-    """Fly a step of theta by `goal` [rad] from rest on the estimate of `family`, without gust and noise.
+    """Simulate a step of theta by `goal` [rad] from rest on the estimate of `family`, without gust and noise.
 
-    `diagram` is one of the template attitude_control, run with all its limits by the reference interpreter; in hover
-    the motors limit M as `acting_moment` says. Raises DiagramError for another diagram, ParameterError for a step that
-    is not .001 to 1.5 rad and a duration that is not .1 to 20 s.
+    `diagram` fits the template attitude_control. The reference interpreter runs it with all its limits; in hover the
+    motors limit M as `acting_moment` says. Raises DiagramError for another diagram, ParameterError for a step that is
+    not .001 to 1.5 rad and a duration that is not .1 to 20 s.
     """
     if not (1e-3 <= goal <= 1.5 and 0.1 <= duration <= 20.0):
-        raise ParameterError(f"a step of {goal!r} rad for {duration!r} s", "saturated_step", "give .001 to 1.5 rad")
+        what = f"a step of {goal!r} rad for {duration!r} s is out of range"
+        raise ParameterError(what, "saturated_step", "give .001 to 1.5 rad, and .1 to 20 s")
     controller = SampledController.of(diagram)
     loop = PitchLoop(family.nominal(), controller)
     steps = round(duration / PERIOD) + 1

@@ -14,14 +14,14 @@ LEAST_THRUST = 0.05
 def gain_ratio(thrust: float, curve: float, designed_at: float = HOVER) -> float:
     """Return mu at `thrust` over mu at the design's thrust, for a pair's thrust (1 - curve) u + curve u^2.
 
-    The pairs are told T + M and T - M, so M makes 2 (1 - curve + 2 curve T) M of thrust apart: exactly linear in M.
+    The pairs get T + M and T - M. Their thrusts differ by 2 (1 - curve + 2 curve T) M, which is exactly linear in M.
     Raises ParameterError for a curve or thrust outside 0 to 1.
     """
     for name, value in (("curve", curve), ("thrust", thrust), ("designed_at", designed_at)):
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
-            raise ParameterError(f"{name} = {value!r:.40}", "schedule", "give 0 to 1")
+            raise ParameterError(f"{name} = {value!r:.40} is out of range", "schedule", "give 0 to 1")
     if curve == 1.0 and designed_at == 0.0:
-        raise ParameterError("with this curve no moment acts at no thrust", "schedule", "give the thrust of the design")
+        raise ParameterError("with curve = 1, no moment acts at thrust 0", "schedule", "give a designed_at above 0")
     return (1.0 - curve + 2.0 * curve * thrust) / (1.0 - curve + 2.0 * curve * designed_at)
 
 

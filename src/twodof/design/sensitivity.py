@@ -18,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """`direct` + `share` S of a loop, S = 1 / (1 + L). `matrices` are its own; None if a delay is around it."""
+    """Transfer `direct` + `share` S of a loop, with S = 1 / (1 + L): T, for example, has direct 1 and share -1."""
 
     loop: LoopTransfer
     share: float
@@ -26,7 +26,7 @@ class Sensitivity:
 
     @cached_property
     def matrices(self) -> LoopTransfer | None:
-        """As a transfer by itself: finite also where L has a pole."""
+        """The transfer as matrices, finite also where L has a pole; None if the loop has a continuous delay."""
         if self.loop.delay:
             return None
         k, one = feedback_gain(self.loop), self.loop
@@ -42,9 +42,9 @@ class Sensitivity:
 
 
 def largest(of: Sensitivity, grid: Array) -> tuple[float, float]:
-    """(size, frequency [rad/s]) of the largest |of| over all frequencies.
+    """Return (size, frequency [rad/s]) of the largest |of| over all frequencies.
 
-    A peak found on `grid` is refined. Where there are matrices, a higher one is not left out.
+    It is the highest peak on `grid` [rad/s], refined. Without a continuous delay no higher peak is missed.
     """
     best, place = _peak(of.response, grid)
     if (own := of.matrices) is not None:
@@ -90,7 +90,7 @@ class DiskMargin:
 
     @property
     def gain(self) -> tuple[float, float]:
-        """Within which factors the gain alone may change; below 0, and infinity, where a half plane is inside."""
+        """Factors (low, high) between which the gain alone may change; low may be < 0, and high infinite."""
         up, down = 1.0 - self.skew, 1.0 + self.skew
         low = (2.0 - self.alpha * up) / (2.0 + self.alpha * down)
         rest = 2.0 - self.alpha * down
@@ -98,7 +98,7 @@ class DiskMargin:
 
     @property
     def phase(self) -> float:
-        """By how much the phase alone may change either way [rad], at most pi: equation (15) there."""
+        """Largest change of the phase alone, either way [rad], at most pi: equation (15) of the paper named above."""
         low, high = self.gain
         if math.isinf(high):
             cosine = low

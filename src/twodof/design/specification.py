@@ -1,4 +1,4 @@
-"""Specification: what is asked of the loops, as a TOML file that a person writes, and the check of a controller."""
+"""Specification: requirements on the loops, as a TOML file that a person writes, and the check of a controller."""
 
 import math
 import tomllib
@@ -23,10 +23,10 @@ _HALF_POWER = math.sqrt(0.5)
 
 
 class AskedFigure(NamedTuple):
-    """A figure that a specification may ask for, from `low` to `high`.
+    """A figure that a specification may require, with a value from `low` to `high`.
 
-    `of_step` is the figure of a promise that it is checked by, and `factor` the unit of the file over SI units. Without
-    `of_step` it is a figure of the loops.
+    `of_step` names the figure of a promise to which the requirement applies, "" if it applies to a loop. `factor`
+    converts SI units to the unit of the file. The value is an upper limit if `at_most`, otherwise a lower limit.
     """
 
     low: float
@@ -37,7 +37,7 @@ class AskedFigure(NamedTuple):
 
 
 def _asked(low: float, high: float, **figure: Any) -> Any:
-    """Return a field that need not be asked for, with its `AskedFigure`."""
+    """Return an optional field of a specification, with its `AskedFigure`."""
     return field(default=None, metadata={"figure": AskedFigure(low, high, **figure)})
 
 
@@ -45,12 +45,12 @@ _STEP_BOUNDS = {"step_deg": (0.1, 45.0), "step": (0.01, 1.0)}
 _PITCH_ONLY = ("bandwidth", "peak_moment", "step_deg")
 _RAIL_ONLY = ("velocity_bandwidth", "position_bandwidth", "peak_theta_deg", "rail_use", "step", "loop")
 TABLES: Mapping[str, tuple[str, ...]] = MappingProxyType({"pitch": _RAIL_ONLY, "rail": _PITCH_ONLY})
-"""The tables of a file, and the names that a table does not have."""
+"""Tables of a file, each with the names that it must not have."""
 
 
 @dataclass(frozen=True)
 class Specification:
-    """Each figure that is not None is asked for; the tables `[pitch]` and `[rail]` of a file have the same names.
+    """Requirements on a controller: each figure that is not None. The tables `[pitch]` and `[rail]` use these names.
 
     `[pitch]`: at least `bandwidth` [rad/s], where theta follows theta_0 by -3 dB. `gain_margin_db`, `phase_margin_deg`,
     `delay_margin` [s] (at least) and `peak_sensitivity`, the largest |S| (at most), are of the loop broken at M. Three
@@ -83,37 +83,40 @@ class Specification:
 
     def __post_init__(self) -> None:
         if self.loop not in STEPS:
-            raise ParameterError(f"loop = {shown(self.loop)}", "specification", f"give {' or '.join(STEPS)}")
+            what = f"loop = {shown(self.loop)} is not a loop"
+            raise ParameterError(what, "specification", f"give {' or '.join(STEPS)}")
         for name, (low, high, *_) in {**{name: FIGURES[name] for name in self.asked}, **_STEP_BOUNDS}.items():
             value = getattr(self, name)
             if isinstance(value, bool | str) or not low <= value <= high:
-                raise ParameterError(f"{name} = {shown(value)}", "specification", f"give {low:g} to {high:g}")
+                what = f"{name} = {shown(value)} is out of range"
+                raise ParameterError(what, "specification", f"give {low:g} to {high:g}")
         if foreign := [name for name in TABLES[self.table] if name in self.asked]:
-            raise ParameterError(f"{foreign[0]} is asked of the {self.loop} loop", "specification", "leave it out")
+            what = f"{foreign[0]} does not apply to the {self.loop} loop"
+            raise ParameterError(what, "specification", "leave it out")
 
     @property
     def table(self) -> str:
-        """Return the table of a file that it is."""
+        """Return the name of the file's table for this loop."""
         return "pitch" if self.loop == "attitude" else "rail"
 
     @property
     def goal(self) -> float:
-        """Return the step [rad, m/s or m]."""
+        """Return the size of the step [rad, m/s or m]."""
         return math.radians(self.step_deg) if self.loop == "attitude" else self.step
 
     @property
     def asked(self) -> dict[str, float]:
-        """Return the figures that are asked for, by name."""
+        """Return the required figures by name."""
         return {name: value for name in FIGURES if (value := getattr(self, name)) is not None}
 
     @property
     def of_loops(self) -> Self | None:
-        """Return what is asked of the loops; None if nothing is."""
+        """Return the requirements on the loops; None if there are none."""
         return self._only(step=False)
 
     @property
     def of_step(self) -> Self | None:
-        """Return what is asked of the flights of a step; None if nothing is."""
+        """Return the requirements on the flights of a step; None if there are none."""
         return self._only(step=True)
 
     def _only(self, step: bool) -> Self | None:
@@ -130,14 +133,15 @@ class Specification:
         found = data.get(table) if isinstance(data, Mapping) else None
         if not isinstance(data, Mapping) or not isinstance(found, Mapping) or set(data) - set(TABLES):
             has = listed(data) if isinstance(data, Mapping) else shown(data)
-            raise ParameterError(f"it has {has}", where, f"give a table [{table}]")
+            raise ParameterError(f"the file has {has}", where, f"give the table [{table}]; others are {listed(TABLES)}")
         names = [field.name for field in fields(cls) if field.name not in TABLES[table]]
         for name in found:
             if name not in names:
-                raise ParameterError(f"nothing is called {shown(name)}", where, f"there are: {nearest(name, names)}")
+                what = f"{shown(name)} is not a name in [{table}]"
+                raise ParameterError(what, where, f"choose one of {nearest(name, names)}")
         given = {"loop": "velocity" if table == "rail" else "attitude", **found}
         if table == "rail" and given["loop"] == "attitude":
-            raise ParameterError("loop = 'attitude'", where, "give velocity or position")
+            raise ParameterError("loop = 'attitude' does not belong in [rail]", where, "give velocity or position")
         try:
             return cls(**given)
         except ParameterError as error:
@@ -150,7 +154,7 @@ FIGURES: Mapping[str, AskedFigure] = MappingProxyType(
 
 
 def read_specification(path: str | Path, table: str = "pitch") -> Specification:
-    """Return a `table` of a TOML file. Raise ParameterError for one that cannot be read or is not one."""
+    """Return the specification in a `table` of a TOML file. Raise ParameterError for a file without or with faults."""
     line = "bandwidth = 6.0" if table == "pitch" else "overshoot = 0.2"
     try:
         data = tomllib.loads(read_bytes(path, MAX_BYTES).decode("utf-8"))
@@ -158,14 +162,14 @@ def read_specification(path: str | Path, table: str = "pitch") -> Specification:
         raise ParameterError(reason.what, str(path), f"name a TOML file with a table [{table}]") from reason
     except (ValueError, RecursionError) as reason:
         raise ParameterError(
-            f"it is not TOML: {reason!s:.80}", str(path), f"write [{table}], and below it lines as: {line}"
+            f"the file is not TOML: {reason!s:.80}", str(path), f"write [{table}], and below it lines such as {line}"
         ) from reason
     return Specification.of(data, str(path), table)
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """One figure: `asked`, at least or `at_most`, and what the controller has, `got`."""
+    """One required figure: the controller has `got`, which is to be at least `asked`, or at most if `at_most`."""
 
     name: str
     asked: float
@@ -196,7 +200,7 @@ def check(
     family: PitchFamily,
     promised: Promise | None = None,
 ) -> tuple[Requirement, ...]:
-    """Return what `specification` asks of the pitch, in its order, beside what `controller` has.
+    """Compare `controller` with each requirement of `specification` on the pitch, in its order.
 
     Bandwidth and margins are those of the family's estimate. A figure of the step is checked by the far end of the
     `promised` interval. Raise ParameterError if a step is asked for and `promised` is missing or of another step.
@@ -212,7 +216,7 @@ def requirements(
     bandwidths: Mapping[str, float],
     promised: Promise | None,
 ) -> tuple[Requirement, ...]:
-    """Return what is asked beside the worst margins of `loops`, the `bandwidths` by name, and the promise.
+    """Compare each requirement with the worst margins of `loops`, the `bandwidths` [rad/s] by name, and the promise.
 
     A figure of an unstable loop, and of a step with failed members, is NaN. Raise ParameterError if a step is asked for
     and `promised` is missing or of another step.

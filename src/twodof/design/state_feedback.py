@@ -1,6 +1,6 @@
 """State feedback of the pitch: pole placement, LQI and LQG, with the moments under way as states.
 
-The feedback acts on the state as it will be when the moment of now arrives. The moments under way predict that state
+The feedback acts on the state as it will be when the present moment arrives. The moments under way predict that state
 over the dead time (Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 4.4). So it is designed on the
 plant without the whole steps of its dead time, and those steps give poles at 0. A stationary Kalman filter estimates
 theta, q, the rotors and the gust of theta and q as they are measured.
@@ -40,8 +40,8 @@ _NO_CONTROLLER = SampledController(np.zeros((0, 0)), np.zeros((0, 3)), np.zeros(
 class StateFeedback:
     """M = `goal` theta_0 - `state` . x - `integral` * (sum of T (theta - theta_0)), x as the observer estimates it.
 
-    x are the states (m,) of `PitchLoop.plant`. They are theta, q, the rotors and the gust, then the moments under way
-    and the theta published. `poles` are those that the feedback was made for, without those at 0.
+    x are the states (m,) of `PitchLoop.plant`: theta, q, the rotors and the gust, then the moments under way and the
+    published theta. `poles` [rad/s] are those that the feedback was designed for, without those at z = 0.
     """
 
     state: Array
@@ -50,7 +50,7 @@ class StateFeedback:
 
     @property
     def goal(self) -> float:
-        """The gain on theta_0 [1/rad], with which its zero lies on the slowest real pole: that pole does not show."""
+        """Gain on theta_0 [1/rad] that puts a zero on the slowest real pole, so that theta does not show this pole."""
         real = self.poles[np.abs(self.poles.imag) < 1e-9].real
         if not real.size:
             return float(self.state[0])
@@ -59,10 +59,10 @@ class StateFeedback:
 
 
 def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
-    """Return the feedback that gives the estimate of `family` these poles [rad/s] of theta, q and the integral.
+    """Return the feedback that gives theta, q and the integral of the estimate of `family` these `poles` [rad/s].
 
-    A pole in the left half plane comes with its conjugate; they are sampled at 250 Hz. The rotors keep their own pole.
-    Raises ParameterError for other poles, and for equal ones.
+    They are three different poles in the left half plane, complex ones with their conjugates, and are sampled at
+    250 Hz. The rotors keep their own pole. Raises ParameterError for other poles.
     """
     from scipy.signal import place_poles  # imported late: most commands start without it
 
@@ -70,14 +70,14 @@ def pole_placement(family: PitchFamily, poles: ArrayLike) -> StateFeedback:
     real = wanted.shape == (3,) and bool(np.isfinite(wanted).all()) and abs(np.poly(wanted).imag).max() < 1e-9
     apart = real and min(abs(wanted - np.roll(wanted, 1))) > 1e-6
     if not apart or not (wanted.real < 0.0).all() or abs(wanted).max() > 200.0:
-        remedy = "give three in the left half plane, apart, complex ones in pairs, to 200 rad/s"
-        raise _error(f"the poles {poles!r:.80}", remedy)
+        remedy = "give three different ones in the left half plane, up to 200 rad/s, complex ones in conjugate pairs"
+        raise _error(f"the poles {poles!r:.80} cannot be placed", remedy)
     a, b = _without_dead_time(family)
     own = [math.exp(-PERIOD / max(family.values["lag"], 1e-3)), 0.0]
     try:
         gains = place_poles(a, b[:, None], [*np.exp(wanted * PERIOD), *own]).gain_matrix[0]
     except ValueError as reason:
-        raise _error(f"the poles cannot be placed: {reason!s:.80}", "choose others") from reason
+        raise _error(f"the poles cannot be placed: {reason!s:.80}", "choose other poles") from reason
     return _predicted(family, np.asarray(gains, dtype=float), wanted)
 
 
@@ -98,7 +98,7 @@ def lqi(
 
     sizes = (largest_theta, largest_q, largest_integral, largest_moment)
     if not all(0.0 < v < math.inf for v in sizes):
-        raise _error(f"sizes {sizes!r:.80}", "give finite numbers > 0")
+        raise _error(f"the largest sizes {sizes!r:.80} are not all positive", "give finite numbers > 0")
     a, b = _without_dead_time(family)
     weights = np.diag([largest_theta**-2, largest_q**-2, 0.0, 0.0, largest_integral**-2])
     effort = np.array([[largest_moment**-2]])
@@ -110,9 +110,9 @@ def lqi(
 
 
 def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
-    """Return `PitchLoop`'s plant as (A, b, C), and the gain L (m, 2) of its stationary Kalman filter on theta and q.
+    """Return (A, b, C) of the plant of `PitchLoop`, and the gain (m, 2) of its stationary Kalman filter on theta and q.
 
-    The gust is the family's, taken as .3 rad/s2 at least, so that a constant load is found. Source: Astrom and
+    The gust is that of the family, at least .3 rad/s2, so that the filter finds a constant load. Source: Astrom and
     Wittenmark, sec. 11.3.
     """
     from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
@@ -134,8 +134,8 @@ def observer(family: PitchFamily) -> tuple[Array, Array, Array, Array]:
 def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, gains: Gains | None = None) -> Diagram:
     """Return a diagram with `feedback` of the observed state in attitude mode and the rate PID of `gains` in rate mode.
 
-    The observer is told the moment after its limit of +-1, so it does not count on what the motors cannot do. The
-    integral is bounded to +-.5 rad s. `gains` None: the course's rule at 20 rad/s.
+    The observer gets the moment after its limit of +-1, so it does not count on what the motors cannot do. The integral
+    is bounded to +-.5 rad s. Without `gains` the rate PID is that of `cascade_design` at 20 rad/s.
     """
     a, b, c, gain = observer(family)
     keep = np.eye(len(a)) - gain @ c
@@ -191,12 +191,12 @@ def observed_attitude(family: PitchFamily, feedback: StateFeedback, name: str, g
 
 
 def lqg_attitude(family: PitchFamily, feedback: StateFeedback | None = None) -> Diagram:
-    """LQG: `lqi` of the family (or another `feedback`) on the state of its Kalman filter, as a diagram that flies."""
+    """Return an LQG controller as a diagram: `feedback` (default: `lqi`) of the state of the family's Kalman filter."""
     return observed_attitude(family, lqi(family) if feedback is None else feedback, "lqg_attitude")
 
 
 def placed_attitude(family: PitchFamily, poles: Sequence[complex] = (-8.0, -9.0 + 5.0j, -9.0 - 5.0j)) -> Diagram:
-    """`pole_placement` of the family on the state of its Kalman filter, as a diagram that flies."""
+    """Return `pole_placement` with `poles` [rad/s] on the state of the family's Kalman filter, as a diagram."""
     return observed_attitude(family, pole_placement(family, poles), "placed_attitude")
 
 
@@ -209,7 +209,7 @@ def _without_dead_time(family: PitchFamily) -> tuple[Array, Array]:
 
 
 def _predicted(family: PitchFamily, gains: Array, poles: Complex) -> StateFeedback:
-    """Gains on (theta, q, rotors, the moment before, the integral) then, as gains on the states of now."""
+    """Convert gains on the state when the moment arrives (theta, q, rotors, last moment, integral) to the present."""
     a, b = (part[0] for part in PitchLoop(family.nominal(), _NO_CONTROLLER).plant)
     m = len(a)
     full, _ = _with_integral(*_cut(a, b))
@@ -233,7 +233,7 @@ def _cut(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _with_integral(a: Array, b: Array) -> tuple[Array, Array]:
-    """With the sum of T theta as the last state: that of the published theta, a sample later."""
+    """Return the plant with the sum of T theta, the published theta a sample later, as the last state."""
     n = len(a)
     whole = np.zeros((n + 1, n + 1))
     whole[:n, :n], whole[n, n], whole[n, 0] = a, 1.0, PERIOD

@@ -30,10 +30,9 @@ def step_statistics(response: Array, goal: float) -> dict[str, Array]:
 
 
 def interval(values: Array, level: float) -> tuple[float, float, float]:
-    """Return (low, middle, high): a share `level` of `values` (n,) is from low to high, as much out on each side.
+    """Return (low, middle, high): a share `level` of `values` (n,) is from low to high, with as many below as above.
 
-    If more than one side's share has the same least value, as an overshoot of 0, nothing can be below it. Then the
-    whole share outside is above.
+    If many values equal the least one, such as an overshoot of 0, low is that value, and all others outside are above.
     """
     out = 1.0 - level
     least = float(values.min())
@@ -56,7 +55,7 @@ def _first(z: Array, level: float) -> Array:
 
 
 def step_bands(flown: Mapping[str, Array], level: float) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-    """Return (low, middle, high) by channel, each (steps,), of the responses `flown`, (steps, n) of each channel.
+    """Return the bands (low, middle, high), each by channel (steps,), of the responses `flown`, by channel (steps, n).
 
     Half of the responses give the width of the band at each time, the other half the factor on it that holds them. A
     factor from the same half would be too small for any other response: split conformal, Lei et al., JASA 113-523

@@ -1,11 +1,10 @@
 """Structured H-infinity: the gains of a fixed structure that make the largest weighted response smallest.
 
 The norm is not convex in the gains and has kinks where two peaks are alike. The search goes from several starts. First
-it brings the least stable pole inside. Then BFGS with a weak Wolfe search lowers the norm. This search finds its way
-along kinks (Lewis and Overton, Nonsmooth optimization via quasi-Newton methods, 2013). Gradients at points around the
-end then show whether it is a minimum. The shortest vector in their hull is a direction down, or it is short. This is
-the gradient sampling of Burke, Lewis and Overton (2005). Apkarian and Noll (2006) pose the problem so; systune solves
-it.
+it stabilises the least stable pole. Then BFGS with a weak Wolfe search lowers the norm; this search copes with kinks
+(Lewis and Overton, Nonsmooth optimization via quasi-Newton methods, 2013). Gradients at points around the end then
+show whether it is a minimum: the shortest vector in their hull is a direction of descent, or nearly zero. This is the
+gradient sampling of Burke, Lewis and Overton (2005). The problem is that of Apkarian and Noll (2006) and of systune.
 """
 
 import math
@@ -22,7 +21,7 @@ Array = NDArray[np.float64]
 System = tuple[Array, Array, Array, Array]
 """(A, B, C, D)."""
 ClosedLoop = Callable[[Array], Sequence[System]]
-"""The closed loop, weights in it, of the gains (k,): one system or several, whose largest norm counts."""
+"""Function from the gains (k,) to the weighted closed loop: one or more systems, of which the largest norm counts."""
 
 STARTS = 6
 _ITERATIONS = 120
@@ -39,7 +38,7 @@ _MOST_GAINS = 60
 class StructuredHinf:
     """The `gains` (k,) and their `norm`, met at `omega` [rad/s].
 
-    `norms` has the end of each start, the best first: if several agree, it is hardly a local minimum.
+    `norms` has the norm reached from each start, the best first: if several agree, it is hardly a local minimum.
     """
 
     gains: Array
@@ -68,7 +67,7 @@ def structured_hinf(
         raise _error("the starts are not gains (k,) of one length", "give finite numbers")
     k = points[0].size
     if not 1 <= k <= _MOST_GAINS:
-        raise _error(f"{k} gains", f"give 1 to {_MOST_GAINS}")
+        raise _error(f"{k} gains are too few or too many", f"give 1 to {_MOST_GAINS}")
     bottom = np.full(k, -math.inf) if low is None else np.asarray(low, dtype=float)
     top = np.full(k, math.inf) if high is None else np.asarray(high, dtype=float)
     if bottom.shape != (k,) or top.shape != (k,) or not (bottom < top).all():
@@ -91,7 +90,7 @@ def structured_hinf(
 
 
 def largest_norm(systems: Sequence[System], dt: float | None) -> tuple[float, float, int]:
-    """(norm, frequency [rad/s], place) of the system with the largest H-infinity norm; infinity if one is unstable."""
+    """Return (norm, frequency [rad/s], index) of the system with the largest H-infinity norm; infinite if unstable."""
     found = [hinf_norm(*one, dt) for one in systems]
     place = max(range(len(found)), key=lambda i: found[i][0])
     return *found[place], place
@@ -129,7 +128,7 @@ class _Search:
         return min(value, reached), np.clip(y, self.low, self.high)
 
     def polished(self, value: float, y: Array, rng: np.random.Generator) -> tuple[float, Array]:
-        """(norm, y) after gradient sampling about `y`."""
+        """Return (norm, y) after gradient sampling about `y`."""
         for radius in _RADII:
             for _ in range(_SAMPLED):
                 around = y + radius * rng.uniform(-1.0, 1.0, (2 * y.size, y.size))
@@ -197,7 +196,7 @@ class _Search:
         slope_of: Callable[[Array], Array | None],
         enough: Callable[[float], bool],
     ) -> tuple[Array, float]:
-        """BFGS with a weak Wolfe search by bisection."""
+        """Minimise by BFGS with a weak Wolfe search by bisection."""
         value, slope = of(y), slope_of(y)
         inverse = np.eye(y.size)
         for _ in range(_ITERATIONS):
@@ -262,10 +261,10 @@ _NEAR = 1e-7  # of an eigenvalue to the imaginary axis, as a share of its size
 
 
 def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -> tuple[float, float]:
-    """(norm, frequency [rad/s]) of C (s - A)^-1 B + D, or with the sample time `dt` [s] of C (z - A)^-1 B + D.
+    """Return norm and peak [rad/s] of C (s - A)^-1 B + D, or with the sample time `dt` [s] of C (z - A)^-1 B + D.
 
-    Shapes (n, n), (n, m), (p, n), (p, m). An unstable system has the norm infinity. Good to `TOLERANCE` of itself.
-    Raises ParameterError for shapes that do not fit and numbers that are not finite.
+    Shapes (n, n), (n, m), (p, n), (p, m). An unstable system has the norm infinity. The relative error is at most
+    `TOLERANCE`. Raises ParameterError for shapes that do not fit and numbers that are not finite.
     """
     check_system(a, b, c, d, "hinf_norm")
     poles = np.linalg.eigvals(a)

@@ -25,7 +25,7 @@ from twodof.signals import PERIOD
 Array = NDArray[np.float64]
 
 SETTLED = 0.05
-"""Of the step: a response that stays this near its set-point has settled."""
+"""Share of the step: a response that stays this near its set-point has settled."""
 
 SHOWN: Mapping[str, float] = {"theta": math.pi, "q": 50.0, "M": 5.0}
 """Where a band is cut off [rad, rad/s, -]: beyond it an unstable loop draws nothing that a person could read."""
@@ -37,10 +37,10 @@ _FIGURES = ("rise_time", "overshoot", "settling_time", "peak_q", "peak_M")
 class TuningPreview:
     """Preview of `gains` on a family: `loops`, bands of a step of theta by `goal` [rad], its figures, and the verdict.
 
-    `gains` are None of a controller that is not the stock cascade. `loops` has the margins of each of `PITCH_LOOPS`, of
-    the estimate; of another controller those at the motors alone. `low`, `middle` and `high` are bands of
-    `CHANNELS`, (steps,) at the times `time` [s] from the step on: a share `level` of flights stays inside all the time.
-    `figures` are (low, middle, high) with as large a share: rise_time [s], overshoot (a share), settling_time [s],
+    `gains` is None for a controller other than the stock cascade. `loops` has the margins of the estimate at each of
+    `PITCH_LOOPS`, for another controller those at the motors alone. `low`, `middle` and `high` are bands of `CHANNELS`,
+    (steps,) at the times `time` [s] from the step on: a share `level` of flights stays inside all the time. `figures`
+    has intervals (low, middle, high) with the same share: rise_time [s], overshoot (a share), settling_time [s],
     peak_q [rad/s], peak_M. The settling time is that without gusts and noise; a time that is never reached is infinite.
     """
 
@@ -57,7 +57,7 @@ class TuningPreview:
     verdict: Robustness
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data with lists for arrays; what is infinite is null."""
+        """Return plain data with lists for arrays; an infinite number is null."""
         return {
             "gains": None if self.gains is None else self.gains.to_json(),
             "goal": self.goal,
@@ -86,13 +86,12 @@ def tuning_preview(
     goal: float = GOAL,
     progress: Callable[[float], None] = lambda share: None,
 ) -> TuningPreview:
-    """Close the pitch loops under a `law` over `family`, and return what they will do.
+    """Return a preview of the pitch loops of `family` under `law`: margins, a step by `goal` [rad], and the verdict.
 
-    The law is the gains of the stock cascade, or any controller of the pitch: its margins are those at the motors.
-
-    `family` is that of a model's file: `PitchFamily.from_identified(json)`. The same `seed` draws the same members and
-    gusts, so two calls with other gains differ by the gains alone. `progress` is called with the share done, some ten
-    times a second; an exception that it raises ends the work. Raise ParameterError for numbers out of range.
+    `law` is the gains of the stock cascade, or any controller of the pitch, for which only the margins at the motors
+    are given. `family` is that of a model file: `PitchFamily.from_identified(json)`. The same `seed` draws the same
+    members and gusts, so two calls with other gains differ by the gains alone. `progress` is called with the share
+    done, some ten times a second; an exception from it ends the work. Raise ParameterError for numbers out of range.
     """
     gains = law if isinstance(law, Gains) else None
     if isinstance(law, Gains):
@@ -133,7 +132,7 @@ def _settling(
 
 
 def _told(loop: LoopMargins) -> dict[str, Any]:
-    """Of `LoopMargins.to_json` what a page shows; the curves' details are left out."""
+    """Return the part of `LoopMargins.to_json` that the page shows."""
     kept = loop.to_json()
     return {name: value for name, value in kept.items() if name not in ("gain_crossings", "phase_crossings", "poles")}
 
@@ -147,7 +146,7 @@ def _rounded(values: Array) -> list[float]:
 
 
 GAINS = ("RATE_KP", "RATE_KI", "RATE_KD", "ATT_KP")
-"""The parameters of the stock law of the pitch that a preview knows."""
+"""Parameters of the stock pitch law that a preview can change."""
 
 SURE = 200
 """Members that fly in a preview."""
@@ -155,9 +154,9 @@ SURE = 200
 
 @dataclass(frozen=True, eq=False)
 class PitchLaw:
-    """`controller` is the law as matrices; `gains` those of the stock law, None of a user's controller `name`.
+    """The pitch law of a drone: `controller` has its matrices, `parameters` the names of the parameters that tune it.
 
-    `parameters` are the names of what tunes it.
+    `gains` are those of the stock law; they are None for a user's controller, called `name`.
     """
 
     name: str
@@ -171,9 +170,9 @@ class PitchLaw:
     ) -> Self:
         """Return the law of a drone with the parameters `values`, by name.
 
-        `diagram` is the JSON of its own controller of the template attitude_control, whose parameters `paths` says
-        where they are: name -> "attitude_control.k_q". Raises ParameterError for gains that cannot be, DiagramError for
-        a controller that has no linear model.
+        `diagram` is the JSON of the attitude controller that flies instead of the stock law; `paths` maps names of its
+        parameters to places in it: name -> "attitude_control.k_q". Raises ParameterError for gains out of bounds,
+        DiagramError for a controller that has no linear model.
         """
         if diagram is not None:
             found = from_json(diagram if isinstance(diagram, str) else diagram.decode())
@@ -183,12 +182,12 @@ class PitchLaw:
             return cls(found.name, SampledController.of(found, set_to), None, frozenset(inside))
         gains = Gains.flown({"parameters": dict(values)})
         if gains is None:
-            raise ParameterError("its gains are out of their bounds", "the drone's parameters", "set them back")
+            raise ParameterError("gains are out of their bounds", "the drone's parameters", "set them within bounds")
         return cls("", SampledController.of_cascade(*gains.rate, gains.attitude), gains, frozenset(GAINS))
 
     @property
     def digest(self) -> str:
-        """The same for the same law to the bit, and for no other."""
+        """SHA-256 of the law's matrices: equal for two laws if and only if their bits are equal."""
         parts = (self.controller.a, self.controller.b, self.controller.c, self.controller.d)
         return hashlib.sha256(b"".join(repr(part.shape).encode() + part.tobytes() for part in parts)).hexdigest()
 
@@ -197,5 +196,5 @@ class PitchLaw:
         return tuning_preview(family, self.gains or self.controller, goal=goal, members=SURE)
 
     def verdict(self, family: PitchFamily) -> Robustness:
-        """Return whether it keeps the family stable, as the preview has it."""
+        """Return the verdict on the stability of the family under the law, as in the preview."""
         return robustness(self.controller, family)

@@ -71,9 +71,10 @@ _PLANS: Mapping[str, _Plan] = MappingProxyType(
 
 @dataclass(frozen=True)
 class TrialFlight:
-    """Result on the `lab` rig. `fault` is the reason why the controller must not fly, "" if it may.
+    """Result of a trial flight on the virtual rig `lab`. `fault` says why the controller must not fly, "" if it may.
 
-    `margins` are those of the loops that it closes. Where they are unknown they are empty, and `unknown` says why.
+    `margins` are those of the loops that the controller closes, by loop. If they cannot be computed they are empty, and
+    `unknown` says why.
     """
 
     margins: Mapping[str, LoopMargins]
@@ -90,11 +91,12 @@ class TrialFlight:
 
 
 def trial_flight(diagram: Diagram, template: str, target: str = "native") -> TrialFlight:
-    """Fly `diagram` of the template `template` for 3 s without noise: a step of 3 deg, or of 5 cm.
+    """Fly `diagram` of the template `template` for 3 s without noise, with a step of 3 deg or of 5 cm.
 
-    An attitude controller flies with the cart locked, the others free. The other loops are the stock ones. A fault is
-    a swing that does not die out, a stop that is reached, or a linear motion of a loop that grows fast. `target`
-    is where it flies, as `ClosedLoop`'s. Raises DiagramError for a diagram that does not compile.
+    An attitude controller flies with the cart locked, any other with the cart free. The stock controllers close the
+    other loops. A fault is a swing that does not die out, an end stop that is reached, or a loop with a fast growing
+    linear mode. `target` is the compile target, as in `ClosedLoop`. Raises DiagramError for a diagram that does not
+    compile.
     """
     plan = _PLANS[template]
     margins: dict[str, LoopMargins] = {}
@@ -149,7 +151,7 @@ SYSTEM = 252
 """MAVLink system of `flash`. It differs from a script's, so that a script's lease refuses a flash."""
 
 FLYING = "/etc/extras"
-"""Folder in which a drone shows its active diagrams, by template."""
+"""Folder on a drone, readable over FTP, with its active diagrams: `<template>.json`."""
 
 SIM, FCU, PX4 = "sim", "fcu", "px4-dir"
 
@@ -161,7 +163,7 @@ _STEPS = 250  # one second of flight on the emulated processor, to count instruc
 
 @dataclass(frozen=True)
 class ControllerCosts:
-    """Costs of a controller: bytes of its structs, equal on every target, and the Cortex-M7's figures.
+    """Costs of a controller: sizes of its structs [byte], equal on every target, and the figures of the Cortex-M7.
 
     `m7` is None without a cross compiler; `m7_missing` gives the reason.
     """
@@ -187,9 +189,9 @@ class ControllerCosts:
 
 @dataclass(frozen=True)
 class FlashReport:
-    """Result of a flash: `changes` against `origin`, remarks and warnings, and the `place` in words.
+    """Result of a flash: `changes` to the diagram that `origin` names, remarks, warnings, and the `place` in words.
 
-    `trial` has the margins and the flight on the virtual rig.
+    `trial` has the margins and the trial flight on the virtual rig.
     """
 
     diagram: Diagram
@@ -235,12 +237,13 @@ def flash(
     """Put `diagram` on `to`: "sim", "px4-dir" (a module in the folder `out`), "fcu" or a drone's URL.
 
     A drone must be disarmed; it builds the controller for its sandbox and keeps it over restarts. A module is compared
-    with the PX4 source in the folder `px4` first, if given. `dry_run` leaves the last step out. `force` also flashes a
-    diagram that is unstable on the virtual rig. `say` is called with the current step and the share done.
+    with the PX4 source in the folder `px4` first, if given. `dry_run` does everything but the flashing itself. `force`
+    also flashes a diagram that is unstable on the virtual rig. `say` is called with the name of each step and the share
+    of the work done (0 to 1).
 
     Raises LinkError for another `to`, and DiagramError for a diagram that fits no template. Raises ExperimentError for
-    one that is unstable on the virtual rig (`trial_flight`). Raises CompileError, and what `open_target` and the drone
-    raise.
+    a diagram that is unstable on the virtual rig (`trial_flight`). Raises CompileError if it does not compile, and the
+    errors of `open_target`.
     """
     check_target(to)
     kind, costs, trial, remarks = _examined(diagram, precision, "native", say or (lambda what, share: None))
@@ -280,12 +283,13 @@ def _checked(diagram: Diagram, px4: Path) -> tuple[str, ...]:
         found = check_module(px4, folder)
     if not found.fits:
         errors = "; ".join(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows if row.level == ERROR)
-        raise CompileError(f"{found.module} does not fit it: {errors}", str(px4), "nothing was written")
+        what = f"the module {found.module} does not fit this PX4: {errors}"
+        raise CompileError(what, str(px4), "mend these places and flash again; nothing was written")
     return tuple(f"{row.where}: {row.what} ({row.remedy})" for row in found.rows)
 
 
 class Rehearsal(NamedTuple):
-    """Result of a dry run of `flash`: see `FlashReport`."""
+    """Result of a dry run of `flash`. The fields are those of `FlashReport`."""
 
     template: str
     costs: ControllerCosts
@@ -319,8 +323,8 @@ def rehearse(
 class FlashTarget(NamedTuple):
     """Place for one controller of a template.
 
-    `before` is the diagram there now, or the stock controller; `origin` says which. `place` names it in words. `put`
-    replaces the diagram; if it fails, the old one stays.
+    `before` is the diagram there now, or the stock controller; `origin` says which. `place` names the place in words.
+    `put` stores a new diagram there; if it fails, the old one stays.
     """
 
     before: Diagram
@@ -330,7 +334,7 @@ class FlashTarget(NamedTuple):
 
 
 def check_target(to: str) -> None:
-    """Check that `to` names a place or looks like a URL. Raises LinkError."""
+    """Raise LinkError unless `to` names a place to flash or looks like a URL."""
     if to not in (SIM, FCU, PX4) and "/" not in to and ":" not in to:
         raise LinkError(
             f"{shown(to)} is not {SIM}, {PX4}, {FCU} or a URL", "--to", f"a drone's URL is such as {DEFAULT_URL}"

@@ -38,7 +38,7 @@ _MOST_SHOWN = 100
 
 
 def port_in_use(index: int) -> str:
-    """Return a sentence about the first port of drone `index` in use, "" if all are free."""
+    """Return a sentence about the first port of drone `index` that is in use, "" if all are free."""
     for kind, first, whose in _LISTENED:
         port = first + index
         with closing(socket.socket(type=socket.SOCK_STREAM if kind == "TCP" else socket.SOCK_DGRAM)) as probe:
@@ -51,7 +51,8 @@ def port_in_use(index: int) -> str:
                     probe.listen(1)
             except OSError as refusal:
                 if refusal.errno != errno.EADDRINUSE:
-                    raise LinkError(f"cannot be opened: {refusal.strerror}", f"{kind} port {port}") from refusal
+                    remedy = "let this user open the port, or choose other ports with --first"
+                    raise LinkError(f"cannot be opened: {refusal.strerror}", f"{kind} port {port}", remedy) from refusal
                 who = port_owner(kind, port)
                 has = f"; {who} has it" if who else ""
                 return f"{kind} port {port}, where {whose} of drone {index + 1} listens, is in use{has}"
@@ -59,7 +60,7 @@ def port_in_use(index: int) -> str:
 
 
 def check_ports_free(first: int, drones: int) -> None:
-    """Check that `drones` drones from index `first` on find their ports free. Raises LinkError for a busy one."""
+    """Raise LinkError if a port of one of `drones` drones, from index `first` on, is in use."""
     for index in range(first, first + drones):
         if found := port_in_use(index):
             free = (number for number in range(MOST_DRONES - drones + 1) if _all_free(number, drones))
@@ -75,7 +76,7 @@ def _all_free(first: int, drones: int) -> bool:
 def port_owner(kind: str, port: int) -> str:
     """Return the process that listens at a "TCP" or "UDP" port: `process 4711 (twodof fcu --index 0)`; "" if unknown.
 
-    Of another user's process the system shows the user alone.
+    If the process is another user's, the system shows only the user: `a process of the user ada`.
     """
     for table in _TABLES[kind]:
         with suppress(OSError):
@@ -88,7 +89,7 @@ def port_owner(kind: str, port: int) -> str:
 
 
 def with_port_owner(error: LinkError) -> LinkError:
-    """Return `error` with the process that holds its port in the remedy, if the port is in use and that is known."""
+    """Return `error` with a remedy that names the process on its port; `error` itself if that process is unknown."""
     with suppress(LinkError):
         address = parse(error.where)
         port = address.port if address.listens else address.bind_port
@@ -140,9 +141,9 @@ class ControllerReport(NamedTuple):
 
 
 def controller_in_words(controller: str, changed: int) -> str:
-    """Return e.g. "flies my_attitude; 3 parameters differ from their defaults"; `controller` as TWODOF_RIG names it.
+    """Describe what an earlier user left on a drone: "flies my_attitude; 3 parameters differ from their defaults".
 
-    An earlier user may have left a controller or parameters on the drone.
+    `controller` is the text in the message TWODOF_RIG, `changed` the number of parameters that are not at default.
     """
     what = "the stock controllers" if controller == STOCK else printable(controller)
     if not changed:
@@ -164,12 +165,12 @@ class LocalDrone:
 
     @property
     def options(self) -> list[str]:
-        """Options of both its programs."""
+        """Command-line options for both programs of the drone."""
         return ["--index", str(self.index), *(() if self.key is None else ("--key", str(self.key)))]
 
     @property
     def own(self) -> list[str]:
-        """Options of its flight controller alone."""
+        """Further command-line options for the flight controller alone."""
         return ["--seed", str(self.seed), "--state", str(self.state)]
 
     @property
@@ -188,7 +189,7 @@ class LocalDrone:
         return f"tcp://127.0.0.1:{Ports.COMPANION_TCP + self.index}"
 
     def described(self, lockstep: bool) -> dict[str, Any]:
-        """Return where each kind of client connects, as plain data."""
+        """Return numbers and files of the drone, and the URL for each kind of client, as plain data."""
         return {
             "index": self.index,
             "system": self.system,
@@ -206,9 +207,9 @@ class LocalDrone:
 
 
 async def wait_until_heard(url: str, system: int, timeout: float, key: Key | None = None) -> ControllerReport:
-    """Wait for the flight controller `system` at `url` and return its report. Frames are signed with `key`, if given.
+    """Wait for the flight controller with system id `system` at `url`; return its active controller.
 
-    Raises LinkError if it is not heard within `timeout` [s].
+    Frames are signed with `key`, if given. Raises LinkError if the flight controller is not heard within `timeout` [s].
     """
     try:
         async with asyncio.timeout(timeout):
@@ -224,4 +225,5 @@ async def wait_until_heard(url: str, system: int, timeout: float, key: Key | Non
                     elif got.message.get_type() == "TWODOF_RIG":
                         return ControllerReport(got.message.controller, got.message.changed)
     except TimeoutError:
-        raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, "read its output") from None
+        remedy = "read the output of the program at this URL"
+        raise LinkError(f"no heartbeat of system {system} within {timeout:g} s", url, remedy) from None

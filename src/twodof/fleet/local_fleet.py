@@ -53,7 +53,7 @@ class ChildProcess:
     listening: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def start(self) -> None:
-        """Start the process. Its standard input is a pipe from here: the process ends with us."""
+        """Start the process. It ends with this one, which holds the other end of its standard input."""
         self.said.clear()
         self.listening.clear()
         self.process = await asyncio.create_subprocess_exec(
@@ -72,7 +72,7 @@ class ChildProcess:
             lower_priority(self.process.pid, self.niceness)
 
     async def wait(self) -> int:
-        """Return the exit status when the process has ended; read its output until then."""
+        """Read the process's output until it ends; return its exit status."""
         if self.process is None or self.process.stdout is None:
             return 0
         while line := await self.process.stdout.readline():
@@ -85,7 +85,10 @@ class ChildProcess:
         return await self.process.wait()
 
     async def may_restart(self, status: int, tell: Callable[[str], None], consequence: str) -> bool:
-        """Note the end of the process and `tell` it; return True after a pause, False if it ended too often."""
+        """Report the end of the process by `tell`; return True after a pause, False if the process ended too often.
+
+        `consequence` completes the report in that case: "the whole fleet ends".
+        """
         self.ended.append(asyncio.get_running_loop().time())
         often = len(self.ended) > MOST_RESTARTS and self.ended[-1] - self.ended[0] < WITHIN_S
         # The last lines of a process that was killed from outside do not tell the reason.
@@ -137,7 +140,7 @@ class LocalFleet:
         await asyncio.gather(*(child.end() for child in reversed(self._children)))
 
     async def start(self) -> None:
-        """Start every process and wait for its heartbeat. Raises LinkError for the first without one."""
+        """Start every process and wait for its heartbeat. Raises LinkError for the first process without one."""
         async with _tasks(*map(self._begin, self._children)) as starting:
             await asyncio.gather(*starting)
 

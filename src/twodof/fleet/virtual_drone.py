@@ -1,4 +1,4 @@
-"""Virtual drones as child processes in lockstep; with which error a child ends, and a lower priority for one."""
+"""Virtual drones as child processes in lockstep; the error of a child that ended, and the priority of a child."""
 
 import os
 import re
@@ -119,14 +119,14 @@ _WHAT, _WHERE, _REMEDY = "error:", "  where:", "  remedy:"
 
 
 def indented_lines(said: Sequence[str]) -> str:
-    """Return the lines one below the other and indented; "no output" without any."""
+    """Join the lines of a program's output, each on an indented line of its own; "no output" if there are none."""
     return "".join(f"\n    {line}" for line in said if line.strip()) or "\n    no output"
 
 
 def child_error(said: Sequence[str], name: str, status: int | None = None) -> LinkError:
-    """Return the error with which the program `name` ended, from its last lines.
+    """Return an error for the program `name` that ended, made from `said`, the last lines of its output.
 
-    Where it is one of ours (`output.print_error`) it has that one's fact, place and remedy; else it shows all lines.
+    If they hold an error of a `twodof` command, the result has its fact, place and remedy; otherwise it has all lines.
     """
     begins = [number for number, line in enumerate(said) if line.startswith(_WHAT)]
     if not begins:
@@ -149,7 +149,7 @@ _LOWEST = 19
 
 
 def lower_priority(process: int, by: int) -> None:
-    """Let the process, and what it starts, come after the others; what the system does not allow is left.
+    """Raise the niceness of a process and its children by `by`, as far as the system allows it.
 
     By default Linux shares out its processors to sessions first (autogroup), and looks at the niceness of a process
     only within its own. Such a process therefore has a session of its own.
