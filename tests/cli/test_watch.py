@@ -21,14 +21,13 @@ from typing import Any
 import pytest
 
 from tests.faults.virtual_time import run_virtual
-from tests.gcs.peer import Peer
+from tests.gcs.peer import Peer, speaking
 from tests.gcs.virtual import on_board
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import started
 from twodof.cli import watch
 from twodof.cli.app import run
 from twodof.gcs.drone import Drone
-from twodof.link.mavlink.messages import message
 
 pytestmark = pytest.mark.slow
 
@@ -127,12 +126,7 @@ def test_no_drone_is_an_error_with_its_remedy(
 
 def test_texts_during_connecting_are_shown() -> None:
     async def work() -> list[str]:
-        waiting = [message("STATUSTEXT", severity=4, text=b"battery low")]
-
-        def spoil(_: int, sent: Any) -> list[Any]:
-            return [waiting.pop(), sent] if waiting and sent.get_type() == "TWODOF_RIG" else [sent]
-
-        async with Peer(spoil=spoil) as peer:
+        async with Peer(spoil=speaking(b"battery low")) as peer:
             watched = watch.WatchedDrone(peer.url, None, None)
             await watched.connect()
             await watched.leave()

@@ -24,6 +24,16 @@ MOST_GRANTED = 2_500
 DESCRIPTION = b'{"version": 1, "parameters": []}'
 
 
+def speaking(text: bytes) -> Callable[[int, Any], list[Any] | None]:
+    """Return a `spoil` that sends a line of text while a client connects."""
+    waiting = [message("STATUSTEXT", severity=4, text=text)]
+
+    def spoil(_: int, sent: Any) -> list[Any] | None:
+        return [waiting.pop(), sent] if waiting and sent.get_type() == "TWODOF_RIG" else [sent]
+
+    return spoil
+
+
 class Peer:
     """Drone 1 at `url`. `spoil` returns the messages that are sent instead of each one; None ends the link."""
 

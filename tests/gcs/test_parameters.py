@@ -76,6 +76,14 @@ async def test_a_parameter_is_found_by_its_path(peer: Peer, drone: AsyncDrone) -
     assert peer.parameters["TMI_K_Q"] == 0.25
 
 
+@flight()
+async def test_a_new_list_during_a_change_is_no_fault(peer: Peer, drone: AsyncDrone) -> None:
+    new_list = message("PARAM_VALUE", param_id="_HASH_CHECK", param_type=5, param_count=4, param_index=65535)
+    peer.spoil = lambda _, sent: [sent, new_list] if sent.get_type() == "PARAM_VALUE" else [sent]
+    made = await drone.parameters.update({"ATT_KP": 6.0})
+    assert (made.before, made.after) == ({"ATT_KP": 11.0}, {"ATT_KP": 6.0})
+
+
 @pytest.mark.parametrize("told", ["hash", "count", "rig"])
 @flight(own)
 async def test_entries_are_forgotten_when_the_list_changes(peer: Peer, drone: AsyncDrone, told: str) -> None:
@@ -172,7 +180,7 @@ def test_watchers_see_a_flashed_controllers_parameters_which_restarts_keep(tmp_p
                 stock = await watching.parameters.all()
                 with pytest.raises(ParameterError, match="no such parameter"):
                     await watching.parameters.read("attitude_control.k_q")
-                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")))
+                await pilot.fly_controller("attitude_control", to_json(starter("lqr-attitude")), said=None)
                 k_q = starter("lqr-attitude").params["k_q"].value
                 assert await watching.parameters.read("attitude_control.k_q") == pytest.approx(k_q, rel=1e-7)
                 await pilot.parameters.update({"attitude_control.k_q": 0.2, "attitude_control.k_past[4]": 0.1})

@@ -270,7 +270,7 @@ class AsyncDrone(DroneView):
         template: str,
         diagram: str | bytes,
         timeout: float = 120.0,
-        said: Callable[[str, float], None] = lambda text, share: None,
+        said: Callable[[str, float], None] | None = None,
     ) -> None:
         """Send a controller, a diagram's JSON, and fly it in a sandbox instead of the one of that template.
 
@@ -278,6 +278,7 @@ class AsyncDrone(DroneView):
         controllers, or finds a fault in the diagram; then the controller before flies on. `said` gets what is done and
         the share done. The call can be cancelled until `said` gets `BUILDS`: then the drone goes on by itself.
         """
+        tell = said or (lambda text, share: None)
         self._needs_ours("controllers of one's own", "folder of controllers")
         path = f"/controllers/{template}.json"
         content = diagram.encode() if isinstance(diagram, str) else diagram
@@ -285,9 +286,9 @@ class AsyncDrone(DroneView):
         self.session.check(self.session.now)  # the last state of a lost drone says nothing
         if self.state.armed:
             raise Rejected("it is armed", deadline.where, "disarm it first")
-        said("asks the drone", 0.0)
+        tell("asks the drone", 0.0)
         await self.commands.run("USER_1", [1.0], deadline.left, "asking whether it can build controllers")
-        sending = partial(_sending, said)
+        sending = partial(_sending, tell)
         sending(0.0)
         await self.files.write(path, content, deadline.left, sending)
         await self.commands.run("USER_1", [], deadline.left, "flying another controller")

@@ -204,9 +204,11 @@ class AsyncParameters:
                 await self._ask(entry.name, deadline)
         else:
             await self._one_by_one(wanted, deadline)
-        named = dict(zip(changes, entries, strict=True))
-        before = {name: entry.value for name, entry in named.items()}
-        return SentChange(before, {name: self.known[entry.name].value for name, entry in named.items()})
+        named = dict(zip(changes, wanted, strict=True))
+        after = {
+            name: float(value) if entry.kind == INT32 else _decimal(value) for name, (entry, value) in named.items()
+        }
+        return SentChange({name: entry.value for name, (entry, _) in named.items()}, after)
 
     @property
     def last(self) -> SentChange:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -11,6 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.faults.virtual_time import run_virtual
+from tests.gcs.peer import Peer, speaking
 from tests.gcs.virtual import OnBoard, on_board
 from tests.lab.served import WATCH, Served, holds_samples, served, wait_for_drone
 from tests.patience import patiently
@@ -20,6 +23,9 @@ from twodof.gcs.drone import Drone
 from twodof.gcs.recording import seconds
 from twodof.lab import telemetry_client
 from twodof.lab.drones import pilot
+from twodof.lab.drones.lab_drone import LabDrone
+from twodof.lab.settings import LabSettings
+from twodof.lab.telemetry_rows import Audience
 
 pytestmark = pytest.mark.slow
 
@@ -42,6 +48,20 @@ def drone(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Served, On
     """Drone for the tests that leave it disarmed, with its parameters, without a lease."""
     with flying(tmp_path_factory.mktemp("lab")) as found:
         yield found
+
+
+def test_texts_during_connecting_are_kept(tmp_path: Path) -> None:
+    async def work() -> list[str]:
+        async with Peer(spoil=speaking(b"battery low")) as peer:
+            one = LabDrone(peer.url, LabSettings(tmp_path), Audience())
+            running = asyncio.create_task(one.run())
+            while one.state["link"] != "heard":
+                await asyncio.sleep(0.01)
+            running.cancel()
+            await asyncio.wait([running])
+            return [line["text"] for line in one.texts]
+
+    assert run_virtual(work()) == ["battery low"]
 
 
 def test_rows_have_the_drones_bits(

@@ -183,6 +183,8 @@ class LabDrone:
         # Subscriptions are gone after a restart: a new session asks for all of them again.
         session.on(lambda _: session.end(LinkLost("it has restarted", session.url, "wait a moment")), DroneRestarted)
         self._connection = DroneConnection(drone, self, self._settings.folder)
+        for line in drone.messages:  # of the time in which it was connected
+            self.say(line.severity, line.text)
         try:
             await self._connection.run()
         finally:
