@@ -1,7 +1,7 @@
 """Blocks around the plant of a structure: the delay of its input, and constants added to its signals.
 
-The past inputs of a delay are a ring of the last `ring` samples, whose counters come round or stop. A counter that ran
-on for ever would not let `linearize` see that the ring is the same at every step.
+The past inputs of a delay are a ring of the last `ring` samples. Its counters wrap or stop at a limit: with a counter
+that grew for ever, `linearize` could not find a steady state.
 """
 
 import math
@@ -34,7 +34,10 @@ def remember(present: Any, x: Any, ring: int) -> dict[str, Any]:
 
 
 def past_input(present: Any, x: Any, fits: Any, ring: int) -> Callable[[Any], Any]:
-    """Return a function of the input some steps ago: that of step 0 for earlier times, NaN unless `fits`."""
+    """Return a function from a number of steps to the input so many steps ago; before step 0 that of step 0.
+
+    Its value is NaN unless `fits`, which says that the ring is long enough.
+    """
 
     def ago(steps: Any) -> Any:
         back = x.position - steps
@@ -48,7 +51,7 @@ def past_input(present: Any, x: Any, fits: Any, ring: int) -> Callable[[Any], An
 
 @library_block("models.InputDelay")
 class InputDelay(Block):
-    """Delay of a held input by `tau` seconds, not a multiple of the tick: y(t) = u(t - tau), u = u[0] before the start.
+    """Delay of a held input by `tau` seconds, of any length: y(t) = u(t - tau), u = u[0] before the start.
 
     A continuous block behind it sees the change inside the step (an edge). Unlike the library's fractional delay it
     starts from the record's own first value, so a trim moment needs no parameter. `tau` is at most `ring - 2` ticks;
@@ -99,7 +102,7 @@ class Offset(Block):
 
 @library_block("models.Bend")
 class Bend(Block):
-    """y = u - bend u^3: a command that is large has less effect than many small ones."""
+    """y = u - bend u^3: the effect of a large command is less than proportional."""
 
     inputs = (Port("u"),)
     outputs = (Port("y"),)

@@ -1,8 +1,8 @@
 """The pitch axis and the cart beyond the linear models: gravity, a hardening spring, dry friction with true sticking.
 
-A step integrates everything but the dry (Coulomb) friction, which then acts as an impulse that knows when in the step
-the motion stops. So the machine sticks exactly. What is simulated does not jump when a parameter moves the moment of a
-stop across a step: an estimation needs derivatives.
+A step integrates everything but the dry (Coulomb) friction, which then acts as an impulse. The impulse takes into
+account when within the step the motion stops. So sticking is exact, and the response varies smoothly with the
+parameters, whose derivatives an estimation needs, even where a stop moves from one step to the next.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from twodof.blocks.expressions.expr import maximum, minimum, where
 
 
 def sticks(speed: Any, drive: Any, more: Any, less: Any) -> Any:
-    """Return True if friction holds it at rest: `drive` is the acceleration by everything else.
+    """Return True if friction holds a body at rest; `drive` is its acceleration by all other forces.
 
     Friction opposes a positive speed with `more`, a negative one with `less` (both >= 0, as accelerations).
     """
@@ -40,7 +40,7 @@ class PitchPendulum(Block):
     """q' = mu M - 2 xi w_n q - w_n^2 sin(theta) - hardening theta^3 - friction, theta' = q.
 
     Friction is Coulomb's. It opposes q with `coulomb` (1 + `asymmetry`) for q > 0 and `coulomb` (1 - `asymmetry`) for
-    q < 0 [rad/s2]. It holds the drone at rest while the rest of the right-hand side is smaller.
+    q < 0 [rad/s2]. It holds a drone at rest while the other terms of the right-hand side are smaller.
     """
 
     inputs = (Port("M"),)
@@ -64,7 +64,7 @@ class PitchPendulum(Block):
         return {"theta": x.theta, "q": x.q}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return the motion without dry friction; zeros while it sticks."""
+        """Return the derivatives of theta and q without dry friction; 0 while the pitch sticks."""
         drive, more, less = self._drive(u, x, p)
         return {"theta": x.q, "q": where(sticks(x.q, drive, more, less), 0.0, drive)}
 
@@ -85,7 +85,7 @@ class Lift(Block):
     """Thrust of both rotor pairs, commanded T +- M, over that of level flight at `hover`.
 
     A pair gives (1 - curve) u + curve u^2 for a command u within 0 to 1. A hard pitch manoeuvre lifts more: the square
-    of M adds to both pairs, and a pair at rest cannot give less than nothing.
+    of M adds to the thrust of both pairs, and a pair at rest cannot give a negative thrust.
     """
 
     inputs = (Port("M"), Port("T"))
@@ -114,12 +114,12 @@ class Rail(Block):
 
     `lift` is the thrust over that at which k_v is stated (a constant 1 where it does not vary).
 
-    The drone's centre lies below the bearing. What accelerates is the centre of all mass, and v is its speed. The cart
-    is `lever` sin(theta) behind it (physics, equation 2). Left out, k_v is 1.3 % too small in a doublet of the rig
-    `lab`, whose lever is 4 mm.
+    The drone's centre lies below the bearing, so the thrust accelerates the common centre of mass, whose speed is v.
+    The cart is `lever` sin(theta) behind it (physics, equation 2). Without the lever, k_v is found 1.3 % too small from
+    a doublet of the rig `lab`, whose lever is 4 mm.
 
-    The measured q is integrated to theta here, since an on-board estimate of theta errs while the cart accelerates:
-    it takes the accelerometer for the direction of gravity.
+    The measured q is integrated to theta here. The on-board estimate of theta errs while the cart accelerates, as it
+    takes the direction of the measured acceleration for that of gravity.
     """
 
     inputs = (Port("q", unit="rad/s"), Port("lift"))
@@ -143,7 +143,7 @@ class Rail(Block):
         return {"theta": x.theta, "x": x.x - p.lever * (sin(x.theta) - sin(p.theta_0)), "v": x.v}
 
     def derivative(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return the motion without dry friction; zeros while it sticks."""
+        """Return the derivatives of theta, x and v without dry friction; that of v is 0 while the cart sticks."""
         drive = -p.k_v * u.lift * sin(x.theta) - p.p_v * x.v
         return {"theta": u.q, "x": x.v, "v": where(sticks(x.v, drive, p.coulomb, p.coulomb), 0.0, drive)}
 
@@ -156,13 +156,13 @@ class Rail(Block):
 
 @library_block("models.CartPush")
 class CartPush(Block):
-    """Pitch acceleration `push` by a cart that moves and by the bearing's dry friction, from the measured pitch.
+    """Pitch acceleration `push` caused by the cart's motion and by the bearing's dry friction, from the measured pitch.
 
     The drone's centre lies below the bearing: q' + coupling v' = the rest (physics, equation 1). The air that a moving
     drone meets pitches it by M_u v. The cart follows v' =
     -k_v sin(theta) - p_v v - lever q' - dry friction. Rings stop it `play` either way of where it starts, and a stop
-    takes the whole speed. `coulomb` opposes q. The measured pitch drives it, since a simulated one does not know the
-    gusts. What is measured up to a step acts behind it, so this holds in closed loop too.
+    takes the whole speed. `coulomb` opposes q. The input is the measured pitch, since a simulated one lacks the effect
+    of gusts. A measurement acts on later steps only, so the model holds in closed loop too.
     """
 
     inputs = (Port("theta", unit="rad"), Port("q", unit="rad/s"))

@@ -15,8 +15,8 @@ from twodof.signals import PERIOD
 class LqrGains:
     """M = -state . x - integral * (sum of T y) - history . (M of the steps before, the latest first).
 
-    `state` (n,) are the gains on the plant's states. `history` are those on the moments that are still under way, as
-    many as the delay has steps. `integral` is that on the backward-Euler integral of the output y, which goes to 0.
+    `state` (n,) are the gains on the plant's states. `history` are those on the past moments that have not yet reached
+    the plant, as many as the delay has steps. `integral` is the gain on the backward-Euler integral of the output y.
     """
 
     state: tuple[float, ...]
@@ -27,13 +27,14 @@ class LqrGains:
 def lqr(
     plant: DelayedStateSpace, output: int, largest: tuple[float, ...], largest_integral: float, largest_moment: float
 ) -> LqrGains:
-    """Return the gains of the least sum of squares of state, integral and moment, each over its largest value.
+    """Return the LQR gains on the states, on the integral of one output and on the moments within the delay.
 
-    They minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 + (M / largest_moment)^2.
-    `plant` has one input and its states as outputs. It is sampled every 4 ms. Its delayed inputs become states, so that
-    the feedback predicts over the delay. See Astrom and Wittenmark, Computer-Controlled Systems, sec. 2.3 and 11.4. The
-    weights are one over the square of what is acceptable (Bryson's rule); a state whose `largest` is infinite does not
-    count. Raises ParameterError where no feedback stabilises the plant and the integral.
+    They minimise the sum of (x_i / largest_i)^2 + (integral / largest_integral)^2 + (M / largest_moment)^2 over the
+    samples: each weight is one over the square of an acceptable value (Bryson's rule), 0 if that is infinite.
+    `plant` has one input and its states as outputs; `output` is the index of the integrated one. It is sampled every
+    4 ms. Its delayed inputs become states, so that the feedback predicts over the delay. See Astrom and Wittenmark,
+    Computer-Controlled Systems, sec. 2.3 and 11.4. Raises ParameterError if no feedback stabilises the plant with the
+    integral.
     """
     from scipy.linalg import solve_discrete_are  # imported late: most commands start without it
 
@@ -60,15 +61,15 @@ def lqr(
 
 
 def attitude_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
-    """Return gains on theta, q and the integral of theta for 5 deg, 2 rad/s and .3 rad s at a moment of .1."""
+    """Return gains on theta, q and the integral of theta, weighted by 5 deg, 2 rad/s, .3 rad s and a moment of .1."""
     return lqr(plant.state_space(), 0, (radians(5.0), 2.0), 0.3, 0.1)
 
 
 def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
-    """Return gains on q and its integral, for errors of 1 rad/s and .2 rad at a moment of .06.
+    """Return gains on q and its integral, weighted by 1 rad/s, .2 rad and a moment of .06.
 
-    The spring is left out. It makes the integral of q, which is theta, return by itself, so that no constant moment
-    holds a rate. No feedback of both would exist then.
+    The plant's spring is left out: with it no constant moment holds a rate, and no feedback stabilises both q and its
+    integral.
     """
     rigid = DelayedStateSpace.of([[0.0]], [plant.mu], [[1.0]], [[0.0]], plant.tau)
     return lqr(rigid, 0, (1.0,), 0.2, 0.06)
@@ -76,5 +77,7 @@ def rate_lqr(plant: PitchRate = PAPER_PITCH_RATE) -> LqrGains:
 
 def _unstable(why: str) -> ParameterError:
     return ParameterError(
-        f"no state feedback stabilises it: {why}", "lqr", "choose an output whose integral the input can move"
+        f"no state feedback stabilises the plant with the integral of its output: {why}",
+        "lqr",
+        "choose an output whose integral the input can move",
     )

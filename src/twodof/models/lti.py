@@ -14,17 +14,20 @@ Complex = NDArray[np.complex128]
 
 
 def check_system(a: Array, b: Array, c: Array, d: Array, where: str) -> None:
-    """Raise ParameterError unless the matrices are a finite system: (n, n), (n, m), (p, n), (p, m)."""
+    """Raise ParameterError unless A (n, n), B (n, m), C (p, n) and D (p, m) fit together and are finite."""
     shapes = (a.shape, b.shape, c.shape, d.shape)
     if shapes != (a.shape[:1] * 2, a.shape[:1] + d.shape[1:], d.shape[:1] + a.shape[:1], d.shape) or d.ndim != 2:
-        raise ParameterError(f"shapes {shapes} are not a system", where, "give (n,n), (n,m), (p,n), (p,m)")
+        raise ParameterError(f"shapes {shapes} do not fit together", where, "give A (n,n), B (n,m), C (p,n), D (p,m)")
     if not all(np.isfinite(part).all() for part in (a, b, c, d)):
         raise ParameterError("a matrix holds NaN or infinity", where, "give finite numbers")
 
 
 @dataclass(frozen=True, eq=False)
 class SampledStateSpace:
-    """x[k+1] = phi x[k] + old u[k-n-1] + new u[k-n]; y[k] = C x[k] + D u[k-n], or u[k-n-1] if the delay is split."""
+    """x[k+1] = phi x[k] + old u[k-n-1] + new u[k-n]; y[k] = C x[k] + D u[k-n], or D u[k-n-1] if `split`; n: `whole`.
+
+    The input delay is `whole` steps of `dt` [s], and a part of a step more if `split`.
+    """
 
     phi: Array
     old: Array
@@ -156,12 +159,15 @@ class StepFigures:
 def step_figures(t: ArrayLike, y: ArrayLike, start: float, final: float, band: float = 0.02) -> StepFigures:
     """Return figures of a step response sampled at `t` [s] (0 at the step), from value `start` to `final`.
 
-    Rise is from 10 to 90 %, settling is the last time outside +-`band` of the step, both interpolated linearly; NaN
-    where the record never gets there. Raises ParameterError when start equals final or shapes differ.
+    The rise is from 10 to 90 %. Settling ends with the last sample outside +-`band` of the step. Both times are
+    interpolated linearly, and NaN if the record does not reach them. Raises ParameterError if start equals final or
+    shapes differ.
     """
     time, value = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
     if time.shape != value.shape or time.size < 2:
-        raise ParameterError(f"time {time.shape} and response {value.shape} differ or are too short", "step_figures")
+        raise ParameterError(
+            f"time {time.shape} and response {value.shape} differ or have under two samples", "step_figures"
+        )
     if start == final:
         raise ParameterError("start and final value are equal: there is no step", "step_figures")
     z = (value - start) / (final - start)

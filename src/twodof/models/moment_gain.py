@@ -1,4 +1,4 @@
-"""mu while it flies: the moment's effect on the pitch rate, from M and q, as a diagram that runs in any other."""
+"""Estimate of mu, the gain from moment to pitch acceleration, in flight: a diagram that can be part of any other."""
 
 import math
 from typing import Any
@@ -14,17 +14,17 @@ from twodof.models.around_plant import past_input, past_states, remember
 
 _FILTERS = ("M_first", "M_second", "q_first", "q_second")
 _SETTLED = 10.0
-"""Time constants of the filter after which its start has died out: exp(-10) = 5e-5."""
+"""Number of time constants after which the filter's initial transient has died out: exp(-10) = 5e-5."""
 
 
 @library_block("models.PitchRegressors")
 class PitchRegressors(Block):
     """Regressors of q'' + a1 q' + a0 q = mu M'(t - tau), the pitch rate's G_q, without a derivative of a noisy signal.
 
-    All signals pass the same band F(s) = w^2 s^2 / E(s)^2, E = s^2 + 2 d w s + w^2, w = 2 pi cutoff, d = .7. So y =
-    phi' (mu, a1, a0) holds with y = F q. Here phi = (F M(t - tau) / s, -F q / s, -F q / s^2). Trims and biases do not
-    pass. M is held over the step: half of it is added to `tau`. It passes the rotors' `lag` too. `settled` says that
-    the filters' start has died out.
+    All signals pass the same band-pass F(s) = w^2 s^2 / E(s)^2, E = s^2 + 2 d w s + w^2, w = 2 pi cutoff, d = .7. So
+    y = phi' (mu, a1, a0) holds with y = F q and phi = (F M(t - tau) / s, -F q / s, -F q / s^2). Trims and biases do not
+    pass. M is held over a step, so half a step is added to `tau`. It passes the rotors' `lag` too. `settled` is true
+    once the filters' initial transient has died out.
     Source: state-variable filters, Young, Recursive Estimation and Time-Series Analysis, chapter 8. Each filter is made
     by the trapezoidal rule, exact at the cut-off.
     """
@@ -94,7 +94,7 @@ class PitchRegressors(Block):
         return found
 
     def output(self, u: Any, x: Any, p: Any, t: Clock) -> dict[str, Any]:
-        """Return the high-pass of q, and its band- and low-passes."""
+        """Return `y`, the regressors `phi`, and `settled`."""
         parts = self._parts(u, x, p)
         (_, moment, _), (high, band, low) = parts["M_second"], parts["q_second"]
         w = p.omega
@@ -117,14 +117,14 @@ def moment_gain(
 ) -> Diagram:
     """Make a diagram from M and q to `mu` and its standard deviation `sigma`, both in rad/s2.
 
-    Recursive least squares of (mu, a1 = 2 xi w_n, a0 = w_n^2), the latter two as outputs as well. Parameters: `cutoff`
-    [Hz] is the middle of the band that is looked at. `tau` [s] is the known delay, and `lag` [s] is the rotors' lag.
-    `memory` [s] forgets what is older (0: nothing). It starts from `guess`, which it trusts little. Of `every` samples
-    one is taken, so that the filtered noise is nearly white at them.
+    Recursive least squares find (mu, a1 = 2 xi w_n, a0 = w_n^2); a1 and a0 are outputs as well. Parameters: `cutoff`
+    [Hz] is the middle of the signals' band-pass, `tau` [s] the known delay, `lag` [s] the rotors' lag. Data that are
+    `memory` [s] old weigh 1/e (0: nothing is forgotten). The estimate starts from `guess` with a large variance. It
+    takes one of `every` samples, so that the filtered noise is nearly white.
 
-    It learns while `learn` is true: let that be while an excitation plays. In hover a controller answers gusts and the
-    noise of the gyro. M is then caused by q, and least squares find a mu that is far too small (180 where it is 300).
-    In closed loop a part of this is left during the excitation too.
+    It learns while the input `learn` is true, which should be while an excitation plays. In hover the controller
+    answers gusts and the noise of the gyro. M is then caused by q, and least squares find a mu that is far too small
+    (180 where it is 300). In closed loop a part of this error is left during the excitation too.
     """
     d = Diagram("moment_gain", "mu from M and q, recursively")
     d.input("M")

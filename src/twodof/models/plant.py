@@ -93,10 +93,10 @@ class Longitudinal:
 
 
 def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: float = 0.4) -> float:
-    """Return the quadratic share a of the thrust curve (1 - a) u + a u^2, from two gains of the pitch rate [rad/s2].
+    """Return the quadratic share a of the thrust curve (1 - a) u + a u^2, from two values of mu [rad/s2].
 
-    `mu_idle` is that found with the rotors off by a pulse of `moment`, of which only one pair gives thrust: in
-    proportion to 1 - a + a moment. `mu_run` is that found around the command `thrust`: to 2 (1 - a + 2 a thrust).
+    `mu_idle` is found by a pulse of `moment` with the rotors off, where only one pair gives thrust: it is proportional
+    to 1 - a + a moment. `mu_run` is found around the command `thrust`: it is proportional to 2 (1 - a + 2 a thrust).
     Raises ParameterError for a gain that is not positive, or gains whose ratio no curve gives.
     """
     if not (mu_idle > 0.0 and mu_run > 0.0):
@@ -106,7 +106,7 @@ def thrust_curve(mu_idle: float, mu_run: float, moment: float = 0.1, thrust: flo
     share = (2.0 - ratio) / below if below != 0.0 else math.nan
     if not 0.0 <= share <= 1.0:
         raise ParameterError(
-            f"no thrust curve makes {mu_run:g} at T = {thrust:g} of {mu_idle:g} at rest",
+            f"no thrust curve has mu {mu_idle:g} with the rotors off and {mu_run:g} at T = {thrust:g}",
             "thrust_curve",
             "identify both gains again",
         )

@@ -1,4 +1,4 @@
-"""A model structure: a diagram with parameters, and which of them an experiment is asked to tell."""
+"""Model structure: a diagram with parameters, some of which are estimated from data."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,7 +26,7 @@ def check_structure(one: object) -> None:
 
 @dataclass(frozen=True)
 class UnknownParameter:
-    """A parameter of a structure: its first guess `value`, bounds, unit, and the `scale` on which it matters.
+    """A parameter of a structure: first guess `value`, bounds, unit, and `scale`, the size of a change that matters.
 
     `local` unknowns (initial states, trim, bias) have one value for each record, the others one for all records.
     """
@@ -46,17 +46,17 @@ class Structure:
     """Any diagram, linear or not, whose parameters are identified from data.
 
     The diagram's own parameters (`Diagram.param`) are the unknowns; its inputs and outputs are the columns a record
-    must have. `estimate` names the unknowns that a fit finds unless told otherwise, the others keep their values;
-    `local` those that each record has for itself; `scale` the size of a change that matters, for unknowns whose first
-    guess is 0 (default: the guess, or 1). `substeps`: how many base ticks one step of the data is divided into.
+    must have. `estimate` names the unknowns that a fit finds by default; the others keep their values. `local` names
+    those with a value of its own for each record. `scale` is the size of a change that matters, for unknowns whose
+    first guess is 0 (default: the guess, or 1). `substeps` is the number of base ticks per step of the data.
     `sums` names sums of unknowns, such as a total delay: an estimate gives value and standard deviation of them too.
-    `at_rest` names speeds at the start that dry friction may hold at 0. A fit that cannot tell them holds them there.
+    `at_rest` names initial speeds that dry friction may hold at 0. A fit that cannot determine them holds them there.
     `delay` names the parameter [s] that delays all inputs alike, if there is one. Outputs that are stamped between two
-    steps are then simulated exactly: an output that is seen earlier is one whose inputs are later. The state at the
-    start is then that of the same fraction of a step before the record's start.
-    `prior` gives (mean, standard deviation) of unknowns of which the machine itself tells something before a flight.
-    `measured` names inputs that are measurements of the motion itself, as a pitch that pushes a cart is. A frequency
-    response from them says nothing.
+    steps are then simulated exactly, by a longer delay: reading an output earlier is the same as delaying its inputs.
+    The initial state is then that of the same fraction of a step before the record's start.
+    `prior` gives (mean, standard deviation) of unknowns that are roughly known before a flight.
+    `measured` names inputs that are measurements of the motion itself, such as a pitch that pushes a cart. A frequency
+    response from them has no meaning.
     Raises IdentificationError for a name that is not a parameter of the diagram.
     """
 
@@ -76,7 +76,7 @@ class Structure:
         for name in (*self.estimate, *self.local, *self.scale, *self.prior, *parts, *filter(None, [self.delay])):
             self._param(name)
         if not self.estimate:
-            raise self.error("there is nothing to estimate", "name an unknown")
+            raise self.error("there is nothing to estimate", "name a parameter of the diagram in `estimate`")
 
     @classmethod
     def of_block(
@@ -128,18 +128,18 @@ class Structure:
         return {param.name: self._unknown(param) for param in _reals(self.diagram.params.values())}
 
     def error(self, what: str, remedy: str = "") -> IdentificationError:
-        """Return the error `what` of this structure."""
+        """Return an IdentificationError that names this structure as its place."""
         return IdentificationError(what, f"structure '{self.name}'", remedy)
 
     def check_names(self, names: Iterable[str]) -> None:
-        """Raise IdentificationError for a name that no unknown has."""
+        """Raise IdentificationError if one of `names` is not an unknown of this structure."""
         known = self.unknowns
         for name in names:
             if name not in known:
                 raise self.error(f"no unknown is called '{name}'", f"there are: {', '.join(known)}")
 
     def with_guess(self, **values: float) -> Self:
-        """Return the structure with other first guesses. Raises IdentificationError for an unknown name."""
+        """Return a copy with other first guesses. Raises IdentificationError for a name that is not a parameter."""
         diagram = copy(self.diagram)
         diagram.params = dict(self.diagram.params)
         for name, value in values.items():
@@ -189,17 +189,17 @@ def linear_model(
 ) -> Structure:
     """Make the structure x' = A x + B u, y = C x + D u (`discrete`: x[k+1] = A x[k] + B u[k]).
 
-    `inputs` are u and `outputs` are y.
+    `inputs` and `outputs` are the names of u and y.
 
     An element of a matrix is a number, or the name of an unknown, which a leading "-" negates:
     `a=[[0, 1], ["-k", "-d"]]`. One name may stand in several places. `guess` has the first guess of each, `bounds`
-    (lower, upper). In continuous time the response to an input that is held over a tick is exact. The response to an
-    input that moves on (see `Record.hold`) is exact too where the model is slow beside the step. D is 0 by default:
-    give numbers or names for a feed-through.
+    its (lower, upper). In continuous time the response to an input that is held over a tick is exact. The response to
+    an input that changes within a tick (see `Record.hold`) is exact too if the model is slow compared with a tick. D is
+    0 by default: give numbers or names for a feed-through.
 
-    The unknowns are those named, and local ones. Local are the initial states x1_0, x2_0, ... (estimated by default).
-    Each input also has a constant part that moves nothing, "<input>_trim". Each output has "<output>_bias". Both are 0
-    by default.
+    Further unknowns have a value for each record: the initial states x1_0, x2_0, ... (estimated by default); of each
+    input a constant part without effect, "<input>_trim"; of each output a "<output>_bias". Trims and biases are 0 by
+    default.
     Raises IdentificationError for shapes that do not fit and for names without a guess.
     """
     where = f"structure '{name}'"
@@ -208,7 +208,9 @@ def linear_model(
     n, m, p = len(a), len(inputs), len(outputs)
     if not (1 <= n <= MAX_STATES and m and p):
         raise IdentificationError(
-            f"{n} states, {m} inputs, {p} outputs", where, f"give 1 to {MAX_STATES} states, an input and an output"
+            f"the model has {n} states, {m} inputs, {p} outputs",
+            where,
+            f"give 1 to {MAX_STATES} states, an input and an output",
         )
     for key, matrix, rows, columns in (("a", a, n, n), ("b", b, n, m), ("c", c, p, n), ("d", feed, p, m)):
         if len(matrix) != rows or any(len(row) != columns for row in matrix):
@@ -224,7 +226,7 @@ def linear_model(
     states = tuple(f"x{i + 1}_0" for i in range(n))
     local = (*states, *(f"{one}_trim" for one in inputs), *(f"{one}_bias" for one in outputs))
     if twice := [one for one in unknowns if one in local]:
-        raise IdentificationError(f"'{twice[0]}' names two unknowns", where, "call the one in a matrix otherwise")
+        raise IdentificationError(f"'{twice[0]}' names two unknowns", where, "give the one in a matrix another name")
     for one in dict.fromkeys([*unknowns, *guess, *(bounds or {})]):
         if one not in unknowns or not math.isfinite(guess.get(one, math.nan)):
             raise IdentificationError(
@@ -252,7 +254,7 @@ def linear_model(
 
 
 class _LinearModel(Block):
-    """The matrices as a block; their unknowns are its parameters."""
+    """Block of a linear model; the unknowns in its matrices are its parameters."""
 
     def __init__(
         self,
@@ -277,7 +279,7 @@ class _LinearModel(Block):
         )
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """Compute the matrices of one tick."""
+        """Return the discrete-time matrices Phi and Gamma of one tick, element by element."""
         a, b = _numbers(self.a, p), _numbers(self.b, p)
         n, m = len(a), len(b[0])
         if self.discrete:

@@ -57,9 +57,9 @@ def pitch_rate(lag: bool = False, ring: int = 64) -> Structure:
     """Make G_q, paper equation (5), from M to theta and q with an exact zero-order hold and fractional delay.
 
     With `lag` the delay has two parts, a pure `dead_time` and the rotors' first-order `lag`. Their sum is the paper's
-    `tau`, which an estimate gives too. `lag` is known to be 12 +- 5 ms (`ROTOR_LAG`), because a short flight hardly
-    tells a longer lag from a larger gain. Other rotors want another `prior` in `fit`. `ring` bounds the delay to `ring
-    - 2` steps. Of q alone `theta_0` and `M_trim` have the same effect: estimate one.
+    `tau`, which an estimate gives too. `lag` has a prior of 12 +- 5 ms (`ROTOR_LAG`), because a short flight hardly
+    tells a longer lag from a larger gain. For other rotors give `fit` another `prior`. `ring` bounds the delay to `ring
+    - 2` steps. On q alone `theta_0` and `M_trim` have the same effect: estimate only one of them.
     """
     if lag:
         return _about_trim(
@@ -86,10 +86,10 @@ def pitch_on_cart(ring: int = 64) -> Structure:
     """Make `pitch_rate(lag=True)` with cart and bearing: from M, theta and the measured q (`gyro`) to q.
 
     The cart's acceleration pushes the pitch (see `CartPush`), rattling within the rings' `play` or free on the rail
-    (a large `play`). Hold what the machine's calibration tells of the cart; estimate the bearing's dry friction
-    `coulomb` along with a prior. `M_u` is the moment of the speed along a free rail, and `bend` what a large moment
-    lacks; both are 0 unless estimated. The measured q takes part in no lag, so it is not what the structure is to
-    explain.
+    (a large `play`). Hold the cart's parameters at those of the machine's calibration, and estimate the bearing's dry
+    friction `coulomb` with a prior. `M_u` is the pitch acceleration per speed along a free rail, and `bend` the lack of
+    effect of a large moment; both are 0 unless estimated. The measured q moves the cart alone, so the structure does
+    not explain q by q itself.
     """
     diagram = Diagram("pitch_on_cart", "angular rate from moment behind the rotors' lag, on a cart with play")
     diagram.input("M")
@@ -130,7 +130,7 @@ def velocity() -> Structure:
     """Make G_v and G_x, paper equation (9), from theta to x and v with an exact zero-order hold.
 
     `theta_trim` is subtracted from theta: the pitch at which the cart would not accelerate (a rail that is not level,
-    a biased estimate). Of v alone it cannot be told from `v_bias` unless friction shows: both stay 0 by default.
+    a biased estimate). From v alone it cannot be told from `v_bias` unless friction is visible: both are 0 by default.
     """
     return _about_trim("velocity", "velocity from pitch, linear friction", ZohVelocity(), ("k_v", "p_v", "v_0"))
 
@@ -138,8 +138,8 @@ def velocity() -> Structure:
 def rail(thrust: bool = False, ring: int = 64) -> Structure:
     """Make G_v without small angles, from the measured q to theta, x and v (see `Rail`): for gyro and raw range.
 
-    `tau` is how old the measured position is when it is stamped, `q_trim` the gyro's bias. With `thrust` the commands
-    M and T are inputs too, `rotor_delay` [s] ahead of the thrust they make (see `Lift`): hard manoeuvres lift more.
+    `tau` [s] is the age of the measured position at its stamp, `q_trim` the gyro's bias. With `thrust` the commands M
+    and T are inputs too; the thrust, which a hard manoeuvre raises (see `Lift`), follows them after `rotor_delay` [s].
     """
     diagram = Diagram("rail_thrust" if thrust else "rail", "cart on its rail from the measured pitch rate")
     diagram.input("q", unit="rad/s")

@@ -1,6 +1,6 @@
 """Linear plants as blocks: an exact zero-order hold computed on board from physical parameters, with any input delay.
 
-A subclass says A, B, C and D in terms of its parameters. `prepare` turns them into the discrete model each time a
+A subclass gives A, B, C and D in terms of its parameters. `prepare` turns them into the discrete model each time a
 parameter changes, so that one compiled program serves a whole estimation; a step is then a few multiplications.
 """
 
@@ -27,8 +27,8 @@ class ZohPlant(Block):
 
     Inputs before step 0 equal that of step 0. The dead time, the parameter named `plant_delay`, is a real number of
     seconds, from 0 to `ring - 2` steps; a longer one gives NaN. Each state is named in `plant_states` (name, unit)
-    and starts from the parameter "<name>_0". Those named in `follows` start where the first input holds them, at the
-    input itself. The outputs are the states, unless `plant_outputs` names others.
+    and starts from the parameter "<name>_0". A state named in `follows` starts at the value of the first input. The
+    outputs are the states, unless `plant_outputs` names others.
     """
 
     plant_states: Sequence[tuple[str, str]] = ()
@@ -75,7 +75,7 @@ class ZohPlant(Block):
         return rows, [0.0] * len(rows)
 
     def prepare(self, p: Any, t: Clock) -> dict[str, Any]:
-        """Compute Phi(dt), and the input's share before and after the edge at `split` inside the step."""
+        """Return Phi(dt), and the input's effect before and after its edge inside the step, if the delay ends there."""
         a, b = self.matrices(p)
         steps = p[self.plant_delay] / t.dt
         # A delay that is a multiple of dt up to rounding is that multiple.
@@ -125,7 +125,7 @@ class ZohPlant(Block):
 
 
 def held(a: Matrix, b: Matrix, dt: Any) -> tuple[list[Any], list[Any]]:
-    """Return exp(A dt) (n rows), and the integral of exp(A s) B (n rows) over s = 0..dt, each row by row in one list.
+    """Return exp(A dt) and the integral of exp(A s) B over s = 0..dt, each row by row in one list.
 
     By Horner over a piece h of dt, I + A h/1 (I + A h/2 (I + ...)) and h (B + A h/2 (B + A h/3 (...))), then doubled:
     Phi(2 h) = Phi(h) Phi(h), W(2 h) = W(h) + Phi(h) W(h).
@@ -172,14 +172,14 @@ def _is_zero(value: Any) -> bool:
 
 
 def times(a: Any, b: Any) -> Any:
-    """Return a * b; a literal 0 or 1 in a model's matrix costs nothing."""
+    """Return a * b, without an operation if `a` is a literal 0 or 1."""
     if _is_zero(a):
         return 0.0
     return b if isinstance(a, float) and a == 1.0 else a * b
 
 
 def total(terms: Sequence[Any]) -> Any:
-    """Return the sum; a literal 0 costs nothing."""
+    """Return the sum of `terms`, without an operation for a literal 0."""
     result: Any = 0.0
     for term in terms:
         if not _is_zero(term):
@@ -220,7 +220,8 @@ class ZohPushedPitchRate(ZohPlant):
 class ZohPitchRateLag(ZohPlant):
     """G_q behind a pure delay `dead_time` and the rotors' first-order `lag`.
 
-    A slow input sees their sum, which the paper calls tau. The rotors start as the first input holds them.
+    For slow inputs the total delay is their sum, the paper's tau. The rotors start in the steady state of the first
+    input.
     """
 
     plant_states = (*ZohPitchRate.plant_states, ("m", ""))

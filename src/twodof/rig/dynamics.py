@@ -1,9 +1,9 @@
 """Dynamics: pitch about the bearing and the cart on its rail, coupled by the thrust and the drone's offset centre.
 
 Sliding friction acts as an impulse at the end of the step, clamped so that it stops the motion and never reverses it.
-The speed that it takes away within the step also takes away half of the way, as the force was there all along. What is
-at rest is held in `derivative`: its acceleration is exactly 0 as long as the load stays within the friction or presses
-against a stop. So a body at rest stays there to the bit.
+The position moves as if the friction had acted evenly over the step. A body at rest is held in `derivative`: its
+acceleration is exactly 0 while the load stays within the friction or presses against a stop. So it stays at rest to
+the bit.
 """
 
 import math
@@ -16,7 +16,7 @@ from twodof.blocks.noise import normal
 from twodof.signals import GRAVITY
 
 GUST_STREAM = 2
-"""Stream of the noise generator."""
+"""Stream of the noise generator that makes the gusts."""
 
 
 class Turbulence(Block):
@@ -52,14 +52,14 @@ class Turbulence(Block):
 COORDINATES = (("theta", "rad"), ("q", "rad/s"), ("x", "m"), ("v", "m/s"))
 
 SLOW_PITCH = 0.02
-"""A rebound from an end stop slower than this [rad/s] ends there."""
+"""Pitch rate [rad/s] below which a rebound from an end stop is not made: the drone rests at the stop."""
 
 SLOW_CART = 0.005
-"""A rebound of the cart slower than this [m/s] ends at the stop."""
+"""Speed [m/s] below which a rebound of the cart is not made: it rests at the stop."""
 
 
 def sine_cosine(angle: Any) -> tuple[Any, Any]:
-    """(sin, cos) of a pitch angle, |angle| <= pi/2, by the half angle, which needs no reduction."""
+    """Return (sin, cos) of an angle [rad], |angle| <= pi/2, from those of its half, which need no range reduction."""
     s, c = sin_octant(0.5 * angle), cos_octant(0.5 * angle)
     return 2.0 * s * c, 1.0 - 2.0 * s * s
 
@@ -67,28 +67,28 @@ def sine_cosine(angle: Any) -> tuple[Any, Any]:
 def most_at_rest(friction: Any, place: Any, low: Any, high: Any) -> tuple[Any, Any]:
     """Return the most negative and most positive loads under which a body at `place` stays at rest.
 
-    These are `friction`, or any load that presses against a stop.
+    Between the stops these are `friction` either way; a stop bears any load that presses against it.
     """
     # A stop bears any load that presses against it, friction at most its own either way.
     return -where(place <= low, math.inf, friction), where(place >= high, math.inf, friction)
 
 
 def stays_at_rest(speed: Any, load: Any, most: tuple[Any, Any]) -> Any:
-    """Return whether a body with `speed` stays at rest under `load`: stuck, or pressed against a stop."""
+    """Return True if a body with `speed` is at rest and stays so under `load`; `most` is from `most_at_rest`."""
     # Together, so that a body in motion (most of the time) asks nothing of its load.
     return (speed == 0.0) & ((load <= most[1]) & (most[0] <= load))
 
 
 def after_friction(place: Any, speed: Any, loss: Any, dt: Any) -> tuple[Any, Any]:
-    """(place, speed) after friction that can take `loss` of speed within the step."""
+    """Return (place, speed) after friction that takes at most `loss` of the speed within the step of `dt` s."""
     lost = maximum(-loss, minimum(loss, speed))
     return place - (0.5 * dt) * lost, speed - lost
 
 
 def after_stops(place: Any, speed: Any, low: Any, high: Any, restitution: Any, rest: Any) -> tuple[Any, Any]:
-    """(place, speed) after the stops: a body that went beyond one comes back with `restitution` of its speed.
+    """Return (place, speed) after the stops at `low` and `high`.
 
-    A rebound slower than `rest` ends on the stop.
+    A body beyond a stop returns with `restitution` of its speed; if that is slower than `rest`, it rests at the stop.
     """
     stop = where(place > high, high, low)
     hit = ((place > high) & (speed > 0.0)) | ((place < low) & (speed < 0.0))
@@ -107,12 +107,12 @@ class Dynamics(Block):
 
         m v' + m_d d cos(theta) q' = m_d d sin(theta) q^2 - thrust sin(theta) + f - c_x v - friction
 
-    `running` in [0, 1] leads from the friction of the bearing with the rotors at rest to that with them running (they
-    shake it). It does so with the stiffness too: running rotors take away `softening` and the cubic spring. The rings
-    of 1DoF are stops around `ring_place` that leave the cart `ring_play` either way and give nothing back. The sine and
-    cosine of theta are integrated beside it: s' = c q, c' = -s q. At the end of each step they are set to theta's own.
-    So no stage needs a trigonometric function. Friction acts on each coordinate by itself. A torque that stops the
-    pitch also moves the cart; that this changes the inertia it meets by (m_d d)^2 / (J m), .3 % here, is left out.
+    `running` in [0, 1] leads from the friction and stiffness with the rotors at rest to those with them running:
+    running rotors shake the bearing, and take away `softening` and the cubic spring. The rings of 1DoF are stops
+    `ring_play` either way of `ring_place`, without a rebound. The sine and cosine of theta are states too: s' = c q,
+    c' = -s q. They are computed from theta at the end of each step only, so no stage of the integration needs a
+    trigonometric function. Friction acts on each coordinate by itself. A torque that stops the pitch also moves the
+    cart, which changes the effective inertia by (m_d d)^2 / (J m); this .3 % is neglected.
     """
 
     inputs = (Port("thrust", unit="N"), Port("moment", unit="N*m"), Port("gust", unit="N*m"), Port("running"))

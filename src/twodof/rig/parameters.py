@@ -128,7 +128,7 @@ def lab() -> ParameterSet:
 
 
 def origins(name: str) -> Mapping[str, str]:
-    """Where each number of the set `name` ("paper" or "lab") comes from. Raises ParameterError for another name."""
+    """Return the origin of each number of the set `name`, "paper" or "lab". Raises ParameterError for another name."""
     if name not in NAMES:
         raise ParameterError(f"no rig called {name!r:.80}", "origins", f"use {' or '.join(NAMES)}")
     own = {n: text for n, (_, text) in _paper().items()} if name == "paper" else dict(CALIBRATED)
@@ -136,7 +136,7 @@ def origins(name: str) -> Mapping[str, str]:
 
 
 def load_rig(source: str | Path) -> ParameterSet:
-    """Return the set called `source` ("paper", "lab"), or that of a JSON file over the defaults.
+    """Return the set "paper" or "lab", or that of the JSON file `source`. What the file leaves out has its default.
 
     Raises ParameterError for a file that cannot be read, is not a set, or holds a value out of bounds.
     """
@@ -146,7 +146,7 @@ def load_rig(source: str | Path) -> ParameterSet:
     try:
         text = read_bytes(path, MAX_BYTES).decode("utf-8")
     except (LogError, ValueError) as reason:
-        why = reason.what if isinstance(reason, LogError) else "cannot be read: it is no text"
+        why = reason.what if isinstance(reason, LogError) else "cannot be read: it is not UTF-8 text"
         raise ParameterError(why, str(path), f"name a JSON file or one of {', '.join(NAMES)}") from reason
     values = ParameterSet(table=TABLE)
     try:
@@ -157,9 +157,9 @@ def load_rig(source: str | Path) -> ParameterSet:
 
 
 def save_rig(values: ParameterSet, path: str | Path, overwrite: bool = False) -> None:
-    """Write a set that `load_rig` reads back to the same bits; an interrupted write leaves the old file.
+    """Write a set to a JSON file, for `load_rig`; an interrupted write leaves the old file.
 
-    Raises LogError for a file that is there and where the disk refuses.
+    Raises LogError if the file exists and `overwrite` is false, or if it cannot be written.
     """
     check_free(path, overwrite)
     with atomic_write(path, "w") as file:

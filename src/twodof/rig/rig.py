@@ -27,24 +27,24 @@ PARTS: tuple[tuple[str, type[Block], tuple[int, int]], ...] = (
 """Name, block and rate of each part."""
 
 MEASUREMENTS = ("acc_x", "acc_z", "gyro_y", "dist", "dist_new", "dist_age")
-"""What the flight code may read."""
+"""Outputs of the rig that the flight code may read."""
 
 TRUTH = ("theta", "q", "x", "v")
-"""What it may not."""
+"""True states of the rig, which the flight code may not read."""
 
 
 def rig_params() -> dict[str, Param]:
-    """Every parameter of the rig by name; parts that name the same parameter share it (`noise`, `seed`, starts)."""
+    """Return the rig's parameters by name; parts that name the same one share it (`noise`, `seed`, starts)."""
     return {param.name: param for _, block, _ in PARTS for param in block.params}
 
 
 def rig() -> Diagram:
-    """Return the rig. Inputs `fore` and `aft`: the commands of the rotor pairs, in [0, 1].
+    """Return the diagram of the rig. Inputs `fore` and `aft`: the commands of the rotor pairs, in [0, 1].
 
     Outputs. The measurements: `acc_x`, `acc_z` [m/s2], `gyro_y` [rad/s], `dist` [m], `dist_new`, `dist_age` [s]. The
     truth: `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s]. `load` (thrust over that of hover), `voltage` [V], `charge`.
-    All parameters are the diagram's own, by their plain names; their values are those of the blocks, not of a
-    calibrated set (see `parameters`).
+    The blocks' parameters are those of the diagram, by the same names. Their values are the blocks' defaults, not those
+    of a calibrated set (see `parameters`).
     """
     d = Diagram("rig", "fore and aft rotor pairs, pitch, cart, battery and sensors")
     d.input("fore")

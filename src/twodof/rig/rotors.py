@@ -12,7 +12,7 @@ class BatteryPack(Block):
 
     The current is that of hover times load^(3/2), the power that momentum theory gives for the thrust. The load is that
     of the sample before, as the thrust depends on the supply. `supply`, the factor on all thrusts, is the square of the
-    terminal voltage over that of a full pack in hover. So rig parameters that were found with a fresh pack hold.
+    terminal voltage over that of a full pack in hover. So rig parameters identified with a full pack need no change.
     """
 
     crossing = True  # reads the load at each of its own, slower ticks
@@ -50,27 +50,28 @@ class BatteryPack(Block):
 PAIRS = ("fore", "aft")
 
 RING = 64
-"""Ticks that the command ring keeps; the longest pure delay is two less."""
+"""Length of the ring of past commands in ticks; the longest pure delay is two ticks less."""
 
 STILL = 1e-9
-"""A rotor slower than this share of full speed stands: a spin-down must not end in subnormal numbers."""
+"""Share of full speed below which a rotor is at rest, so that a spin-down does not end in subnormal numbers."""
 
 
 def lift(speed: Any, curve: Any) -> Any:
-    """Share of full thrust at a share `speed` of full speed: (1 - a) u + a u^2, `curve` = a."""
+    """Return the share of full thrust at `speed` u, a share of full speed: (1 - a) u + a u^2 with a = `curve`."""
     return speed * ((1.0 - curve) + curve * speed)
 
 
 class Rotors(Block):
     """Two rotor pairs: pure delay, first-order lag of the speed, thrust curve, and the trim moment of their wake.
 
-    A command reaches its rotors `delay` s later. A delay between two ticks takes the mean over the tick of the held
-    command, so the impulse of an edge is exact. With a `lag` below half a tick the rotors follow at once.
+    A command reaches its rotors `delay` s later. If that ends inside a tick, the rotors receive the held command's mean
+    over the tick, so the impulse of an edge is exact. With a `lag` below half a tick the rotors follow at once.
 
-    The trim moment is `trim` at hover once the wake stands and `trim_start` before. The wake follows the thrust with
-    `wake_lag`. The drone shows it: the mean M of the first second after a start differs from that of the hover after
-    it. A doublet flown 0.14 s after a restart meets hardly any trim. At a pitch theta the wake goes to
-    1 / (1 + (`wake_fade` theta)^2) of that: the steps show that the trim leaves a drone that stays pitched.
+    In hover the trim moment is `trim_start` at first and `trim` once the wake has built up, with the time constant
+    `wake_lag`. The real drone shows this: the mean M of the first second after a start differs from that of the hover
+    after it, and a doublet flown 0.14 s after a restart meets hardly any trim. At a pitch theta the wake settles at
+    1 / (1 + (`wake_fade` theta)^2) of its size in level hover: in the logged steps the trim fades while the drone stays
+    pitched.
     """
 
     inputs = (Port("fore"), Port("aft"), Port("supply"), Port("theta", unit="rad"))

@@ -10,7 +10,7 @@ from twodof.rig.dynamics import sine_cosine
 from twodof.signals import GRAVITY, RAIL_CENTRE
 
 STREAM = 1
-"""Stream of the noise generator."""
+"""Stream of the noise generator that makes the sensors' noise."""
 
 RING = 32
 """Samples of x that the range sensor keeps: at 250 Hz its measurement may be up to 0.12 s old."""
@@ -20,12 +20,12 @@ TURN = 2.0**32
 
 
 def rounded(value: Any, step: Any) -> Any:
-    """`value` to the nearest multiple of `step`; as it is for step = 0."""
+    """Return `value` rounded to the nearest multiple of `step`, or unchanged if `step` is 0."""
     return where(step > 0.0, floor(value / where(step > 0.0, step, 1.0) + 0.5) * step, value)
 
 
 class NoiseSource(Block):
-    """Four independent standard normals a sample, for the sensors."""
+    """Four independent standard normal numbers per sample, for the sensors."""
 
     outputs = tuple(Port(f"n{i}") for i in range(4))
     params = (Param("seed", 1, "uint32", text="of all noise of the rig"),)
@@ -131,8 +131,8 @@ class Imu(Block):
 class RangeSensor(Block):
     """Time-of-flight range with its own clock: a 32-bit phase accumulator that turns `tof_rate` times a second.
 
-    `dist` holds the last sample, and `dist_new` is true in the one tick that hands it over. `dist_age` is how old it is
-    by its stamp; the measured x is older. Before the first sample `dist` is the range at the start.
+    `dist` holds the last sample, and `dist_new` is true only in the tick in which it arrives. `dist_age` is its age by
+    its stamp; the x that was measured is `tof_age` old. Before the first sample `dist` is the range at the start.
     """
 
     crossing = True

@@ -1,4 +1,4 @@
-"""Predict: gains and balances of the rig by its static laws, without a simulation."""
+"""Steady state of the rig: gains, and balances of forces and moments, without a simulation."""
 
 from collections.abc import Mapping
 from math import copysign, inf, sin, sqrt
@@ -8,14 +8,14 @@ from twodof.signals import GRAVITY, HOVER, Q_AGE
 
 
 def rotor_moment(rig: Mapping[str, float], moment: float, thrust: float = HOVER) -> float:
-    """Pitch moment [N m] of the rotors in steady state for the commands `moment` M and `thrust` T."""
+    """Return the pitch moment [N m] of the rotors in steady state for the commands `moment` M and `thrust` T."""
     fore, aft = (min(1.0, max(0.0, thrust + sign * moment)) for sign in (1.0, -1.0))
     curve = rig["curve"]
     return float(rig["arm"] * rig["pair_thrust"] * (lift(fore, curve) - lift(aft, curve)))
 
 
 def restoring_moment(rig: Mapping[str, float], theta: float, running: float = 1.0) -> float:
-    """Moment [N m] that holds the drone at pitch `theta` [rad]: gravity and springs, no friction.
+    """Return the moment [N m] that holds the drone at pitch `theta` [rad] against gravity and springs, no friction.
 
     `running` in [0, 1] leads from the stiffness with the rotors at rest to that in hover.
     """
@@ -25,7 +25,7 @@ def restoring_moment(rig: Mapping[str, float], theta: float, running: float = 1.
 
 
 def stiffness(rig: Mapping[str, float], running: float = 1.0) -> float:
-    """Of the pitch [N m/rad], for small angles: gravity and springs; `running` as in `restoring_moment`."""
+    """Return the pitch stiffness [N m/rad] for small angles, by gravity and springs (see `restoring_moment`)."""
     gravity = rig["mass_drone"] * GRAVITY * rig["offset"]
     return float(gravity + rig["spring"] - rig["softening"] * running)
 
@@ -38,8 +38,8 @@ def trim_moment(rig: Mapping[str, float], moment: float, theta: float = 0.0) -> 
 def rail_force(rig: Mapping[str, float], theta: float, speed: float = 0.0, acceleration: float = 0.0) -> float:
     """Return the steady push [N] along the rail (`rail_force`) under which a flight in hover has these means.
 
-    The means are the pitch `theta` [rad], `speed` [m/s] and `acceleration` [m/s2]. Dry friction bears as much of it as
-    it can: up to `rail_coulomb` the means say nothing of the rail.
+    The means are the pitch `theta` [rad], `speed` [m/s] and `acceleration` [m/s2]. Dry friction is taken to bear as
+    much of the push as it can: a push of up to `rail_coulomb` is returned as 0.
     """
     mass = rig["mass_drone"] + rig["mass_cart"]
     thrust = 2.0 * rig["pair_thrust"] * lift(HOVER, rig["curve"])
@@ -48,7 +48,7 @@ def rail_force(rig: Mapping[str, float], theta: float, speed: float = 0.0, accel
 
 
 def moment_gain(rig: Mapping[str, float], thrust: float) -> float:
-    """Return mu [rad/s2]: pitch acceleration for a unit of M, for small M at `thrust`; at 0, of the fore pair alone."""
+    """Return mu [rad/s2], the pitch acceleration per unit of M, for small M at `thrust`; at 0 from one pair alone."""
     curve = rig["curve"]
     slope = 1.0 - curve + 2.0 * curve * thrust
     pairs = 2.0 if thrust > 0.0 else 1.0
@@ -56,22 +56,22 @@ def moment_gain(rig: Mapping[str, float], thrust: float) -> float:
 
 
 def velocity_gain(rig: Mapping[str, float], thrust: float = HOVER) -> float:
-    """k_v [m/s2 per rad]: thrust over the moved mass."""
+    """Return k_v [m/s2 per rad]: thrust over the moved mass."""
     return float(2.0 * rig["pair_thrust"] * lift(thrust, rig["curve"]) / (rig["mass_drone"] + rig["mass_cart"]))
 
 
 def velocity_damping(rig: Mapping[str, float]) -> float:
-    """p_v [1/s]: linear friction of the rail over the moved mass."""
+    """Return p_v [1/s]: linear friction of the rail over the moved mass."""
     return float(rig["rail_viscous"] / (rig["mass_drone"] + rig["mass_cart"]))
 
 
 def model_parameters(rig: Mapping[str, float]) -> dict[str, float]:
     """Return the parameters of the paper's models for small angles, in SI: docs/explanation/physics.md section 8.
 
-    The pitch has w_n and xi with the rotors at rest and `w_n_run` and `xi_run` with them running, mu at the hover's
-    thrust, and tau. Where the rotors take all stiffness away, `w_n_run` is 0 and `xi_run` infinite.
-    The velocity has k_v and p_v. Dry friction (`coulomb`, `coulomb_run`, `rail_coulomb`) and `hardening` are over the
-    moved inertia or mass.
+    Of the pitch: w_n and xi with the rotors at rest, `w_n_run` and `xi_run` with them running, mu at the hover's
+    thrust, and tau. If running rotors take all stiffness away, `w_n_run` is 0 and `xi_run` infinite. Of the velocity:
+    k_v and p_v. Dry friction (`coulomb`, `coulomb_run`, `rail_coulomb`) and `hardening` are divided by the moved
+    inertia or mass.
     """
     inertia, mass = rig["inertia"], rig["mass_drone"] + rig["mass_cart"]
     w_n, w_n_run = (sqrt(max(0.0, stiffness(rig, running)) / inertia) for running in (0.0, 1.0))
