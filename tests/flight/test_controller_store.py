@@ -19,7 +19,7 @@ def test_without_flashing_the_stock_controllers_fly(tmp_path: Path) -> None:
     assert slot.flashed() == {}
     assert set(STOCK) == set(TEMPLATES)
     for kind, name in STOCK.items():
-        diagram, origin = slot.flies(kind)
+        diagram, origin = slot.in_use(kind)
         assert kind_of(diagram) == kind
         assert origin == f"the stock controller ({name})"
     assert not slot.remove("attitude_control")
@@ -35,11 +35,11 @@ def test_what_was_flashed_flies_until_another_of_its_kind_is(tmp_path: Path) -> 
         "attitude_control": "notch_attitude",
         "position_control": "pid_position",
     }
-    diagram, origin = slot.flies("attitude_control")
+    diagram, origin = slot.in_use("attitude_control")
     assert to_json(diagram) == to_json(starter("notch-attitude"))
     assert origin == str(tmp_path / "a" / "b" / "attitude_control.json")
     assert slot.remove("attitude_control")
-    assert slot.flies("attitude_control")[1].startswith("the stock controller")
+    assert slot.in_use("attitude_control")[1].startswith("the stock controller")
 
 
 def test_what_fits_no_template_or_cannot_be_written_leaves_what_flew(tmp_path: Path) -> None:
@@ -50,7 +50,7 @@ def test_what_fits_no_template_or_cannot_be_written_leaves_what_flew(tmp_path: P
     wrong.input("wind")
     with pytest.raises(DiagramError, match="the input wind is not of the template"):
         slot.flash(wrong)
-    with pytest.raises(DiagramError, match="of no template"):
+    with pytest.raises(DiagramError, match="no template has its outputs"):
         slot.flash(Diagram("nothing"))
     assert file.read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["attitude_control.json"]
@@ -58,7 +58,7 @@ def test_what_fits_no_template_or_cannot_be_written_leaves_what_flew(tmp_path: P
     with pytest.raises(DiagramError, match=r"cannot be made.*TWODOF_DATA"):
         ControllerStore(tmp_path / "file" / "sim").flash(starter("empty-motor"))
     with pytest.raises(DiagramError, match=r"there is no template .yaw."):
-        slot.flies("yaw")
+        slot.in_use("yaw")
 
 
 def test_a_damaged_file_is_said_and_can_be_flashed_over(tmp_path: Path) -> None:
@@ -66,7 +66,7 @@ def test_a_damaged_file_is_said_and_can_be_flashed_over(tmp_path: Path) -> None:
     slot.flash(starter("lqr-attitude")).write_text("{")
     with pytest.raises(DiagramError, match="this is no JSON"):
         slot.flashed()
-    assert "as what was flashed is damaged" in slot.flies("attitude_control")[1]
+    assert "as what was flashed is damaged" in slot.in_use("attitude_control")[1]
     slot.flash(starter("lqr-attitude"))
     assert slot.flashed()["attitude_control"].name == "lqr_attitude"
     # A file of another template in the place of one would fly something else than it says.

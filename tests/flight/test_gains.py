@@ -100,16 +100,16 @@ def test_what_a_log_says_of_its_gains_is_read_back() -> None:
     """Read gains of a flight, of a recording, and of a log on board, whose float32 are the shortest decimals."""
     tuned = STUDENT.tuned()
     assert tuned["POS_KP"] == STUDENT.position
-    assert Gains.flown({"parameters": tuned}) == STUDENT
-    assert Gains.flown({"drone": {"parameters": tuned}}) == STUDENT
-    assert Gains.flown({"parameters": DEFAULT.tuned()}) == DEFAULT
+    assert Gains.from_provenance({"parameters": tuned}) == STUDENT
+    assert Gains.from_provenance({"drone": {"parameters": tuned}}) == STUDENT
+    assert Gains.from_provenance({"parameters": DEFAULT.tuned()}) == DEFAULT
     open_rate = dict.fromkeys(("RATE_KP", "RATE_KI", "RATE_KD"), 0.0)
     on_board = {
         name: float(np.float32(value))
         for name, value in ({row.name: row.default for row in PARAMETERS} | tuned).items()
     }
-    assert Gains.flown({"parameters": on_board, "ulog": {}}) == STUDENT
-    assert Gains.flown({"parameters": open_rate}) == replace(DEFAULT, rate=(0.0, 0.0, 0.0))
+    assert Gains.from_provenance({"parameters": on_board, "ulog": {}}) == STUDENT
+    assert Gains.from_provenance({"parameters": open_rate}) == replace(DEFAULT, rate=(0.0, 0.0, 0.0))
 
 
 @pytest.mark.parametrize(
@@ -123,4 +123,4 @@ def test_what_a_log_says_of_its_gains_is_read_back() -> None:
     ],
 )
 def test_a_log_that_does_not_say_its_gains_has_none(provenance: dict[str, Any]) -> None:
-    assert Gains.flown(provenance) is None
+    assert Gains.from_provenance(provenance) is None

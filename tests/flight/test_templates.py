@@ -130,7 +130,7 @@ def test_a_diagram_without_any_port_lacks_them_all(name: str) -> None:
 def test_what_a_diagram_is_meant_for_shows_in_its_outputs() -> None:
     for name in ("attitude", "position", "motor"):
         assert kind_of(starter(f"empty-{name}")) == f"{name}_control"
-    with pytest.raises(DiagramError, match=r"its outputs \(none\) are those of no template.*attitude_control gives M"):
+    with pytest.raises(DiagramError, match=r"no template has its outputs \(none\).*attitude_control gives M"):
         kind_of(Diagram("nothing"))
     with pytest.raises(DiagramError, match=r"mine: there is no template 'atitude' \(there are: attitude_control, "):
         check_template(controller(), "atitude")

@@ -189,7 +189,7 @@ def test_gains_are_those_of_the_stock_loops_that_are_left(loops: dict[str, Close
 
 
 def test_a_controller_that_fits_no_template_does_not_fly() -> None:
-    with pytest.raises(DiagramError, match="those of no template"):
+    with pytest.raises(DiagramError, match="no template has its outputs"):
         ClosedLoop(controllers=[Diagram("mine")])
     with pytest.raises(DiagramError, match="both of the template"):
         ClosedLoop(controllers=[starter("empty-attitude"), lqr_attitude()])

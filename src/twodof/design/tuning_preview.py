@@ -180,7 +180,7 @@ class PitchLaw:
             inside = {name: path[len(start) :] for name, path in (paths or {}).items() if path.startswith(start)}
             set_to = {path: values[name] for name, path in inside.items() if name in values}
             return cls(found.name, SampledController.of(found, set_to), None, frozenset(inside))
-        gains = Gains.flown({"parameters": dict(values)})
+        gains = Gains.from_provenance({"parameters": dict(values)})
         if gains is None:
             raise ParameterError("gains are out of their bounds", "the drone's parameters", "set them within bounds")
         return cls("", SampledController.of_cascade(*gains.rate, gains.attitude), gains, frozenset(GAINS))

@@ -351,7 +351,7 @@ def open_target(to: str, kind: str, out: Path | None, key: Path | None) -> Itera
     """
     if to == SIM:
         slot = simulator_controllers()
-        yield FlashTarget(*slot.flies(kind), str(slot.file(kind)), slot.flash)
+        yield FlashTarget(*slot.in_use(kind), str(slot.file(kind)), slot.flash)
     elif out is not None:
         yield FlashTarget(*_exported(out / "diagram.json", kind), str(out), lambda diagram: export(diagram, out))
     else:

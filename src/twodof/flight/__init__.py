@@ -1,1 +1,1 @@
-"""Flight code: estimator, cascade, mixer, level hold, and the core that joins them. All of it diagrams."""
+"""Flight code as diagrams: estimator, cascade, mixer, level hold, failsafe, and the core that joins them."""

@@ -1,4 +1,4 @@
-"""Loops of position, velocity, attitude and rate, and their cascade, entered at the loop that the mode names."""
+"""Loops of position, velocity, attitude and rate, and their cascade; the mode selects the outermost closed loop."""
 
 from typing import Any
 
@@ -10,15 +10,15 @@ from twodof.signals import ATTITUDE, OFF, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 
 def limited(value: Any, limit: Any) -> Any:
-    """`value` kept within +-`limit`."""
+    """Return `value` limited to +-`limit`."""
     return maximum(-limit, minimum(limit, value))
 
 
 def _integral(error: Any, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
-    """(sum, carry, increment) of the integral Ki e by backward Euler; in reset its own sample's contribution, Ki Ts e.
+    """Return (sum, carry, increment) of the integral of Ki e by backward Euler; in reset the sum is Ki Ts e alone.
 
     The drone sums its integrals in double precision. In float32 a plain sum of some 1e4 terms drifts by 1e-6 of the
-    moment. With the rounding error carried along (Kahan, CACM 8-1, 1965) it stays where the double sum is.
+    moment. Carrying the rounding error along (Kahan, CACM 8-1, 1965) keeps it at the sum in double precision.
     """
     increment = p.ki_dt * error
     term = increment - x.carry
@@ -28,7 +28,7 @@ def _integral(error: Any, u: Any, x: Any, p: Any) -> tuple[Any, Any, Any]:
 
 
 class PositionLoop(Block):
-    """v0 = Kp (x0 - x) in position mode, else the velocity set-point that is given."""
+    """v0 = Kp (x0 - x) within +-limit while `closed`, else the velocity set-point at the input."""
 
     inputs = (*ports("x0", "x", "v0"), Port("closed", "bool"))
     outputs = ports("v0")
@@ -85,7 +85,7 @@ class Projection(Block):
 
 
 class AttitudeLoop(Block):
-    """q0 = Kp (theta0 - theta), or in rate mode the rate set-point that is given."""
+    """q0 = Kp (theta0 - theta) within +-limit while `closed`, else the rate set-point at the input."""
 
     inputs = (*ports("theta0", "theta", "q0"), Port("closed", "bool"))
     outputs = ports("q0")
@@ -100,8 +100,8 @@ class AttitudeLoop(Block):
 class RateLoop(Block):
     """M = Kp e + integral of Ki e + Kd derivative, e = q0 - q, within +-limit.
 
-    The derivative is (z - 1) / ((1/N + Ts) z - 1/N) and is never reset. No anti-windup, no feed-forward.
-    `proportional`, `integral`, `derivative` and `increment` are the terms of M, for the log and for the replay.
+    The derivative is (z - 1) / ((1/N + Ts) z - 1/N); `in_reset` resets the integral alone. There is no anti-windup and
+    no feed-forward. `proportional`, `integral`, `derivative` and `increment` (of the integral) are for log and replay.
     """
 
     inputs = ports("q0", "q", "in_reset")
@@ -134,16 +134,16 @@ class RateLoop(Block):
     def update(self, u: Any, x: Any, p: Any, t: Any) -> Any:
         integral, carry, _ = _integral(u.q0 - u.q, u, x, p)
         slope = self._slope(u, x, p)
-        # Never reset, it would else be none for ever after one rate that is no number.
+        # Reset on NaN; otherwise one NaN rate would stay in the state for ever.
         return {"sum": integral, "carry": carry, "slope": where(finite(slope), slope, 0.0), "error": u.q0 - u.q}
 
 
 class LevelHold(Block):
-    """Finds the moment M_trim that holds the pitch, and adds it to an open-loop excitation flown right after.
+    """Estimator of the moment M_trim that holds the pitch, which is added to an open-loop excitation flown right after.
 
     The hold begins `settle` s after the attitude mode was entered with thrust on. From then on M_trim is the mean of
-    the moment over at most the last `window` s; what is older is forgotten exponentially. It is kept when the mode
-    changes, until the next hold. In open loop M_open = excitation + M_trim where `use_trim`, else the excitation alone.
+    the moment, up to the first `window` s, and then its exponential average with that time constant. M_trim is kept
+    when the mode changes, until the next hold. M_open = excitation + M_trim with `use_trim`, else the excitation.
     """
 
     inputs = (*ports("mode", "M", "thrust"), Port("excitation"), *ports("use_trim"))
@@ -170,9 +170,9 @@ class LevelHold(Block):
 
 
 class ArmingReset(Block):
-    """Reset of the integrals: while the drone gives no thrust, and for `samples` samples beyond the thrust's edge.
+    """Reset of the integrals: while the drone gives no thrust, and for the first `samples` samples with thrust.
 
-    There is thrust where the velocity loop makes it, and in rate and attitude mode where `thrust` > 0.
+    There is thrust in velocity and position mode, and in rate and attitude mode with `thrust` > 0.
     """
 
     inputs = ports("mode", "thrust", "in_reset")
@@ -192,7 +192,7 @@ class ArmingReset(Block):
 
 
 class ModeLogic(Block):
-    """Which loops a mode closes. An integral outside the closed loops is held in reset, so that it starts afresh."""
+    """Flags of the loops that a mode closes, and resets of the integrals in open loops, which start from 0 later."""
 
     inputs = ports("mode", "in_reset")
     outputs = tuple(Port(name, "bool") for name in ("position", "velocity", "attitude", "reset_velocity", "reset_rate"))
@@ -208,7 +208,7 @@ class ModeLogic(Block):
 
 
 class SetPointsInUse(Block):
-    """The set-points in use; one that is not is 0, and in velocity mode x0 mirrors x, as the drone's logs have it."""
+    """Set-points in use, for the log; an unused one is 0, but x0 is x in velocity mode, as in the drone's logs."""
 
     inputs = (*ports("mode", "x0", "x", "v0", "theta0"), Port("projected", unit="rad"))
     outputs = ports("x0", "v0", "theta0")
@@ -224,7 +224,7 @@ class SetPointsInUse(Block):
 
 
 class GivenSetPoint(Block):
-    """The set-point given while the mode is `mode`, else 0: a user's controller keeps its inner ones to itself."""
+    """Set-point from outside while the mode is `mode`, else 0, as those inside a user's controller are not known."""
 
     def __init__(self, mode: int, unit: str) -> None:
         self.mode = mode
@@ -236,7 +236,7 @@ class GivenSetPoint(Block):
 
 
 class MomentAndThrust(Block):
-    """Moment and thrust to the mixer: the loops', or in open loop those of the message; nothing when off."""
+    """Moment and thrust for the mixer: from the closed loops, in open loop the set-points, 0 in the mode off."""
 
     inputs = (*ports("mode"), Port("M_loop"), Port("T_loop"), *ports("M_open", "thrust"))
     outputs = ports("M", "T")
@@ -249,18 +249,18 @@ class MomentAndThrust(Block):
 
 
 def cascade(gains: Gains = DEFAULT, attitude: Diagram | None = None, position: Diagram | None = None) -> Diagram:
-    """Return the cascade with `gains`, made for 250 Hz.
+    """Return the diagram of the cascade with `gains`, made for 250 Hz.
 
-    Inputs: `mode` (int32, index into `signals.MODES`) and `in_reset` (bool: the integrals). The mode uses one of the
-    set-points `x0` [m], `v0` [m/s], `theta0` [rad], `q0` [rad/s]. `thrust` is for the modes without velocity loop,
-    `M_open` for open loop. The estimates are `x`, `v`, `theta`, `q`. Outputs: `M`, `T` and the set-points in use,
-    `q0`, `theta0`, `v0`, `x0`. Parameters: `rate.kp/ki/kd/N/limit`, `attitude.kp/limit`, `velocity.kp/ki`,
-    `projection.T_bar/eta_T`, `position.kp/limit`.
+    Inputs: `mode` (int32, index into `signals.MODES`) and `in_reset` (bool, holds the integrals in reset). The mode
+    uses one of the set-points `x0` [m], `v0` [m/s], `theta0` [rad], `q0` [rad/s]. `thrust` is for the modes without
+    velocity loop, `M_open` for open loop. The estimates are `x`, `v`, `theta`, `q`. Outputs: `M`, `T` and the
+    set-points in use, `q0`, `theta0`, `v0`, `x0`. Parameters: `rate.kp/ki/kd/N/limit`, `attitude.kp/limit`,
+    `velocity.kp/ki`, `projection.T_bar/eta_T`, `position.kp/limit`.
 
-    `attitude` and `position` are diagrams of the templates of these names (`flight.templates`). They replace the stock
-    loops, as the parts `attitude_control` and `position_control`. A set-point between loops inside such a part is not
-    seen outside, so `q0` and `v0` are then 0 unless they are given. With `position` there is one more input,
-    `ax0` [m/s2].
+    `attitude` and `position` are diagrams of the templates `attitude_control` and `position_control`
+    (`flight.templates`), which replace the stock loops as parts of these names. The set-points between loops inside
+    such a part are not known outside, so the outputs `q0` and `v0` are then 0 unless the mode takes them as inputs.
+    With `position` there is one more input, `ax0` [m/s2].
     """
     d = Diagram("cascade", "position, velocity, attitude and rate loop; the mode names the outermost that is closed")
     add_inputs(d, "mode", "in_reset", *SET_POINTS, "x", "v", "theta", "q")

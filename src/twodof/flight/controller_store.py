@@ -1,4 +1,4 @@
-"""Controller store: it keeps which controllers fly, a diagram of each template, until others are flashed."""
+"""Controller store: keeps the flashed controllers, one diagram for each template, until others are flashed."""
 
 import os
 from pathlib import Path
@@ -11,13 +11,13 @@ from twodof.flight.templates import TEMPLATES, check_template
 from twodof.flightlog.atomic import make_folder, sync_folder
 
 STOCK = {"attitude_control": "stock-attitude", "position_control": "stock-position", "motor_control": "stock-motor"}
-"""The starter diagram that flies as the stock controller does, by template: what flies where nothing was flashed."""
+"""The starter diagram of the stock controller, by template; it flies if no diagram was flashed."""
 
 
 def data_folder() -> Path:
     """Return the user's data folder: TWODOF_DATA, or XDG_DATA_HOME/twodof, or ~/.local/share/twodof.
 
-    Raises DiagramError where the user has no home folder.
+    Raises DiagramError if the user has no home folder.
     """
     named = os.environ.get("TWODOF_DATA")
     if named:
@@ -26,7 +26,9 @@ def data_folder() -> Path:
     try:
         return (Path(base) if base else Path.home() / ".local" / "share") / "twodof"
     except RuntimeError as reason:
-        raise DiagramError("there is no home folder to keep it in", "TWODOF_DATA", "set it to a folder") from reason
+        raise DiagramError(
+            "the user has no home folder for flashed controllers", "TWODOF_DATA", "set this variable to a folder"
+        ) from reason
 
 
 class ControllerStore:
@@ -36,7 +38,7 @@ class ControllerStore:
         self.folder = folder
 
     def file(self, kind: str) -> Path:
-        """Where the diagram of the template `kind` is. Raises DiagramError for a template that is not there."""
+        """Return the path of the diagram flashed for the template `kind`. Raises DiagramError for an unknown one."""
         if kind not in TEMPLATES:
             raise unknown_name("template", kind, TEMPLATES, str(self.folder))
         return self.folder / f"{kind}.json"
@@ -44,7 +46,7 @@ class ControllerStore:
     def flashed(self) -> dict[str, Diagram]:
         """Return the flashed diagrams by template.
 
-        Raises DiagramError for a file that is not a diagram any more, or not of its template.
+        Raises DiagramError for a file that holds no diagram, or one that does not fit its template.
         """
         found = {}
         for kind in TEMPLATES:
@@ -54,10 +56,10 @@ class ControllerStore:
                 check_template(found[kind], kind)
         return found
 
-    def flies(self, kind: str) -> tuple[Diagram, str]:
-        """Return the diagram of the template `kind` that flies now, and its origin: a file, or the stock controller.
+    def in_use(self, kind: str) -> tuple[Diagram, str]:
+        """Return the diagram in use for the template `kind` and its origin: a file, or the stock controller.
 
-        A file that is damaged flies nothing, so the stock controller stands for it, and the text says so.
+        If the file is damaged, return the stock controller; the origin then says so.
         """
         path = self.file(kind)
         stock = f"the stock controller ({STOCK[kind]})"
@@ -69,25 +71,27 @@ class ControllerStore:
             return load_diagram(STOCK[kind]), f"{stock}, as what was flashed is damaged: {damage}"
 
     def flash(self, diagram: Diagram) -> Path:
-        """Let `diagram` fly from now on for its template, and return its file.
+        """Store `diagram` as the controller of its template, and return its file.
 
-        Raises DiagramError for a diagram that fits no template or has no JSON form, LogError where the file system
-        refuses; then what flew stays.
+        Raises DiagramError for a diagram that fits no template or has no JSON form, or if the folder cannot be made;
+        LogError if the file cannot be written. The controller in use then stays.
         """
         path = self.file(check_template(diagram).name)
         try:
             make_folder(self.folder)
         except OSError as reason:
             raise DiagramError(
-                f"cannot be made: {reason.strerror}", str(self.folder), "set TWODOF_DATA to a folder that is writable"
+                f"the folder cannot be made: {reason.strerror}",
+                str(self.folder),
+                "set TWODOF_DATA to a folder that is writable",
             ) from reason
         save_diagram(diagram, path, overwrite=True)
         return path
 
     def remove(self, kind: str) -> bool:
-        """Back to the stock controller of the template `kind`; says whether another one flew.
+        """Return to the stock controller of the template `kind`; return True if another one was flashed.
 
-        Raises DiagramError or LogError where the file system refuses.
+        Raises DiagramError or LogError if the file system refuses.
         """
         path = self.file(kind)
         try:
@@ -95,7 +99,9 @@ class ControllerStore:
         except FileNotFoundError:
             return False
         except OSError as reason:
-            raise DiagramError(f"cannot be removed: {reason.strerror}", str(path), "make it writable") from reason
+            raise DiagramError(
+                f"cannot be removed: {reason.strerror}", str(path), "make its folder writable"
+            ) from reason
         sync_folder(self.folder)
         return True
 

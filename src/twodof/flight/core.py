@@ -44,14 +44,14 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
 """Name, unit, meaning of each output of the core."""
 
 PUBLISHED = MappingProxyType({"theta": "theta", "q": "q", "x": "x_published", "v": "v_published"})
-"""The output of the estimator for each estimate that the others read."""
+"""For each estimate that other parts read, the output of the estimator that carries it."""
 
 GIVEN = ("mode", *SET_POINTS, "ax0")
-"""The inputs that say what is to be flown; with the failsafe they pass through it."""
+"""Inputs that command the flight: mode and set-points; with the failsafe they pass through it."""
 
 
 class PreviousPitch(Block):
-    """The pitch of the sample before: the drone's estimator publishes after the controller has read."""
+    """Pitch of the previous sample, as the drone's estimator publishes after the controller has read."""
 
     inputs = outputs = ports("theta")
     states = (State("theta", unit="rad"),)
@@ -77,16 +77,18 @@ def core(
 
     `controllers` are diagrams of the templates (`flight.templates`), one of a kind at most. They take the place of the
     stock loops and of the mixer. Their parameters are `cascade.attitude_control...`, `cascade.position_control...` and
-    `motor_control...`. If one of them asks for an infinite or NaN moment or thrust, the motors stop, and M or T shows
-    it. A bad command of a single motor stops that motor. With a motor controller M and T are what the motors are given.
+    `motor_control...`. If one of them asks for an infinite or NaN moment or thrust, the motors stop, and the output M
+    or T is that value. An infinite or NaN command of a single motor stops that motor. With a motor controller M and T
+    are computed from the motors' commands.
 
-    With `failsafe` the ports of `flight.failsafe.diagram` are added, and its gate is the last thing before the motors.
-    As long as nothing is wrong every output has the same bits as without. A user's controllers are then watched. The
-    stock ones, computed at every step as `stock...` with their integrals in reset, stand ready to replace them.
+    With `failsafe` the ports of `flight.failsafe.diagram` are added, and its gate is the last part before the motors.
+    While no cause holds, every output has the same bits as without the failsafe. A user's controllers are then
+    monitored. The stock ones, parts `stock...` that are computed at every step with their integrals in reset, are ready
+    to replace them.
 
-    `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core of theirs in a
-    sandbox. Their commands come in as `flight.declarations.OWN_INPUTS` and are watched in the same way. The output
-    `own` says whether they were to fly in this tick.
+    `outside` is for a user's controllers that are not trusted and run elsewhere, such as a whole core in a sandbox.
+    Their commands are the inputs `flight.declarations.OWN_INPUTS` and are monitored in the same way. The output `own`
+    is true in a tick in which they are selected to fly.
 
     Raises ParameterError for an unknown position filter, DiagramError for a diagram that fits no template, and for
     `outside` without `failsafe` or with `controllers`.
@@ -94,7 +96,7 @@ def core(
     own = by_kind(controllers)
     if outside and (own or not failsafe):
         raise DiagramError(
-            "commands from outside are gated by the failsafe, in place of controllers inside",
+            "commands of an outside controller need the failsafe and exclude `controllers`",
             "outside",
             "give failsafe=True and no controllers",
         )
@@ -106,7 +108,7 @@ def core(
     d.add("estimator", estimator(position_filter))
     for name in (*IMU, "dist"):
         d.connect(name, f"estimator.{name}")
-    # A range that the failsafe does not believe is none.
+    # A range sample that the failsafe rejects does not reach the estimator.
     for name, believed in (("dist_new", "range_taken"), ("dist_age", "range_age")):
         d.connect(f"failsafe.{believed}" if failsafe else name, f"estimator.{name}")
     d.add("previous", PreviousPitch(), theta="estimator.theta")

@@ -1,6 +1,6 @@
-"""Declarations of the flight code's blocks: ports by their names, and parameters by their rows.
+"""Declarations of the flight code's blocks: ports by name, and parameters by their rows in `parameters`.
 
-A name has one type and unit in all of the blocks.
+A port's name has one type and unit in all of the blocks.
 """
 
 from collections.abc import Mapping
@@ -14,19 +14,19 @@ from twodof.parameters import TUNABLES
 
 
 def finite(value: Any) -> Any:
-    """Return whether a real is finite: for an infinite one and for NaN, value - value is not 0."""
+    """Return True if a real is finite: for an infinite one and for NaN, value - value is not 0."""
     return value - value == 0.0
 
 
 PLAUSIBLE = MappingProxyType({"theta": 1.5, "bias": 100.0, "x": 1e6, "x_filter": 1e6, "v": 1e3})
-"""How large a state of a filter may become at most, by name, in SI: the pitch has stops."""
+"""Largest plausible magnitude of a filter's state, by name, in SI."""
 
 
 def restarted(new: Mapping[str, Any], first: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the states `new` of a filter, or its initial states if one of `new` is NaN or not `PLAUSIBLE`.
+    """Return the states `new` of a filter, or its initial states if one of `new` is NaN or beyond `PLAUSIBLE`.
 
-    These are `first`, by name, 0 if unnamed. A filter that has once taken a sample that cannot be would else give no
-    number for ever.
+    The initial states are `first`, by name, else 0. Without this restart one NaN sample would leave the filter's states
+    NaN for ever.
     """
     sound = reduce(and_, [abs(value) <= PLAUSIBLE[name] for name, value in new.items() if name in PLAUSIBLE])
     return {name: where(sound, value, first.get(name, 0.0)) for name, value in new.items()}
@@ -50,7 +50,7 @@ INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("M_open", "real", "", "moment in open loop"),
     ("use_trim", "bool", "", "add the trim moment that the last level hold found to M_open"),
 )
-"""Name, type, unit, meaning of each input of the core."""
+"""Name, type, unit and meaning of each input of the flight core."""
 
 FAILSAFE_INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("arm", "bool", "", "arm; a rising edge arms if nothing speaks against it, false disarms at once"),
@@ -67,7 +67,7 @@ FAILSAFE_INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("step_late", "bool", "", "the flight controller's last step ran out of its time"),
     ("own_late", "bool", "", "the user's controller ran out of its time, its commands of this tick are not to be used"),
 )
-"""The same of what the flight code takes besides `INPUTS` when it has the failsafe."""
+"""Name, type, unit and meaning of each further input of a flight core with the failsafe."""
 
 OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("own_given", "bool", "", "a user's commands are there and are to fly as long as they are healthy"),
@@ -76,13 +76,13 @@ OWN_INPUTS: tuple[tuple[str, str, str, str], ...] = (
     ("own_M", "real", "", "the user's moment, to be shown while it flies"),
     ("own_T", "real", "", "the user's thrust, the same"),
 )
-"""The same for a user's commands that come from outside the flight code."""
+"""Name, type, unit and meaning of each further input of a core whose user's commands come from outside it."""
 
 IMU = ("acc_x", "acc_z", "gyro_y")
 RANGE = ("dist", "dist_new", "dist_age")
 ESTIMATED = ("theta", "q", "x", "v")
 SET_POINTS = ("x0", "v0", "theta0", "q0", "thrust", "M_open")
-"""The set-points that are numbers and that every controller reads."""
+"""Set-points that are real numbers and that the stock controllers read."""
 COMMANDS = ("fore", "aft", "M", "T")
 
 _PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS, *FAILSAFE_INPUTS, *OWN_INPUTS)} | {
@@ -101,18 +101,18 @@ _PORTS = {name: Port(name, kind, unit=unit) for name, kind, unit, _ in (*INPUTS,
 
 
 def ports(*names: str) -> tuple[Port, ...]:
-    """Return the ports of a block that have these names."""
+    """Return the declared ports with these names, for a block."""
     return tuple(_PORTS[name] for name in names)
 
 
 def add_inputs(d: Diagram, *names: str) -> None:
-    """Declare inputs of a diagram that have these names."""
+    """Declare the ports with these names as inputs of a diagram."""
     for port in ports(*names):
         d.input(port.name, port.kind, unit=port.unit)
 
 
 def tunable(path: str, value: float | None = None) -> Param:
-    """Return the parameter whose row is at `path` ("cascade.rate.kp"), with its default or another `value`."""
+    """Return the block parameter of the row at `path` ("cascade.rate.kp"), with its default or `value`."""
     row = TUNABLES[path]
     default = row.default if value is None else value
     unit = "" if row.unit == "-" else row.unit
@@ -124,7 +124,10 @@ def tunable(path: str, value: float | None = None) -> Param:
 
 
 def tunables(block: str, *names: str, **values: Any) -> tuple[Param, ...]:
-    """Return the parameters of a flight block; `names` chooses some of its rows, `values` are other defaults."""
+    """Return the parameters of the flight block at the path `block`: all its rows, or those in `names`.
+
+    `values` are other defaults, by name.
+    """
     prefix = f"{block}."
     own = [path.removeprefix(prefix) for path in TUNABLES if path.startswith(prefix)]
     return tuple(tunable(prefix + name, values.get(name)) for name in names or own)

@@ -24,12 +24,12 @@ class LongitudinalFilter(Block):
     v' = cos(theta) f_x + sin(theta) f_z. A range sample, s = `dist_age` seconds old, measures
     x - v s + v' s^2 / 2, where the cart was then. A tilt error d makes a false acceleration g d, so the range corrects
     the tilt within seconds, and the cart's own acceleration is not taken for tilt. A weak measurement 0 = v' + noise
-    keeps the pitch where the range sensor is silent. The first sample sets theta = atan2(f_x, -f_z).
+    bounds the pitch error while the range sensor is silent. The first sample sets theta = atan2(f_x, -f_z).
 
-    After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
+    After a sample that makes a state NaN or implausible, it restarts with the next one (`declarations.restarted`).
 
-    With the defaults theta, x and v come closest to the drone's own estimates on its logs. The range then weighs as if
-    its noise were four times its 4 mm.
+    With the defaults theta, x and v come closest to the drone's own estimates on its logs. They assume four times the
+    range's real noise of 4 mm.
     """
 
     inputs = ports(*IMU, *RANGE)
@@ -155,9 +155,9 @@ POSITION_FILTERS = ("joint", "fixed-gain", "kalman")
 
 
 class Publisher(Block):
-    """Position and velocity as they are published: at 100 Hz, every second or third of the 250 Hz samples in turn.
+    """Position and velocity as published at 100 Hz: every second or third of the 250 Hz samples in turn.
 
-    What is published at a sample is read from the next one on.
+    A value published at a sample is at the output from the next sample on.
     """
 
     inputs = outputs = ports("x", "v")
@@ -178,18 +178,18 @@ class Publisher(Block):
 
 
 def estimator(position_filter: str = "joint") -> Diagram:
-    """Return the estimator, made for 250 Hz.
+    """Return the diagram of the estimator, made for 250 Hz.
 
-    `position_filter` is "joint": one extended Kalman filter for pitch and position, which comes closest to the drone's
-    own estimates. The others, "fixed-gain" and "kalman", are fed with the pitch of a filter of its own.
+    `position_filter` "joint" is one extended Kalman filter for pitch and position, which comes closest to the drone's
+    own estimates. The position filters "fixed-gain" and "kalman" take the pitch from a separate pitch filter.
     Inputs: `acc_x`, `acc_z` [m/s2] (specific force, body axes forward-right-down), `gyro_y` [rad/s] and `dist` [m].
-    `dist_new` (bool) is true for one tick a sample; `dist_age` [s] is its age at that tick. Outputs of this sample:
+    `dist_new` (bool) is true in the tick in which a range sample arrives; `dist_age` [s] is its age then. Outputs:
     `theta` [rad], `q` [rad/s], `x` [m], `v` [m/s]. `x_published` and `v_published` are held at 100 Hz. Raises
     ParameterError for another filter.
     """
     if position_filter not in POSITION_FILTERS:
         raise ParameterError(
-            f"no filter called {position_filter!r:.80}", "position_filter", f"use {', '.join(POSITION_FILTERS)}"
+            f"no filter called {position_filter!r:.80}", "position_filter", f"use one of {', '.join(POSITION_FILTERS)}"
         )
     d = Diagram("estimator", "pitch by an extended Kalman filter, position by the filter chosen")
     add_inputs(d, *IMU, "dist", "dist_age", "dist_new")

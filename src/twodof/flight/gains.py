@@ -1,4 +1,4 @@
-"""Gains: the numbers of the cascade's loops, by name, by JSON file, by the path of the parameter they set."""
+"""Gains of the cascade's loops: named sets, JSON files, and the parameters that they set."""
 
 import json
 from collections.abc import Mapping
@@ -14,9 +14,9 @@ from twodof.parameters import PARAMETERS, PRESETS, ParameterSet, float32_decimal
 _ROWS = {
     row.name: row for row in PARAMETERS if row.path.startswith("cascade.") and row.path[-3:] in (".kp", ".ki", ".kd")
 }
-"""The rows of the gains, in the order in which `Gains` has them."""
+"""The parameter rows of the gains by name, in the order of the fields of `Gains`."""
 GAIN_NAMES = tuple(_ROWS)
-"""What the drone calls the gains."""
+"""Names of the gains as parameters of the drone ("RATE_KP")."""
 
 _DEFAULTS = {name: row.default for name, row in _ROWS.items()}
 _CASCADE = "cascade."
@@ -28,8 +28,8 @@ class Gains:
     """Gains of the four loops.
 
     `rate` has Kp [s/rad], Ki [1/rad] and Kd [s2/rad], `attitude` Kp [1/s], `velocity` Kp [N s/m] and Ki [N/m],
-    `position` Kp [1/s]. Raises ParameterError for another number of gains, and for a gain that the drone refuses, in
-    the same words.
+    `position` Kp [1/s]. Raises ParameterError for a wrong number of gains, and for a gain outside the bounds of the
+    drone's parameter.
     """
 
     rate: tuple[float, float, float]
@@ -50,30 +50,33 @@ class Gains:
         return dict(zip(_ROWS, (*self.rate, self.attitude, *self.velocity, self.position), strict=True))
 
     def parameters(self) -> dict[str, float]:
-        """Parameter path inside the cascade -> value."""
+        """Return the gains by the path of their parameter inside the cascade ("rate.kp")."""
         return {_ROWS[name].path.removeprefix(_CASCADE): value for name, value in self._named().items()}
 
     def tuned(self) -> dict[str, float]:
-        """Gains that are not the default ones, by the names of the drone's parameters ("RATE_KP")."""
+        """Return the gains that differ from the defaults, by the names of the drone's parameters ("RATE_KP")."""
         return {name: value for name, value in self._named().items() if value != _DEFAULTS[name]}
 
     def changed(self, name: str, value: float) -> Self:
-        """With the drone's parameter `name` at a float32 `value`; unchanged where that is not a gain in its bounds."""
+        """Return the gains with the drone's parameter `name` set to `value`, read as float32.
+
+        Unchanged if `name` is not a gain or `value` is out of its bounds.
+        """
         if name not in _ROWS or ParameterSet(table=(_ROWS[name],)).check({name: value})[1]:
             return self
         return self._of({**self._named(), name: float32_decimal(value)})
 
     @classmethod
-    def flown(cls, provenance: Mapping[str, Any]) -> Self | None:
-        """Return the flown gains by a log's provenance; None where it says nothing.
+    def from_provenance(cls, provenance: Mapping[str, Any]) -> Self | None:
+        """Return the gains that flew, from a log's provenance. None if it does not tell them all, or one is invalid.
 
-        A flight and a recording have those that were tuned, a log of our flight controller all of them, in float32.
+        A flight or recording holds those that differ from the defaults; an onboard log holds all of them, in float32.
         """
         drone = provenance.get("drone")
         known = provenance.get("parameters", drone.get("parameters") if isinstance(drone, Mapping) else None)
         if not isinstance(known, Mapping) or ("ulog" in provenance and not _ROWS.keys() <= known.keys()):
             return None
-        # The shortest decimal of a float32 is what was set.
+        # The value that was set is the shortest decimal of the float32.
         given = {name: float32_decimal(known[name]) for name in _ROWS if name in known}
         wrong = ParameterSet(table=tuple(_ROWS.values())).check(given)[1]
         return None if wrong else cls._of(_DEFAULTS | given)
@@ -89,12 +92,12 @@ class Gains:
 
     @classmethod
     def from_json(cls, data: object, where: str = "gains") -> Self:
-        """Gains from `{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}`.
+        """Return the gains in `{"rate": [Kp, Ki, Kd], "attitude": Kp, "velocity": [Kp, Ki], "position": Kp}`.
 
-        Raises ParameterError for another shape; `where` names its source in the message.
+        Raises ParameterError for another form; `where` names the source of `data` in the message.
         """
         if not isinstance(data, Mapping) or set(data) != {"rate", "attitude", "velocity", "position"}:
-            raise ParameterError("not a set of gains", where, f"give {_SHAPE}")
+            raise ParameterError("this is not a set of gains", where, f"give {_SHAPE}")
         numbers: list[float] = []
         for name, count in (("rate", 3), ("attitude", 1), ("velocity", 2), ("position", 1)):
             numbers += _numbers(data[name] if count > 1 else [data[name]], count, f"{where}: {name}")
@@ -107,16 +110,16 @@ class Gains:
 NAMED: Mapping[str, Gains] = MappingProxyType(
     {name: Gains._of(_DEFAULTS | dict(values)) for name, values in PRESETS.items()}
 )
-"""The sets the drone was flown with: its own, and one designed by loop shaping in the course."""
+"""Sets of gains that flew on the real drone: its defaults, and one designed by loop shaping in the course."""
 
 MAX_BYTES = 1 << 20
-"""Of a file of gains."""
+"""Largest size of a file of gains, in bytes."""
 
 DEFAULT, STUDENT = NAMED["default"], NAMED["student"]
 
 
 def load_gains(source: str | Path) -> Gains:
-    """Return the gains called `source` ("default", "student"), or those of a JSON file. Raises ParameterError."""
+    """Return the gains "default" or "student", or those of a JSON file. Raises ParameterError for any other source."""
     if str(source) in NAMED:
         return NAMED[str(source)]
     try:
@@ -124,7 +127,7 @@ def load_gains(source: str | Path) -> Gains:
     except LogError as reason:
         raise ParameterError(reason.what, str(source), f"name a file or one of {', '.join(NAMED)}") from reason
     except (ValueError, RecursionError) as reason:
-        raise ParameterError(f"is no JSON: {reason}", str(source), f"write {_SHAPE}") from reason
+        raise ParameterError(f"the file is not JSON: {reason}", str(source), f"write {_SHAPE}") from reason
     return Gains.from_json(data, str(source))
 
 

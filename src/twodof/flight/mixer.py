@@ -1,4 +1,4 @@
-"""Mixer: thrust and moment, or the commands of single motors, become the commands of the fore and aft rotor pairs."""
+"""Mixer: from thrust and moment, or from single motors' commands, to the commands of the fore and aft rotor pairs."""
 
 from functools import reduce
 from math import nan
@@ -14,7 +14,7 @@ from twodof.signals import ATTITUDE, OFF, POSITION, RATE, VELOCITY
 class Mixer(Block):
     """fore = T + M, aft = T - M, each clipped to [0, 1], as the drone's logs show (no thrust is traded for moment).
 
-    Unsaturated, (fore + aft) / 2 = T and (fore - aft) / 2 = M. `saturated` says that a command was clipped.
+    Unsaturated, (fore + aft) / 2 = T and (fore - aft) / 2 = M. `saturated` is true if a command was clipped.
     """
 
     inputs = ports("T", "M")
@@ -31,7 +31,7 @@ class Mixer(Block):
 
 
 class FiniteCommands(Block):
-    """M and T as they are, or 0 both, which stops the motors, where one of them is infinite or NaN."""
+    """M and T unchanged, or both 0, which stops the motors, if one of them is infinite or NaN."""
 
     inputs = outputs = ports("M", "T")
 
@@ -56,11 +56,11 @@ class MotorFlags(Block):
 
 
 class RotorPairs(Block):
-    """The commands of the single motors as those of the rotor pairs: a pair gets the mean of its two motors.
+    """Commands of the rotor pairs from those of the single motors: the mean of the two motors of a pair.
 
-    The rails keep the drone from roll and yaw, so only what the motors of a pair have in common moves it. A command
-    is kept within [0, 1], one that is infinite or NaN is 0, and all are 0 when the mode is off. M = (fore - aft) / 2
-    and T = (fore + aft) / 2 are what flies; `M_shown` and `T_shown` are the same, or NaN while a command is not finite.
+    The rig prevents roll and yaw, so only the mean of a pair acts on the drone. Each command is limited to [0, 1]; it
+    is 0 if it is infinite or NaN, or if the mode is off. M = (fore - aft) / 2 and T = (fore + aft) / 2; `M_shown` and
+    `T_shown` are the same, or NaN while a motor's command is not finite.
     """
 
     inputs = (*ports("mode"), *(Port(f"motor_{n}") for n in (1, 2, 3, 4)))

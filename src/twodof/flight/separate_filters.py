@@ -1,4 +1,4 @@
-"""Filters of pitch and of position, one after the other, in place of the joint filter."""
+"""Separate filters of pitch and position in series, in place of the joint filter."""
 
 from typing import Any
 
@@ -11,12 +11,13 @@ from twodof.signals import GRAVITY, RAIL_CENTRE
 class PitchFilter(Block):
     """Pitch theta and rate q by an extended Kalman filter with the states theta and gyro bias b.
 
-    Prediction, with the gyro's noise and bias walk: theta' = gyro_y - b, b' = 0. Measurement: only the cart's
-    acceleration makes a horizontal specific force, and it is taken for white noise of `sigma_acc`,
+    Prediction, with the gyro's noise and bias walk: theta' = gyro_y - b, b' = 0. Measurement: the horizontal specific
+    force, which only the cart's acceleration causes, is taken for white noise of `sigma_acc`,
         0 = cos(theta) f_x + sin(theta) f_z + noise.
-    Its derivative by theta, at f = (g sin, -g cos), is -g. The first sample sets theta = atan2(f_x, -f_z).
-    After a sample that cannot be, such as NaN, it starts anew with the next one (`finite.restarted`).
-    `variance` is that of theta, (rad)^2; `covariance` and `bias_variance` complete the matrix.
+    The derivative of this force by theta, at f = (g sin, -g cos), is -g. The first sample sets theta =
+    atan2(f_x, -f_z). After a sample that makes a state NaN or implausible, the filter restarts with the next one
+    (`declarations.restarted`). `variance` [rad^2] is that of theta; `covariance` and `bias_variance` complete the
+    covariance matrix.
     """
 
     inputs = ports(*IMU)
@@ -84,14 +85,14 @@ class RailAcceleration(Block):
 
 
 class FixedGainPosition(Block):
-    """x and v as on board: a filter of fixed gains, and an output that follows its position with a lag.
+    """x and v as the real drone estimates them: a filter of fixed gains, whose position the output follows with a lag.
 
-    The filter integrates the acceleration; at each range sample, with e = range - x, x += k_x e and v += k_v e. Its v
-    is the output's. The output's x integrates the same and follows the filter's with the time constant `lag`. So no
-    correction makes it jump: the logged x has no steps, and the logged v is not its derivative. The first
-    sample sets x, with v = 0. The age of a sample is not used, as the drone does not use it. Defaults: on each of the
-    drone's logs x is within 5 mm and v within 20 mm/s RMS of its own estimate. An error b of the acceleration gives v
-    the lasting error b k_x / k_v, which is the velocity bias that the logs show; `bias` gives it to a simulated flight.
+    The filter integrates the acceleration; at each range sample, with e = range - x, x += k_x e and v += k_v e. The
+    output v is the filter's. The output x integrates the same velocity and follows the filter's x with the time
+    constant `lag`, so corrections do not make it jump, as in the drone's logs. The first sample sets x, with v = 0. The
+    age of a sample is not used, as on the drone. With the defaults x is within 5 mm and v within 20 mm/s RMS of the
+    drone's own estimates on each of its logs. An error b of the acceleration gives v the constant error b k_x / k_v,
+    which the logs show; `bias` adds such an error in a simulated flight.
     """
 
     inputs = ports("acceleration", *RANGE)

@@ -1,4 +1,4 @@
-"""Templates: what a student fills in. A diagram with exactly the ports of one takes the stock controller's place."""
+"""Templates of controllers: a diagram with exactly the ports of a template can replace its stock controller."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,13 +15,13 @@ from twodof.errors import DiagramError
 from twodof.signals import PERIOD
 
 MEANT = 0.25
-"""A diagram with this share of a template's ports, among all of both, is meant for it."""
+"""Share of common ports, among all ports of a diagram and a template, from which the diagram is meant for it."""
 ALIKE = 0.6  # of two names, one is a slip of the pen of the other
 MAX_COMPARED = 100
 
 
 class TemplatePort(NamedTuple):
-    """A port as a template asks for it: a scalar of type `kind`, in `unit` ("": a bare number), and what it means."""
+    """A port of a template: a scalar of type `kind` in `unit` ("" for none), and its meaning `text`."""
 
     name: str
     kind: str
@@ -31,7 +31,7 @@ class TemplatePort(NamedTuple):
 
 @dataclass(frozen=True)
 class Template:
-    """The ports of one kind of controller, in order, and what it stands in for."""
+    """Template of one kind of controller: name, meaning, and its ports in order."""
 
     name: str
     text: str
@@ -118,7 +118,7 @@ MOTOR = Template(
 )
 
 FORE_MOTORS, AFT_MOTORS = ("motor_1", "motor_3"), ("motor_2", "motor_4")
-"""The motors of each pair, numbered as PX4 numbers a quadrotor X: 1 fore right, 2 aft left, 3 fore left, 4 aft right.
+"""Motors of each rotor pair, numbered as by PX4 for a quadrotor X: 1 fore right, 2 aft left, 3 fore left, 4 aft right.
 
 1 and 2 turn counter-clockwise seen from above, 3 and 4 clockwise. The fore pair lifts the nose, so it gives M > 0.
 """
@@ -128,24 +128,26 @@ TEMPLATES: Mapping[str, Template] = MappingProxyType({t.name: t for t in (ATTITU
 
 
 def kind_of(diagram: Diagram) -> str:
-    """Return the name of the template that `diagram` is made for, as `nearest_template` says.
+    """Return the name of the template nearest to `diagram` (see `nearest_template`).
 
-    It says what a diagram is meant to be; whether it is one says `check_template`. Raises DiagramError for a diagram
-    that has hardly a port of any template.
+    Use `check_template` to find out whether the diagram fits it. Raises DiagramError for a diagram that has hardly any
+    port of a template.
     """
     nearest = nearest_template(diagram)
     if nearest is None:
         known = "; ".join(f"{t.name} gives {', '.join(port.name for port in t.outputs)}" for t in TEMPLATES.values())
         raise DiagramError(
-            f"its outputs ({', '.join(diagram.outputs) or 'none'}) are those of no template", diagram.name, known
+            f"no template has its outputs ({', '.join(diagram.outputs) or 'none'})",
+            diagram.name,
+            f"give the diagram the ports of one: {known}",
         )
     return nearest
 
 
 def nearest_template(diagram: Diagram) -> str | None:
-    """Return the name of the template nearest to `diagram` by its ports' names, outputs before inputs.
+    """Return the name of the template with the most ports in common with `diagram`; outputs count before inputs.
 
-    None if it has no output of any template, and hardly an input.
+    Return None if the diagram has no output and hardly any input of a template.
     """
 
     def folded(inputs: Iterable[str], outputs: Iterable[str]) -> set[tuple[str, str]]:
@@ -164,7 +166,7 @@ def nearest_template(diagram: Diagram) -> str | None:
 
 
 def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
-    """Return checked diagrams by their template. Raises DiagramError as `check_template`, and for two of one kind."""
+    """Return the diagrams by the name of their template. Raises DiagramError if one fits none, or two fit the same."""
     found: dict[str, Diagram] = {}
     for diagram in diagrams:
         name = check_template(diagram).name
@@ -172,18 +174,18 @@ def by_kind(diagrams: Iterable[Diagram]) -> dict[str, Diagram]:
             raise DiagramError(
                 f"{found[name].name!r} and {diagram.name!r} are both of the template {name}",
                 "controllers",
-                "give one of each kind",
+                "give at most one diagram for each template",
             )
         found[name] = diagram
     return found
 
 
 def check_template(diagram: Diagram, kind: str | None = None) -> Template:
-    """Return the template that `diagram` fills in, by name or (None) as `kind_of` says.
+    """Return the template that `diagram` fits: that called `kind`, by default the nearest one (`kind_of`).
 
-    It has exactly the template's ports, each a scalar of the template's type, in its unit or in none; an input may be
-    left unused inside. Raises a DiagramError that names every port that is missing, too many or of another type or
-    unit, and everything that keeps the diagram from being compiled. A controller cannot have continuous states.
+    A diagram fits if it has exactly the template's ports, each a scalar of the template's type, in its unit or in none.
+    It need not use all inputs. Raises DiagramError that names every port that is missing, unknown or of another type or
+    unit, or the reason why the diagram cannot be compiled or stepped as a controller (no continuous states).
     """
     found = template_fit(diagram, kind_of(diagram) if kind is None else kind)
     if found.faults:
@@ -196,7 +198,7 @@ def check_template(diagram: Diagram, kind: str | None = None) -> Template:
 
 @dataclass(frozen=True)
 class TemplateFit:
-    """How a diagram fits a template: what is wrong with its ports, and what else keeps it from flying as one."""
+    """Fit of a diagram to a template: the faults of its ports, and the first other reason why it cannot fly."""
 
     template: Template
     faults: tuple[str, ...]
@@ -204,12 +206,12 @@ class TemplateFit:
 
     @property
     def fits(self) -> bool:
-        """Check that the diagram can fly in the place of the template's stock controller."""
+        """True if the diagram can fly in place of the template's stock controller."""
         return not self.faults and self.refusal is None
 
 
 def template_fit(diagram: Diagram, kind: str) -> TemplateFit:
-    """How `diagram` fits the template called `kind`. Raises DiagramError only for a template that is not there."""
+    """Return how `diagram` fits the template `kind`. Raises DiagramError only for an unknown template."""
     if kind not in TEMPLATES:
         raise unknown_name("template", kind, TEMPLATES, diagram.name)
     template = TEMPLATES[kind]

@@ -58,7 +58,7 @@ class FlownParameters:
                 inside = values if isinstance(values, Mapping) else {}
                 tuning |= {f"{template}.{path}": value for path, value in inside.items()}
         changes = tuple(sorted(_changes(provenance.get("changes"))))
-        return cls(Gains.flown(provenance), changes, found, tuning, tuple(unknown))
+        return cls(Gains.from_provenance(provenance), changes, found, tuning, tuple(unknown))
 
     def gains_in_flight(self, start: Gains) -> list[tuple[float, Gains]]:
         """Each time [s] at which the gains changed, and those that flew from then on, from those at the `start`."""

@@ -102,7 +102,7 @@ def test_a_name_that_is_none_is_answered_with_those_there_are(tmp_path: Path) ->
         starter("pid")
     with pytest.raises(DiagramError, match=r"no such file or starter diagram.*name a JSON file or one of stock-att"):
         load_diagram(str(tmp_path / "nothing.json"))
-    with pytest.raises(DiagramError, match="is no file"):
+    with pytest.raises(DiagramError, match="this is not a file"):
         load_diagram(tmp_path)
     with pytest.raises(DiagramError, match="cannot be read"):
         load_diagram("a" * 5000)
@@ -120,7 +120,7 @@ def test_a_file_is_bounded_and_only_data(tmp_path: Path) -> None:
         load_diagram(text)
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)
-    with pytest.raises(DiagramError, match="is no file"):
+    with pytest.raises(DiagramError, match="this is not a file"):
         load_diagram(pipe)
 
 

@@ -1,1 +1,1 @@
-"""The failsafe: thresholds, timers, a state machine, and the last choice of what reaches the motors."""
+"""The failsafe: thresholds, timers, a state machine, and the gate that selects the commands for the motors."""

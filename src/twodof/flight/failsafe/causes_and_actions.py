@@ -1,4 +1,4 @@
-"""Causes: what can go wrong, one row each, and what it asks for; a bit mask says which of them hold."""
+"""Causes for which the failsafe acts, one row each with the requested action; a bit mask tells which hold."""
 
 from functools import reduce
 from operator import or_
@@ -8,20 +8,20 @@ from typing import Any, NamedTuple
 from twodof.blocks import Block, Port, int32, where
 
 ACTIONS = ("none", "level", "brake", "descend", "off")
-"""What the failsafe does, by number; the later in the tuple, the stronger.
+"""Actions of the failsafe, by number, from the weakest to the strongest.
 
-none: what was asked for flies. level: pitch set-point 0, the thrust of before. brake: a pitch that stops the cart and
-brings it back from the rail's end. descend: level, the thrust fades to 0, then off. off: the motors stand until
-disarmed.
+none: mode and set-points pass unchanged. level: pitch set-point 0, the last thrust. brake: a pitch that stops the cart
+and brings it back from the rail's end. descend: level, the thrust fades to 0, then off. off: the motors are stopped
+until the drone is disarmed.
 """
 
 NONE, LEVEL, BRAKE, DESCEND, OFF = range(len(ACTIONS))
 
 
 class Cause(NamedTuple):
-    """A row: name, the action it asks for (NONE: it only keeps the drone from arming), what it is.
+    """A cause: name, the action that it asks for (NONE: it only keeps the drone from arming), and its meaning.
 
-    `inner` ones arise within the tick, behind the controllers; the others are there before.
+    An `inner` cause is found behind the controllers in the same tick; the others are known before.
     """
 
     name: str
@@ -56,10 +56,10 @@ CAUSES: tuple[Cause, ...] = (
     ),
     Cause("rate_disagrees", OFF, "the pitch rate does not answer the moment: gyro or rotor failed, or a stop is met"),
 )
-"""The causes; the place in the tuple is the bit in a mask."""
+"""All causes; the index is the number of the bit in a mask."""
 
 BIT = MappingProxyType({cause.name: 1 << place for place, cause in enumerate(CAUSES)})
-"""Name -> its bit, as a number."""
+"""The mask of each cause, a number with one bit set, by name."""
 
 
 def named_causes(mask: int) -> tuple[str, ...]:
@@ -68,9 +68,9 @@ def named_causes(mask: int) -> tuple[str, ...]:
 
 
 class RequestedActions(Block):
-    """Strongest action that the causes ask for, and their mask.
+    """Flags of the actions that the causes ask for, and the mask of the causes.
 
-    `ready` says that nothing speaks against arming: none of them holds, those that ask for nothing else included.
+    `ready` is true if no cause holds, including those that only keep the drone from arming.
     """
 
     inputs = tuple(Port(cause.name, "bool") for cause in CAUSES if not cause.inner)

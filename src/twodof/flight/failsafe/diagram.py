@@ -40,12 +40,12 @@ from twodof.signals import ATTITUDE, OFF, POSITION
 class SafeSetPoints(Block):
     """Mode and set-points for the controllers.
 
-    Flying: those given, each within its limit (one inside passes with its bits), 0 for one that is not a number. Level:
-    attitude mode, theta0 = 0, the thrust that flew last. Brake: the same with the pitch that stops the cart and brings
-    it back. That is theta0 = brake_x (x - place) + brake_v v, within +-`brake_tilt`; `place` is x within +-`rail_hold`.
-    The position loop would not do: the faster the cart is, the further it tilts, into the stop. Descend: as level, and
-    the thrust fades to 0 within `descent`. Where no thrust flew when the failsafe began to act, and whenever the motors
-    are stopped, the mode is off: no action starts motors that stood.
+    Flying: the inputs, each limited (one within its limit keeps its bits), 0 for one that is NaN or infinite. Level:
+    attitude mode, theta0 = 0, the last thrust flown. Brake: the same with the pitch that stops the cart and brings it
+    back, theta0 = brake_x (x - place) + brake_v v within +-`brake_tilt`; `place` is x limited to +-`rail_hold`. The
+    position loop is not used for it: the faster the cart is, the further that tilts, up to the pitch stop. Descend: as
+    level, and the thrust fades to 0 within `descent` s. If the thrust was 0 when the failsafe began to act, and
+    whenever the motors are stopped, the mode is off, so that no action starts motors at rest.
     """
 
     inputs = (*ports("state", "timer", "stopped", "mode", *SET_POINTS, "ax0", "x", "v"), Port("T_flown"))
@@ -89,11 +89,11 @@ class SafeSetPoints(Block):
 
 
 class OutputSelector(Block):
-    """Chooses between the user's controller and the stock one, and stops the motors.
+    """Gate to the motors: passes the commands of the user's controller or of the stock one, or stops the motors.
 
-    `own_fore`, ... are the user's commands. They fly while `own`, if they are numbers and the controller was in time
-    (not `own_late`). Else the stock commands fly, from that very tick on. Where those are not numbers either, or the
-    motors are `stopped`, both pairs get 0 in that tick. Every output lies within [0, 1].
+    `own_fore`, ... are the user's commands. They pass while `own`, if they are finite and the controller was in time
+    (not `own_late`). Otherwise the stock commands pass in the same tick. If those are not finite either, or the motors
+    are `stopped`, both pairs get 0. `fore` and `aft` are limited to [0, 1].
     """
 
     inputs = ports("stopped", "own", "own_late", *COMMANDS, *(f"own_{name}" for name in COMMANDS))
@@ -123,7 +123,7 @@ class OutputSelector(Block):
 
 
 class StandbyReset(Block):
-    """Which controllers hold their integrals in reset: those that do not fly. `own_given` is the constant `given`."""
+    """Resets of the integrals of the controllers that do not fly. `own_given` is the constant `given`."""
 
     inputs = ports("in_reset", "own")
     outputs = (Port("own_in_reset", "bool"), Port("stock_in_reset", "bool"), *ports("own_given"))
@@ -148,7 +148,7 @@ OUTPUTS: tuple[tuple[str, str, str], ...] = (
     ("reason", "", "why: mask of CAUSES, bit n for the nth"),
     ("causes", "", "all causes that hold in this tick, those that only speak against arming included: mask of CAUSES"),
 )
-"""Name, unit, meaning of what the flight code gives besides `core.OUTPUTS` when it has the failsafe."""
+"""Name, unit and meaning of each output that a flight core with the failsafe has besides `core.OUTPUTS`."""
 
 TIMERS = MappingProxyType(
     {
@@ -165,19 +165,21 @@ TIMERS = MappingProxyType(
         "stuck": "commands.moves",
     }
 )
-"""What each timer waits for, by the timer's name; its parameter is `failsafe.NAME.timeout`."""
+"""The flag that restarts each timer, by the timer's name; its time is the parameter `failsafe.NAME.timeout`."""
 
 _SAME = MappingProxyType({name: name for name in SET_POINTS})
 
 
 def failsafe() -> Diagram:
-    """Return the failsafe, made for 250 Hz.
+    """Return the diagram of the failsafe, made for 250 Hz.
 
-    Inputs: `FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points as given; the stock commands
-    `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., if `own_given` is true. Outputs: the mode and set-points
-    for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which both depend on nothing behind the controllers;
-    `range_taken`, whether the range may correct the estimates, and `range_age`, which depend on no estimate of this
-    tick; `fore`, `aft`, `M`, `T` as they fly; and `OUTPUTS`.
+    Inputs: `FAILSAFE_INPUTS`; the measurements and estimates; `mode` and the set-points from outside; the stock
+    commands `fore`, `aft`, `M`, `T`; and the user's `own_fore`, ..., used if `own_given` is true.
+
+    Outputs: mode and set-points for the controllers (`safe_mode`, `safe_x0`, ...) and `own`, which do not depend on the
+    controllers' outputs of this tick; `range_taken`, true if the range sample may correct the estimates, and
+    `range_age`, which do not depend on the estimates of this tick; the commands `fore`, `aft`, `M`, `T` for the motors;
+    and `OUTPUTS`.
     """
     d = Diagram("failsafe", "flags, timers, state machine, and the last gate to the motors")
     add_inputs(d, *(name for name, *_ in FAILSAFE_INPUTS), *IMU, *RANGE, *ESTIMATED, "mode", *SET_POINTS, "ax0")

@@ -16,16 +16,16 @@ _TIME = Param("time", 0.5, unit="s", low=0.004, high=MOST)
 
 
 def ticks(seconds: Any, dt: Any) -> Any:
-    """`seconds` as a number of periods `dt`, to the nearest, one at least; int32."""
+    """Return `seconds` as a number of periods of `dt` s, rounded to the nearest, at least 1; int32."""
     return maximum(int32(1), to_int32(seconds / dt + 0.5))
 
 
 class WatchdogTimer(Block):
     """Flag that is true once `alive` was false for `timeout` s, this tick included.
 
-    With N = timeout / dt, `expired` comes in the Nth tick in a row without a sign of life (the first is tick 1). It
-    goes in the tick of the next sign. The count saturates at N, where it starts, so that what was never alive is not
-    waited for.
+    With N = timeout / dt, `expired` becomes true in the Nth tick in a row with `alive` false, and false as soon as
+    `alive` is true. The count of ticks saturates at N. It starts there, so `expired` is true from the start until
+    `alive` is true for the first time.
     """
 
     inputs = (Port("alive", "bool"),)
@@ -51,7 +51,7 @@ class WatchdogTimer(Block):
 
 
 class OffDelay(Block):
-    """`flag`, and for `time` s after it: what it starts lasts, so that nothing switches to and fro faster than that."""
+    """Flag that stays true for `time` s after `flag` has become false, so that an action does not switch to and fro."""
 
     inputs = (Port("flag", "bool"),)
     outputs = (Port("lasting", "bool"),)
@@ -72,20 +72,20 @@ class OffDelay(Block):
 
 
 class SensorFlags(Block):
-    """Which sensors are alive.
+    """Flags of working sensors.
 
-    The IMU: `imu_moves`, a sample of finite numbers came in this tick, and at least one bit differs from the last
-    (a driver that repeats itself gives the same bits). `axes_move`, it differs in each of its three axes, as its
-    noise makes nearly every sample differ. The range sensor: `range_good`, a sample came that is a number and of a
-    possible age. It lies within `range_error` of the published place of the cart at its time. `range_moves`, one that
-    differs from the last. With the cart locked the range is not needed, and both are true. `watch_bits` off takes
-    repeated samples for good, for simulations without noise only.
+    IMU: `imu_moves`, a finite sample came in this tick, and at least one bit differs from the sample before (a driver
+    that repeats itself gives the same bits); `axes_move`, it differs in each of its three axes, as noise makes nearly
+    every sample do. Range sensor: `range_good`, a finite sample of a possible age came, within `range_error` of the
+    cart's estimated position at that time; `range_moves`, a sample came that differs from the one before. With the cart
+    locked the range is not needed, and both are true. With `watch_bits` false, repeated samples are accepted, for
+    simulations without noise.
 
-    `range_end`: two believed samples in a row lay at `range_end`, at an end of the rail, wherever the estimate is.
+    `range_end`: two good samples in a row lay beyond `range_end`, the end of the rail.
 
-    `range_taken`: the sample that came may correct the estimate. While `arm`ed one that is not believed does not, or
-    the estimate would follow it until it is; before that any number does, since the estimate begins anywhere.
-    `range_age` is its age, 0 where none is taken.
+    `range_taken`: the sample may correct the estimate. While armed only a good one may: otherwise the estimate would
+    follow a wrong range until that counts as good. Before arming any finite one may, since the estimate starts
+    anywhere. `range_age` is the age of an accepted sample, else 0.
     """
 
     inputs = ports(*IMU, "imu_new", *RANGE, "x", "v", "rings", "arm")
@@ -133,13 +133,13 @@ class SensorFlags(Block):
 
 
 class PlaceFlags(Block):
-    """Where pitch and cart are, and whether the estimates are believed.
+    """Flags of pitch and cart near their stops, and of estimates that cannot be right.
 
-    `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`; `pitch_stop`: |theta| at
+    `pitch_near`: |theta + look_ahead q| above `pitch_limit`, until below it by `pitch_margin`. `pitch_stop`: |theta| >=
     `pitch_end`. `rail_near`: the place where the cart could be stopped, x + v reaction + v |v| / (2 braking), is beyond
-    `rail_limit`, until inside by `rail_margin`; `rail_end`: |x| at `rail_end`. A locked cart is near no end.
-    `estimate_lost`: theta, q, x or v is NaN or infinite, |theta| > `theta_bound` or |q| > `q_bound`. It asks for the
-    strongest action, so NaN raises it alone: where the pitch is not known it is not said to be at its stop.
+    `rail_limit`, until inside by `rail_margin`. `rail_end`: |x| >= `rail_end`. With the cart locked both are false.
+    `estimate_lost`: theta, q, x or v is NaN or infinite, |theta| > `theta_bound` or |q| > `q_bound`. A NaN pitch raises
+    this flag only, which asks for the strongest action, and not `pitch_stop`. `tilted`: |theta| above `arm_tilt`.
     """
 
     inputs = ports(*ESTIMATED, "rings")
@@ -169,10 +169,10 @@ class PlaceFlags(Block):
 
 
 class BatteryFlags(Block):
-    """`full` and `usable`: the voltage is above the low and the critical threshold, and one that the pack can have.
+    """Flags `full` and `usable`: the voltage is above the threshold `low`, and above `critical`.
 
-    Once below one it counts as below until it is above by `margin`. A voltage above `high`, infinite or NaN is a sensor
-    that has failed: how full the pack is is not known, and it counts as empty.
+    After a voltage below a threshold the flag stays false until the voltage is above it by `margin`. A voltage above
+    `high`, infinite or NaN comes from a failed sensor: both flags are then false.
     """
 
     inputs = ports("voltage")
@@ -193,10 +193,11 @@ class BatteryFlags(Block):
 
 
 class SetPointFlags(Block):
-    """Flags of the set-points: idle, invalid.
+    """Flags of mode and set-points.
 
-    `invalid`: one is infinite or NaN. `fed`: a set-point came in this tick, or none is needed since the mode is off.
-    `active`: the motors are asked for something. `rings_wrong`: a mode that moves the cart, which is locked.
+    `invalid`: a set-point is infinite or NaN, or the mode is unknown. `fed`: a set-point came in this tick, or none is
+    needed since the mode is off. `active`: the set-points ask for thrust or moment. `rings_wrong`: the mode moves the
+    cart, but the rings lock it.
     """
 
     inputs = ports("mode", *SET_POINTS, "setpoint_new", "rings")
@@ -214,9 +215,10 @@ class SetPointFlags(Block):
 
 
 class StuckCommands(Block):
-    """`moves`: the commands that flew differ from those before in a bit, or need not, or the IMU gave nothing new.
+    """Flag `moves`: the commands to the motors differ in a bit from those of the tick before, or need not differ.
 
-    In a closed loop with thrust noise alone moves them; commands that stand still come of a controller that does.
+    In a closed loop with thrust, sensor noise makes the commands differ in every tick; constant ones tell that the
+    controller has stopped. They need not differ in open loop, with motors stopped, or without a new IMU sample.
     """
 
     inputs = (*ports("mode"), Port("imu_moves", "bool"), *ports("stopped", "fore", "aft"))
@@ -237,15 +239,15 @@ FORCE_SUMS = ("forth", "back", "up", "down")
 RATE_SUMS = ("faster", "slower")
 
 Sums = dict[str, tuple[Any, Any]]
-"""Name of a sum -> what it is after this sample, and whether it is at its limit."""
+"""For each sum by name: its value after this sample, and a flag that it is at its limit."""
 
 
 def cumulative_sum(total: Any, excess: Any, limit: Any, dt: Any) -> tuple[Any, Any]:
-    """Return a cumulative sum (Page, Biometrika 41-1954) of the excess after a sample, and whether it is at its limit.
+    """Return the cumulative sum (Page, Biometrika 41-1954) after a sample, and a flag that it has reached its limit.
 
-    It never falls below 0 and is held at the limit, so that it goes soon after its cause. It reaches the limit by one
-    large sample or by many small ones in a row; what stays below the slack for ever it never adds up. A sum that is
-    NaN is 0 again with the next finite sample.
+    `total` is the sum before, `excess` the deviation less its slack. The sum is kept within 0 and the limit, so that
+    the flag goes soon after its cause. One large or many small excesses reach the limit; deviations below the slack
+    never do. A NaN sum is 0 again with the next finite sample.
     """
     new = total + excess * dt
     reached = new >= limit
@@ -261,17 +263,17 @@ def _told(sums: Sums) -> dict[str, Any]:
 
 
 class ForceConsistency(Block):
-    """Check of the specific force against the pitch and the commands that flew the tick before.
+    """Check of the measured specific force against the pitch and the commands of the tick before.
 
-    Turned by the estimated pitch (`sine`, `cosine`), the specific force has two parts that are known without it.
-    Vertical it is -g, as the rail holds the drone up. Along the rail it is the cart's acceleration: 0 with the cart
-    locked, else that of the thrust tilted by theta, -`pull` T sin(theta), and -`drag` v. What is left has another
-    cause. The gyro does not turn with the drone: a pitch that is wrong by d leaves g d, or g d less the thrust's share.
-    An accelerometer is off. The cart stands against an end of the rail though the thrust pulls, or has just hit it.
+    The estimated pitch (`sine`, `cosine`) turns the specific force into a vertical part and one along the rail, whose
+    values are known. Vertical: -g, as the rail holds the drone up. Along the rail: the cart's acceleration, which is 0
+    with the cart locked, else -`pull` T sin(theta) by the tilted thrust and -`drag` v. A remainder means a fault: the
+    gyro does not follow the drone (a pitch error d leaves g d, or g d less the thrust's share), an accelerometer is
+    wrong, or the cart is pressed against an end of the rail or has just hit it.
 
-    The sums are unexplained speeds. The slack along the rail is `along_slack` and the share `pull_share` of the
-    thrust's part, as a battery that sags pulls less. With the cart locked the same error of the pitch leaves twice as
-    much, and the play of the rings rattles: the limit is twice as high.
+    The sums are unexplained speeds [m/s]. The slack along the rail is `along_slack` plus the share `pull_share` of the
+    thrust's part, as a sagging battery pulls less. With the cart locked the limit is twice as high: the same pitch
+    error leaves twice as much, and the cart rattles in the play of the rings.
     """
 
     inputs = ports("acc_x", "acc_z", "sine", "cosine", "v", "fore", "aft", "rings")
@@ -300,15 +302,14 @@ class ForceConsistency(Block):
 
 
 class RateConsistency(Block):
-    """Check of the gyro against the turning that the commands ask for.
+    """Check of the gyro against the angular acceleration that the motors' commands cause.
 
-    The commands that flew turn the drone by `turn` (lift(fore) - lift(aft)), with lift(u) = (1 - `curve`) u +
-    `curve` u^2. They act after the rotors' delay and lag, here one lag `answer`. Gravity turns it back by `swing` times
-    the `sine` of the pitch. No other change of the gyro's rate is expected. Where one is seen, the gyro stands still
-    while the moment grows, a rotor does not obey, or the drone has hit an end stop.
+    Expected is `turn` (lift(fore) - lift(aft)) with lift(u) = (1 - `curve`) u + `curve` u^2, behind one lag `answer`
+    for the rotors' delay and lag, less `swing` times the `sine` of the pitch by gravity. Another change of the gyro's
+    rate means that the gyro is stuck, a rotor does not follow its command, or the drone has hit an end stop.
 
-    The sums are unexplained rates. The slack is `turn_slack`, the share `turn_share` of what is expected, and what is
-    still under way through the lag. When that arrives is known to a few milliseconds only.
+    The sums are unexplained rates [rad/s]. The slack is `turn_slack`, plus the share `turn_share` of the expected
+    acceleration, plus the acceleration still within the lag, whose arrival is known to a few milliseconds only.
     """
 
     inputs = ports("gyro_y", "sine", "fore", "aft")

@@ -1,4 +1,4 @@
-"""The failsafe's state machine, on integers and flags only, and the memory of why it acts."""
+"""State machine of the failsafe, on integers and flags only, and the memory of the causes for which it acts."""
 
 from functools import reduce
 from operator import or_
@@ -10,7 +10,7 @@ from twodof.flight.failsafe.causes_and_actions import ACTIONS, BIT, CAUSES, NONE
 from twodof.flight.failsafe.flags import ticks
 
 STATES = ("disarmed", "refused", "flying", "level", "brake", "descend", "off")
-"""What the failsafe is in, by number. Motors may turn in flying, level, brake and descend."""
+"""States of the failsafe, by number. Motors may turn in flying, level, brake and descend."""
 
 DISARMED, REFUSED, FLYING, LEVEL, BRAKE, DESCEND, OFF = range(len(STATES))
 
@@ -19,7 +19,7 @@ MAY_TURN = (FLYING, LEVEL, BRAKE, DESCEND)
 
 
 class FailsafeStateMachine(Block):
-    """Arming, the actions and how they follow each other.
+    """Arming, the actions of the failsafe, and the transitions between them.
 
     ========== =========================================================================================
     from       to
@@ -34,11 +34,11 @@ class FailsafeStateMachine(Block):
     off        stays, until disarmed
     ========== =========================================================================================
 
-    The outputs are those of this tick: what acts follows its cause in the same tick. What the gate finds behind the
-    controllers (`own_lost`, `command_lost`) stops the motors there, and is known here from the next tick on.
-    `own` says that the user's controller flies, as far as it is healthy in this tick; one that failed does not fly
-    again until disarmed. `stuck` says that the commands that flew did not move. `timer` counts the ticks
-    of descend, or of level and brake together, 0 in the first. `action` is the index into `causes.ACTIONS`.
+    An action follows its cause in the same tick. The faults that the gate finds behind the controllers (`own_lost`,
+    `command_lost`) stop the motors at the gate, and reach this machine in the next tick. `own` is true if the user's
+    controller flies, unless the gate finds a fault in this tick; after a fault it does not fly again until the drone is
+    disarmed. `stuck` means that the commands to the motors do not change. `timer` counts the ticks of descend, or of
+    level and brake together, 0 in the first. `action` is the index into `causes_and_actions.ACTIONS`.
     """
 
     inputs = (
@@ -106,10 +106,10 @@ class FailsafeStateMachine(Block):
 
 
 class Reasons(Block):
-    """Why the failsafe acts: a mask of `causes.CAUSES`, 0 while disarmed.
+    """Causes for which the failsafe acts: a mask of `causes_and_actions.CAUSES`, 0 while disarmed.
 
-    While it acts these are all causes that held since it began, up to the tick in which the motors went off. In the
-    state refused they are those that spoke against arming, in flying those that ask for no action (a low battery).
+    While it acts, the mask holds all causes since it began to act, up to the tick in which the motors stopped. In the
+    state refused it holds the causes that prevented arming, in flying the warnings without an action (a low battery).
     """
 
     inputs = ports("state", "mask", "failed", "stuck_off", "own_lost", "command_lost")

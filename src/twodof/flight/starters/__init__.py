@@ -1,4 +1,4 @@
-"""Starter diagrams by name, and diagrams from files: what a user's controller begins as."""
+"""Starter diagrams, from which a user's controller begins, by name, and diagrams in files."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,21 +25,21 @@ STARTERS: Mapping[str, Callable[[], Diagram]] = MappingProxyType(
         "empty-motor": position.empty_motor,
     }
 )
-"""What makes each starter diagram."""
+"""The function that makes each starter diagram, by name."""
 
 DIAGRAM_HELP = f"A diagram's JSON file, or a starter diagram: {', '.join(STARTERS)}."
-"""What `load_diagram` takes, in words."""
+"""Help text for an argument that `load_diagram` reads."""
 
 
 def starter(name: str) -> Diagram:
-    """Return the starter diagram called `name`, a fresh one at each call. Raises DiagramError for another name."""
+    """Return a new copy of the starter diagram `name`. Raises DiagramError for an unknown name."""
     if name not in STARTERS:
         raise DiagramError(f"no starter diagram called {name!r:.80}", "", f"there are: {', '.join(STARTERS)}")
     return STARTERS[name]()
 
 
 def load_diagram(source: str | Path) -> Diagram:
-    """Return the starter diagram called `source`, or the diagram in a JSON file. Nothing of it is executed.
+    """Return the starter diagram called `source`, or the diagram in a JSON file. No code in the file is executed.
 
     Raises DiagramError for a file that cannot be read, is larger than 8 MiB or holds no diagram.
     """
@@ -48,7 +48,7 @@ def load_diagram(source: str | Path) -> Diagram:
     path = Path(source)
     try:
         if not path.is_file():
-            what = "is no file" if path.exists() else "there is no such file or starter diagram"
+            what = "this is not a file" if path.exists() else "there is no such file or starter diagram"
             raise DiagramError(what, str(path), f"name a JSON file or one of {', '.join(STARTERS)}")
         with path.open("rb") as file:
             text = file.read(MAX_BYTES + 1)
@@ -64,9 +64,10 @@ def load_diagram(source: str | Path) -> Diagram:
 
 
 def save_diagram(diagram: Diagram, path: str | Path, overwrite: bool = False) -> None:
-    """Write `diagram` as JSON that `load_diagram` reads back; an interrupted write leaves the old file.
+    """Write `diagram` to a JSON file, for `load_diagram`; an interrupted write leaves the old file.
 
-    Raises DiagramError for a block without a JSON form, LogError for a file that is there and where the disk refuses.
+    Raises DiagramError for a block without a JSON form; LogError if the file exists and `overwrite` is false, or if it
+    cannot be written.
     """
     text = to_json(diagram)
     check_free(path, overwrite)
@@ -77,7 +78,7 @@ def save_diagram(diagram: Diagram, path: str | Path, overwrite: bool = False) ->
 def new_diagram(name: str, path: str | Path, overwrite: bool = False) -> Diagram:
     """Write the starter diagram called `name` to the file `path` and return it.
 
-    Raises DiagramError for another name, LogError where the file is there already, unless `overwrite` says so.
+    Raises DiagramError for an unknown name; LogError if the file exists and `overwrite` is false.
     """
     diagram = starter(name)
     save_diagram(diagram, path, overwrite)

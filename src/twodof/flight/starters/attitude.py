@@ -24,7 +24,7 @@ from twodof.models.lqr import LqrGains, attitude_lqr, rate_lqr
 
 
 def with_ports(template: Template, name: str, text: str) -> Diagram:
-    """Return an empty diagram with the inputs of `template`."""
+    """Return a diagram with the inputs of `template`, still without parts."""
     d = Diagram(name, text)
     for port in template.inputs:
         d.input(port.name, port.kind, unit=port.unit)
@@ -32,7 +32,7 @@ def with_ports(template: Template, name: str, text: str) -> Diagram:
 
 
 def tuned(d: Diagram, name: str, value: float | Sequence[float], unit: str, low: float, high: float, text: str) -> None:
-    """Declare a tunable parameter of the diagram, a number or an array, to which its parts bind theirs."""
+    """Declare a tunable parameter of the diagram, a number or an array, to which parameters of its parts are bound."""
     width = len(value) if isinstance(value, Sequence) else None
     d.param(
         name,
@@ -55,7 +55,7 @@ def rate_gains(d: Diagram, gains: Gains) -> tuple[float, float, float]:
 
 
 def pitch_loop(d: Diagram, kp: float) -> None:
-    """Add q_0_used = theta_kp (theta_0 - theta) within +-20 rad/s, or q_0 where the attitude loop is open."""
+    """Add a part `q_0_used`: theta_kp (theta_0 - theta) within +-20 rad/s, or q_0 if the attitude loop is open."""
     tuned(d, "theta_kp", kp, "1/s", 0.0, 50.0, "attitude P")
     d.add("pitch_error", Sum("+-", unit="rad"), a="theta_0", b="theta", position=(160.0, 20.0))
     d.add("pitch_gain", Gain(1.0, unit="rad/s"), params={"k": "theta_kp"}, u="pitch_error", position=(280.0, 20.0))
@@ -71,20 +71,21 @@ def pitch_loop(d: Diagram, kp: float) -> None:
 
 
 HOVER_MOMENT = 0.4
-"""In hover, at T = .4, a larger moment stops one pair of rotors and changes the thrust."""
+"""Largest moment in hover, at T = .4, that neither stops a rotor pair nor changes the thrust."""
 
 VIBRATION = 38.0
 """Centre of the band in which the airframe vibrates in hover, by the spectra of the drone's logs [Hz]."""
 
 
 NOTCHED = Gains((0.068, 0.16, 0.00065), 8.0, DEFAULT.velocity, DEFAULT.position)
-"""Gains for the loop with the notch, which costs some 5 deg at the crossover. On the paper's model, broken at M, it
-crosses over at 28 rad/s with 44 deg and 6.5 dB to spare (the default gains without notch: 34 rad/s, 34 deg, 5.7 dB).
+"""Gains for the loop with the notch, which costs some 5 deg of phase at the crossover. With them and the paper's model
+the loop opened at M has its crossover at 28 rad/s, a phase margin of 44 deg and a gain margin of 6.5 dB. The default
+gains without notch give 34 rad/s, 34 deg and 5.7 dB.
 """
 
 
 def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
-    """Return the stock attitude and rate loops, the very blocks of the stock cascade, so with its bits."""
+    """Return the attitude and rate loops made of the stock cascade's own blocks: the same bits as the stock loops."""
     d = with_ports(ATTITUDE, "stock_attitude", "attitude P and rate PID of the stock cascade, as they fly")
     d.add(
         "attitude",
@@ -108,11 +109,11 @@ def stock_attitude(gains: Gains = DEFAULT) -> Diagram:
 
 
 def pid_attitude(gains: Gains = DEFAULT, anti_windup: str = "none") -> Diagram:
-    """Return the laws of the stock loops in library blocks: equal to them up to rounding, and easy to change.
+    """Return the laws of the stock loops in library blocks: equal to the stock loops up to rounding, easy to change.
 
-    With `anti_windup` "clamping" or "back-calculation" M is limited to +-.4, where a pair of rotors stands still in
-    hover, and the rate's integral does not gather beyond it. Back-calculation tracks in the integral's own time, Kp/Ki.
-    Raises DiagramError for another name.
+    With `anti_windup` "clamping" or "back-calculation" M is limited to +-.4, where a rotor pair stops in hover, and the
+    rate's integral does not wind up. The time constant of back-calculation is that of the integral, Kp/Ki. Raises
+    DiagramError for another `anti_windup`.
     """
     d = with_ports(ATTITUDE, "pid_attitude", "attitude P and rate PID, block by block")
     pitch_loop(d, gains.attitude)
@@ -125,7 +126,7 @@ def pid_attitude(gains: Gains = DEFAULT, anti_windup: str = "none") -> Diagram:
 
 
 def notch_attitude(gains: Gains = NOTCHED) -> Diagram:
-    """Return the PID with a notch in q at the vibration of 38 Hz, and anti-windup where M is limited to +-.4."""
+    """Return `pid_attitude` with a notch filter on q at the vibration's 38 Hz, M limited to +-.4 and anti-windup."""
     d = with_ports(ATTITUDE, "notch_attitude", "attitude P, rate PID with anti-windup, and a notch against vibration")
     pitch_loop(d, gains.attitude)
     tuned(d, "notch_hz", VIBRATION, "Hz", 10.0, 120.0, "frequency of the notch: the airframe's vibration")
@@ -145,7 +146,7 @@ def notch_attitude(gains: Gains = NOTCHED) -> Diagram:
 
 
 def empty_attitude() -> Diagram:
-    """All the ports, and no moment: the place to begin."""
+    """Return a diagram with all ports of the template that gives no moment, to begin from."""
     d = with_ports(ATTITUDE, "empty_attitude", "no moment, whatever comes in")
     d.add("moment", Constant(0.0), position=(300.0, 100.0))
     d.output("M", "moment")
@@ -153,11 +154,12 @@ def empty_attitude() -> Diagram:
 
 
 def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None) -> Diagram:
-    """LQR with integral action and the moments under way as states; in rate mode a second one follows q_0.
+    """Return an LQR with integral action and the moments within the delay as states; a second one follows q_0.
 
-    `attitude` and `rate` are gains of as many past moments each; None: those of `twodof.models.lqr` for the paper's
-    drone (w_n 3.437 rad/s, xi .0836, mu 358.5, tau 20 ms: five steps). M is kept within +-1, and the past moments are
-    those after that limit, so what the actuator cannot do is not counted on; the integrals are bounded.
+    `attitude` and `rate` have gains on the same number of past moments; by default they are those of
+    `twodof.models.lqr` for the paper's drone (w_n 3.437 rad/s, xi .0836, mu 358.5, tau 20 ms: five steps). M is limited
+    to +-1. The past moments are the limited ones, so the prediction uses what the actuator does. The integrals are
+    limited too.
     """
     pitch = attitude_lqr() if attitude is None else attitude
     turn = rate_lqr() if rate is None else rate
@@ -211,7 +213,7 @@ def lqr_attitude(attitude: LqrGains | None = None, rate: LqrGains | None = None)
 
 
 def _rate_pid(d: Diagram, gains: Gains, limit: float, anti_windup: str, tracking: float = 5.0) -> None:
-    """M from the rate's `error`, within +-`limit`."""
+    """Add the PID `pid` from the rate's `error` to the moment, limited to +-`limit`."""
     kp, ki, kd = rate_gains(d, gains)
     tuned(d, "q_n", 100.0, "rad/s", 1.0, 1000.0, "corner of the derivative's filter")
     _limits(d, limit)

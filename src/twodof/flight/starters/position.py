@@ -20,11 +20,11 @@ from twodof.flight.starters.attitude import pitch_loop, rate_gains, tuned, with_
 from twodof.flight.templates import AFT_MOTORS, FORE_MOTORS, MOTOR, POSITION
 
 MASS = 0.534
-"""Drone and cart [kg]."""
+"""Mass of drone and cart [kg]."""
 
 
 def stock_position(gains: Gains = DEFAULT) -> Diagram:
-    """Return the stock position and velocity loops and their projection, the blocks of the stock cascade."""
+    """Return position loop, velocity loop and projection made of the stock cascade's own blocks."""
     d = with_ports(POSITION, "stock_position", "position P, velocity PI and projection of the stock cascade")
     d.add(
         "position",
@@ -50,7 +50,7 @@ def stock_position(gains: Gains = DEFAULT) -> Diagram:
 
 
 def pid_position(gains: Gains = DEFAULT) -> Diagram:
-    """Return the laws of the stock loops in library blocks, with the acceleration ax_0 fed forward."""
+    """Return the laws of the stock loops in library blocks, with feed-forward of the acceleration set-point ax_0."""
     d = with_ports(POSITION, "pid_position", "position P and velocity PI, block by block, with feed-forward of ax_0")
     kp, ki = gains.velocity
     tuned(d, "x_kp", gains.position, "1/s", 0.0, 10.0, "position P")
@@ -96,7 +96,7 @@ def pid_position(gains: Gains = DEFAULT) -> Diagram:
 
 
 def empty_position() -> Diagram:
-    """All the ports; level, with the hover's thrust: the place to begin."""
+    """Return a diagram with all ports of the template, pitch set-point 0 and the hover's thrust, to begin from."""
     d = with_ports(POSITION, "empty_position", "level and hovering, whatever comes in")
     d.add("hover", Constant(0.4), position=(300.0, 60.0))
     d.add("level", Constant(0.0, unit="rad"), position=(300.0, 140.0))
@@ -106,17 +106,17 @@ def empty_position() -> Diagram:
 
 
 def stock_motor() -> Diagram:
-    """Return the stock mixer on single motors: thrust +- moment, each clipped to 0 .. 1."""
+    """Return the stock mixer for single motors: thrust + moment fore, thrust - moment aft, clipped to 0 .. 1."""
     d = with_ports(MOTOR, "stock_motor", "fore motors thrust + moment, aft motors thrust - moment")
     motor_pairs(d, "thrust_0", "M_0")
     return d
 
 
 def direct_motor(gains: Gains = DEFAULT) -> Diagram:
-    """Return the attitude and rate loops on the motors, from the raw gyro; thrust yields to moment.
+    """Return attitude and rate loops that command the motors, from the raw gyro.
 
-    It follows theta_0 or q_0 by itself, as the level above asks for, and flies M_0 in open loop. The moment is
-    kept within +-.5; the thrust gives way, so that no motor is asked for more than 1 or less than 0.
+    It follows theta_0 or q_0, whichever is in use, and M_0 in open loop. The moment is limited to +-.5. The thrust is
+    reduced or raised so that no motor's command is above 1 or below 0.
     """
     d = with_ports(MOTOR, "direct_motor", "attitude P, rate PID on the gyro, and a mixer that keeps the moment")
     pitch_loop(d, gains.attitude)
@@ -141,7 +141,7 @@ def direct_motor(gains: Gains = DEFAULT) -> Diagram:
 
 
 def empty_motor() -> Diagram:
-    """All the ports; each motor the thrust that is asked for, so no moment: the place to begin."""
+    """Return a diagram with all ports of the template and thrust_0 on each motor, so no moment, to begin from."""
     d = with_ports(MOTOR, "empty_motor", "the thrust asked for on every motor, no moment")
     d.add("each", Gain(1.0), u="thrust_0", position=(300.0, 100.0))
     for motor in sorted((*FORE_MOTORS, *AFT_MOTORS)):
@@ -150,7 +150,7 @@ def empty_motor() -> Diagram:
 
 
 def motor_pairs(d: Diagram, thrust: str, moment: str) -> None:
-    """Connect the motors' commands: thrust + moment on the fore pair, thrust - moment on the aft one."""
+    """Add the four motors' outputs: thrust + moment for the fore pair, thrust - moment for the aft pair."""
     d.add("fore_sum", Sum("++"), a=thrust, b=moment, position=(1620.0, 180.0))
     d.add("aft_sum", Sum("+-"), a=thrust, b=moment, position=(1620.0, 300.0))
     d.add("fore", Saturation(0.0, 1.0), u="fore_sum", position=(1740.0, 190.0))

@@ -269,4 +269,7 @@ async def _gains(drone: AsyncDrone) -> Gains:
     known = drone.parameters.known
     if not set(GAIN_NAMES) <= known.keys():
         known = await drone.parameters.all()
-    return Gains.flown({"parameters": {name: known[name].value for name in GAIN_NAMES if name in known}}) or DEFAULT
+    return (
+        Gains.from_provenance({"parameters": {name: known[name].value for name in GAIN_NAMES if name in known}})
+        or DEFAULT
+    )
