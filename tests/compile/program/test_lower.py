@@ -13,6 +13,7 @@ from twodof.blocks import Block, Diagram
 from twodof.blocks.library import (
     CompareToConstant,
     DataStore,
+    FirstOrder,
     Gain,
     StoreRead,
     StoreWrite,
@@ -170,8 +171,11 @@ def test_unneeded_signals_are_not_computed() -> None:
     d.add("unused", Gain(), u="u")
     d.add("used", Gain(), u="u")
     d.output("y", "used")
+    d.add("first", FirstOrder(1.0, 0.1), u="used")  # the integration alone reads it
+    d.add("second", FirstOrder(1.0, 0.1), u="first")
+    d.output("z", "second")
     flat = lower(d, 0.01)
-    assert [s.path for g in flat.tick for a in g.actions for s in a.signals] == ["used.y"]
+    assert {s.path for g in flat.tick for a in g.actions for s in a.signals} == {"used.y", "second.y"}
 
 
 def test_thousands_of_blocks_can_stand_in_a_row() -> None:

@@ -1,7 +1,7 @@
 """Lowering of a diagram to a program: check, flatten, drop unneeded signals, order."""
 
 import heapq
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from graphlib import TopologicalSorter
 
 from twodof.blocks.declarations import check_tick
@@ -36,7 +36,7 @@ def lower(diagram: Diagram, dt: float, log: Iterable[str] = (), integrator: str 
     integrated = [n for n in flat.nodes if n.continuous]
     edged = [s for s in ordered if integrated and node_of(s).trace.edges.get(s.port) is not None]
     stage = _stage(integrated, ordered, moving)
-    always = [*outputs.values(), *edged, *(s for n in integrated for s in inputs_of(n, n.trace.derivative.values()))]
+    always = [*outputs.values(), *edged, *_read_inside(integrated, stage, moving)]
     live = _live(flat.nodes, always)
     chosen = [s for s in ordered if s in live]
     return FlatProgram(
@@ -87,6 +87,16 @@ def _stage(integrated: Sequence[Node], ordered: Sequence[FlatSignal], moving: se
             chosen.append(s)
             needed |= inputs_of(node_of(s), [node_of(s).trace.outputs[s.port]])
     return chosen[::-1]
+
+
+def _read_inside(
+    integrated: Iterable[Node], stage: Iterable[FlatSignal], moving: Container[FlatSignal]
+) -> list[FlatSignal]:
+    """Return the signals of the tick that the integration reads; a disabled block's outputs are those of the tick."""
+    read = set().union(*(inputs_of(n, n.trace.derivative.values()) for n in integrated))
+    for s in stage:
+        read |= inputs_of(node_of(s), [node_of(s).trace.outputs[s.port]])
+    return [s for s in read if s not in moving or node_of(s).guard.enables]
 
 
 def _live(nodes: Sequence[Node], always: Iterable[FlatSignal]) -> set[FlatSignal]:
