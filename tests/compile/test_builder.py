@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 
 from tests.compile import examples
-from twodof.blocks import Block, Diagram, Param, Port, array_of, int32, sqrt
+from twodof.blocks import Block, Diagram, Param, Port, State, array_of, int32, sqrt
 from twodof.blocks.library import Gain, Sum
 from twodof.blocks.reference.interpreter import Reference
 from twodof.compile import CompiledMachine, CompiledProgram, build
+from twodof.compile.c.emitter import emit
+from twodof.compile.program.lower import lower
 from twodof.compile.toolchain import compilers
 from twodof.errors import CompileError, DiagramError, ParameterError
 
@@ -141,6 +144,32 @@ def test_arrays_that_would_burst_the_stack_are_refused() -> None:
     d.output("y", "wide")
     with pytest.raises(DiagramError, match="stack"):
         build(d, 0.01)
+
+
+class Leaky(Block):
+    """Continuous states that fade away."""
+
+    outputs = (Port("y"),)
+
+    def __init__(self, width: int) -> None:
+        self.states = (State("x", 1.0, width=width, continuous=True),)
+        self.width = width
+
+    def output(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return x.x[0]
+
+    def derivative(self, u: Any, x: Any, p: Any, t: Any) -> Any:
+        return {"x": array_of(self.width, lambda i: -x.x[i])}
+
+
+def test_the_integration_may_fill_the_stack() -> None:
+    """Four numbers for each continuous state."""
+    for width, fits in ((9_990, True), (10_001, False)):
+        d = Diagram("leaky")
+        d.add("leaky", Leaky(width))
+        d.output("y", "leaky")
+        with nullcontext() if fits else pytest.raises(DiagramError, match="stack"):
+            assert emit([lower(d, 0.01)])
 
 
 @pytest.mark.parametrize("steps", [-1, 1.5, None, True, 10**12])

@@ -32,6 +32,7 @@ class Stepper:
                 if name not in scalars:
                     raise unknown_name("scalar called", name, scalars, lowered.name)
         self._u, self._y = instance.structs["U"], instance.structs["Y"]
+        self._singles = any(dtype == np.float32 for dtype, *_ in (self._u.dtype.fields or {}).values())
         # By the order of the structs, which is that of the program's inputs and outputs.
         self._ins = [inputs.index(name) for name in lowered.inputs]
         self._outs = [list(lowered.outputs).index(name) for name in outputs]
@@ -41,17 +42,24 @@ class Stepper:
 
     def step(self, values: Sequence[Any]) -> tuple[Any, ...]:
         """Write the inputs, step once and return the outputs."""
-        self.run(1, values)
+        self._write(values)
+        self._step()
         return self._read()
 
     def run(self, steps: int, values: Sequence[Any]) -> None:
         """Write the inputs and make `steps` steps with them."""
-        if self._ins:
-            with np.errstate(over="ignore"):  # what float32 does not hold is infinite
-                self._u[0] = tuple([values[i] for i in self._ins])
+        self._write(values)
         step = self._step
         for _ in range(steps):  # a few: one call of `Instance.run` costs as much as ten steps
             step()
+
+    def _write(self, values: Sequence[Any]) -> None:
+        row = tuple([values[i] for i in self._ins])
+        if self._singles:  # alone, as it takes as long as a whole step
+            with np.errstate(over="ignore"):  # what float32 does not hold is infinite
+                self._u[0] = row
+        elif row:
+            self._u[0] = row
 
     def peek(self) -> tuple[Any, ...]:
         """Return the outputs of a next step with the inputs written last, without advancing."""

@@ -163,7 +163,8 @@ class _Emitter:
         elements = sum(s.size or 0 for s in every(function.body) if isinstance(s, Assign))
         struct, functions, handed = in_pieces(function, every_tick)
         self.apart |= len(functions) > 1
-        if elements + handed + 6 * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
+        copies = 4 + bool(struct)  # x, at, sum and slope of the integration; pieces hand x on
+        if elements + handed + copies * sum(m.width or 1 for m in self.layout.x.members) > MOST_ON_STACK:
             raise DiagramError(
                 f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
                 self.prefix,

@@ -63,7 +63,7 @@ class _Pieces:
     def _divide(self, body: list[Statement], calls: list[Statement]) -> None:
         """Cut a body; a long guarded part is cut too, and stays under its condition.
 
-        The integration stays in one piece: its calls change variables by their addresses.
+        The integration stays in one piece, or its copies of the continuous states would be handed on.
         """
         piece: list[Statement] = []
         length = 0
