@@ -4,7 +4,7 @@ import io
 import re
 import shutil
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +19,7 @@ HEADERS = ("program.h", "semihosting.h", "server.h")
 SCRIPT = "image.ld"
 CALLED = ("program", "aeabi", "memory")  # what a step may call
 MODULES = (*CALLED, "boot", "server", "dispatch")
+FIRMWARE_MODULES = ("aeabi", "memory", "boot", "server")  # the same in each image
 MEMORY = f"#include <stddef.h>\n#include <stdint.h>\n{helpers.MEMORY}"
 
 FLAGS = (*compilers.FLAGS, "-ffreestanding", "-fomit-frame-pointer", "-g0", "-ffunction-sections", "-fdata-sections")
@@ -88,32 +89,55 @@ def build_image(
         f'#include "program.h"\n\n{table}\nconst Program programs[] = {{\n{rows}}};\n'
         f"const uint32_t program_count = {len(names)};\n"
     )
-    files = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
-    files |= {**helpers.FILES, "memory.c": MEMORY, "program.c": source, "dispatch.c": dispatch}
+    firmware = {name: (FIRMWARE / name).read_text(encoding="utf-8") for name in (*OWN, *HEADERS, SCRIPT)}
+    firmware |= {**helpers.FILES, "memory.c": MEMORY}
+    files = {**firmware, "program.c": source, "dispatch.c": dispatch}
     options = (*FLAGS, *compiler.flags)
-    texts = (part for item in sorted(files.items()) for part in item)
-    key = (*texts, compiler.identity(), *options, optimise, *flags, *libraries)
+
+    def key(sources: Mapping[str, str]) -> tuple[str, ...]:
+        texts = (part for item in sorted(sources.items()) for part in item)
+        return *texts, compiler.identity(), *options, OPTIMISE
+
+    def compile_(name: str, folder: Path, more: Sequence[str] = (OPTIMISE,)) -> None:
+        _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
+
+    def make_firmware(target: Path) -> None:
+        _write(firmware, target.parent)
+        for name in FIRMWARE_MODULES:
+            compile_(name, target.parent)
+        _pack(target, FIRMWARE_MODULES)
 
     def make(target: Path) -> None:
         folder = target.parent
-        for name, text in files.items():
-            (folder / name).write_text(text, encoding="utf-8")
-        for name in MODULES:
-            more = (optimise, *flags) if name == "program" else (OPTIMISE,)
-            _command(compiler, (*options, *more, "-I.", "-c", f"{name}.c", "-o", f"{name}.o"), folder)
+        _write(files, folder)
+        with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(key(firmware), ".m7o", make_firmware))) as archive:
+            archive.extractall(folder)
+        compile_("program", folder, (optimise, *flags))
+        compile_("dispatch", folder)
         objects = [f"{name}.o" for name in MODULES]
         libgcc = () if compiler.name == "zig" else ("-lgcc",)
         _command(compiler, (*options, *LINK, *objects, *libraries, *libgcc, "-o", "image.elf"), folder)
-        with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-            for name in ("image.elf", *(f"{m}.{kind}" for m in CALLED for kind in ("o", "su"))):
-                if (folder / name).exists():  # clang writes no .su, but a section
-                    archive.write(folder / name, name)
+        _pack(target, CALLED, "image.elf")
 
-    with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(key, ".m7", make))) as archive:
+    wanted = (*key(files), optimise, *flags, *libraries)
+    with zipfile.ZipFile(io.BytesIO(cache.cached_bytes(wanted, ".m7", make))) as archive:
         usage = "".join(archive.read(n).decode() for n in archive.namelist() if n.endswith(".su"))
         elf, *objects = (archive.read(n) for n in ("image.elf", *(f"{m}.o" for m in CALLED)))
     sizes = tuple(tuple(s) for _, s in programs)
     return Image(elf, tuple(objects), usage, names, sizes, compiler.name, optimise)
+
+
+def _write(files: Mapping[str, str], folder: Path) -> None:
+    for name, text in files.items():
+        (folder / name).write_text(text, encoding="utf-8")
+
+
+def _pack(target: Path, modules: Sequence[str], *more: str) -> None:
+    """Archive the objects of `modules`, with gcc's reports on their stacks, and files named in `more`."""
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name in (*more, *(f"{m}.{kind}" for m in modules for kind in ("o", "su"))):
+            if (target.parent / name).exists():  # clang writes no .su, but a section
+                archive.write(target.parent / name, name)
 
 
 def _command(compiler: Compiler, arguments: Sequence[str], folder: Path) -> None:
