@@ -25,6 +25,7 @@ from twodof.identify.record import Record
 from twodof.identify.validate import Comparison, Correlation
 from twodof.models.structure import Structure
 from twodof.report.plots.canvas import Colours, draw_correlation, figure_page, quiet, write_figure
+from twodof.report.plots.flight_view import check_place
 from twodof.signals import unit_of
 
 Array = NDArray[np.float64]
@@ -60,6 +61,7 @@ def write_identification_plot(
     measured ones. Raises IdentificationError if the record lacks it, LogError for a file that
     cannot be written or exists.
     """
+    check_place(path, overwrite)  # before the fit is looked at
     named = f"{structure.name}: {', '.join(record.name for record in records[:_MOST_RECORDS])}"
     title = printable(title or textwrap.shorten(named, _TITLE, placeholder=" ..."))
     drawing = _Drawing(found, structure, records[:_MOST_RECORDS], reference)
