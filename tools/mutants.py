@@ -7,7 +7,8 @@ SOURCE is a file or folder below src. A mutant is killed if a test fails, cannot
 `--seconds`. Survivors are printed with their lines: each is a missing test or a change without a meaning.
 
 `--draw` draws N mutants over all rooms, by their number of places, and prints the killed share of each room.
-A mutant meets the tests of its room that name its module; if there are none, all tests of the room.
+A mutant meets the tests of its room that name its module, or import a helper that does; if there are none, all tests of
+the room.
 """
 
 from __future__ import annotations
@@ -146,18 +147,34 @@ def copied(place: Path) -> Path:
     return place
 
 
+def with_helpers(test: Path) -> str:
+    """Return the text of a test and of the modules of `tests` that it imports."""
+    text = test.read_text(encoding="utf-8")
+    helpers = re.findall(r"^from (tests\.[\w.]+) import", text, re.MULTILINE)
+    paths = [ROOT / f"{helper.replace('.', '/')}.py" for helper in helpers]
+    return text + "".join(path.read_text(encoding="utf-8") for path in paths if path.is_file())
+
+
 def related_tests(file: Path) -> tuple[str, ...]:
-    """Return the tests of the file's room that name its module or are called after it; else the room's folder."""
+    """Return the tests of the file's room that name its module, with their helpers; else the room's folder."""
     room, module = file.parts[2], ".".join(file.with_suffix("").parts[1:]).removesuffix(".__init__")
     folder = ROOT / "tests" / room
     if not folder.is_dir():  # a module that is a room of its own
         return tuple(str(path.relative_to(ROOT)) for path in (ROOT / "tests").glob(f"test_{file.stem}*.py"))
     parent, _, name = module.rpartition(".")
-    named = re.compile(rf"\b{re.escape(module)}\b|from {re.escape(parent)} import .*\b{name}\b")
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    defined = {name, *(node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef))}
+    named = re.compile(rf"\b{re.escape(module)}\b")
+    from_parent = re.compile(rf"from {re.escape(parent)} import (\([^)]*\)|.*)")
+
+    def names_it(text: str) -> bool:
+        """Return True if a text names the module, or imports what it defines from its package."""
+        return bool(named.search(text)) or any(
+            defined & {*re.findall(r"\w+", part)} for part in from_parent.findall(text)
+        )
+
     tests = sorted(folder.rglob("test_*.py"))
-    found = [
-        path for path in tests if path.stem == f"test_{file.stem}" or named.search(path.read_text(encoding="utf-8"))
-    ]
+    found = [path for path in tests if path.stem == f"test_{file.stem}" or names_it(with_helpers(path))]
     return tuple(str(path.relative_to(ROOT)) for path in found) or (str(folder.relative_to(ROOT)),)
 
 

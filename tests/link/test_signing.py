@@ -2,6 +2,7 @@
 
 import asyncio
 import copy
+import errno
 import hashlib
 import json
 import logging
@@ -32,6 +33,7 @@ from twodof.link.signing import (
     PER_SECOND,
     Key,
     Signing,
+    SigningCounts,
     SigningVerdict,
     Stamps,
     read_key,
@@ -188,6 +190,7 @@ def test_unsigned_is_refused_a_radios_own_word_too() -> None:
     old = bytes(message("COMMAND_LONG", command=400).pack(dialect.load().MAVLink(None, 1, 1), force_mavlink1=True))
     assert mine.check(frame_of(old)) is SigningVerdict.UNSIGNED
     assert (mine.counts.unsigned, mine.counts.refused) == (3, 3)
+    assert SigningCounts(accepted=1, unsigned=10, forged=200, repeated=3000, stale=40_000, ahead=1).refused == 43_211
 
 
 def test_every_changed_bit_is_seen() -> None:
@@ -323,6 +326,16 @@ def test_a_key_in_a_file_of_its_owner_only(tmp_path: Path) -> None:
             read_key(path)
 
 
+def test_half_a_key_is_not_left_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(LinkError, match="No space left"):
+        write_key(tmp_path / "key", KEY)
+    assert [*tmp_path.iterdir()] == []
+
+
 def test_what_is_no_key_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "key"
     with pytest.raises(LinkError, match="cannot be read"):
@@ -375,6 +388,38 @@ def test_a_new_stream_may_be_a_minute_behind(behind: int) -> None:
     theirs = signing(clock=Clock(START - 60 * PER_SECOND - behind))
     expected = SigningVerdict.STALE if behind else SigningVerdict.ACCEPTED
     assert signing().check(signed(theirs)) is expected
+
+
+def test_streams_do_not_disturb_each_other() -> None:
+    mine, early = signing(), Clock()
+    for other in (
+        signed(signing(clock=Clock(START + 1000), link=1)),
+        signed(signing(clock=early, link=2)),
+        signed(signing(clock=early, link=2), system=9),
+    ):
+        assert mine.check(other) is SigningVerdict.ACCEPTED
+    assert mine.check(signed(signing(clock=early, link=1))) is SigningVerdict.REPEATED
+
+
+def test_a_clock_that_stands_at_1970_judges_nobody_and_catches_up() -> None:
+    drone, ground = signing(clock=Clock(0)), signing()
+    assert ground.check(signed(drone)) is SigningVerdict.STALE
+    assert drone.check(signed(ground, system=255)) is SigningVerdict.ACCEPTED
+    assert ground.check(signed(drone)) is SigningVerdict.ACCEPTED
+
+
+@in_loop
+async def test_without_stamps_left_no_question_is_answered_and_nothing_ends() -> None:
+    here, there = memory_pair()
+    mine, theirs = signing(clock=Clock(0)), signing(clock=Clock(HIGHEST - 10))
+    async with Connection(there, 1, 1, mine) as drone:
+        mine.stamps.accept("another", HIGHEST)
+        for asked in ("PING", "HEARTBEAT"):
+            here.send(encode(message(asked), 9, 190, 0, theirs.outgoing()))
+        found = await drone.receive(SOON)
+        assert found is not None
+        assert found.message.get_type() == "HEARTBEAT"
+        assert here.receive_now() is None
 
 
 def test_used_up_stamps_are_an_error() -> None:

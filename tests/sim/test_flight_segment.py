@@ -76,6 +76,7 @@ def test_a_simulated_flight_is_resumed_from_its_log(mode: str, amplitude: float,
     assert segment.states == pytest.approx(states, rel=1e-9, abs=1e-15)
     assert segment.spun_up == pytest.approx((before - off) * PERIOD, abs=1e-4)
     assert len(segment.time) == after - 9
+    assert any(segment.balance) is (mode in ("velocity", "position"))
     assert segment.commands[-1] == (first["M"][-1], first["T"][-1])
     fit = logged.compare(loop, rig).fit
     assert min(fit[name] for name in ("theta", "q", *(("v",) if segment.rails else ()))) > least, fit

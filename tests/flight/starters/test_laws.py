@@ -86,10 +86,11 @@ def test_the_library_drawing_is_the_stock_law_up_to_rounding(ours: str, name: st
     steps = 5000
     rng = np.random.default_rng(2)
     diagrams = [starter(f"{kind}-{name}") for kind in ("stock", ours)]
+    size = np.where(np.arange(steps) < steps // 2, 0.2, 5.0)  # large enough for every limit
     inputs: dict[str, Any] = {
         port: np.repeat(rng.random(steps // 50) < 0.5, 50)
         if declared.kind == "bool"
-        else 0.2 * rng.standard_normal(steps)
+        else size * rng.standard_normal(steps)
         for port, declared in diagrams[0].inputs.items()
     }
     if name == "position":
@@ -189,6 +190,21 @@ def motors(name: str, **inputs: Any) -> list[float]:
 def test_a_moment_lifts_the_fore_motors_1_and_3() -> None:
     assert motors("stock-motor", M_0=0.1, thrust_0=0.4) == [0.5, pytest.approx(0.3), 0.5, pytest.approx(0.3)]
     assert motors("stock-motor", M_0=-0.7, thrust_0=0.4) == [0.0, 1.0, 0.0, 1.0]
+
+
+def test_the_direct_mixer_flies_the_pid_on_the_gyro() -> None:
+    """With the clamping of `pid_attitude`, within +-.5; the thrust of .5 leaves room for every moment."""
+    rng, steps = np.random.default_rng(4), 2000
+    flags = {name: np.repeat(rng.random(steps // 50) < 0.5, 50) for name in ("FLAG_RESET_INT", "FLAG_ATTITUDE_ENABLED")}
+    read = flags | {name: rng.standard_normal(steps) for name in ("theta_0", "q_0", "theta")}
+    gyro = 2.0 * rng.standard_normal(steps)
+    pid = build(pid_attitude(anti_windup="clamping"), PERIOD).machine()
+    pid.set_many({"M_low": -0.5, "M_high": 0.5})
+    moment = pid.run(steps, {**read, "q": gyro})["M"]
+    direct = build(starter("direct-motor"), PERIOD).machine()
+    out = direct.run(steps, {**read, "gyro_y": gyro, "thrust_0": 0.5, "M_0": 0.3, "FLAG_RATE_ENABLED": True})
+    np.testing.assert_allclose((out["motor_1"] - out["motor_2"]) / 2.0, moment, atol=1e-15)
+    assert np.ptp(moment) == 1.0
 
 
 @pytest.mark.parametrize("thrust", [0.0, 0.1, 0.4, 0.95])
