@@ -77,6 +77,15 @@ async def test_a_parameter_is_found_by_its_path(peer: Peer, drone: AsyncDrone) -
 
 
 @flight()
+async def test_undo_restores_what_the_drone_had(peer: Peer, drone: AsyncDrone) -> None:
+    assert await drone.parameters.read("ATT_KP") == 11.0
+    peer.parameters["ATT_KP"] = 6.0  # by another client, and the word of it was lost
+    await drone.parameters.update({"ATT_KP": 7.0})
+    await drone.parameters.undo()
+    assert peer.parameters["ATT_KP"] == 6.0
+
+
+@flight()
 async def test_a_new_list_during_a_change_is_no_fault(peer: Peer, drone: AsyncDrone) -> None:
     new_list = message("PARAM_VALUE", param_id="_HASH_CHECK", param_type=5, param_count=4, param_index=65535)
     peer.spoil = lambda _, sent: [sent, new_list] if sent.get_type() == "PARAM_VALUE" else [sent]

@@ -192,23 +192,21 @@ class AsyncParameters:
 
     async def _update(self, changes: Mapping[str, float], deadline: Deadline) -> SentChange:
         names = [await self._on_board(name, deadline) for name in changes]
-        # Values to be set back are read from the drone first.
-        known = {} if len(names) > 1 and not self._session.ours else self.known
-        entries = [known.get(name) or await self._ask(name, deadline) for name in names]
+        # Not the known entries: the message of another client's change may be lost, and `undo` sets these values.
+        entries = [await self._ask(name, deadline) for name in names]
         if len({entry.name for entry in entries}) < len(entries):
             raise ParameterError("a parameter is given twice", listed(changes), "nothing was changed")
         wanted = [(entry, checked(entry, value)) for entry, value in zip(entries, changes.values(), strict=True)]
         if self._session.ours and len(wanted) > 1:
             await self._together(wanted, deadline)
-            for entry, _ in wanted:
-                await self._ask(entry.name, deadline)
         else:
             await self._one_by_one(wanted, deadline)
-        named = dict(zip(changes, wanted, strict=True))
-        after = {
-            name: float(value) if entry.kind == INT32 else _decimal(value) for name, (entry, value) in named.items()
-        }
-        return SentChange({name: entry.value for name, (entry, _) in named.items()}, after)
+        after = [float(value) if entry.kind == INT32 else _decimal(value) for entry, value in wanted]
+        for entry, value in zip(entries, after, strict=True):
+            if entry.name in self.known:
+                self.known[entry.name] = entry._replace(value=value)
+        before = [entry.value for entry in entries]
+        return SentChange(dict(zip(changes, before, strict=True)), dict(zip(changes, after, strict=True)))
 
     @property
     def last(self) -> SentChange:

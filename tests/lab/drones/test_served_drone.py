@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,13 +18,16 @@ from tests.gcs.peer import Peer, speaking
 from tests.gcs.virtual import OnBoard, on_board
 from tests.lab.served import WATCH, Served, holds_samples, served, wait_for_drone
 from tests.patience import patiently
+from twodof.errors import Rejected
 from twodof.flightlog.files import read_log
 from twodof.flightlog.steps import BOOT
+from twodof.gcs.async_drone import AsyncDrone
 from twodof.gcs.drone import Drone
 from twodof.gcs.recording import seconds
 from twodof.lab import telemetry_client
 from twodof.lab.drones import pilot
 from twodof.lab.drones.lab_drone import LabDrone
+from twodof.lab.routes.parameters import undo
 from twodof.lab.settings import LabSettings
 from twodof.lab.telemetry_rows import Audience
 
@@ -62,6 +66,22 @@ def test_texts_during_connecting_are_kept(tmp_path: Path) -> None:
             return [line["text"] for line in one.texts]
 
     assert run_virtual(work()) == ["battery low"]
+
+
+def test_undo_takes_back_the_judged_change_only() -> None:
+    async def work() -> None:
+        async with Peer() as peer, await AsyncDrone.connect(peer.url) as drone:
+            await drone.parameters.update({"ATT_KP": 9.0})
+
+            async def check(*_: object) -> None:
+                await drone.parameters.update({"ATT_KP": 10.0})
+
+            one = SimpleNamespace(number=1, connection=SimpleNamespace(drone=drone))
+            with pytest.raises(Rejected, match="another change was made meanwhile"):
+                await undo(SimpleNamespace(guard=SimpleNamespace(check=check)), one)
+            assert peer.parameters["ATT_KP"] == 10.0
+
+    run_virtual(work())
 
 
 def test_rows_have_the_drones_bits(

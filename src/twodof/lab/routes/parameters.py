@@ -58,7 +58,10 @@ async def undo(lab: CurrentLab, one: NamedDrone, confirm: Confirmed = "") -> dic
     keep stable, until `confirm` has their token.
     """
     parameters = one.connection.drone.parameters
-    await lab.guard.check(one, parameters.last.before, confirm)
+    judged = parameters.last
+    await lab.guard.check(one, judged.before, confirm)
+    if parameters.last is not judged:
+        raise Rejected("another change was made meanwhile", f"drone {one.number}", "look at it, then undo again")
     return _changed(await parameters.undo())
 
 
