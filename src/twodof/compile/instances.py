@@ -6,8 +6,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from twodof.blocks.declarations import Param, State, check_steps
+from twodof.blocks.machine import axes
+from twodof.blocks.reference.interpreter import Reference
 from twodof.compile.machine import CompiledMachine, CompiledProgram
-from twodof.errors import DiagramError
+from twodof.errors import CompileError, DiagramError
 
 Values = NDArray[Any]
 
@@ -17,18 +20,32 @@ class Instances:
 
     A value is the same for all machines, or a list or array whose first axis is the machine. Values that come back
     have the machine as their first axis, those of `run` as their second one, after the step. Methods raise as those of
-    a single machine.
+    a single machine, and DiagramError for values of another number of machines. Raises CompileError for a program that
+    was built without a C compiler.
     """
 
-    def __init__(self, program: CompiledProgram, count: int) -> None:
+    def __init__(self, program: CompiledProgram | Reference, count: int) -> None:
+        if not isinstance(program, CompiledProgram):
+            what = "many instances need a C compiler"
+            raise CompileError(what, program.diagram.name, "install gcc, or the wheel ziglang")
+        if count < 1:
+            raise DiagramError(f"{count} instances", program.flat.name, "ask for one or more")
         self.program = program
         self.machines: list[CompiledMachine] = [program.machine() for _ in range(count)]
+        self._places = range(count)
 
     def set_many(self, values: Mapping[str, Any]) -> None:
-        """Set parameters by path."""
-        widths = {path: self.program.parameters[path].width for path in values if path in self.program.parameters}
-        for k, machine in enumerate(self.machines):
-            machine.set_many({path: self._own(value, widths.get(path), k) for path, value in values.items()})
+        """Set parameters by path; if one is refused, none changes in any machine."""
+        declared = self.program.parameters
+        own = [{path: self._own(v, declared.get(path), k) for path, v in values.items()} for k in self._places]
+        before = [machine.instance.structs["P"].copy() for machine in self.machines]
+        try:
+            for machine, changes in zip(self.machines, own, strict=True):
+                machine.set_many(changes)
+        except BaseException:
+            for machine, memory in zip(self.machines, before, strict=True):
+                machine.instance.structs["P"][:] = memory
+            raise
 
     def set(self, path: str, value: Any) -> None:
         """Set a parameter."""
@@ -44,9 +61,10 @@ class Instances:
 
     def set_state(self, path: str, value: Any) -> None:
         """Set a state."""
-        width = self.program.states[path][0].width if path in self.program.states else None
-        for k, machine in enumerate(self.machines):
-            machine.set_state(path, self._own(value, width, k))
+        declared = self.program.states[path][0] if path in self.program.states else None
+        own = [self._own(value, declared, k) for k in self._places]
+        for machine, one in zip(self.machines, own, strict=True):
+            machine.set_state(path, one)
 
     def reset(self) -> None:
         """Set all machines to their initial states and to tick 0."""
@@ -64,8 +82,8 @@ class Instances:
             own = {}
             for name, value in (inputs or {}).items():
                 data = np.asarray(value)
-                inner = 0 if name not in ports or ports[name].width is None else len(ports[name].shape or (1,))
-                own[name] = data[:, k] if data.ndim == inner + 2 else data
+                inner = axes(ports[name]) if name in ports else ()
+                own[name] = data[:, self._place(data.shape[1], k)] if data.ndim == len(inner) + 2 else data
             for path, column in machine.run(steps, own).items():
                 if k == 0:
                     results[path] = np.empty((steps, len(self.machines), *column.shape[1:]), column.dtype)
@@ -74,16 +92,20 @@ class Instances:
 
     def skip(self, steps: int) -> None:
         """Run `steps` steps with the last inputs, without keeping the outputs."""
+        steps = check_steps(steps, self.program.flat.name)
         for machine in self.machines:
             structs = machine.instance.structs
             machine.instance.run(steps, structs["U"], structs["Y"])
 
-    def _own(self, value: Any, width: int | None, k: int) -> Any:
+    def _own(self, value: Any, declared: Param | State | None, k: int) -> Any:
         """Return the value of machine `k`."""
         data = np.asarray(value)
-        if data.ndim == 0 or (width is not None and data.ndim == 1):
-            return value
-        if len(data) != len(self.machines):
-            what = f"{len(data)} values for {len(self.machines)} instances"
+        inner = () if declared is None else axes(declared)
+        return value if data.ndim == 0 or data.shape == inner else data[self._place(len(data), k)].tolist()
+
+    def _place(self, given: int, k: int) -> int:
+        """Return `k`, of as many values `given` as there are machines."""
+        if given != len(self.machines):
+            what = f"{given} values for {len(self.machines)} instances"
             raise DiagramError(what, self.program.flat.name, "give one value, or one for each instance")
-        return data[k].tolist()
+        return k
