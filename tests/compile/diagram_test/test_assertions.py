@@ -61,6 +61,12 @@ def test_what_stays_within_limits_does_so_at_each_tick(
             assert found.by == abs(values[wrong] - found.limit)
 
 
+@pytest.mark.parametrize("text", ["A[0,1] always within[-1,1]", "A [ 0 , 1 ]  always within [ -1 , 1 ] from 0"])
+def test_blanks_beside_brackets_and_commas_do_not_matter(text: str) -> None:
+    meant = assertion(text)
+    assert (meant.signal, meant.verb, meant.low, meant.high) == ("A[0, 1]", "always", -1.0, 1.0)
+
+
 @settings(max_examples=50)
 @given(VALUES, LIMIT, st.sampled_from([0.0, 0.5, 1.0]), TIMES)
 def test_settled_is_within_the_band_from_then_on(values: list[float], aim: float, band: float, by: float) -> None:

@@ -181,7 +181,7 @@ _TIMES = "(?: between <start> and <stop>| from <from>| until <until>)?"
 FORMS: Mapping[str, str] = {
     "never above V": f"never above <high>{_TIMES}",
     "never below V": f"never below <low>{_TIMES}",
-    "always within [A, B]": rf"always within ?\[ ?<low> ?, ?<high> ?\]{_TIMES}",
+    "always within [A, B]": rf"always within \[<low>, <high>\]{_TIMES}",
     "always equals V": f"always equals <value>{_TIMES}",
     "settles within B of V by T": "settles within <band> of <value> by <start>",
     "rises to V before T": "rises to <low> before <stop>",
@@ -209,7 +209,7 @@ def assertion(text: str, member: Callable[[str, str], float] | None = None) -> A
     `member` returns the number of a named value, such as the member of an enumeration, from the signal and the name.
     """
     plain = " ".join(text.split()) if isinstance(text, str) else ""
-    found = next(filter(None, (pattern.fullmatch(plain) for pattern in _PATTERNS)), None)
+    found = next(filter(None, (pattern.fullmatch(_evenly_spaced(plain)) for pattern in _PATTERNS)), None)
     if found is None:
         remedy = f"write SIGNAL and one of: {'; '.join(FORMS)}; the first four may end with between T1 and T2"
         raise DiagramError("this is not an assertion", shown(text), remedy)
@@ -224,7 +224,13 @@ def assertion(text: str, member: Callable[[str, str], float] | None = None) -> A
         raise DiagramError("these times are not in order, from 0 on", plain, "write seconds, the earlier one first")
     if low > high:
         raise DiagramError("no value is within these limits", plain, "exchange them; a band is not negative")
-    return Assertion(plain, signal, plain.removeprefix(signal).split()[0], low, high, start, stop)
+    return Assertion(plain, signal, found[0].removeprefix(signal).split()[0], low, high, start, stop)
+
+
+def _evenly_spaced(text: str) -> str:
+    """Return `text` with one blank after each comma, and none inside brackets or before an index."""
+    tight = re.sub(r" ?([,\[\]]) ?", r"\1", text).replace(",", ", ")
+    return re.sub(r"\](?=[a-z])", "] ", tight.replace("within[", "within ["))
 
 
 def _number(word: str, text: str, signal: str, member: Callable[[str, str], float] | None) -> float:
