@@ -15,6 +15,8 @@ from twodof.models.lti import DelayedStateSpace
 from twodof.models.plant import PAPER_PITCH_RATE
 from twodof.signals import PERIOD
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_plant_without_delay_gets_the_gains_of_python_control() -> None:
     plant = DelayedStateSpace.of([[0.0, 1.0], [-9.0, -0.5]], [0.0, 300.0], np.eye(2), np.zeros((2, 1)))

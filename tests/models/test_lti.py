@@ -93,6 +93,16 @@ def test_step_figures_are_those_of_python_control() -> None:
     assert ours.overshoot == pytest.approx(np.exp(-np.pi * 0.4 / np.sqrt(1.0 - 0.16)), rel=1e-6)
 
 
+@pytest.mark.parametrize(("start", "final"), [(0.0, 1.0), (3.0, -1.0)])
+def test_step_figures_are_interpolated_between_samples(start: float, final: float) -> None:
+    z = np.array([0.0, 0.5, 1.2, 1.0, 1.0])
+    found = step_figures(2.0 * np.arange(5), start + (final - start) * z, start, final)
+    assert found.rise_time == pytest.approx(2.0 * (1.0 + 0.4 / 0.7 - 0.2))
+    assert found.settling_time == pytest.approx(2.0 * (2.0 + 0.18 / 0.2))
+    assert (found.overshoot, found.peak) == (pytest.approx(0.2), pytest.approx(start + 1.2 * (final - start)))
+    assert (found.peak_time, found.final) == (4.0, final)
+
+
 def test_a_step_that_does_not_settle_says_so() -> None:
     t = np.linspace(0.0, 1.0, 101)
     figures = step_figures(t, 0.5 * t, 0.0, 1.0)

@@ -20,6 +20,7 @@ from twodof.models import (
     free_response,
     longitudinal,
     pitch_and_velocity,
+    pitch_on_cart,
     pitch_rate,
     rail,
     velocity,
@@ -111,6 +112,17 @@ def test_a_delay_longer_than_the_ring_is_no_number(structure: Structure) -> None
     beyond = run(structure, {"tau": 6 * DT}, u, dt=DT / 2)["q"]
     assert np.isfinite(within).all()
     assert np.isnan(beyond[-1])
+
+
+@pytest.mark.parametrize(
+    "structure",
+    [pitch_rate(ring=8), pitch_rate(True, 8), pitch_on_cart(8), rail(True, 8), free_response(8), longitudinal(8)],
+    ids=lambda structure: structure.name,
+)
+def test_a_search_keeps_within_the_delays_that_the_ring_holds(structure: Structure) -> None:
+    delays = [one for one in structure.unknowns.values() if one.name in ("tau", "dead_time", "rotor_delay")]
+    assert [(one.lower, one.upper) for one in delays] == [(0.0, pytest.approx(6 * DT))] * len(delays)
+    assert len(delays) == 1 + (structure.name == "rail_thrust")
 
 
 def test_trim_and_bias_shift_input_and_outputs() -> None:

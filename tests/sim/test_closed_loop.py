@@ -136,6 +136,24 @@ def test_commands_before_the_start_are_still_on_their_way(loop: ClosedLoop) -> N
     assert abs(q[9] - q[6]) < 0.1
 
 
+@pytest.mark.parametrize("delay", [0.0, 0.02])
+def test_a_start_after_commands_has_the_rotors_of_a_flight_with_them(loop: ClosedLoop, delay: float) -> None:
+    quiet(loop, True).configure({"delay": delay, "lag": 0.012})
+    steps = np.arange(60)
+    moment = np.where(steps < 20, 0.0, np.random.default_rng(1).uniform(-0.7, 0.7, 60))  # at rest first, then clipped
+    loop.start(InitialState(hover=True))
+    out = loop.fly(60, {"mode": "open-loop", "M_open": moment, "thrust": HOVER})
+
+    def rotors() -> list[float]:
+        state, place = loop.machine.state, int(loop.machine.state("rig.rotors.place"))
+        rings = [np.roll(state(f"rig.rotors.{pair}_ring"), -place) for pair in ("fore", "aft")]
+        return [float(state("rig.rotors.fore")), float(state("rig.rotors.aft")), *np.concatenate(rings).tolist()]
+
+    flown = rotors()
+    loop.start(InitialState(commands=tuple(zip(out["M"], out["T"], strict=True))))
+    assert rotors() == pytest.approx(flown, abs=1e-6)  # of the lag the flight takes an RK4 step each tick
+
+
 def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
     quiet(loop, False)
     with pytest.raises(ExperimentError, match="beyond the stop"):
@@ -154,9 +172,9 @@ def test_what_cannot_be_is_refused(loop: ClosedLoop) -> None:
         ClosedLoop(position_filter="magic")
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_the_interpreter_flies_the_same_bits(precision: str) -> None:
-    diagram = closed_loop()
+@pytest.mark.parametrize(("filter_", "precision"), [("joint", "float64"), ("joint", "float32"), ("drone", "float32")])
+def test_the_interpreter_flies_the_same_bits(filter_: str, precision: str) -> None:
+    diagram = closed_loop(position_filter=filter_)
     setpoints = {"mode": 3, "theta0": 0.1, "thrust": 0.4}
     ours, theirs = (
         machine.run(300, setpoints)

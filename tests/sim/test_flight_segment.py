@@ -20,6 +20,8 @@ from twodof.sim.closed_loop import InitialState
 from twodof.sim.flight_segment import default_window, read_segment
 from twodof.sim.resimulation import LoggedFlight, resimulation_loop
 
+pytestmark = pytest.mark.slow
+
 Floats = NDArray[np.float64]
 TIME = np.arange(8.0, 50.0, PERIOD)
 

@@ -112,6 +112,8 @@ def test_a_flight_of_our_own_is_given_back_exactly() -> None:
     # Nothing was rounded to float32: what is left is the order of sums and the tangent that undoes the projection.
     assert max(result.nrms.values()) < 1e-14
     assert min(result.coverage.values()) > 0.98
+    within = np.any([(a <= result.time) & (result.time <= b) for a, b in result.windows], axis=0)
+    assert np.array_equal(within, np.any([*result.compared.values()], axis=0))
 
 
 @pytest.mark.parametrize("name", ["M", "q", "q0", "theta", "theta0", "v", "v0", "T"])

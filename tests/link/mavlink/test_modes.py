@@ -20,6 +20,13 @@ def test_custom_modes_are_those_that_px4_publishes() -> None:
     assert {mode.name: mode.custom_mode for mode in modes.MODES} == published | {"offboard": 393216}
 
 
+def test_the_base_mode_has_the_flags_of_the_mode() -> None:
+    """MAV_MODE_FLAG: custom 1, auto 4, guided 8, stabilised 16, manual input 64, armed 128."""
+    flags = {"manual": 65, "rate": 65, "attitude": 81, "position": 81, "hold": 29, "offboard": 17}
+    assert {mode.name: modes.base_mode(mode.custom_mode, False) for mode in modes.MODES} == flags
+    assert {modes.base_mode(one.custom_mode, True) - flags[one.name] for one in modes.MODES} == {128}
+
+
 def test_names_and_numbers_go_both_ways() -> None:
     for mode in modes.MODES:
         assert modes.custom_mode(mode.name) == mode.custom_mode

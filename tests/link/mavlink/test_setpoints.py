@@ -1,10 +1,13 @@
 """Set-points over the wire: what a message carries is read back, at the time that was asked for."""
 
-import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+import math
 
-from twodof.link.mavlink.setpoints import SetPoint, read_attitude, read_position, setpoint_message
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from twodof.link.mavlink.setpoints import SetPoint, pitch, quaternion, read_attitude, read_position, setpoint_message
 from twodof.signals import ATTITUDE, OPEN_LOOP, POSITION, RATE, VELOCITY
 
 TICK_MS = 4
@@ -33,3 +36,28 @@ def test_a_set_point_is_read_back_at_its_time(value: float, thrust: float, forwa
 @pytest.mark.parametrize(("loop", "moves"), [(ATTITUDE, False), (RATE, False), (VELOCITY, True), (POSITION, True)])
 def test_velocity_and_position_move_the_cart(loop: int, moves: bool) -> None:
     assert SetPoint(loop).moves_cart == moves
+
+
+@settings(max_examples=25)
+@given(angles=st.tuples(*(st.floats(-1.5, 1.5) for _ in range(3))), length=st.floats(0.01, 100.0))
+def test_the_pitch_is_that_of_any_attitude(angles: tuple[float, float, float], length: float) -> None:
+    x, y, z, w = length * Rotation.from_euler("ZYX", angles).as_quat()
+    assert pitch((w, x, y, z)) == pytest.approx(angles[1], abs=1e-6)
+    assert pitch(quaternion(angles[1])) == pytest.approx(angles[1], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "q", [(0.0, 0.0, 0.0, 0.0), (1e-4, 0.0, 0.0, 0.0), (2e3, 0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 0.0)]
+)
+def test_what_is_no_attitude_is_no_pitch(q: tuple[float, ...]) -> None:
+    assert math.isnan(pitch(q))
+    assert not SetPoint(ATTITUDE, theta0=pitch(q), thrust=0.4).sound
+
+
+def test_a_set_point_has_a_loop_of_the_flight_code_and_keeps_what_it_leaves_open() -> None:
+    assert [loop for loop in (None, *range(-1, 8)) if SetPoint(loop, thrust=0.4).sound] == [None, *range(1, 6)]
+    before = SetPoint(RATE, q0=1.0, thrust=0.1)
+    assert SetPoint(ATTITUDE, theta0=0.0, thrust=0.4).after(before) == SetPoint(
+        ATTITUDE, theta0=0.0, q0=1.0, thrust=0.4
+    )
+    assert SetPoint(None).after(before) == before
