@@ -57,7 +57,7 @@ def test_every_fault_is_listed() -> None:
         ParameterSet().update({"RATE_KP": 5, "NO_SUCH": 1.0, "FC_PARAM_11": 1.0, "ATT_KP": 2.0})
     text = str(caught.value)
     assert "RATE_KP: 5 is outside 0 to 0.12 s/rad" in text
-    assert "NO_SUCH: no such parameter, there are RATE_KP" in text
+    assert "NO_SUCH: there is no such parameter; there are RATE_KP" in text
     assert "ATT_KP: given twice" in text
 
 
@@ -73,7 +73,7 @@ def test_json_keeps_every_bit(change: dict[str, float]) -> None:
     [
         ("{", "is not JSON"),
         ("[" * 100_000, "is not JSON"),
-        ("[]", "is not of version 1"),
+        ("[]", "has no .version.: 1"),
         (json.dumps({"version": 1}), "has no table"),
         (json.dumps({"version": 1, "parameters": {"ATT_KP": 99}}), "99 is outside 0 to 15 1/s"),
         ('{"version": 1, "parameters": {"ATT_KP": NaN}}', "nan is outside"),
@@ -116,7 +116,7 @@ def test_a_table_is_checked_when_it_is_made() -> None:
         with pytest.raises(ParameterError, match=says):
             Parameter(*row, unit="-", text="")
     twice = (Parameter("A", 0, 0, 1, "-", ""), Parameter("B", 0, 0, 1, "-", "", drone="A"))
-    with pytest.raises(ParameterError, match="two parameters have one name"):
+    with pytest.raises(ParameterError, match="two parameters have the same name"):
         ParameterSet(table=twice)
     with pytest.raises(ParameterError, match="no such parameter"):
         ParameterSet()["B"]

@@ -32,7 +32,7 @@ def test_gyro_column_and_lookup() -> None:
     assert topic("gyr").columns == ("imu.gyro_x", "imu.gyro_y", "imu.gyro_z")
     assert (topic("q").columns, topic("q").width, topic("lmnf").width) == (("estimate.q",), 1, 5)
     assert (unit_of("theta"), unit_of("unheard")) == ("rad", "")
-    with pytest.raises(LogError, match=r"no such signal .there are imu.acc"):
+    with pytest.raises(LogError, match=r"no such signal .use one of imu.acc"):
         topic("unheard")
 
 

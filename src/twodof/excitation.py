@@ -1,10 +1,10 @@
 """Test signals: impulse, doublet, 3-2-1-1, steps, sweep, PRBS, multisine; one definition, on board and on the ground.
 
-An excitation is what is *added* to the value held before it (the trim moment, a level set-point). Time is
-counted in whole microseconds from its start. So 75 control periods of 4 ms and an edge at 0.3 s are the same
-instant wherever it is played. At an edge the new value holds. Before it starts and once it has ended it
-is 0. Sources: Jategaonkar, "Flight Vehicle System Identification", ch. 2; Pintelon and Schoukens, "System
-Identification: A Frequency Domain Approach", ch. 5.
+An excitation is *added* to the value held before it (the trim moment, a level set-point). Time is counted in whole
+microseconds from its start, so that 75 control periods of 4 ms and an edge at 0.3 s are the same instant on board and
+on the ground. At an edge the new value holds. Before its start and after its end the excitation is 0. Sources:
+Jategaonkar, "Flight Vehicle System Identification", ch. 2; Pintelon and Schoukens, "System Identification: A Frequency
+Domain Approach", ch. 5.
 """
 
 import json
@@ -32,7 +32,7 @@ from twodof.blocks.library.sources import (
 from twodof.errors import DiagramError, ExperimentError
 
 LIMITS: Mapping[str, float] = MappingProxyType({"-": 1.0, "rad": radians(50.0), "rad/s": 10.0, "m": 0.4, "m/s": 2.0})
-"""Largest amplitude by unit: M's range, the pitch and rail stops, and more rate and speed than the rig reaches."""
+"""Largest amplitude by unit: M's range, the stops of pitch and rail, and beyond the rig's reach for rate and speed."""
 
 MAX_DURATION_S = 3600.0
 SHORTEST_HOLD_S = 1e-3
@@ -50,13 +50,13 @@ _ANY = (-inf, inf)
 class Excitation(ABC):
     """A test signal in `unit` ("-" for M, "rad", "rad/s", "m" or "m/s").
 
-    The pattern of a subclass is played `repeat` times, `pause` [s] apart, `lead` [s] after the start and with
-    `settle` [s] of rest after it. Every mistake in a value raises ExperimentError.
+    The pattern of a subclass is played `repeat` times with a `pause` [s] between, after a rest of `lead` [s] and before
+    one of `settle` [s]. Raises ExperimentError for a value out of its bounds.
     """
 
     kind: ClassVar[str]
     bounds: ClassVar[Mapping[str, tuple[float, float]]]
-    """Of the subclass's own numbers."""
+    """Bounds (low, high) of the subclass's own numbers, by field."""
 
     unit: str = field(default="-", kw_only=True)
     lead: float = field(default=0.0, kw_only=True)
@@ -90,7 +90,7 @@ class Excitation(ABC):
                 f"choose a smaller one{hint}" if self.peak else "choose one that is not zero",
             )
         if self.duration > MAX_DURATION_S:
-            raise self._mistake("duration", f"{self.duration:g} s", f"at most {MAX_DURATION_S:g} s are played")
+            raise self._mistake("duration", f"it lasts {self.duration:g} s", f"use at most {MAX_DURATION_S:g} s")
 
     @property
     @abstractmethod
@@ -111,15 +111,18 @@ class Excitation(ABC):
 
     @property
     def duration(self) -> float:
-        """Duration with the rest before the first pattern and after the last one [s]."""
+        """Duration [s], with the rests before the first pattern and after the last one."""
         us = _us(self.lead) + self.repeat * _us(self.pattern) + (self.repeat - 1) * _us(self.pause)
         return (us + _us(self.settle)) / 1e6
 
     def at(self, t: ArrayLike) -> NDArray[np.float64]:
-        """Values at the times `t` [s since its start], in the shape of `t`. Raises ExperimentError for NaN."""
+        """Return the values at the times `t` [s since the start], in the shape of `t`.
+
+        Raises ExperimentError for a time that is NaN or beyond 1e9 s.
+        """
         time = np.asarray(t, dtype=np.float64)
         if not np.all(np.abs(time) < 1e9):
-            raise self._mistake("t", "a time is not finite or absurd", "give seconds since the start")
+            raise self._mistake("t", "a time is NaN or beyond 1e9 s", "give seconds since the start")
         since = np.rint(time * 1e6).astype(np.int64) - _us(self.lead)
         length = _us(self.pattern)
         turn, phase = np.divmod(since, length + _us(self.pause))
@@ -129,18 +132,20 @@ class Excitation(ABC):
     def samples(self, period: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return times [s] and values (n,) on a grid of `period` [s], from the start to the end inclusive."""
         if not SHORTEST_HOLD_S <= period <= MAX_DURATION_S:
-            raise self._mistake("period", f"{period:g} s", f"give {SHORTEST_HOLD_S:g} s or more")
+            raise self._mistake(
+                "period", f"{period:g} s is out of bounds", f"give {SHORTEST_HOLD_S:g} to {MAX_DURATION_S:g} s"
+            )
         time = period * np.arange(int(np.floor(self.duration / period + 1e-9)) + 1, dtype=np.float64)
         return time, self.at(time)
 
     def to_dict(self) -> dict[str, Any]:
-        """Kind, layout version and every value, as JSON values."""
+        """Return kind, layout version and every field as JSON values, for `from_dict`."""
         values = {one.name: getattr(self, one.name) for one in fields(self)}
         plain = {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
         return {"kind": self.kind, "version": _VERSION, **plain}
 
     def to_json(self) -> str:
-        """As JSON text, which `from_json` reads back to an equal excitation."""
+        """Return the excitation as JSON text, for `from_json`."""
         return json.dumps(self.to_dict())
 
     def _mistake(self, name: str, what: str, remedy: str = "") -> ExperimentError:
@@ -161,7 +166,7 @@ class Excitation(ABC):
             raise self._mistake(name, f"{values!r} is not a list of numbers")
         numbers = tuple(self._real(name, value) for value in values)
         if not 1 <= len(numbers) <= MAX_PARTS:
-            raise self._mistake(name, f"{len(numbers)} numbers", f"give 1 to {MAX_PARTS}")
+            raise self._mistake(name, f"it has {len(numbers)} numbers", f"give 1 to {MAX_PARTS}")
         object.__setattr__(self, name, numbers)
         return numbers
 
@@ -203,7 +208,7 @@ class _Held(Excitation):
 
 @dataclass(frozen=True)
 class Impulse(_Held):
-    """`amplitude` for `width` [s], then nothing: the free response follows (`settle`)."""
+    """`amplitude` for `width` [s], then 0; give a `settle` to record the free response."""
 
     kind = "impulse"
     bounds = MappingProxyType({"amplitude": _ANY, "width": _HOLD})
@@ -260,8 +265,8 @@ class Steps(_Held):
 class Prbs(_Held):
     """Pseudo-random binary sequence: +-`amplitude`, one of 2^order - 1 bits every `clock` [s].
 
-    A maximal-length sequence: its autocorrelation over a period is 1 at shift 0 and -1/(2^order - 1) at every
-    other. `seed` is the register's first state, 1 to 2^order - 1: it shifts the sequence in time.
+    A maximal-length sequence: its autocorrelation over a period is 1 at shift 0 and -1/(2^order - 1) at every other
+    shift. `seed`, 1 to 2^order - 1, is the first state of the shift register: it shifts the sequence in time.
     """
 
     kind = "prbs"
@@ -288,7 +293,7 @@ class Prbs(_Held):
 class Sweep(Excitation):
     """A sine of `amplitude` whose frequency goes from `start_hz` to `end_hz` in `length` [s].
 
-    `law` "linear": f = f0 + (f1 - f0) t/L. "logarithmic": f = f0 (f1/f0)^(t/L), as long in each octave.
+    With `law` "linear" f = f0 + (f1 - f0) t/L; with "logarithmic" f = f0 (f1/f0)^(t/L), the same time in each octave.
     """
 
     kind = "sweep"
@@ -318,7 +323,7 @@ class Sweep(Excitation):
         return abs(self.amplitude)
 
     def frequency(self, t: ArrayLike) -> NDArray[np.float64]:
-        """Frequency [Hz] at the times `t` [s] after the pattern's start."""
+        """Return the frequency [Hz] at the times `t` [s] after the pattern's start, in the shape of `t`."""
         share = np.asarray(t, dtype=np.float64) / self.length
         if self.law == "linear":
             return self.start_hz + (self.end_hz - self.start_hz) * share
@@ -339,8 +344,8 @@ class Sweep(Excitation):
 class Multisine(Excitation):
     """Sum of a_k cos(2 pi h_k t / period + phi_k) over the `harmonics` h_k of 1/`period` [s].
 
-    Repeated without a pause it is periodic, so that its frequency response has no leakage. `schroeder` picks
-    phases that keep the peak low for the power.
+    Repeated without a pause it is periodic, so that a frequency response from it has no leakage. `schroeder` chooses
+    phases with a low peak for the power.
     """
 
     kind = "multisine"
@@ -359,10 +364,10 @@ class Multisine(Excitation):
         powers: Iterable[float] | None = None,
         **options: Any,
     ) -> Self:
-        """With Schroeder's phases, scaled to a `peak`.
+        """Return the multisine with Schroeder's phases, scaled to a largest absolute value of `peak`.
 
-        `powers` are relative, equal if not given; `options` are unit, lead, settle and repeat. Source: M. R.
-        Schroeder, IEEE Trans. Information Theory 16 (1970), 85-89.
+        `powers` are the relative powers of the harmonics, by default equal; `options` are unit, lead, settle and
+        repeat. Source: M. R. Schroeder, IEEE Trans. Information Theory 16 (1970), 85-89.
         """
         lines = tuple(harmonics)[: MAX_PARTS + 1]
         if (
@@ -370,12 +375,16 @@ class Multisine(Excitation):
             or len(lines) > MAX_LINES
         ):
             raise ExperimentError(
-                f"at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC} are played", f"{cls.kind}.harmonics"
+                "a harmonic is no whole number in bounds, or there are too many",
+                f"{cls.kind}.harmonics",
+                f"give at most {MAX_LINES} whole numbers from 1 to {MAX_HARMONIC}",
             )
         power = np.ones(len(lines)) if powers is None else np.asarray(tuple(powers), dtype=np.float64)
         if not lines or power.shape != (len(lines),) or not (np.all(power >= 0.0) and 0.0 < power.sum() < np.inf):
             raise ExperimentError(
-                "needs a power, not negative, for each harmonic", f"{cls.kind}.powers", "give as many as harmonics"
+                "not every harmonic has a power of 0 or more, or all are 0",
+                f"{cls.kind}.powers",
+                "give one power for each harmonic",
             )
         share = power / power.sum()
         # phi_n = -2 pi sum_{l<n} (n - l) p_l: the group delay moves through the period as the power does.
@@ -389,9 +398,13 @@ class Multisine(Excitation):
     def _check(self) -> None:
         lines = self._numbers("harmonics")
         if any(line != int(line) or line < 1 for line in lines) or len(set(lines)) != len(lines):
-            raise self._mistake("harmonics", "must be whole numbers from 1 on, each once")
+            raise self._mistake("harmonics", "they must be different whole numbers from 1 on")
         if len(lines) > MAX_LINES or max(lines) > MAX_HARMONIC:
-            raise self._mistake("harmonics", f"at most {MAX_LINES}, up to the {MAX_HARMONIC}th, are played")
+            raise self._mistake(
+                "harmonics",
+                f"there are {len(lines)}, up to the {max(lines):g}th",
+                f"give at most {MAX_LINES}, up to the {MAX_HARMONIC}th",
+            )
         if max(lines) / self.period > HIGHEST_HZ:
             raise self._mistake(
                 "harmonics", f"{max(lines) / self.period:g} Hz cannot be played", f"stay under {HIGHEST_HZ:g} Hz"
@@ -399,7 +412,11 @@ class Multisine(Excitation):
         object.__setattr__(self, "harmonics", tuple(int(line) for line in lines))
         for name in ("amplitudes", "phases"):
             if len(self._numbers(name)) != len(lines):
-                raise self._mistake(name, f"{len(getattr(self, name))} for {len(lines)} harmonics")
+                raise self._mistake(
+                    name,
+                    f"there are {len(getattr(self, name))} for {len(lines)} harmonics",
+                    "give one for each harmonic",
+                )
 
     @property
     def pattern(self) -> float:
@@ -407,13 +424,13 @@ class Multisine(Excitation):
 
     @property
     def peak(self) -> float:
-        """Largest absolute value, on a grid of 64 points in the shortest wave (0.13 % low at most)."""
+        """Largest absolute value on a grid with 64 points per shortest wave; too low by at most 0.13 %."""
         values = _sum_of_cosines(self.harmonics, self.amplitudes, self.phases, _fine_phase(self.harmonics))
         return float(np.max(np.abs(values)))
 
     @property
     def crest_factor(self) -> float:
-        """Peak over root mean square: 1.41 for a sine, the lower the more power within a peak."""
+        """Peak over root mean square: 1.41 for a sine; the lower, the more power at a given peak."""
         return self.peak / sqrt(0.5 * sum(a * a for a in self.amplitudes))
 
     def _wave(self, us: NDArray[np.int64]) -> NDArray[np.float64]:
@@ -426,12 +443,16 @@ KINDS: Mapping[str, type[Excitation]] = MappingProxyType(
 
 
 def from_dict(values: Mapping[str, Any]) -> Excitation:
-    """Return the excitation with the values of `to_dict`. Raises ExperimentError."""
+    """Return the excitation from the values of `to_dict`. Raises ExperimentError for other values."""
     kind = values.get("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         raise ExperimentError(f"unknown kind {kind!r}", "excitation", f"there are: {', '.join(KINDS)}")
     if values.get("version") != _VERSION:
-        raise ExperimentError(f"version {values.get('version')!r} is not {_VERSION}", kind, "use a newer twodof")
+        raise ExperimentError(
+            f"it has version {values.get('version')!r}, and this twodof reads version {_VERSION}",
+            kind,
+            "use another version of twodof",
+        )
     given = {name: value for name, value in values.items() if name not in ("kind", "version")}
     known = [one.name for one in fields(KINDS[kind])]
     if strange := [name for name in given if name not in known]:
@@ -443,13 +464,13 @@ def from_dict(values: Mapping[str, Any]) -> Excitation:
 
 
 def from_json(text: str) -> Excitation:
-    """Return the excitation with the text of `to_json`. Raises ExperimentError."""
+    """Return the excitation from the text of `to_json`. Raises ExperimentError for another text."""
     try:
         values = json.loads(text)
     except (ValueError, RecursionError) as reason:
-        raise ExperimentError(f"is not JSON: {reason}", "excitation", "write it with to_json") from reason
+        raise ExperimentError(f"the text is not JSON: {reason}", "excitation", "write it with to_json") from reason
     if not isinstance(values, dict):
-        raise ExperimentError("is not a table of values", "excitation", "write it with to_json")
+        raise ExperimentError("the text is not a JSON object", "excitation", "write it with to_json")
     return from_dict(values)
 
 

@@ -27,9 +27,9 @@ _VERSION = 1
 
 @dataclass(frozen=True)
 class Parameter:
-    """Tunable number with `low` <= value <= `high` in `unit`; of kind "int32" a whole number.
+    """Tunable number with `low` <= value <= `high` in `unit`; a whole number if its kind is "int32".
 
-    `path` is its place in the flight code, "" for none. A `tuning` parameter may be changed without the lease.
+    `path` is its place in the flight code, "" for none. A `tuning` parameter may be changed without the command lease.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Parameter:
             raise ParameterError("default and bounds must be whole numbers of 32 bits", self.name)
 
     def kept(self, value: float) -> float:
-        """Convert a value to the type that a set stores: int for int32, else float."""
+        """Return `value` in the type that a set stores: int for int32, else float."""
         return int(value) if self.kind == "int32" else float(value)
 
 
@@ -224,10 +224,10 @@ def _on_the_wire(row: Tunable) -> Parameter:
 
 
 FLIGHT_PARAMETERS: tuple[Parameter, ...] = tuple(_on_the_wire(row) for row in TUNABLES.values() if row.name)
-"""What a client can change on a drone: all rows that have a name on the wire."""
+"""Parameters that a client can change on a drone: all rows that have a wire name."""
 
 PARAMETERS: tuple[Parameter, ...] = tuple(row for row in FLIGHT_PARAMETERS if not row.name.startswith("SAFE_"))
-"""Those that tune the flight: gains, thrust and limits. The others are the failsafe's."""
+"""Parameters that tune the flight: gains, thrust and limits. The other flight parameters are the failsafe's."""
 
 PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
     {
@@ -249,31 +249,30 @@ PRESETS: Mapping[str, Mapping[str, float]] = MappingProxyType(
 
 
 def float32_decimal(value: float) -> float:
-    """Return the shortest decimal that float32 rounds as it rounds `value`; return NaN and infinities unchanged."""
+    """Return the shortest decimal number with the same float32 as `value`; NaN and infinities unchanged."""
     if isinstance(value, bool) or not isinstance(value, Real) or abs(value) > 3e38 or not isfinite(value):
         return value
     return float(str(np.float32(value)))
 
 
 class ParameterSet(Mapping[str, float]):
-    """Values of a table of parameters. What is read is always a whole, valid set.
+    """Values of a table of parameters, always complete and valid.
 
-    A change takes effect entirely or not at all. `revision` counts the changes, so that a reader sees that something
-    changed.
+    A change takes effect entirely or not at all. `revision` counts the changes, by which a reader notices them.
     """
 
     def __init__(self, values: Mapping[str, float] | None = None, table: tuple[Parameter, ...] = PARAMETERS) -> None:
-        """Defaults of `table`, then `values`. Raises ParameterError as `update` does."""
+        """Take the defaults of `table`, then change them to `values`. Raises ParameterError as `update` does."""
         self._rows = {row.name: row for row in table}
         self._alias = {row.drone: row.name for row in table if row.drone}
         if len(self._rows) != len(table) or len({*self._rows, *self._alias}) != len(table) + len(self._alias):
-            raise ParameterError("two parameters have one name", ", ".join(row.name for row in table))
+            raise ParameterError("two parameters have the same name", ", ".join(row.name for row in table))
         self._values: Mapping[str, float] = {row.name: row.kept(row.default) for row in table}
         self._values = {**self._values, **self._checked(values or {})}
         self.revision = 0
 
     def __getitem__(self, name: str) -> float:
-        """Return a value, by either name. Raises ParameterError for an unknown one."""
+        """Return a value by its wire name or the real drone's name. Raises ParameterError for an unknown name."""
         return self._values[self.row(name).name]
 
     def __iter__(self) -> Iterator[str]:
@@ -286,14 +285,14 @@ class ParameterSet(Mapping[str, float]):
         return name in self._rows or name in self._alias
 
     def row(self, name: str) -> Parameter:
-        """Bounds, unit and text of a parameter, by either name. Raises ParameterError for an unknown one."""
+        """Return the row of a parameter by its wire name or the real drone's. Raises ParameterError for neither."""
         row = self._rows.get(self._alias.get(name, name))
         if row is None:
-            raise ParameterError("no such parameter", str(name), f"there are: {', '.join(self._rows)}")
+            raise ParameterError("there is no such parameter", str(name), f"use one of {', '.join(self._rows)}")
         return row
 
     def snapshot(self) -> dict[str, float]:
-        """All values at one moment, as a copy."""
+        """Return a copy of all values, consistent with each other, by name."""
         return dict(self._values)
 
     def set(self, name: str, value: float) -> None:
@@ -303,8 +302,8 @@ class ParameterSet(Mapping[str, float]):
     def update(self, changes: Mapping[str, float]) -> None:
         """Change several values together.
 
-        Raises ParameterError, and then changes nothing, if a name is unknown or given twice, or if a value is not a
-        finite number within its bounds. The message lists every fault.
+        Raises ParameterError, and then changes nothing, if a name is unknown, a parameter is named twice, or a value is
+        not a finite number within its bounds. The message lists every fault.
         """
         checked = self._checked(changes)
         changed = {name: value for name, value in checked.items() if value != self._values[name]}
@@ -320,23 +319,23 @@ class ParameterSet(Mapping[str, float]):
         return json.dumps({"version": _VERSION, "parameters": self.snapshot()}, indent=2)
 
     def load_json(self, text: str) -> None:
-        """Set the values that a JSON text names.
+        """Set the values in a JSON text of `to_json`, which need not name all parameters.
 
-        Raises ParameterError, and then changes nothing.
+        Raises ParameterError for another text or an invalid value, and then changes nothing.
         """
         try:
             content = json.loads(text)
         except (ValueError, RecursionError) as reason:
-            raise ParameterError(f"is not JSON: {reason}", "parameters", "write it with to_json") from reason
+            raise ParameterError(f"the text is not JSON: {reason}", "parameters", "write it with to_json") from reason
         if not isinstance(content, dict) or content.get("version") != _VERSION:
-            raise ParameterError(f"is not of version {_VERSION}", "parameters", "write it with to_json")
+            raise ParameterError(f'it has no "version": {_VERSION}', "parameters", "write it with to_json")
         values = content.get("parameters")
         if not isinstance(values, dict):
-            raise ParameterError("has no table 'parameters'", "parameters", "write it with to_json")
+            raise ParameterError("it has no table 'parameters'", "parameters", "write it with to_json")
         self.update(values)
 
     def check(self, changes: Mapping[str, float]) -> tuple[dict[str, float], list[str]]:
-        """Return the valid changes, by main name and converted, and descriptions of the invalid ones."""
+        """Return the valid values by wire name, as int or float, and a message for each invalid change."""
         good: dict[str, float] = {}
         faults = []
         for name, value in changes.items():
@@ -359,7 +358,7 @@ class ParameterSet(Mapping[str, float]):
     def _fault(self, name: str, value: float) -> str:
         """Describe the fault of a value; "" without one."""
         if name not in self:
-            return f"no such parameter, there are {', '.join(self._rows)}"
+            return f"there is no such parameter; there are {', '.join(self._rows)}"
         row = self.row(name)
         # bool is a number to Python, and `True` for a gain is a mistake
         if isinstance(value, bool) or not isinstance(value, Real):

@@ -15,10 +15,10 @@ from types import MappingProxyType
 from twodof.errors import LogError
 
 MODES = ("off", "open-loop", "rate", "attitude", "velocity", "position")
-"""Modes by the innermost to the outermost closed loop; the topic `state.mode` carries the index into this tuple."""
+"""Modes, from no closed loop to the outermost one; the topic `state.mode` carries the index into this tuple."""
 
 OFF, OPEN_LOOP, RATE, ATTITUDE, VELOCITY, POSITION = range(len(MODES))
-"""The modes by number; from `VELOCITY` on the cart moves along the rail."""
+"""The modes as numbers; from `VELOCITY` on the cart moves along the rail."""
 
 PERIOD = 0.004
 """Control period [s]: the flight code and every user's controller run at 250 Hz."""
@@ -38,21 +38,21 @@ RAIL_CENTRE = 0.50
 """Reading of the range sensor with the cart at the middle of the rail [m]: x = dist - 0.50."""
 
 HOVER = 0.4
-"""The thrust command at which the drone is flown, and at which its trim and friction are stated."""
+"""Thrust command in hover, at which the drone's trim and friction are stated."""
 
 
 @dataclass(frozen=True)
 class Topic:
     """Signal with its names on board, in MAVLink, in ROS and in logs.
 
-    `fields` is empty for a scalar; `rate_hz` is the nominal rate, 0 for one that is sent on events. `onboard` is False
-    for the simulation's ground truth, which the flight controller cannot read.
+    `fields` is empty for a scalar; `rate_hz` is the nominal rate, 0 for a signal that is sent on events. `onboard` is
+    False for the simulation's ground truth, which the flight controller cannot read.
 
-    `source` has a name for each number of a sample: that of the value in a control step (`theta`, `acc_x`, `mode`).
-    `places` has its field in the MAVLink message for each; a signal without travels in TWODOF_BATCH only. `later` is
-    the delay of its stamp in the drone's logs after that of the moment M in the same step [s]. `when` names the flag
-    that marks the steps with a new value: "" for every step, "imu_new" or "dist_new" for a sensor's sample,
-    "published" for an estimate.
+    `source` holds, for each number of a sample, its name in a control step (`theta`, `acc_x`, `mode`); `places` holds
+    its field in the MAVLink message. A signal without `places` is sent in TWODOF_BATCH only. `later` is the delay of
+    the signal's stamp in the drone's logs [s], after the stamp of the moment M of the same step. `when` names the flag
+    that marks the steps with a new value: "" for every step, "imu_new" or "dist_new" for a sensor's sample, "published"
+    for an estimate.
     """
 
     name: str
@@ -71,12 +71,12 @@ class Topic:
 
     @property
     def own_rate(self) -> bool:
-        """Return True if its sensor has its own rate, with `when` as the flag of its samples."""
+        """Return True for a sensor that samples at its own rate, with `when` as the flag of its samples."""
         return self.when not in ("", "imu_new", "published")
 
     @property
     def width(self) -> int:
-        """Return how many numbers a sample has."""
+        """Return the number of values in a sample."""
         return max(1, len(self.fields))
 
     @property
@@ -89,7 +89,7 @@ _XYZ = ("x", "y", "z")
 _OPENLOOP = ("M", "T", "openloop", "enableM", "enableT")
 
 Q_AGE = 0.35e-3
-"""How old q is when the drone computes M [s], by the stamps in its logs."""
+"""Age of q when the drone computes M [s], by the stamps in its logs."""
 
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
 """Severities of a drone's status texts, by syslog's number."""
@@ -392,7 +392,7 @@ def topic(name: str) -> Topic:
     """
     row = BY_NAME.get(name) or BY_MAT.get(name)
     if row is None:
-        raise LogError("no such signal", name, f"there are {', '.join(BY_NAME)}")
+        raise LogError("there is no such signal", name, f"use one of {', '.join(BY_NAME)}")
     return row
 
 

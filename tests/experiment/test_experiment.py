@@ -93,10 +93,10 @@ def test_rates_in_the_log_are_the_drones() -> None:
     ("fields", "message"),
     [
         ({"mode": "acro"}, "no mode 'acro'"),
-        ({"mode": "rate"}, "for the rate loop"),
+        ({"mode": "rate"}, "and the rate loop in 'rad/s'"),
         ({"rest": -1.0}, "rest = -1"),
-        ({"thrust": 2.0}, "thrust 2"),
-        ({"colour": 1}, "has no 'colour'"),
+        ({"thrust": 2.0}, "the thrust 2 is out of bounds"),
+        ({"colour": 1}, "has no field 'colour'"),
     ],
 )
 def test_an_experiment_that_makes_no_sense_is_refused(fields: dict[str, object], message: str) -> None:
@@ -105,7 +105,7 @@ def test_an_experiment_that_makes_no_sense_is_refused(fields: dict[str, object],
 
 
 def test_a_loop_that_needs_the_cart_is_not_flown_with_rings() -> None:
-    with pytest.raises(ExperimentError, match="cart locked"):
+    with pytest.raises(ExperimentError, match="the rings lock it"):
         Experiment("x", "velocity", Doublet(0.2, 2.0, unit="m/s"), rings=True)
 
 

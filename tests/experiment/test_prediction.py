@@ -81,9 +81,9 @@ def test_an_identified_model_takes_the_place_of_the_rig() -> None:
     [
         (DOUBLET, "M", {}, "rad"),
         (DOUBLET, "yaw", {}, "no loop"),
-        (DOUBLET, "theta", {"thrust": 0.0}, "without thrust"),
+        (DOUBLET, "theta", {"thrust": 0.0}, "a closed loop needs thrust"),
         (DOUBLET, "theta", {"x": 0.7}, "beyond"),
-        (Doublet(0.1, 2.0, unit="m"), "x", {"rings": True}, "locked"),
+        (Doublet(0.1, 2.0, unit="m"), "x", {"rings": True}, "the rings lock it"),
     ],
 )
 def test_what_cannot_be_flown_is_refused(

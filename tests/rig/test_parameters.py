@@ -78,8 +78,8 @@ def test_a_file_reads_back_to_the_same_bits(tmp_path: Path) -> None:
     ("text", "complaint"),
     [
         ("{", "is not JSON"),
-        ("[]", "is not of version"),
-        ('{"version": 2, "parameters": {}}', "is not of version"),
+        ("[]", "has no .version."),
+        ('{"version": 2, "parameters": {}}', "has no .version."),
         ('{"version": 1}', "has no table"),
         ('{"version": 1, "parameters": {"wheels": 4}}', "no such parameter"),
         ('{"version": 1, "parameters": {"mass_drone": -1}}', "outside"),

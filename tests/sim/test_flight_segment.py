@@ -148,5 +148,5 @@ def test_the_default_window_is_around_the_steps(
     log = made_up(modes, steps)
     assert default_window(log) == pytest.approx(window, abs=0.01)
     handed_over = made_up({20.0: "position"}, {"x0": 30.0}, x=np.where(TIME >= 30.0, 0.05, 0.0))
-    with pytest.raises(LogError, match="no set-point steps"):
+    with pytest.raises(LogError, match="no set-point has a step"):
         default_window(handed_over)

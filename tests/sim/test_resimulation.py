@@ -138,7 +138,7 @@ def test_a_window_without_flight_is_refused(flight_data: Path) -> None:
         resimulate(log, window=(1.0, 2.0))
     with pytest.raises(LogError, match="nothing is flown"):
         resimulate(log, window=(122.0, 124.0))
-    with pytest.raises(LogError, match="no set-point steps"):
+    with pytest.raises(LogError, match="no set-point has a step"):
         resimulate(log.slice(128.2, 129.5))
     without = FlightLog({name: c for name, c in log.channels.items() if name != "theta0"})
     with pytest.raises(LogError, match="theta0"):

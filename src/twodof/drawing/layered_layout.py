@@ -1,11 +1,12 @@
-"""Layered layout of a block diagram: columns, their order, coordinates, wires of horizontal and vertical pieces.
+"""Layered layout of a block diagram: boxes in columns, and wires of horizontal and vertical pieces.
 
-Sugiyama's method (Sugiyama, Tagawa, Toda, IEEE Trans. SMC 11-2, 1981) for boxes with pins. Feedback is set aside,
-columns are longest paths, crossings are reduced by barycentres, and heights are chosen so that wires run straight.
-Feedback runs below everything it passes. `wire_channels` draws the wires between two columns.
+Sugiyama's method (Sugiyama, Tagawa, Toda, IEEE Trans. SMC 11-2, 1981) for boxes with pins. Feedback wires are left out
+first. A box's column is the length of the longest path to it; crossings are reduced by barycentres; heights are chosen
+so that wires are straight. Feedback wires then run below the boxes that they pass. `wire_channels` draws the wires
+between two columns.
 
-It is our own code because the library `grandalf` does not know pins and right angles. It runs 19 of 42 wires of the
-flight core through boxes, in two to four times the time. `dot` of Graphviz ignores pins where it draws right angles.
+The library `grandalf` is not used because it has no pins and right angles: it draws 19 of the flight core's 42 wires
+through boxes, in two to four times the time. `dot` of Graphviz ignores pins when it draws right angles.
 """
 
 from bisect import bisect_right, insort
@@ -27,9 +28,9 @@ MARGIN = 16.0
 
 @dataclass
 class Box:
-    """A box of the layout. `left` and `right` are the heights of its pins below its top, whole numbers.
+    """A box of the layout. `left` and `right` are the distances of its pins below its top, whole numbers.
 
-    `side` "in" or "out" marks a terminal; `wish` is where the author put it (x, y), if he did.
+    `side` "in" or "out" marks a terminal; `wish` is the position (x, y) in the author's diagram, None without one.
     """
 
     width: float
@@ -42,7 +43,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Net:
-    """A net: the (box, right pin) of its source and the (box, left pin)s that it drives."""
+    """A net: the indices (box, right pin) of its source, and (box, left pin) of each pin that it drives."""
 
     source: tuple[int, int]
     sinks: tuple[tuple[int, int], ...]
@@ -50,7 +51,7 @@ class Net:
 
 @dataclass
 class GraphLayout:
-    """Left upper corners of the boxes, the wires' pieces by net, branching points, the size of it all."""
+    """A layout: upper left corner of each box, pieces of each net's wire, branching points, and size of the drawing."""
 
     corners: list[tuple[float, float]]
     wires: list[list[Segment]]
@@ -69,13 +70,13 @@ class _Item:
 
 
 _Link = tuple[_Item, float, _Item, float]
-"""A wire between two columns: item and pin's height on the left, and on the right."""
+"""A wire between two columns: item and pin's distance below its top, on the left and on the right."""
 
 
 def layout(boxes: Sequence[Box], nets: Sequence[Net], border: bool = False) -> GraphLayout:
     """Place `boxes` and route `nets`; the same arguments give the same layout.
 
-    With `border` all terminals stand at the left and right edge, as the frame of a sub-diagram needs them.
+    With `border` all terminals are at the left and right edge, as for the frame of a sub-diagram.
     """
     if not boxes:
         return GraphLayout([], [], [], 2 * MARGIN, 2 * MARGIN)

@@ -1,4 +1,4 @@
-"""Width of texts by the letters' widths of Helvetica and of the fonts made to its measure (Arial, Liberation)."""
+"""Width of texts in Helvetica and in the fonts of the same letter widths (Arial, Liberation)."""
 
 import unicodedata
 
@@ -31,7 +31,7 @@ _BOLD = 1.08
 
 
 def text_width(text: str, size: float, bold: bool = False) -> float:
-    """Return the width of `text` at font size `size`; unknown letters count as broad ones."""
+    """Return the width of `text` at the font size `size`, in its unit; unknown letters count as wide ones."""
     total = 0
     for letter in text:
         if unicodedata.combining(letter):
@@ -44,7 +44,7 @@ def text_width(text: str, size: float, bold: bool = False) -> float:
 
 
 def shortened(text: str, size: float, most: float, bold: bool = False) -> str:
-    """Return `text`, cut with an ellipsis if it is wider than `most`."""
+    """Return `text` on one line, cut and with an ellipsis if it is wider than `most`."""
     plain = " ".join("".join(c if c.isprintable() else " " for c in text[:1000]).split())
     if text_width(plain, size, bold) <= most:
         return plain

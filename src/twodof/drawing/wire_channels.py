@@ -1,4 +1,4 @@
-"""The room between two columns of a layout, in which wires change their height: each on a vertical track of its own."""
+"""Channels: the space between two columns of a layout, in which each wire changes its height on a track of its own."""
 
 from dataclasses import dataclass, field
 
@@ -6,11 +6,11 @@ TRACK = 11.0  # between two tracks
 EDGE = 13.0  # between a column and the first track; an arrow's head must fit
 
 Segment = tuple[float, float, float, float]
-"""x1, y1, x2, y2; horizontal or vertical."""
+"""Piece of a wire: x1, y1, x2, y2; horizontal or vertical."""
 
 
 Pin = tuple[int, float]
-"""A net and the height at which it enters a channel."""
+"""Index of a net, and the height at which it enters a channel."""
 
 
 class _Trunk:
@@ -27,7 +27,7 @@ class _Trunk:
 
 @dataclass(eq=False)
 class WireChannel:
-    """Pins on its left and right side; `route` finds tracks, `segments` gives the wires once `x` is set."""
+    """Channel with pins on its left and right side. Call `route`, then set `x`, its left edge, before `segments`."""
 
     left: list[Pin] = field(default_factory=list)
     right: list[Pin] = field(default_factory=list)
@@ -37,7 +37,7 @@ class WireChannel:
     tracks: int = 0
 
     def route(self) -> None:
-        """Assign a track to each net that changes its height here."""
+        """Assign a track to each net that changes its height in the channel."""
         waiting = []
         for net in sorted({net for net, _ in (*self.left, *self.right)}):
             left, right = (sorted({y for k, y in pins if k == net}) for pins in (self.left, self.right))
@@ -85,7 +85,7 @@ class WireChannel:
         return 2.0 * EDGE + TRACK * max(self.tracks - 1, 0)
 
     def segments(self) -> dict[int, list[Segment]]:
-        """Return the pieces of each net."""
+        """Return the wire's pieces of each net, by its index."""
         found: dict[int, list[Segment]] = {}
         start, end = self.x, self.x + self.width(outer=True)
         sides = {net for net, _ in self.left} & {net for net, _ in self.right}

@@ -36,7 +36,7 @@ from twodof.signals import HOVER, PERIOD
 Array = NDArray[np.float64]
 
 _ORDER = 40
-"""Order of the autoregression of q's noise, as in a fit: .16 s, a gust's correlation time."""
+"""Order of the autoregression of q's noise, as in a fit: .16 s, which covers a gust's correlation time."""
 _RESPONSE = 1 << 12
 _VIBRATION = 400
 
@@ -88,9 +88,10 @@ def pitch_noise(rig: Mapping[str, float], values: Mapping[str, float], dt: float
 def rail_covariance(
     rig: Mapping[str, float], values: Mapping[str, float], position: Array, steps: int, dt: float, load: float = 1.0
 ) -> Array:
-    """Return the covariance of the ranges at `position` (in steps) about the motion predicted from the measured q.
+    """Return the covariance of the range samples' errors, (m, m), about the motion predicted from the measured q.
 
-    The integral of the gyro's noise is an error of the pitch, which the cart follows. The range has its own noise.
+    `position` (m,) are their times in steps. The integral of the gyro's noise is an error of the pitch, which the cart
+    follows; the range sensor adds its own noise.
     """
     from scipy.linalg import matmul_toeplitz  # imported late: most commands start without it
 
@@ -130,7 +131,7 @@ class ExpectedAccuracy:
     worse: float = 1.0
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain data: for each unknown the assumed value, the standard deviation, and whether that is enough."""
+        """Return plain data: for each unknown the assumed value, the standard deviation, and if it is small enough."""
         found, rows = self.information, []
         wanted = PURPOSE.get(self.kind, ())
         for label, unit, value, sigma in () if found is None else _rows(found):
@@ -168,10 +169,10 @@ def expected_accuracy(
     values: Mapping[str, float] | None = None,
     noise: Mapping[str, float] | None = None,
 ) -> ExpectedAccuracy:
-    """Plan a flight: it is flown on the virtual rig without noise, and what that tells is the Fisher information.
+    """Return the expected accuracy of a flight: the Fisher information of a flight on the virtual rig without noise.
 
-    `values` are what the unknowns are thought to be (default: the structure's guesses), `noise` the standard deviation
-    of a sample of each output, taken for white. Left out, it is the noise that this rig has, with its gusts and its
+    `values` are the assumed values of the unknowns (default: the structure's guesses). `noise` is the standard
+    deviation of a sample of each output, as white noise; by default the noise is the rig's own, with gusts and
     vibration (`gyro_covariance`). Raises ExperimentError for an excitation that meets a stop or does not fit the rail.
     """
     one = ready(experiment)

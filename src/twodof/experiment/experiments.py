@@ -1,4 +1,4 @@
-"""Experiment: the protocol of a flight. Which loop is excited by what, with the cart locked or free."""
+"""Experiments: protocols of flights, with the excitation, the loop that it enters, and the cart locked or free."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -31,9 +31,9 @@ class Experiment:
     """One flight: `still` s with the motors off, `hold` s with `thrust`, the excitation, `rest` s, motors off.
 
     `mode` names the loop that `excitation` enters, a key of `SETPOINT`. With `rings` the cart is locked (1DoF), and the
-    hold is level: it finds the trim moment that an open-loop excitation is flown about. Without, it holds the start's
-    position. At `thrust` 0 nothing is held: only the moment turns the motors. Raises ExperimentError for an excitation
-    in another unit than the loop's, or a time below 0.
+    hold is level: it finds the trim moment to which an open-loop excitation is added. Without `rings` the hold keeps
+    the start's position. At `thrust` 0 there is no hold, and only the excitation turns the motors. Raises
+    ExperimentError for an excitation in another unit than the loop's, and for a value out of bounds.
     """
 
     name: str
@@ -48,31 +48,37 @@ class Experiment:
 
     def __post_init__(self) -> None:
         if self.mode not in SETPOINT:
-            raise ExperimentError(f"no mode {self.mode!r:.80}", self.name, f"use one of {', '.join(SETPOINT)}")
+            raise ExperimentError(f"there is no mode {self.mode!r:.80}", self.name, f"use one of {', '.join(SETPOINT)}")
         if self.excitation.unit != UNIT[self.mode]:
             raise ExperimentError(
-                f"an excitation in {self.excitation.unit!r} for the {self.mode} loop",
+                f"the excitation is in {self.excitation.unit!r}, and the {self.mode} loop in {UNIT[self.mode]!r}",
                 self.name,
-                f"give it in {UNIT[self.mode]!r}",
+                "give an excitation in the unit of the loop",
             )
         if not 0.0 <= self.thrust <= 1.0:
-            raise ExperimentError(f"thrust {self.thrust:g}", self.name, "give 0 to 1; the drone hovers at 0.4")
+            raise ExperimentError(
+                f"the thrust {self.thrust:g} is out of bounds", self.name, "give 0 to 1; the drone hovers at 0.4"
+            )
         if self.thrust == 0.0 and self.mode != "open-loop":
-            raise ExperimentError("a closed loop without thrust", self.name, "give thrust, or fly it in open loop")
+            raise ExperimentError("a closed loop needs thrust", self.name, "give thrust, or fly it in open loop")
         if self.rings and self.mode in ("velocity", "position"):
-            raise ExperimentError(f"the {self.mode} loop with the cart locked", self.name, "fly it without rings")
+            raise ExperimentError(
+                f"the {self.mode} loop moves the cart, and the rings lock it", self.name, "fly it with rings=False"
+            )
         for what in ("still", "hold", "rest"):
             if not 0.0 <= getattr(self, what) <= 600.0:
-                raise ExperimentError(f"{what} = {getattr(self, what)!r} s", self.name, "give 0 to 600 s")
+                raise ExperimentError(
+                    f"{what} = {getattr(self, what)!r} s is out of bounds", self.name, "give 0 to 600 s"
+                )
 
     @property
     def lead(self) -> float:
-        """From the start of the flight to that of the excitation [s]."""
+        """Time from the start of the flight to that of the excitation [s]."""
         return self.still + (self.hold if self.thrust > 0.0 else 0.0)
 
     @property
     def duration(self) -> float:
-        """The whole flight [s]; the motors are off for `still` s at its end."""
+        """Duration of the flight [s], with `still` s with the motors off at its end."""
         return self.lead + self.excitation.duration + self.rest + self.still
 
 
@@ -157,7 +163,7 @@ def experiment(name: str, **changes: Any) -> Experiment:
     known = EXPERIMENTS[name].__dataclass_fields__
     for field in changes:
         if field not in known:
-            raise ExperimentError(f"an experiment has no {field!r:.80}", name, f"it has: {', '.join(known)}")
+            raise ExperimentError(f"an experiment has no field {field!r:.80}", name, f"it has: {', '.join(known)}")
     return replace(EXPERIMENTS[name], **changes)
 
 
@@ -168,7 +174,7 @@ def on_wire(value: float) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Script:
-    """Set-points (steps,) by their names in the closed loop, and the steps of the protocol.
+    """Set-points of an experiment at each control step, (steps,) by name, and the steps at which its phases begin.
 
     The drone arms at step `armed`, thrust starts at `hold`, the excitation at `begin`. At step `end` the drone disarms.
     """
@@ -188,7 +194,7 @@ class Script:
 
 
 def script(experiment: Experiment, x_start: float = 0.0) -> Script:
-    """Write `experiment` out at 250 Hz, with positions about `x_start` [m].
+    """Return the script of `experiment`: its set-points at 250 Hz, with positions about `x_start` [m].
 
     Thrust and position are rounded to float32, as messages carry them; the excitation is computed on board.
     """

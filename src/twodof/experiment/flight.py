@@ -1,4 +1,4 @@
-"""Flying an experiment on the virtual rig: a start that fits, the flight, and whether its data are good enough."""
+"""Flying an experiment on the virtual rig: a start that fits, the flight, and the checks of its data."""
 
 import hashlib
 import json
@@ -49,7 +49,7 @@ _SPEED = {"theta": "q", "x": "v"}
 
 @dataclass(frozen=True)
 class FlightCheck:
-    """Result of one check, with the figure that was seen."""
+    """Result of one check, with the measured figure `seen`, in words."""
 
     name: str
     passed: bool
@@ -59,8 +59,8 @@ class FlightCheck:
 def data_checks(experiment: Experiment, plan: Script, out: Signals, stops: Mapping[str, float]) -> list[FlightCheck]:
     """Check that no stop was touched, and that the response exceeds five standard deviations of the signal before it.
 
-    `stops` are `pitch_stop` [rad] and `rail_stop` [m]. Pitch and position are the true ones in the steps where `out`
-    has them; `seen` says so. The response is measured in the estimates, which models are identified from.
+    `stops` holds `pitch_stop` [rad] and `rail_stop` [m]. Pitch and position are the true ones if `out` has them, which
+    the check's `seen` tells. The response is that of the estimates, from which models are identified.
     """
     flown = slice(plan.begin, plan.end)
     steepest, by = _farthest(out, "theta", flown)
@@ -201,7 +201,9 @@ class Laboratory:
         failsafe: bool = False,
     ) -> None:
         if not (isinstance(noise, Real) and math.isfinite(noise) and noise >= 0.0):
-            raise ParameterError(f"a noise of {noise!r:.80}", "noise", "give 0 (none) or more; 1 is the rig's own")
+            raise ParameterError(
+                f"{noise!r:.80} is not a factor of the noise", "noise", "give 0 (none) or more; 1 is the rig's own"
+            )
         self.rig_name: str = "own" if isinstance(rig, ParameterSet) else str(rig)
         self.parameters: ParameterSet = rig if isinstance(rig, ParameterSet) else load_rig(rig)
         self.noise: float = noise
@@ -269,7 +271,7 @@ class Laboratory:
     def signals(
         self, experiment: Experiment, plan: Script, x_start: float = 0.0, seed: int = 1
     ) -> dict[str, NDArray[Any]]:
-        """Fly `experiment` as `plan` says from `x_start`; return every signal at the control steps, (steps,) by name.
+        """Fly the script `plan` of `experiment` from `x_start` [m]; return each signal at the control steps, (steps,).
 
         The log of `fly` consists of these signals, as does the on-board log of the same flight over MAVLink. Raises
         ExperimentError for an invalid seed.
@@ -370,5 +372,5 @@ def simulate(
     seed: int = 1,
     gains: str | Path | Gains = DEFAULT,
 ) -> Flight:
-    """Fly `experiment` once on the virtual rig. For several flights keep a `Laboratory`, whose errors it raises."""
+    """Fly `experiment` once on the virtual rig. For several flights make a `Laboratory`. Raises its errors."""
     return Laboratory(rig, gains).fly(experiment, seed)

@@ -46,7 +46,7 @@ def fly_series(rigs: Iterable[str], names: Sequence[str], seeds: Iterable[int]) 
         while left:
             ready = wait(list(left), FLIGHT_S)
             if not ready:
-                raise ExperimentError(f"no flight within {FLIGHT_S:g} s", ", ".join(left.values()), "try again")
+                raise ExperimentError(f"no flight ended within {FLIGHT_S:g} s", ", ".join(left.values()), "try again")
             for connection in ready:
                 if isinstance(connection, Connection):
                     yield from _taken(connection, left)

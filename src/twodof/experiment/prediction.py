@@ -19,7 +19,7 @@ from twodof.sim.closed_loop import ARMING, ClosedLoop, InitialState
 from twodof.sim.resimulation import estimates_in, identified_rig, load_rig_or_model
 
 LONGEST_S = 120.0
-"""Longest predicted part of an excitation [s]: the first part shows the motion, and the answer stays quick."""
+"""Longest predicted part of an excitation [s], which shows the motion and is computed quickly."""
 
 BEFORE_S = 0.2
 AFTER_S = 1.0
@@ -33,9 +33,9 @@ Array = NDArray[np.float64]
 class PredictedMotion:
     """Motion in an excitation, with the rig's noise of one seed.
 
-    Each is (n,) at 250 Hz: `time` [s since its start], pitch `theta` [rad], position `x` [m], moment `M`.
-    `pitch_stop` [rad] and `rail_stop` [m] are the rig's stops. `failsafe` describes the failsafe's first action, "" for
-    none, at `failsafe_at` [s]. From then on the motion is the failsafe's.
+    `time` [s since the excitation's start], pitch `theta` [rad], position `x` [m] and moment `M` are (n,) at 250 Hz.
+    `pitch_stop` [rad] and `rail_stop` [m] are the rig's stops. `failsafe` describes the failsafe's first action, at
+    `failsafe_at` [s]; "" and None without one. After it the motion includes this action.
     """
 
     time: Array
@@ -83,11 +83,11 @@ def predict(
     """Predict the motion when `loop` ("M", "q", "theta", "v", "x") follows `excitation`, from a hover at `x` [m].
 
     `rig` is "lab", "paper", a file of a rig or of an identified model, or the rig's parameters (`sim.identified_rig`).
-    At `thrust` 0 the rig rests before. `rings` locks the cart. Raises ExperimentError for an unknown loop, a wrong
-    unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
+    At `thrust` 0 the rig is at rest before the excitation. `rings` locks the cart. Raises ExperimentError for an
+    unknown loop, a wrong unit, a loop that moves a locked cart, a thrust outside 0 to 1, and an `x` beyond the rail.
     """
     if loop not in LOOP_MODES:
-        raise ExperimentError(f"no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
+        raise ExperimentError(f"there is no loop {loop!r:.80}", "loop", f"use one of {', '.join(LOOP_MODES)}")
     mode = LOOP_MODES[loop]
     Experiment("prediction", mode, excitation, rings, thrust)  # refuses what cannot be flown
     values = dict(rig) if isinstance(rig, Mapping) else load_rig_or_model(rig)
@@ -131,9 +131,9 @@ def predicted(
     gains: Gains,
     model: tuple[str, Mapping[str, Any]] | None = None,
 ) -> dict[str, Any]:
-    """Call `predict` on plain data: an excitation's `to_dict` in; a motion's `to_json` and the predictor's name out.
+    """Return the plain data of `predict` and the predictor's name, from an excitation's `to_dict`.
 
-    `model` is the name and the document of an identified model, which replaces the rig's values where it has them.
+    `model` is the name and the JSON document of an identified model, whose values replace those of the rig.
     """
     given: str | Mapping[str, float] = rig
     by = f"the virtual rig '{rig}'"

@@ -87,7 +87,7 @@ class ReceivedSamples:
 
 
 def safety_in(told: Sequence[tuple[int, tuple[int, ...]]], first: int, steps: int) -> Channel | None:
-    """Return the channel `safety` from the drone's messages (tick, row) within these steps; None without any."""
+    """Return the channel `safety` of the messages (tick, row) in `steps` steps from the tick `first`; None if none."""
     rows = {tick: row for tick, row in told if first <= tick < first + steps}
     ticks = np.array(sorted(rows), dtype=np.int64)
     values = np.array([rows[tick] for tick in ticks.tolist()], dtype=np.float64)

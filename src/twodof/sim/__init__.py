@@ -1,1 +1,1 @@
-"""The only place where a rig meets a flight controller; owns simulated time."""
+"""Simulation of a rig together with its flight controller; this package owns simulated time."""

@@ -29,7 +29,7 @@ from twodof.signals import HOVER, MODES, PERIOD
 from twodof.sim.drone_estimator import HISTORY, drone_estimator, settled
 
 SETTLE_STEPS = 25_000
-"""Steps at rest after which the estimator's covariances stand: the gyro's bias settles within some tens of seconds."""
+"""Control steps at rest after which the estimator's covariances are constant, as the gyro's bias needs some 10 s."""
 
 _COVARIANCE = re.compile(r"\.(P_\w+|\w*variance)$").search
 _ARMED = 1000  # more than any count of samples that the flight code waits for after arming
@@ -37,11 +37,12 @@ _ARMED = 1000  # more than any count of samples that the flight code waits for a
 
 @dataclass(frozen=True)
 class InitialState:
-    """Where a simulated flight starts: the rig's state, the estimates (None: as the truth) and what flew before.
+    """Start of a simulated flight: the rig's state [rad, rad/s, m, m/s], the estimates, and the commands before it.
 
-    `commands` are (M, T) of the control steps before the start, the latest last. The rotors and the delay line are
-    filled with them. Without any the rotors stand, or with `hover` they run at T = .4 and no integral is in reset.
-    `states` overwrites single states by path, such as "flight.cascade.rate.sum".
+    `estimates` ("theta", "x", "v") are by default the true values. `commands` are (M, T) of the control steps before
+    the start, the latest last, which fill the rotors and the delay line. Without any the rotors are at rest, or with
+    `hover` they run at T = .4 and no integral is in reset. `wake` is the rig's `wake_start`, by default 1 with running
+    rotors. `states` overwrites single states by path, such as "flight.cascade.rate.sum".
     """
 
     theta: float = 0.0
@@ -56,19 +57,21 @@ class InitialState:
 
     @property
     def running(self) -> bool:
-        """Return whether the rotors run."""
+        """Return True if the rotors run at the start."""
         return self.hover or (bool(self.commands) and self.commands[-1][1] > 0.0)
 
     def check(self, pitch_stop: float, rail_stop: float) -> None:
-        """Check that the start is within the stops [rad, m]. Raises ExperimentError."""
+        """Raise ExperimentError unless the start is within the stops [rad, m]."""
         for name, bound in (("theta", pitch_stop), ("x", rail_stop)):
             if not abs(getattr(self, name)) <= bound:
                 raise ExperimentError(
-                    f"{name} = {getattr(self, name):g} is beyond the stop at {bound:g}", "start", "start inside"
+                    f"{name} = {getattr(self, name):g} is beyond the stop at {bound:g}",
+                    "start",
+                    "start between the stops",
                 )
 
     def rig_parameters(self) -> dict[str, float]:
-        """Parameters of the rig, to be set before it is reset."""
+        """Return the parameters of the rig to set before its reset, by name."""
         wake = self.wake if self.wake is not None else float(self.running)
         return {
             "theta_start": self.theta,
@@ -79,9 +82,9 @@ class InitialState:
         }
 
     def rig_states(self, delay: float, lag: float) -> dict[str, Any]:
-        """Return the states of the rig to set after its reset.
+        """Return the states of the rig to set after its reset, by path.
 
-        The delay lines [s] hold the commands of before, and the rotors' lag [s] has run over them.
+        They are those of rotors with `delay` [s] and `lag` [s] that have received `commands`.
         """
         states: dict[str, Any] = {"battery.load": float(self.running)}
         commands = self.commands or (((0.0, HOVER),) if self.hover else ())
@@ -102,7 +105,10 @@ class InitialState:
         return states
 
     def flight_states(self, known: Iterable[str]) -> dict[str, Any]:
-        """States of the flight code, to be set once it was reset, of those that it has (`known`)."""
+        """Return values for the flight code's states, to set after its reset, by path.
+
+        `known` are the paths of all states that this flight code has.
+        """
         known = frozenset(known)
         estimate = {"theta": self.theta, "x": self.x, "v": self.v} | dict(self.estimates)
         joint = "estimator.filter.theta" in known
@@ -135,9 +141,9 @@ class InitialState:
 
 
 def covariances(known: Iterable[str]) -> list[str]:
-    """Of the paths of the flight code's states those of the estimator's covariances.
+    """Return those of the flight code's state paths `known` that are covariances of the estimator.
 
-    A flight does not start with a doubtful pitch: they are what they settle to at rest.
+    A flight starts with the values to which they settle at rest, as its pitch is well known.
     """
     return [path for path in sorted(known) if path.startswith("estimator.") and _COVARIANCE(path)]
 
@@ -146,19 +152,19 @@ TICKS = SAMPLE[0]
 """Base ticks in a step of the flight code."""
 
 SETPOINTS = tuple(name for name, _, _, _ in INPUTS if name not in MEASUREMENTS)
-"""Inputs of the closed loop: mode, set-points and the like, of the flight code."""
+"""Inputs of the closed loop: mode, set-points and flags of the flight code."""
 
 SAFETY = tuple(name for name, _, _, _ in FAILSAFE_INPUTS if name != "voltage")
 """Inputs of the closed loop with the failsafe, besides `SETPOINTS`."""
 
 READ = frozenset(name for name, _, _, _ in INPUTS)
-"""Inputs of the flight code: the measurements among them are those that it reads."""
+"""Names of the flight code's inputs, which include the measurements that it reads."""
 
 ARMING = 25
-"""Steps after a start with the motors off until `fly` arms: the range sensor has then given a sample."""
+"""Steps from a start with the motors off until `fly` arms; by then the range sensor has given a sample."""
 
 FLIGHT, CASCADE = "flight.", "flight.cascade."
-"""Where the flight code's parameters are in the closed loop, and those of the cascade."""
+"""Prefixes of the paths of the flight code, and of its cascade, in the closed loop."""
 
 _OWN = tuple(f"{prefix}{name}." for name in TEMPLATES for prefix in (FLIGHT, CASCADE))
 _SETTLE_TICKS = SETTLE_STEPS * TICKS
@@ -171,15 +177,15 @@ def closed_loop(
     controllers: Iterable[Diagram] = (),
     failsafe: bool = False,
 ) -> Diagram:
-    """Return the rig flown by the flight code, for a base tick of 1 ms.
+    """Return the diagram of the rig with the flight code, for a base tick of 1 ms.
 
     Inputs: those of the flight code that are not measured (`SETPOINTS`). Outputs: those of the flight code; the
-    measurements; the truth as `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
+    measurements; the true states `true_theta`, `true_q`, `true_x`, `true_v`; `load`, `voltage`, `charge`. Parameters:
     `rig.<name>` and `flight.<path>`. `controllers` fly in place of the stock ones, see `flight.core`.
     The `position_filter` "drone" is the real drone's estimator (`sim.drone_estimator`). The others are those of
-    `flight.estimator`. With `failsafe` the flight code has it as its last gate, with the inputs `SAFETY` and
-    the outputs of `flight.failsafe.diagram.OUTPUTS`; the voltage is the rig's. Raises ParameterError for an unknown
-    position filter, DiagramError for a diagram that fits no template.
+    `flight.estimator`. With `failsafe` the flight code includes the failsafe, with the further inputs `SAFETY` and
+    outputs `flight.failsafe.diagram.OUTPUTS`; it reads the rig's voltage. Raises ParameterError for an unknown position
+    filter, DiagramError for a diagram that fits no template.
     """
     d = Diagram("closed_loop", "the virtual rig and the code that flies it")
     given = (*SETPOINTS, *(SAFETY if failsafe else ()))
@@ -235,18 +241,18 @@ _stock = functools.lru_cache(8)(_built)  # user diagrams may be changed between 
 
 
 class ClosedLoop:
-    """A compiled closed loop with one rig and one set of gains, to be flown again and again.
+    """A compiled closed loop with one rig and one set of gains, for any number of flights.
 
     `rig` is a set from `twodof.rig.parameters` (None: `lab`). `conditions` are further parameters of the rig, such as
-    `noise` and `seed`. `tuning` sets those of the flight code that are not gains, by path. `controllers` are
-    diagrams that fly in place of the stock loops and mixer (`flight.templates`); the gains are those of the stock loops
-    that are left. `precision`, "float64" or "float32", is that of everything, the rig included. Without a C compiler it
-    runs on the reference interpreter, with its warning. With `failsafe` its inputs `SAFETY` are those of a flight on
-    which nothing fails, unless `fly` is given others: it arms after `ARMING` steps (at once in hover). `target` is
-    where it runs: "wasm" is the sandbox, for diagrams of somebody else.
+    `noise` and `seed`. `tuning` sets parameters of the flight code that are not gains, by path. `log` names further
+    signals to return. `controllers` are diagrams that fly in place of the stock loops and mixer (`flight.templates`);
+    `gains` are those of the remaining stock loops. `precision`, "float64" or "float32", holds for the rig too. Without
+    a C compiler the reference interpreter runs the loop, with a warning. With `failsafe` the inputs `SAFETY` are those
+    of a flight without faults, armed after `ARMING` steps (at once in hover), unless `fly` is given others. `target` is
+    "native", or "wasm", the sandbox, for diagrams from untrusted sources.
 
-    A controller whose moment or thrust is not finite stops the motors. The flight goes on to its end, and its `M` and
-    `T` show where that was. Raises DiagramError for a diagram that fits no template or two that fit one.
+    If a controller's moment or thrust is not finite, the motors stop. The flight goes on to its end, and its `M` and
+    `T` have these values. Raises DiagramError for a diagram that fits no template or two that fit the same.
     """
 
     def __init__(
@@ -290,14 +296,14 @@ class ClosedLoop:
         self.machine.set_many({f"rig.{name}": value for name, value in values.items()})
 
     def tune(self, gains: Gains) -> None:
-        """Set the gains of the cascade's stock loops."""
+        """Set the gains of those stock loops that this closed loop has."""
         values = {f"{CASCADE}{path}": value for path, value in gains.parameters().items()}
         self.machine.set_many({path: value for path, value in values.items() if path in self.machine.parameters})
 
     def tune_controllers(self, values: Mapping[str, Any]) -> None:
         """Set parameters of the user's controllers, all or none, by paths such as "attitude_control.k_theta".
 
-        Raises ParameterError for a path that is not there or a value out of its bounds.
+        Raises ParameterError for an unknown path or a value out of its bounds.
         """
         for path in values:
             if path not in self.controllers:
@@ -305,13 +311,13 @@ class ClosedLoop:
         self.machine.set_many({self.controllers[path]: value for path, value in values.items()})
 
     def controller_parameters(self) -> dict[str, tuple[Param, Any]]:
-        """Return the tunable parameters of the user's controllers: path -> (declaration, present value)."""
+        """Return declaration and present value of each tunable parameter of the user's controllers, by path."""
         return {
             path: (self.machine.parameters[full], self.machine.get(full)) for path, full in self.controllers.items()
         }
 
     def start(self, at: InitialState) -> None:
-        """Begin at `start`. Raises ExperimentError for a start beyond a stop."""
+        """Reset the loop to the start `at`. Raises ExperimentError for a start beyond a stop."""
         parameters, states = self.start_values(at)
         self.configure(parameters)
         self.machine.reset()
@@ -339,11 +345,10 @@ class ClosedLoop:
         return {path: self.machine.state(path) for path in paths}
 
     def fly(self, steps: int, setpoints: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
-        """Fly `steps` control steps (4 ms each).
+        """Fly `steps` control steps of 4 ms; return each signal at these steps, (steps,) by name.
 
-        A set-point is one value or an array of `steps` values, and 0 (or false) where it is not given.
-        `mode` is a name or an index into `signals.MODES`. Returns each signal at the control steps, (steps,).
-        Raises ExperimentError for an unknown set-point or mode.
+        A set-point is one value or an array of `steps` values, by default 0 (or false). `mode` is a name or an index
+        into `signals.MODES`. Raises ExperimentError for an unknown set-point or mode.
         """
         inputs: dict[str, Any] = dict.fromkeys(SETPOINTS, 0.0) | {"mode": 0, "in_reset": False, "use_trim": False}
         if self.failsafe:
@@ -351,11 +356,11 @@ class ClosedLoop:
         for name, value in setpoints.items():
             if name not in self.inputs:
                 raise ExperimentError(
-                    f"no set-point called {name!r:.80}", "fly", f"there are: {', '.join(self.inputs)}"
+                    f"there is no set-point {name!r:.80}", "fly", f"use one of {', '.join(self.inputs)}"
                 )
             if name == "mode" and isinstance(value, str):
                 if value not in MODES:
-                    raise ExperimentError(f"no mode called {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
+                    raise ExperimentError(f"there is no mode {value!r:.80}", "fly", f"use one of {', '.join(MODES)}")
                 value = MODES.index(value)
             array = np.asarray(value)
             inputs[name] = np.repeat(array, TICKS) if array.ndim else array[()].item()

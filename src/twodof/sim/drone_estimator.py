@@ -1,7 +1,7 @@
-"""The drone's own estimator, as its logs show it: a filter of the past, and outputs that follow it up to now.
+"""The real drone's estimator, rebuilt from its logs: a delayed filter, and an output predictor up to the present.
 
-It has the structure of PX4's EKF2 with its output predictor. The logs tell it: with the drone at rest, a range sample
-does not show in x and v for 85 ms. Then both answer without a step, v most after .28 s and x after .36 s.
+It has the structure of PX4's EKF2 with its output predictor. The logs show this structure: with the drone at rest, x
+and v do not respond to a range sample for 85 ms. Then both respond without a step, v most after .28 s, x after .36 s.
 """
 
 from collections.abc import Mapping
@@ -19,13 +19,13 @@ from twodof.flight.estimator import Publisher
 from twodof.signals import GRAVITY, PERIOD, RAIL_CENTRE
 
 LATE = 22
-"""Samples by which the filter runs behind: 88 ms."""
+"""Delay of the filter in samples: 88 ms."""
 
 HISTORY = LATE + 2
-"""Steps before a start whose estimates `settled` asks for."""
+"""Number of steps before a start whose estimates `settled` takes."""
 
 GAINS = {"k_theta": -0.05, "k_bias": 0.0026, "k_x": 0.378, "k_v": 1.148, "follow": 0.25, "lever": 0.017}
-"""Fitted to theta, x and v of all seven logs, but for `follow`, which is EKF2's default."""
+"""Gains of the estimator, fitted to theta, x and v of all seven logs; `follow` is EKF2's default."""
 
 _RING = 32
 _GATHER = 0.1  # EKF2's: the integral's gain over the square of the proportional one
@@ -35,14 +35,14 @@ _OUT = ("theta_out", "x_out", "v_out")
 
 
 class DelayedFilter(Block):
-    """theta, gyro bias, x and v by a filter with fixed gains that runs `LATE` samples behind, and outputs for now.
+    """theta, gyro bias, x and v by a filter with fixed gains, `LATE` samples behind, and predicted present outputs.
 
-    The filter integrates IMU samples that are `LATE` old. A range sample, as old, corrects all four, by the innovation
-    times `k_theta`, `k_bias`, `k_x` and `k_v`. The outputs integrate the newest IMU sample. They are led to the filter
-    by its distance from what they were `LATE` samples ago: x and v with the time constant `follow` and a weak integral.
-    Inside, x and v are those of the IMU, `lever` under the bearing; put out are those of the bearing.
+    The filter integrates the IMU sample of `LATE` samples ago. A range sample of that time corrects its four states by
+    the innovation times `k_theta`, `k_bias`, `k_x` and `k_v`. The outputs integrate the newest IMU sample. They follow
+    the filter by its difference from the outputs of `LATE` samples ago: x and v with the time constant `follow` and a
+    weak integral. The states x and v are those of the IMU, `lever` under the bearing; the outputs those of the bearing.
 
-    Fed with the logged sensors, its theta, x and v are within 3 mrad, 3.1 mm and 9 mm/s RMS of the drone's own.
+    With the logged sensors as inputs, theta, x and v are within 3 mrad, 3.1 mm and 9 mm/s RMS of the drone's own.
     """
 
     inputs = ports(*IMU, *RANGE)
@@ -130,7 +130,7 @@ class DelayedFilter(Block):
 
 
 def drone_estimator() -> Diagram:
-    """`DelayedFilter` with the ports of `flight.estimator.estimator`."""
+    """Return the estimator `DelayedFilter` as a diagram with the ports of `flight.estimator.estimator`."""
     d = Diagram("estimator", "the drone's own, as its logs show it")
     add_inputs(d, *IMU, "dist", "dist_age", "dist_new")
     d.add("filter", DelayedFilter(), inputs={name: name for name in (*IMU, *RANGE)})
@@ -144,7 +144,7 @@ def drone_estimator() -> Diagram:
 
 @dataclass(frozen=True)
 class SettledEstimator:
-    """`states` of `DelayedFilter` by name; `theta` [rad] and `x` [m] are the errors of its outputs."""
+    """`states` of a settled `DelayedFilter` by name; `theta` [rad] and `x` [m] are the errors of its outputs."""
 
     states: Mapping[str, Any]
     theta: float
@@ -154,11 +154,11 @@ class SettledEstimator:
 def settled(
     theta: ArrayLike, x: ArrayLike, v: ArrayLike, velocity_bias: float = 0.0, range_rate: float = 18.35
 ) -> SettledEstimator:
-    """Return the filter's states after outputs theta, x and v, (`HISTORY`,) each, the latest last.
+    """Return the filter's states after the outputs theta, x and v, (`HISTORY`,) each, the latest last.
 
-    `velocity_bias` [m/s] is a lasting error of v. A lasting error of the gyro makes it: range samples, `range_rate` a
-    second, pull the pitch back, and with it x and v. So theta and x have an error too. Before the start the IMU and the
-    range were such that the filter and the outputs agree.
+    `velocity_bias` [m/s] is a constant error of v, caused by a constant error of the gyro against which `range_rate`
+    range samples per second correct pitch, x and v. So theta and x have an error too. The filter and the outputs are
+    assumed to agree before the start.
     """
     theta, x, v = (np.asarray(before, dtype=np.float64) for before in (theta, x, v))
     late = LATE * PERIOD

@@ -20,17 +20,17 @@ from twodof.flightlog.log import FlightLog
 from twodof.signals import MODES, PERIOD, VELOCITY
 
 Change = tuple[float, str, float]
-"""Time [s] of the last step that may have had the old value, the parameter's name or path, and its new value."""
+"""Change of a parameter: time [s] of the last step with the old value, the parameter's name or path, new value."""
 
 _MOST = 3e38
 
 
 @dataclass(frozen=True)
 class FlownParameters:
-    """The gains at the start of a log, None where it does not say, and the `changes` in flight, by time.
+    """Gains at the start of a log, None if it does not tell them, and the `changes` in flight in order of time.
 
-    `controllers` are diagrams by template, `tuning` their parameters at the start by path. `unknown` names the user's
-    controllers whose diagram the log lacks.
+    `controllers` are the user's diagrams by template, `tuning` their parameters at the start by path. `unknown` names
+    the templates of the user's controllers whose diagram the log lacks.
     """
 
     gains: Gains | None = None
@@ -41,7 +41,7 @@ class FlownParameters:
 
     @classmethod
     def of(cls, provenance: Mapping[str, Any]) -> FlownParameters:
-        """Of a log's provenance, which anybody may have written: what is not understood counts as not said."""
+        """Return the parameters in a log's provenance. Invalid entries are ignored, as the log is not trusted."""
         drone = provenance.get("drone")
         drone = drone if isinstance(drone, Mapping) else {}
         noted = provenance.get("controllers") or drone.get("controllers") or {}
@@ -61,7 +61,7 @@ class FlownParameters:
         return cls(Gains.from_provenance(provenance), changes, found, tuning, tuple(unknown))
 
     def gains_in_flight(self, start: Gains) -> list[tuple[float, Gains]]:
-        """Each time [s] at which the gains changed, and those that flew from then on, from those at the `start`."""
+        """Return each time [s] at which the gains changed, with the gains from then on; `start` are the first gains."""
         found: list[tuple[float, Gains]] = []
         now = start
         for time, name, value in self.changes:
@@ -96,10 +96,10 @@ def _changes(rows: object) -> Iterator[Change]:
 Floats = NDArray[np.float64]
 
 MAX_STEPS = 450_000
-"""Longest window that is simulated: half an hour."""
+"""Largest number of control steps in a window: half an hour."""
 
 HISTORY = 24
-"""Control steps before the window whose commands fill the delay lines: more than the longest delay."""
+"""Number of control steps before the window whose commands fill the delay lines: more than the longest delay."""
 
 _SETTLE = 0.5  # s after arming until the hold counts, as the rotors and the rate loop settle
 _SETTLE_STEP = 2.0  # s after a set-point step
@@ -114,13 +114,13 @@ class FlightSegment:
     """A window of a log on the control grid of n steps, and the start of its simulation.
 
     `time` (n,) [s] are the steps by the drone's clock; `mode` (n,) indices into `signals.MODES`; `setpoint[name]` (n,)
-    for x0, v0, theta0, q0, M_open, thrust. Where no mode of the window needs the cart (1DoF) and the log lacks its
-    signals, x0 and v0, and x and v of `start`, are zeros. `hold` [s] is the time before the window that gives the trim,
-    None if there was none. The trim is `trim_moment`, the mean M, at the mean pitch `trim_theta`. `velocity_bias` [m/s]
-    is from before the window too. So is `balance`, the mean of all time with thrust, where the cart was free: pitch
-    [rad], speed [m/s] and acceleration [m/s2].
-    `states` are controller states at the first step; `spun_up` [s] is how long the rotors have run,
-    `tof_elapsed` [s] how long ago the last range sample was.
+    for x0, v0, theta0, q0, M_open, thrust. In 1DoF, if the log lacks the cart's signals, x0 and v0, and x and v of
+    `start`, are 0. `hold` [s] is the time before the window from which the trim is taken, None without one. The trim is
+    `trim_moment`, the mean M, at the mean pitch `trim_theta`. `velocity_bias` [m/s], and with a free cart `balance`,
+    are from before the window too: `balance` is the mean pitch [rad], speed [m/s] and acceleration [m/s2] over all time
+    with thrust.
+    `commands` are (M, T) of the `HISTORY` steps before, `states` the controllers' states at the first step. `spun_up`
+    [s] is the time since the rotors started, `tof_elapsed` [s] that since the last range sample.
     """
 
     time: Floats
@@ -140,14 +140,14 @@ class FlightSegment:
 
     @property
     def rails(self) -> bool:
-        """Return whether the cart was free (velocity or position mode somewhere in the window)."""
+        """Return True if the cart was free: velocity or position mode at some step of the window."""
         return bool(np.any(self.mode >= VELOCITY))
 
 
 def default_window(log: FlightLog) -> tuple[float, float]:
-    """From .3 s before the first set-point step to 2 s after the last [s], within one armed stretch.
+    """Return the window [s] from .3 s before the first set-point step to 2 s after the last one, in one mode.
 
-    The stretch is the one flown in one mode that has most steps. Raises LogError if no set-point ever steps.
+    Of the stretches flown in one mode, that with most steps is taken. Raises LogError for a log without steps.
     """
     best: tuple[int, Stretch, Floats] | None = None
     for stretch in modes(log):
@@ -157,7 +157,7 @@ def default_window(log: FlightLog) -> tuple[float, float]:
         if times.size and (best is None or times.size > best[0]):
             best = (times.size, stretch, times)
     if best is None:
-        raise LogError("no set-point steps in it", log.source, "give a window with --window T0 T1")
+        raise LogError("no set-point has a step in this log", log.source, "give a window with --window T0 T1")
     _, stretch, times = best
     ends = [Event(float(time), "step", stretch.mode, 0.0, 0.0) for time in times[[0, -1]]]
     return window(log, ends)
@@ -232,7 +232,7 @@ def read_segment(log: FlightLog, gains: Gains, window: tuple[float, float] | Non
 
 
 def logged(log: FlightLog, name: str) -> bool:
-    """Return whether the log holds samples of a channel."""
+    """Return True if the log holds samples of the channel `name`."""
     return name in log and len(log[name]) > 0
 
 
@@ -242,14 +242,16 @@ def _grid(log: FlightLog, t0: float, t1: float) -> Floats:
         raise LogError(f"window {t0!s} to {t1!s} s is empty", log.source, "give t0 < t1, in seconds")
     stamps = log["M"].slice(t0 - PERIOD, t1 + PERIOD).time
     if len(stamps) < 10:
-        raise LogError(f"{len(stamps)} control steps between {t0:g} and {t1:g} s", log.source, "give a longer window")
+        raise LogError(
+            f"only {len(stamps)} control steps between {t0:g} and {t1:g} s", log.source, "give a longer window"
+        )
     index = np.concatenate(([0.0], np.cumsum(np.round(np.diff(stamps) / PERIOD))))
     period, origin = np.polyfit(index, stamps, 1)
     first = int(np.ceil((t0 - origin) / period))
     last = int(np.floor((t1 - origin) / period))
     if last - first > MAX_STEPS:
         raise LogError(
-            f"{last - first} control steps from {t0:g} to {t1:g} s",
+            f"{last - first} control steps from {t0:g} to {t1:g} s are too many",
             log.source,
             f"give a window of at most {MAX_STEPS * PERIOD:g} s",
         )
@@ -260,7 +262,7 @@ def _held(log: FlightLog, name: str, at: ArrayLike) -> Floats:
     """Return the latest sample of a channel at or before each time; the first one before that."""
     channel = log[name]
     if not len(channel):
-        raise LogError("the channel is empty", f"{log.source}: {name}", "simulate a whole flight")
+        raise LogError("the channel is empty", f"{log.source}: {name}", "give a log of a whole flight")
     return channel.value[np.maximum(channel.index(at, "hold"), 0)]
 
 

@@ -1,4 +1,4 @@
-"""The loops of the cascade as they fly, controllers and rig together, and the margins of each."""
+"""Linear models of the cascade's loops, controllers and rig together, and the margins of each."""
 
 import functools
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,7 +34,7 @@ LOOPS: Mapping[str, str] = MappingProxyType(
         "position": "at x, the loops inside closed",
     }
 )
-"""The loops, and where each is broken."""
+"""The loops by name, and the signal at which each is opened."""
 
 _BROKEN_AT = MappingProxyType({"rate": "q", "attitude": "theta", "velocity": "v", "position": "x"})
 
@@ -45,12 +45,12 @@ def cascade_loop(
     controllers: Iterable[Diagram] = (),
     rig: str | Mapping[str, float] = "lab",
 ) -> LoopTransfer:
-    """L of one of `LOOPS` as it flies, sampled at 250 Hz: the loops inside closed, those outside open.
+    """Return the loop transfer L of one of `LOOPS`, sampled at 250 Hz: the loops inside closed, those outside open.
 
     `rig` is "lab", "paper", a file, or the values of a rig's parameters by name. `controllers` fly in place of the
-    stock ones, with the gains of those that are left. What is made linear and how: `linear_rig`. Raises DiagramError
-    for another loop, for a controller that fits no template, and for one without a slope in hover; ParameterError for
-    another rig.
+    stock ones; `gains` are those of the remaining stock loops. The rig is linear about hover (`linear_rig`). Raises
+    DiagramError for an unknown loop, for a controller that fits no template, and for one without a slope in hover;
+    ParameterError for another rig.
     """
     if loop not in LOOPS:
         raise unknown_name("loop", loop, LOOPS, "cascade_loop")
@@ -80,7 +80,7 @@ def cascade_margins(
     rig: str | Mapping[str, float] = "lab",
     loops: Sequence[str] = tuple(LOOPS),
 ) -> dict[str, LoopMargins]:
-    """Return the margins of each of `loops` as it flies: `cascade_margins(rig="paper")["rate"].disk`."""
+    """Return the margins of each of `loops` (see `cascade_loop`): `cascade_margins(rig="paper")["rate"].disk`."""
     flown = tuple(controllers)
     return {loop: margins(cascade_loop(loop, gains, flown, rig)) for loop in loops}
 
@@ -88,7 +88,7 @@ def cascade_margins(
 Array = NDArray[np.float64]
 
 READ = ("q", "theta", "v", "x")
-"""What the cascade reads, from the inner loop outwards; theta is that of the sample before."""
+"""Estimates that the cascade reads, from the inner loop outwards; theta is that of the previous sample."""
 
 SIGNALS = (*READ, *IMU)
 """The outputs of the linear rig."""
@@ -99,9 +99,9 @@ _NEW_SAMPLE = 2**32 - 1  # of the range sensor's clock: it turns at the next tic
 
 
 def linear_rig(values: Mapping[str, float]) -> LinearModel:
-    """Return the linear model of the rig `values`, from the inputs fore and aft to the outputs `SIGNALS`.
+    """Return the linear model about hover of the rig and its estimator, from fore and aft to the outputs `SIGNALS`.
 
-    Raises DiagramError where the rig has no slope in hover, such as on a stop.
+    `values` are the rig's parameters by name. Raises DiagramError if the rig has no slope there, such as on a stop.
     """
     return _linear_rig(tuple(sorted((name, float(value)) for name, value in values.items())))
 
@@ -187,7 +187,10 @@ def _filter_at_rest(samples_per_second: float) -> dict[str, float]:
 
 @functools.cache
 def publishing_ages() -> tuple[float, ...]:
-    """Share of the steps in which what is published is 0, 1, 2, ... steps old. It runs the publisher itself."""
+    """Return the shares of the steps at which a published estimate is 0, 1, 2, ... steps old.
+
+    The estimator's publisher itself is run to find them.
+    """
     d = Diagram("publishing")
     d.input("x", unit="m")
     d.input("v", unit="m/s")
@@ -223,11 +226,11 @@ _ARMED, _HELD = 1000, 10**6  # steps since arming, and of the level hold: more t
 
 
 def linear_controller(mode: str, gains: Gains = DEFAULT, controllers: Iterable[Diagram] = ()) -> LinearModel:
-    """Return the flight core's controllers in `mode` ("rate", ...), level and at their set-points, at 250 Hz.
+    """Return the linear model of the controllers in `mode` ("rate", ...), level and at their set-points, at 250 Hz.
 
-    The inputs are those of `linear_rig.SIGNALS`, the outputs fore and aft. `controllers` fly in place of the stock
-    ones, as in `flight.core`. Raises DiagramError for a diagram that fits no template. Raises it also where a
-    controller has no slope: a switch, a limit or a dead zone at just that point.
+    The inputs are `SIGNALS`, the outputs fore and aft. `controllers` fly in place of the stock ones, as in
+    `flight.core`. Raises DiagramError for a diagram that fits no template, and for a controller without a slope: a
+    switch, a limit or a dead zone exactly at this point.
     """
     at = {
         "mode": MODES.index(mode),

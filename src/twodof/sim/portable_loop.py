@@ -1,4 +1,4 @@
-"""The closed loop for another host: a module of WebAssembly that a browser flies, and where a flight starts in it."""
+"""The closed loop as a WebAssembly module for another host, such as a browser, with the start of a flight."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from twodof.signals import MODES, PERIOD
 from twodof.sim.closed_loop import CASCADE, FLIGHT, SETPOINTS, TICKS, ClosedLoop, InitialState, closed_loop
 
 MOST_LOGGED = 600
-"""Elements of signals inside the diagram that the module gives out at each tick; the outermost come first."""
+"""Most numbers inside the diagram that the module returns at each tick; outer signals are chosen first."""
 
 
 def portable_loop(controller: Diagram, rig: str = "lab") -> dict[str, Any]:
     """Compile `controller` of one of the templates in the closed loop with `rig` ("lab", "paper"), as WebAssembly.
 
-    Returns plain data for a host that sets `parameters`, `init`s, and sets `states`; the rotors run in hover then.
-    `module` is in base 64. `prefix` is where the controller's parameters and signals are,
-    "flight.cascade.attitude_control.". `signals` are the paths within the controller of what the module gives out of
-    it; `given` are the outputs that its inputs read, by name.
+    Returns plain data for a host, which must set `parameters`, call `init`, and set `states`; the flight then starts in
+    hover. `module` is in base 64. `prefix` begins the paths of the controller's parameters and signals, such as
+    "flight.cascade.attitude_control.". `signals` are the paths, inside the controller, of the signals that the module
+    returns; `given` are the paths of the signals that the controller's inputs read, by name.
 
-    It is compiled, not run: what comes from elsewhere runs only where the module does. Bits are those of `ClosedLoop`
-    with `start(InitialState(hover=True))` on every target. Raises DiagramError for a diagram that fits no template,
-    ParameterError for another rig, CompileError without a compiler for WebAssembly.
+    The diagram, which may be untrusted, is compiled here and not run. The module has the bits of `ClosedLoop` with
+    `start(InitialState(hover=True))`. Raises DiagramError for a diagram that fits no template, ParameterError for
+    another rig, CompileError without a compiler for WebAssembly.
     """
     template = check_template(controller).name
     prefix = f"{FLIGHT if template == MOTOR.name else CASCADE}{template}."
@@ -99,12 +99,11 @@ def _given(loop: Diagram, place: str) -> dict[str, str]:
 
 
 def play_program() -> tuple[bytes, dict[str, Any]]:
-    """Return the rig with the stock flight code and its failsafe, as `ClosedLoop(failsafe=True)` flies it.
+    """Return the closed loop with stock flight code and failsafe as a .wasm in float64, and plain data beside it.
 
-    That is the .wasm, in float64, and JSON: `table` (`WasmModule.interface`), `ticks` of a control step, the names of
-    `modes`, failsafe `states`, `actions` and `causes`; `rigs` (parameters by path), `starts` (`parameters` and `states`
-    by path, for "rest" and "hover"), and `texts` (what parameters are, by path). Raises CompileError without a compiler
-    for WebAssembly.
+    The data: `table` (`WasmModule.interface`), `ticks` of a control step, the names of `modes`, failsafe `states`,
+    `actions` and `causes`; `rigs` (parameters by path), `starts` (`parameters` and `states` by path, for "rest" and
+    "hover"), and `texts` (meanings of the parameters, by path). Raises CompileError without a compiler for WebAssembly.
     """
     emitted = emit_program(closed_loop(failsafe=True), BASE_DT)
     module = compile_module([emitted])

@@ -1,9 +1,9 @@
-"""Replay: the compiled flight code is fed with a log's inputs and must give the log's outputs back.
+"""Replay: the compiled flight code gets a log's inputs, and its outputs are compared with the log's.
 
-This is the proof that what we compile is what flew. Each loop is entered at its own logged set-point and measurement,
-through the mode of the one compiled cascade. Where the log does not tell an integral, it is seeded from the log.
-Gains that were changed in flight are changed in the replay. A user's controllers run from one reset of the
-flight code to the next.
+This checks that the compiled code is what flew. The compiled cascade is run in several modes, so that each loop gets
+its own logged set-point and measurement. An integral that the log does not tell is computed from the first samples.
+Gains that were changed in flight are changed in the replay. A user's controllers run from one reset of the flight code
+to the next.
 """
 
 import itertools
@@ -35,7 +35,7 @@ _FORGET = 45  # samples after which the derivative has forgotten a lost error: .
 # With two unknowns, integral and derivative, twelve tell the integral as well as six tell it alone.
 _SEED = 12
 UNSURE_S = 0.1
-"""How far from a change [s] in a recording the drone may have made it: a message was on its way."""
+"""Largest time [s] between a change in a recording and the same change on the drone, as a message takes time."""
 _LONE_RESET = 5  # length of a reset that does not end the stretch
 _FLOAT32 = float(np.finfo(np.float32).eps)
 
@@ -45,8 +45,8 @@ class Replay:
     """Result of a replay. Only channels whose loop was active are in `nrms` and `coverage`.
 
     `nrms[channel]` is the RMS of (replayed - logged) over the RMS of the logged signal, `coverage[channel]` the share
-    of the active samples that was compared; `windows` are the stretches [s] in which something was compared.
-    `replayed` and `compared`, by channel, (n,) on the stamps `time` (n,), are there to look at.
+    of the active samples that was compared; `windows` are the stretches [s] in which any channel was compared.
+    `replayed[channel]` (n,) are the outputs at the stamps `time` (n,) [s], `compared[channel]` (n,) the compared ones.
     """
 
     nrms: Mapping[str, float]
@@ -58,7 +58,7 @@ class Replay:
     compared: Mapping[str, Flags]
 
     def to_json(self) -> dict[str, Any]:
-        """`{"nrms": {channel: number}, "coverage": {channel: number}, "windows_s": [[t0, t1], ...]}`."""
+        """Return `{"nrms": {channel: number}, "coverage": {channel: number}, "windows_s": [[t0, t1], ...]}`."""
         return {
             "nrms": dict(self.nrms),
             "coverage": dict(self.coverage),
@@ -67,21 +67,19 @@ class Replay:
 
 
 def replay(log: FlightLog, gains: Gains | None = None, precision: str = "float64") -> Replay:
-    """Feed the logged inputs to the cascade, compiled in `precision`, and compare M, q0, theta0, T.
+    """Run the cascade, compiled in `precision`, on the logged inputs, and compare M, q0, theta0, T with the log.
 
-    `gains` None: those that the log says, with each change in flight, else the default ones. A user's controller whose
-    diagram the log has then runs in place of the stock loops, in the sandbox. With `gains` the stock cascade is
-    compared, with these all along.
+    By default the gains are those of the log with each change in flight, else the defaults, and user's controllers
+    whose diagrams are in the log run in place of the stock loops, in the sandbox. With `gains` the stock cascade runs
+    with these gains throughout.
 
-    Where no compiler is found the reference runs the stock loops, with a warning that says so. Raises LogError if the
-    log lacks a channel, and DiagramError for an unknown precision. Raises CompileError where a sandbox for a user's
-    controller is missing.
+    Without a compiler the reference interpreter runs the stock loops, with a warning. Raises LogError if the log lacks
+    a channel, DiagramError for an unknown precision, and CompileError if the sandbox for user's controllers is missing.
 
-    Left out are five samples where a loop starts, samples whose input is missing from the log, and the twelve after
-    each of these. The twelve seed the loop: its integral, and for M the derivative's memory of the missing error.
-    The reset of the integrals is not logged; it shows where M is what the law gives with the integral in reset. Where
-    a missing sample hides whether there was one, nothing is compared. The same holds within `UNSURE_S` of a change,
-    as the log does not tell its step exactly.
+    Not compared are five samples after a loop starts, samples whose input is missing from the log, and the twelve after
+    each of these. From the twelve the loop's integral is computed, and for M the derivative's state. The log does not
+    hold the reset of the integrals: it is found where M equals the law's value with the integral in reset. Samples are
+    not compared where a missing one could hide a reset, or within `UNSURE_S` of a change, whose exact step is unknown.
     """
     flown = FlownParameters.of(log.provenance) if gains is None else FlownParameters(gains)
     paired = align_log(log)
@@ -256,14 +254,13 @@ def replay_user(
 ) -> tuple[dict[str, Floats], dict[str, Flags]]:
     """Run the cascade with the user's controllers over the whole log, at its modes and set-points.
 
-    Returns the outputs (n,) by channel on the steps of the log, and flags (n,) where they may be compared.
+    Returns the outputs (n,) by channel at the steps of the log, and flags (n,) of those that may be compared. A user's
+    controller has known states when it is reset: without thrust, and just after. So it is compared from there up to
+    the first missing sample, except at the steps flagged in `unsure` (n,). M is not compared if a user's motor
+    controller flew. Without the channel `mode` nothing is compared.
 
-    What a user's controller remembers is known where it is reset: with no thrust, and just after. So it is compared
-    from there up to the first missing sample, except the `unsure` steps (n,). M is not compared where a user's motor
-    controller flew, and nothing is where the log lacks the channel `mode`.
-
-    Whoever wrote the log wrote the diagrams: they run in the sandbox, as on board. Raises LogError if the log lacks
-    another channel, CompileError where a sandbox is missing, and ControllerFault where a step uses up its fuel.
+    The diagrams in a log are not trusted, so they run in the sandbox, as on board. Raises LogError if the log lacks
+    another channel, CompileError if the sandbox is missing, and ControllerFault if a step uses up its fuel.
     """
     if "mode" not in log.channels:
         return {}, {}

@@ -1,4 +1,4 @@
-"""Like: a logged flight flown again in simulation, noise-free and in closed loop, and how well it fits."""
+"""Resimulation: a logged flight is simulated again, without noise and in closed loop, and compared with the log."""
 
 import json
 from collections.abc import Mapping
@@ -22,23 +22,23 @@ from twodof.sim.drone_estimator import HISTORY, settled
 from twodof.sim.flight_segment import FlightSegment, logged, read_segment
 
 MODEL = ("w_n", "xi", "mu", "tau", "k_v", "p_v")
-"""What of a model is taken over, SI units; `lag` [s] too, the part of tau that is the rotors' lag."""
+"""Parameters that an identified model may set, in SI units, besides `lag` [s], the part of tau due to the rotors."""
 
 _USED = (*MODEL, "lag")
 MAX_BYTES = 1 << 20
 
 
 def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] = "paper") -> dict[str, float]:
-    """Parameters of the rig that behaves as `model` in hover; what the model does not say stays as in `base`.
+    """Return the parameters of a rig that behaves as `model` in hover, with everything else as in the rig `base`.
 
-    The rig then has the model's figures: `rig.steady_state.model_parameters` gives them back. Names other than `MODEL`
-    and "lag" are not looked at. Raises ParameterError for a model without any of them, and for one that is not a
-    finite number or that no rig has.
+    `rig.steady_state.model_parameters` of the result gives the model's values. Names other than `MODEL` and "lag" are
+    ignored. Raises ParameterError for a model without any name of `MODEL`, and for a value that is not finite or not
+    possible for a rig.
     """
     given = {name: float(model[name]) for name in _USED if name in model}
     if not given.keys() & set(MODEL):
         raise ParameterError(
-            f"the model says none of {', '.join(MODEL)}, but {listed(model)}", "rig", "identify pitch-rate or velocity"
+            f"the model has none of {', '.join(MODEL)}, but {listed(model)}", "rig", "identify pitch-rate or velocity"
         )
     values = dict(load_rig(base).snapshot() if isinstance(base, str) else base)
     rig = {name: float(value) for name, value in values.items()}
@@ -63,10 +63,10 @@ def identified_rig(model: Mapping[str, float], base: str | Mapping[str, float] =
 
 
 def load_rig_or_model(source: str | Path) -> dict[str, float]:
-    """Parameters of the rig called `source` ("lab", "paper"), of a rig's JSON file, or of an identified model's.
+    """Return the parameters of the rig "lab" or "paper", or of the JSON file `source` of a rig or an identified model.
 
-    A model's file is what `twodof identify --json` prints, an `Estimate.to_json()`, or {"mu": 358.5, ...}. Raises
-    ParameterError for a file that is neither, and as `identified_rig`.
+    A model's file holds the output of `twodof identify --json`, an `Estimate.to_json()`, or {"mu": 358.5, ...}. Raises
+    ParameterError for another file, and as `identified_rig`.
     """
     if str(source) not in ("lab", "paper"):
         try:
@@ -80,7 +80,7 @@ def load_rig_or_model(source: str | Path) -> dict[str, float]:
 
 
 def estimates_in(found: object) -> dict[str, float] | None:
-    """Return the values in a fit's JSON, held ones too, or in {"mu": 358.5, ...}; None for anything else."""
+    """Return the values by name in an estimate's JSON, fixed ones too, or in {"mu": 358.5, ...}; else None."""
     if not isinstance(found, dict):
         return None
     rows = found.get("estimates", found)
@@ -102,23 +102,23 @@ def _check(rig: Mapping[str, float], given: Mapping[str, float]) -> None:
     if faults:
         said = ", ".join(f"{name} {value:.4g}" for name, value in given.items())
         raise ParameterError(
-            f"no rig has {said}: {'; '.join(faults)}", "identified_rig", "identify it again, or fix what is not known"
+            f"no rig can have {said}: {'; '.join(faults)}", "identified_rig", "identify it again, or fix known values"
         )
 
 
 CHANNELS = ("theta", "q", "x", "v")
-"""Logged estimates that are compared; of a 1DoF log, those that it holds."""
+"""Logged estimates that are compared; x and v of a 1DoF log only if it holds them."""
 
 _FILTER = f"{FLIGHT}estimator.filter"
 
 
 @dataclass(frozen=True)
 class ResimulationFit:
-    """How a simulated flight compares with the logged one.
+    """Comparison of a simulated flight with the logged one.
 
-    `fit` by channel, 100 (1 - |y - y_sim| / |y - mean(y)|) [%]; `time[name]`, `logged[name]`, `simulated[name]` (n,) at
-    the logged stamps; `windows` [s]. In 1DoF (rings) x and v stand still and their FIT says nothing; where a 1DoF log
-    lacks them they are left out.
+    `fit` by channel is 100 (1 - |y - y_sim| / |y - mean(y)|) [%]; `time[name]`, `logged[name]` and `simulated[name]`
+    are (n,) at the logged stamps; `windows` [s]. In 1DoF (rings) x and v do not move, so their fit has no meaning; they
+    are left out if the log lacks them.
     """
 
     fit: Mapping[str, float]
@@ -129,7 +129,7 @@ class ResimulationFit:
     flight: FlightSegment
 
     def to_json(self) -> dict[str, Any]:
-        """`{"fit_percent": {"theta": ..., ...}, "windows_s": [[t0, t1]]}`."""
+        """Return `{"fit_percent": {"theta": ..., ...}, "windows_s": [[t0, t1]]}`."""
         return {
             "fit_percent": {name: float(value) for name, value in self.fit.items()},
             "windows_s": [[float(a), float(b)] for a, b in self.windows],
@@ -137,16 +137,16 @@ class ResimulationFit:
 
 
 def fit_percent(logged: NDArray[np.float64], simulated: NDArray[np.float64]) -> float:
-    """100 (1 - |y - y_sim| / |y - mean(y)|) [%]; NaN for a constant y."""
+    """Return the fit 100 (1 - |y - y_sim| / |y - mean(y)|) [%] of two signals (n,); NaN for a constant logged y."""
     spread = float(np.linalg.norm(logged - logged.mean()))
     return 100.0 * (1.0 - float(np.linalg.norm(logged - simulated)) / spread) if spread > 0.0 else float("nan")
 
 
 def resimulation_loop() -> ClosedLoop:
-    """Return the compiled loop of `LoggedFlight.simulate`; it serves any number of flights, rigs and gains.
+    """Return the compiled loop for `LoggedFlight.simulate`, for any number of flights, rigs and gains.
 
-    Its estimator is the drone's own (`sim.drone_estimator`), but it does not learn the gyro's bias: an error lasts for
-    a flight. In the log where it shows, the gyro drifts as fast as its bias is learnt.
+    Its estimator is the real drone's (`sim.drone_estimator`), but with a constant gyro bias. On the one log where the
+    difference is visible, the gyro drifts as fast as the drone's estimator learns its bias.
     """
     # The filter's outputs at each step; the published ones are held at 100 Hz.
     log = (f"{_FILTER}.x", f"{_FILTER}.v")
@@ -155,10 +155,10 @@ def resimulation_loop() -> ClosedLoop:
 
 
 class LoggedFlight:
-    """A window of a log, read once and simulated as often as wanted.
+    """A window of a log, read once and simulated any number of times.
 
-    `gains` are those it was flown with, `window` [s] as in `twodof.sim.flight_segment.read_segment`.
-    It raises the errors of that function.
+    `gains` are those with which it was flown; `window` [s] as in `twodof.sim.flight_segment.read_segment`, whose errors
+    it raises.
     """
 
     def __init__(self, log: FlightLog, gains: Gains = DEFAULT, window: tuple[float, float] | None = None) -> None:
@@ -186,10 +186,10 @@ class LoggedFlight:
     def simulate(
         self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
     ) -> dict[str, NDArray[np.float64]]:
-        """Return the simulated estimates at the logged stamps, by channel, for rig parameters `rig`.
+        """Return the simulated estimates at the logged stamps, by channel, for the rig parameters `rig`.
 
-        `conditions` are further conditions of the flight, such as `charge_start`, or `noise` and `seed`; left out: a
-        full battery and no noise. Raises ParameterError for one that the rig does not know.
+        `conditions` are further conditions of the flight, such as `charge_start`, `noise` and `seed`; by default the
+        battery is full and there is no noise. Raises ParameterError for one that is not a parameter of the rig.
         """
         flight = self.flown
         start, bias = flight.start, flight.velocity_bias
@@ -234,7 +234,7 @@ class LoggedFlight:
     def compare(
         self, loop: ClosedLoop, rig: Mapping[str, float], conditions: Mapping[str, Any] | None = None
     ) -> ResimulationFit:
-        """Simulate as `simulate` does, and compare with the log."""
+        """Simulate the flight as `simulate` does, and return the comparison with the log."""
         simulated = self.simulate(loop, rig, conditions)
         fit = {name: fit_percent(self.logged[name], values) for name, values in simulated.items()}
         return ResimulationFit(fit, self.time, self.logged, simulated, (self.flown.window,), self.flown)
@@ -246,12 +246,12 @@ def resimulate(
     gains: Gains = DEFAULT,
     window: tuple[float, float] | None = None,
 ) -> ResimulationFit:
-    """Flies the logged set-points in closed loop on the noise-free `rig` (None: `lab`) from the logged initial state.
+    """Fly the logged set-points in closed loop on the noise-free `rig` (None: `lab`) from the logged initial state.
 
-    The mode is found from the log. The trim moment, the tilt of the rail and the velocity bias are those of the flight
-    before the window; the battery is full. A step of the simulation stands for a control step of the log, whose clock
-    runs up to .15 % slow; estimates are compared at the logged stamps. Raises LogError for a log that lacks a channel,
-    steps or flight in the window.
+    The modes are those of the log. The trim moment, the tilt of the rail and the velocity bias are found from the
+    flight before the window; the battery is full. Each simulated step corresponds to a control step of the log, whose
+    clock runs up to .15 % slow; estimates are compared at the logged stamps. Raises LogError for a log without a needed
+    channel, or a window without steps or flight.
     """
     values = (lab() if rig is None else rig).snapshot()
     return LoggedFlight(log, gains, window).compare(resimulation_loop(), values)

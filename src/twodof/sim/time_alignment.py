@@ -1,4 +1,4 @@
-"""Which logged sample the flight controller had in its hands at each of its steps, and where samples are missing."""
+"""Alignment of a log: the samples that the flight controller used at each of its steps, and the missing ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -26,10 +26,10 @@ _SHORTEST = 25
 class AlignedLog:
     """A log on the controller's own grid of n steps, the stamps `time` (n,) [s] of the moment M.
 
-    `value[name]` (n,) are M, T and the set-points q0, theta0, v0 of the same step. The measurements q, theta and v
-    are those that the step used. `lost[name]` (n,) is true where that sample is missing from the log (for M: a step was
-    lost before this one). `active[name]` (n,), for M, q0, theta0 and T, is true where the drone was armed (T > 0)
-    and its loop made the signal. It is false where a message gave it.
+    `value[name]` (n,) are M, T and the set-points q0, theta0, v0 of the same step, and the measurements q, theta and v
+    that the step used. `lost[name]` (n,) is true if that sample is missing from the log (for M: a step is missing
+    before this one). `active[name]` (n,), for M, q0, theta0 and T, is true if the drone was armed (T > 0) and the
+    signal came from a loop, and false if it came from a message.
     """
 
     time: Floats
@@ -39,11 +39,11 @@ class AlignedLog:
 
 
 def align_log(log: FlightLog) -> AlignedLog:
-    """Pairs the channels of a log: M, T, q0, theta0, v0, q, theta, v. Raises LogError for one missing or too short.
+    """Align the channels M, T, q0, theta0, v0, q, theta, v of a log. Raises LogError for one missing or too short.
 
-    The drone's logs show these rules. The grid is M's. A set-point's sample is the first one at or after M's stamp, as
-    it comes some microseconds later. A measurement's sample is the latest one at or before M's stamp. The age of q is
-    .3 to .7 ms, that of theta 3.7 ms (the nearest theta, just after M, is wrong). The 100 Hz samples of v are held.
+    The rules were found from the drone's logs. The grid is that of M. A set-point's sample is the first one at or after
+    M's stamp, as it is logged some microseconds later. A measurement's sample is the latest one at or before M's stamp:
+    q is .3 to .7 ms old, theta 3.7 ms (the nearest theta, just after M, is wrong). The 100 Hz samples of v are held.
     """
     time = _filled(log, "M").time
     value = {"M": log["M"].value}
@@ -66,10 +66,10 @@ def align_log(log: FlightLog) -> AlignedLog:
 
 
 def driven(values: Floats) -> Flags:
-    """Where a signal (n,) moves at each step, as a loop's output does and a set-point that comes as a message does not.
+    """Return flags (n,) of the steps at which a signal (n,) comes from a loop, since it changes at each step.
 
-    A stretch may stand still for two steps and lasts at least 25; the step at its end that may already be the
-    message's is left out.
+    A set-point from messages changes at fewer steps. A stretch lasts at least 25 steps and may be constant for two of
+    them; its last step, which may already be from a message, is left out.
     """
     moved = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     found = np.zeros(len(values), dtype=np.bool_)
@@ -106,5 +106,9 @@ def _stale(channel: Channel, index: NDArray[np.intp], age: Floats) -> Flags:
 def _filled(log: FlightLog, name: str) -> Channel:
     channel = log[name]
     if len(channel) < 2 or channel.value.ndim != 1:
-        raise LogError("the channel is not a scalar or lacks two samples", f"{log.source}: {name}", "give a flight")
+        raise LogError(
+            "the channel is not a scalar, or has fewer than two samples",
+            f"{log.source}: {name}",
+            "give the log of a flight",
+        )
     return channel

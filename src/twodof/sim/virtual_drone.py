@@ -1,4 +1,4 @@
-"""A virtual drone: the rig as a flight controller's hardware, and the whole program on it."""
+"""A virtual drone: the rig as the hardware of a flight controller, and the flight controller's whole program on it."""
 
 import asyncio
 import functools
@@ -30,7 +30,7 @@ TICKS = SAMPLE[0]
 """Base ticks in a control period."""
 
 Values = tuple[tuple[str, Any], ...]
-"""Parameters by path."""
+"""Values of parameters by path, as pairs."""
 
 _OUTPUTS = (*MEASUREMENTS, "voltage", "charge", *TRUTH)
 # The rig does not roll or yaw, and its IMU gives a sample at each tick.
@@ -58,7 +58,7 @@ def _at_rest(precision: str, position_filter: str, of_rig: Values, of_estimator:
     seen = machine.run(SETTLE_STEPS * TICKS, {"fore": 0.0, "aft": 0.0})
     given: dict[str, Any] = {name: seen[name][::TICKS] for name in MEASURED if name in _OUTPUTS}
     given |= {"imu_new": True, "rings": False, "step_late": False, "own_late": False}
-    # Whoever flies, the estimator is the same.
+    # The estimator is the same with all controllers.
     code = FlightCode(position_filter=position_filter, precision=precision).machine
     code.set_many(dict(of_estimator))
     code.reset()
@@ -69,9 +69,9 @@ def _at_rest(precision: str, position_filter: str, of_rig: Values, of_estimator:
 class VirtualRig:
     """A rig from `twodof.rig.parameters` (None: `lab`) as a `VirtualHardware`, with the bits of `ClosedLoop`.
 
-    `conditions` are further parameters of the rig (`trim`, `noise`, `seed`, `rings`, ...). `safety_off` says that the
-    safety switch was pressed. `distort` changes what the sensors say, for trying faults. Raises ParameterError for
-    parameters that are unknown or out of bounds, CompileError where there is no C compiler.
+    `conditions` are further parameters of the rig (`trim`, `noise`, `seed`, `rings`, ...). `safety_off` is true if the
+    safety switch was pressed. `distort`, a function, changes each sensor sample, to test faults. Raises ParameterError
+    for parameters that are unknown or out of bounds, CompileError without a C compiler.
     """
 
     virtual = True
@@ -100,12 +100,12 @@ class VirtualRig:
 
     @property
     def seed(self) -> int:
-        """Of the noise."""
+        """Seed of the noise."""
         return self._seed
 
     @property
     def rings(self) -> bool:
-        """Return whether the rings lock the cart."""
+        """Return True if the rings lock the cart."""
         return self._rings
 
     @property
@@ -114,9 +114,9 @@ class VirtualRig:
         return self._outputs[-len(TRUTH) :]
 
     def settle(self, code: FlightCode) -> None:
-        """Find the covariances to which the estimator of `code` settles on this rig; then both begin at rest.
+        """Reset this rig and `code` to rest, with the covariances to which the estimator of `code` settles on this rig.
 
-        `reset` then starts from there.
+        Later calls of `reset` use these covariances too.
         """
         own = code.machine
         self._flight_states = frozenset(own.program.states)
@@ -128,9 +128,9 @@ class VirtualRig:
     def reset(
         self, seed: int | None = None, x: float = 0.0, noise: float | None = None, rings: bool | None = None
     ) -> dict[str, Any]:
-        """Begins again at rest at `x` [m]; what is None stays as it is. Returns states for the flight code, by path.
+        """Reset to rest at `x` [m]; None keeps a value as it is. Return the states for the flight code, by path.
 
-        Raises ParameterError, and changes nothing, for a place beyond the rail, a seed or a noise that cannot be.
+        Raises ParameterError, and changes nothing, for a position beyond the rail, or a seed or noise out of bounds.
         """
         asked = {"seed": seed, "noise": noise, "rings": rings}
         values = {name: value for name, value in asked.items() if value is not None}
@@ -145,23 +145,23 @@ class VirtualRig:
         return self._begin(start)
 
     def read(self) -> SensorSample:
-        """Return the measurements of this tick."""
+        """Return the sensor sample of this tick."""
         sample = SensorSample._make(_sampled((*self._outputs, 0.0, True)))
         return sample if self.distort is None else self.distort(sample)
 
     def drive(self, fore: float, aft: float) -> None:
-        """Commands the rotor pairs, 0 to 1 each, and lets the rig's time run by a control period."""
+        """Command the rotor pairs, 0 to 1 each, and run the rig for one control period."""
         if self._stopped:
             fore = aft = 0.0
         self._stepper.run(TICKS, (fore, aft))
         self._look()
 
     def stop(self) -> None:
-        """Both pairs off until `release`, against every command; from any thread."""
+        """Stop both rotor pairs until `release`, whatever `drive` commands. May be called from any thread."""
         self._stopped = True
 
     def release(self) -> None:
-        """Commands count again."""
+        """Let the commands of `drive` act again after `stop`."""
         self._stopped = False
 
     def _look(self) -> None:
@@ -186,14 +186,14 @@ class VirtualRig:
 class VirtualDrone:
     """Drone number `index` (system `index` + 1) on a virtual rig, in real time or in `lockstep`.
 
-    `rig` is "paper", "lab", a file or a set of parameters; `conditions` further parameters of it (`seed`, `noise`,
-    `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a sandbox
-    unless `trusted`. `precision` is that of everything. `state` is the folder of what it keeps, None for nothing.
-    `rate` names the streams that every client gets, "onboard" or "ground". `fresh` forgets what is kept in `state`,
-    except its logs.
+    `rig` is "paper", "lab", a file or a set of parameters; `conditions` are further parameters of the rig (`seed`,
+    `noise`, `rings`, ...). `controllers` are diagrams, their JSON files, or names of starter diagrams, which fly in a
+    sandbox unless `trusted`. `precision` is that of rig and flight code. `state` is the folder in which parameters,
+    controllers and logs are kept, None to keep nothing; `fresh` deletes its content except the logs. `rate` names the
+    streams that every client gets, "onboard" or "ground".
 
-    Use it as an asynchronous context manager: within, it runs; `listen` opens links. Raises ParameterError,
-    DiagramError, CompileError and LinkError for what cannot be.
+    Use it as an asynchronous context manager, within which it runs; `listen` opens links. Raises ParameterError for a
+    rig, condition or rate, DiagramError and CompileError for a controller, and LinkError for a link.
     """
 
     def __init__(
@@ -219,7 +219,7 @@ class VirtualDrone:
         uploads, kept = (None, None) if state is None else (state / "controllers", state / "flying")
         chosen = Controllers(controllers, trusted, uploads, kept, position_filter, precision, fuel)
         if rate not in PROFILES:
-            raise ParameterError(f"no rates called {rate!r:.40}", "rate", f"there are: {', '.join(PROFILES)}")
+            raise ParameterError(f"there are no rates {rate!r:.40}", "rate", f"use one of {', '.join(PROFILES)}")
         self.assembly = Assembly(self.rig, chosen, index + 1, lockstep, signing, state, PROFILES[rate], fresh)
         self.rig.settle(self.controller.code)
         self.urls: list[str] = []
@@ -227,22 +227,22 @@ class VirtualDrone:
 
     @property
     def controller(self) -> FlightController:
-        """The control loop."""
+        """Flight controller with its control loop."""
         return self.assembly.controller
 
     @property
     def commander(self) -> Commander:
-        """Return the commander."""
+        """Commander, which decides about arming, mode and set-points."""
         return self.assembly.commander
 
     @property
     def flown(self) -> ControllerIdentity:
-        """Which controller flies, and how many parameters differ from their defaults."""
+        """Identity of the controller that flies, and the number of parameters that differ from their defaults."""
         return self.assembly.configuration.identity
 
     @property
     def server(self) -> Server:
-        """The shell: links and services."""
+        """Server with the links and the MAVLink services."""
         return self.assembly.server
 
     async def __aenter__(self) -> Self:
@@ -258,12 +258,12 @@ class VirtualDrone:
         return self.urls[-1]
 
     async def wait(self) -> None:
-        """Until it ends, which it does by an error only. Raises that."""
+        """Wait until the drone ends, which only an error causes. Raises that error."""
         if self._running is not None:
             await self._running
 
     async def close(self) -> None:
-        """Motors off, links and log closed; a second time does nothing. Raises what ended it, if that was an error."""
+        """Stop the motors, close links and log; a second call does nothing. Raises the error that ended the drone."""
         running, self._running = self._running, None
         try:
             if running is not None:

@@ -44,7 +44,7 @@ def test_what_cannot_be_met_comes_as_near_as_it_can() -> None:
 
 
 def test_refuses_a_specification_that_asks_for_nothing() -> None:
-    with pytest.raises(ParameterError, match="asks for nothing"):
+    with pytest.raises(ParameterError, match="asks for no figure"):
         rail_design(Specification(loop="velocity"), FAMILY)
 
 

@@ -1,1 +1,1 @@
-"""Promises by flight: members of an identified family, flown side by side on the virtual rig before the drone flies."""
+"""Promises by simulation: members of an identified family fly on the virtual rig before the drone flies."""

@@ -1,4 +1,4 @@
-"""RailDesign: gains of the velocity and position loops that meet a specification of the rail best."""
+"""Design for the rail: gains of the velocity and position loops that best meet a specification."""
 
 import math
 from collections.abc import Callable
@@ -22,7 +22,7 @@ _HIGHEST = {row.name: float(row.high) for row in PARAMETERS if row.name in _NAME
 _LOWEST = 0.02  # of the highest: below, a loop does nothing that anyone would notice
 
 RESERVE = 0.03
-"""The flights end where each figure is met by this share: other members of the same family differ by as much."""
+"""Share by which each figure must be better than asked before the search ends, as other members differ by as much."""
 
 _LINEAR, _FLIGHTS = 100, 40  # sets of gains that a simplex tries
 _GRID = (0.25, 0.6)  # of the highest
@@ -34,7 +34,7 @@ _MEAN = 0.05  # of the mean miss, so that the search goes on where the worst one
 
 @dataclass(frozen=True, eq=False)
 class RailDesign:
-    """`gains`, and the `requirements` as they were judged in the search; `tried` sets of gains were looked at."""
+    """Result of a search: `gains`, the `requirements` with their figures, and the number of sets of gains `tried`."""
 
     gains: Gains
     requirements: tuple[Requirement, ...]
@@ -42,7 +42,7 @@ class RailDesign:
 
     @property
     def met(self) -> bool:
-        """Return True if all were met there."""
+        """Return True if all requirements are met."""
         return all(one.met for one in self.requirements)
 
 
@@ -105,16 +105,18 @@ def rail_design(
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> RailDesign:
-    """Search the gains of the stock velocity and position loops for what `specification` asks, from those of `kept` on.
+    """Search for gains of the stock velocity and position loops that meet `specification`, starting from `kept`.
 
-    The largest miss is made small by a simplex (Nelder and Mead, 1965). Bandwidths and margins of the estimate come
-    first. Then the `members` that `rail_promise` draws with this `seed` fly the step, the same ones with all gains. The
-    position's gain stands where nothing is asked of it. `progress` is called with the
-    share done, and may raise. Raises ParameterError where nothing is asked, and as `rail_promise`.
+    A simplex (Nelder and Mead, 1965) minimises the largest miss, first of bandwidths and margins of the estimated
+    model, then of the step that `members` of the family fly, the same for all gains, as `rail_promise` draws them with
+    `seed`. The position's gain is kept if nothing is asked of its loop. `progress` is called with the share done, and
+    may raise to end the search. Raises ParameterError if nothing is asked, and as `rail_promise`.
     """
     linear, flown = specification.of_loops, specification.of_step
     if linear is None and flown is None:
-        raise ParameterError("it asks for nothing", "specification", "ask for a figure, such as velocity_bandwidth = 4")
+        raise ParameterError(
+            "it asks for no figure of the rail's loops", "specification", "ask for one, such as velocity_bandwidth = 4"
+        )
     search = _Search(specification, family, kept, members, seed, progress)
     outer = linear is not None and set(linear.asked) - {"velocity_bandwidth"}
     names = _NAMES if outer or specification.loop == "position" else _NAMES[:2]

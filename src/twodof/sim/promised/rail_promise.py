@@ -1,4 +1,4 @@
-"""Promise of a step of the velocity or the position, by flights of an identified family on the virtual rig."""
+"""Promise for a step of velocity or position, from flights of an identified family on the virtual rig."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,10 +32,10 @@ _BOUNDS: Mapping[str, tuple[float, float]] = {"k_v": (0.1, 100.0), "p_v": (0.0, 
 
 @dataclass(frozen=True, eq=False)
 class RailFamily:
-    """`pitch`, and the cart v = -k_v / (s + p_v) theta with the `covariance` (2, 2) of (k_v [m/s2], p_v [1/s]).
+    """Family of rigs: `pitch`, and the cart v = -k_v / (s + p_v) theta, `covariance` (2, 2) of (k_v [m/s2], p_v [1/s]).
 
-    What neither tells, such as sensors and battery, is that of the rig `base`. Raises ParameterError for numbers that
-    cannot be.
+    Everything else, such as sensors and battery, is that of the rig `base`. Raises ParameterError for values out of
+    bounds and for a matrix that is not a covariance.
     """
 
     pitch: PitchFamily
@@ -48,17 +48,17 @@ class RailFamily:
         for name, (low, high) in _BOUNDS.items():
             if not low <= getattr(self, name) <= high:
                 raise ParameterError(
-                    f"{name} = {getattr(self, name)!r}", "RailFamily", f"{low:g} to {high:g} is possible"
+                    f"{name} = {getattr(self, name)!r} is out of bounds", "RailFamily", f"give {low:g} to {high:g}"
                 )
         p = check_covariance(self.covariance, len(RAIL), "RailFamily")
         if (np.diag(p) < 0.0).any() or float(np.linalg.det(p)) < -1e-12 * float(np.prod(np.diag(p)) + 1e-300):
-            raise ParameterError("the covariance has a negative direction", "RailFamily", "identify again")
+            raise ParameterError("the covariance is not positive semidefinite", "RailFamily", "identify again")
 
     @classmethod
     def from_identified(cls, pitch: object, rail: object, base: str = "paper", where: str = "model") -> Self:
-        """Of two documents of `twodof identify --out`: the pitch's, and that of a flight that moved the cart.
+        """Return the family of two documents of `twodof identify --out`: of the pitch, and of the cart (`rail`).
 
-        Raises ParameterError for others, and where k_v or p_v is missing.
+        `where` names the documents in an error. Raises ParameterError for other documents, and without k_v or p_v.
         """
         family = PitchFamily.from_identified(pitch, where)
         try:
@@ -74,21 +74,21 @@ class RailFamily:
             raise ParameterError(
                 f"it is not a model of the cart ({type(reason).__name__}: {reason!s:.80})",
                 where,
-                "give what `twodof identify LOG --out` wrote of a velocity-doublet",
+                "give a file that `twodof identify LOG --out` wrote for a velocity-doublet",
             ) from reason
         return cls(family, k_v, p_v, 0.5 * (correlation + correlation.T) * np.outer(sigma, sigma), base)
 
     def rigs(self, count: int, seed: int = 1) -> list[dict[str, float]]:
-        """`count` rigs, each a member that was drawn, with the family's gust and noise.
+        """Return the parameters of `count` rigs, drawn members of the family with its gust and noise.
 
-        Raises ParameterError as `PitchFamily.draw`, and for members that no rig is.
+        Raises ParameterError as `PitchFamily.draw`, and for a member that is not a possible rig.
         """
         drawn, cart = self.pitch.draw(count, seed), self._cart(count, np.random.default_rng(seed + 1))
         base = dict(load_rig(self.base).snapshot())
         return [self._rig(drawn.one(k), cart[k], base) for k in range(count)]
 
     def nominal(self) -> dict[str, float]:
-        """Return the rig with the estimated values."""
+        """Return the parameters of the rig with the estimated values."""
         base = dict(load_rig(self.base).snapshot())
         return self._rig(self.pitch.nominal().one(0), np.array([self.k_v, self.p_v]), base)
 
@@ -110,23 +110,26 @@ class RailFamily:
         return draw_within(np.array([self.k_v, self.p_v]), root, bounds, count, rng)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
+        """Return plain data."""
         cart = {"k_v": self.k_v, "p_v": self.p_v, "covariance": np.asarray(self.covariance).tolist()}
         return {"pitch": self.pitch.to_json(), **cart, "base": self.base}
 
 
 HOLD = 8.0
-"""From the start of the motors to the step [s], as the experiments have it."""
+"""Time from the start of the motors to the step [s], as in the experiments."""
 
 BEFORE = 125
-"""Samples before the step that are kept: .5 s."""
+"""Number of samples kept before the step: .5 s."""
 
 _CHUNK = 250  # steps between two calls of `said`
 
 
 @dataclass(frozen=True, eq=False)
 class LanesFlight:
-    """`time` (steps,) [s] from the step on, `BEFORE` samples of it before; `channels` are (steps, rigs) each."""
+    """Flights of several rigs: `time` (steps,) [s], 0 at the step, from `BEFORE` samples earlier; `channels` by name.
+
+    Each channel is (steps, rigs).
+    """
 
     time: Array
     channels: Mapping[str, Array]
@@ -145,16 +148,16 @@ def fly_lanes(
     seed: int = 1,
     said: Callable[[float], None] = lambda share: None,
 ) -> LanesFlight:
-    """Hold `setpoint` ("theta0", "v0" or "x0") at 0, then step it to `goal`, for `duration` [s].
+    """Fly all `rigs` with `setpoint` ("theta0", "v0" or "x0") at 0, then at `goal` for `duration` [s].
 
-    Each of `rigs` is a rig's parameters by name; the k-th has the noise of `seed` + k. `read` are outputs of the closed
-    loop. `gains` are those of the stock loops, and `controllers` fly in place of some. `tuned` are parameters of the
-    closed loop by path, a value for each rig. `said` is called with the share done; an exception that it raises ends
-    the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build`.
+    Each of `rigs` is a rig's parameters by name; the k-th has the noise of `seed` + k. `read` names the outputs of the
+    closed loop to return. `gains` are those of the stock loops, and `controllers` fly in place of some. `tuned` are
+    parameters of the closed loop by path, a value for each rig. `said` is called with the share done; an exception that
+    it raises ends the flights. Raises ParameterError for another set-point, and as `closed_loop` and `build`.
     """
     modes = {"theta0": "attitude", "v0": "velocity", "x0": "position"}
     if setpoint not in modes:
-        raise ParameterError(f"a set-point {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
+        raise ParameterError(f"there is no step of {setpoint!r:.40}", "fly_lanes", f"give one of {', '.join(modes)}")
     program = build(closed_loop(gains, controllers=controllers), BASE_DT)
     if not isinstance(program, CompiledProgram):
         raise CompileError("flights of many rigs need a C compiler", "fly_lanes", "install gcc, or the wheel ziglang")
@@ -203,17 +206,18 @@ def rail_promise(
     seed: int = 1,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Promise:
-    """Fly `members` of the family on the virtual rig, with all noise and limits, and promise what a share `level` does.
+    """Return the promise for a step of `loop`: figures that a share `level` of the family's `members` keeps.
 
-    `goal` [m/s or m] and `duration` [s] are those of `STEPS` if None. `progress` is called with the share done. Raise
-    ParameterError for numbers out of range, and as `RailFamily.rigs` and `fly_lanes`.
+    The members fly on the virtual rig with all noise and limits. `goal` [m/s or m] and `duration` [s] are by default
+    those of `STEPS`. `progress` is called with the share done. Raises ParameterError for numbers out of range, and as
+    `RailFamily.rigs` and `fly_lanes`.
     """
     if loop not in LOOPS:
-        raise ParameterError(f"a loop {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
+        raise ParameterError(f"there is no promise for {shown(loop)}", "rail_promise", f"give {' or '.join(LOOPS)}")
     step = STEPS[loop]
     goal, duration = step.goal if goal is None else goal, step.duration if duration is None else duration
     if not 0.01 <= goal <= 1.0:
-        raise ParameterError(f"a step of {goal!r}", "rail_promise", "give .01 to 1 m/s or m")
+        raise ParameterError(f"a step of {goal!r} is out of bounds", "rail_promise", "give .01 to 1 m/s or m")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     rigs, diagrams = family.rigs(members, seed), tuple(controllers)
     flown = fly_lanes(
@@ -233,7 +237,10 @@ def rail_promise(
 
 
 def from_step(flown: Mapping[str, Array], loop: str) -> dict[str, Array]:
-    """Return the channels of a promise from the step on, of flights that begin `BEFORE` samples earlier."""
+    """Return the channels of a promise from the step on, from flights that begin `BEFORE` samples earlier.
+
+    Channels in the step's `zeroed` are taken relative to their mean before the step.
+    """
     step = STEPS[loop]
     rest = {name: flown[name][:BEFORE].mean(axis=0) for name in step.zeroed}
     return {name: flown[name][BEFORE:] - rest.get(name, 0.0) for name in step.channels}
@@ -246,10 +253,10 @@ def check_rail(
     controllers: Iterable[Diagram] = (),
     promised: Promise | None = None,
 ) -> tuple[Requirement, ...]:
-    """Return what `specification` asks of the rail's loops, in its order, beside what `gains` and `controllers` have.
+    """Return each requirement of `specification` for the rail's loops with the figure of `gains` and `controllers`.
 
-    Bandwidths and margins are those of the estimate as it flies, sampled, with the estimator (`cascade_margins`); the
-    worse of both loops counts. A figure of the step is checked by the far end of the `promised` interval. Raise
+    Bandwidths and margins are those of the family's estimated rig, sampled and with the estimator (`cascade_margins`);
+    the worse of both loops counts. A figure of the step is judged by the worse end of the `promised` interval. Raises
     ParameterError if a step is asked for and `promised` is missing or of another step.
     """
     found = {}
