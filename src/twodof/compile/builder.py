@@ -65,7 +65,7 @@ def _target(name: str, compiler: str | None, optimise: str | None, native_cpu: b
             return Wasm(compiler, optimise or "-O3")
         case "cortex-m7":
             return CortexM7(compiler, optimise or OPTIMISE)
-    raise CompileError(f"unknown target {name!r:.80}", "", f"targets are {', '.join(TARGETS)}")
+    raise CompileError(f"unknown target {name!r:.80}", "", f"use one of {', '.join(TARGETS)}")
 
 
 def emit_program(

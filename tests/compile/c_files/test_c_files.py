@@ -177,7 +177,7 @@ def test_a_name_that_hides_a_header_of_c_is_refused() -> None:
     d = Diagram("string")
     d.input("u")
     d.output("y", "u")
-    with pytest.raises(DiagramError, match=r"string\.h is a header of C"):
+    with pytest.raises(DiagramError, match=r"string\.h is a standard header of C"):
         c_files(d, 0.01)
     assert sorted(c_files(d, 0.01, name="text").files) == ["text.c", "text.h"]
 

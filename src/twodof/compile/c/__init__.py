@@ -1,1 +1,1 @@
-"""From a program to readable C99."""
+"""Emission of readable C99 from a program."""

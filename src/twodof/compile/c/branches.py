@@ -1,8 +1,8 @@
-"""Branches: the nodes of an expression graph that are computed only where a condition holds.
+"""Branches: `if` statements around nodes of an expression graph that are needed under a condition only.
 
-`where` reads one of its two values; `and` and `or` read the second one only where the first does not decide. Nodes
-that one side alone reads move into an `if` if they cost enough, together with all choices on the same condition.
-Other choices stay between two values. Expressions have no effect, so both forms give the same bits.
+`where` reads one of its two values; `and` and `or` read the second one only if the first does not decide. Nodes that
+one side alone reads move into an `if` if they cost enough, together with all choices on the same condition. Other
+choices stay choices between two computed values. Expressions have no effect, so both forms give the same bits.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """An `if` with the steps of each side. Behind it, all nodes `chosen` have their values, by their `choices`."""
+    """An `if` with the steps of each side, which gives the nodes `chosen` their values, by the choice of each."""
 
     condition: Expr
     chosen: tuple[Expr, ...]
@@ -53,7 +53,7 @@ Arguments = Callable[[Expr], Sequence[Expr]]
 
 
 def decision(item: Expr, args: Sequence[Expr]) -> Choice | None:
-    """Return the choice that a node with these arguments makes, or None."""
+    """Return the choice that a node with the arguments `args` makes, or None."""
     if item.op == "where":
         return Choice(*args)
     if item.op in ("and", "or") and item.kind == "bool":
@@ -93,10 +93,11 @@ def steps(
     optional: Container[int],
     in_loop: bool,
 ) -> Sequence[Step]:
-    """Return the nodes `order`, arguments before their users, as steps.
+    """Return the steps that compute the nodes `order`, with branches where they save enough operations.
 
-    The nodes `always` are computed in any case; nodes whose identity is in `hand` are computed already. The signals
-    `optional` may be 0 where a condition keeps all others from reading them.
+    In `order` the arguments, which `args` gives, come before their users. The nodes `always` are computed in any case;
+    nodes with an id in `hand` are computed already. Signals with an id in `optional` may be left 0 under a condition
+    that keeps all other nodes from reading them. `in_loop` tells that the steps are those of a loop's body.
     """
     if not any(item.op in ("where", "and", "or") for item in order):
         return order

@@ -1,4 +1,4 @@
-"""Statements that replace states by their next values, which read only the old ones."""
+"""Statements that give states their next values, which are computed from the old values only."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,14 +26,14 @@ class StateChange:
 
     @property
     def numbers(self) -> Sequence[Expr]:
-        """The numbers that the value is made of, each index before its element; none of an array from a loop."""
+        """Expressions of the numbers to store, each index before its element; none for an array made by a loop."""
         chain = _stores(self.name, self.e)
         if chain:
             return [x for pair in chain for x in pair]
         return self.e.args if self.e.op == "vector" else [self.e] if self.e.width is None else []
 
     def stores(self, renderer: Renderer, texts: Sequence[Text]) -> list[tuple[Text | None, Text]]:
-        """Return (index, value) of each number to store; a scalar has no index."""
+        """Return the C of (index, value) of each number to store, given that of `numbers`; a scalar's index is None."""
         chain = _stores(self.name, self.e)
         if chain:
             indices = [renderer.index(i, x, self.e.width or 1) for i, (x, _) in zip(texts[::2], chain, strict=True)]
@@ -42,12 +42,12 @@ class StateChange:
 
 
 def changed(node: Node, values: Mapping[str, Expr], place: Callable[[str], str]) -> list[StateChange]:
-    """Return the changes of a block's states, whose lvalues `place` gives."""
+    """Return the changes of a block's states to `values`, by name; `place` gives the lvalue of a state."""
     return [StateChange(node, name, e, place(name)) for name, e in values.items() if not _keeps(name, e)]
 
 
 def commit(renderer: Renderer, rows: Sequence[StateChange]) -> None:
-    """Add the statements of changes that happen together."""
+    """Add the statements of changes that happen together: none reads a state that another has replaced."""
     arrays = [row for row in rows if not row.numbers]
     # The signals that arrays are made of must be computed before any state changes.
     read = [item for row in arrays for item in walk([row.e]) if item.op == "input"]

@@ -1,7 +1,7 @@
 """Readable C99 from a program: `prepare`, `init`, `step` and `run` on the structs P, S, U and Y.
 
-No globals but constant tables, no malloc, no libm. `real` is double or float. What a step is stands in
-docs/explanation/language.md.
+No globals but constant tables, no malloc, no libm. `real` is double or float. docs/explanation/language.md defines a
+step.
 """
 
 import math
@@ -64,11 +64,11 @@ MOST_ON_STACK = 40_000  # elements: 320 kB of the 512 kB that the smallest usual
 def emit(
     programs: Sequence[FlatProgram], precision: str = "float64", lean: bool = False, header: str = ""
 ) -> list[EmittedProgram]:
-    """Return `programs`, whose names must differ, each with the one C file that has the functions of all.
+    """Return each of `programs`, whose names must differ, with its C; all functions are in one C file that they share.
 
-    `lean` is for a flight controller's firmware: without `run` and the tables, and without == on reals, of which its
-    compiler warns (-Wfloat-equal). A `header` is the name of a file that has the `CInterface` of each program; by
-    default the C file itself has it.
+    `lean` is for a flight controller's firmware: it leaves out `run`, the tables, and == on reals, about which its
+    compiler warns (-Wfloat-equal). `header` is the name of a file with the `CInterface` of each program; by default the
+    C file itself contains it.
     """
     emitters = [_Emitter(p, MemoryLayout(p), precision, lean, not header) for p in programs]
     helpers = set[str]().union(*(e.scope.used.helpers for e in emitters))
@@ -168,7 +168,7 @@ class _Emitter:
             raise DiagramError(
                 f"its arrays have more than {MOST_ON_STACK} elements at once, too many for a stack",
                 self.prefix,
-                "make them shorter, or states, which do not stand on the stack",
+                "make them shorter, or keep them in states, which are not on the stack",
             )
         self.listing.add(struct, Mark("Work", "", "declaration"))
         for each in functions:

@@ -56,10 +56,10 @@ def _stores(array: Expr) -> int:
 
 @dataclass
 class Batch:
-    """Expressions that are written together, with the `texts` that are known so far.
+    """Expressions that are written together, with the `texts` (C) of the nodes that are known so far, by id.
 
-    `uses`: how often each node is read. `before`: nodes that loops need before them. `whole`: the roots that stand by
-    themselves in the statement that asked for them. `given`: the lvalue to which a branch gives a node's value.
+    `uses` is the number of readers of each node. `before` are nodes that a loop needs before it. `whole` are the roots
+    that are read once only, by the statement for which they are written.
     """
 
     uses: dict[int, int]
@@ -70,7 +70,7 @@ class Batch:
 
 @dataclass
 class Used:
-    """The helpers and elementary functions that a program's C calls."""
+    """Names of the helpers and elementary functions that a program's C calls."""
 
     helpers: set[str] = field(default_factory=set)
     functions: set[str] = field(default_factory=set)
@@ -78,11 +78,12 @@ class Used:
 
 @dataclass(frozen=True)
 class Leaves:
-    """Where a renderer finds values.
+    """Functions by which a renderer finds values.
 
-    `text` gives the C of a leaf that is at hand. `driver` gives the expression of a signal that is computed where it is
-    first needed, or None; `place` the lvalue of such a signal, "" for a new variable; `shown` the signal that shows the
-    value of an expression, or None. `owner` is a node's block.
+    `text` gives the C of a leaf that is computed already. `driver` gives the expression of a signal that is computed
+    when it is first needed, or None for another leaf; `place` gives the lvalue of such a signal, "" for a new variable;
+    `shown` gives the signal with the value of an expression, or None. `owner` gives a node's block. `stem` begins the
+    names of variables without a block.
     """
 
     text: Callable[[Expr], Text]
@@ -119,7 +120,7 @@ class Renderer:
         self._wanted: dict[tuple[Any, ...], set[int]] = {}  # of each fold, which of its results
 
     def know(self, item: Expr, text: Text) -> Text:
-        """Take a text as a node's value from here on, and return it."""
+        """Use `text` as the C of the node `item` from here on, and return it."""
         self._undo.append((id(item), self.named.get(id(item))))
         self.named[id(item)] = text
         if item.loops:
@@ -150,7 +151,7 @@ class Renderer:
         return self.texts([root])[0]
 
     def index(self, text: Text, root: Expr, width: int) -> Text:
-        """Return the C of an array index, clamped unless it cannot be outside."""
+        """Return the C of the index `root` into an array, clamped to `width` unless its range shows that it fits."""
         return Text(self._index(self._resolve(root), text, width), ATOM, text.reads)
 
     def put(self, target: str, value: Text, more: Names = NOTHING, owner: Node | None = None) -> None:
@@ -171,7 +172,7 @@ class Renderer:
         self.out.append(Assign(name, value.text, declared, width, owner=self.owner, reads=value.reads))
 
     def assign(self, targets: Sequence[tuple[str, Expr]]) -> None:
-        """Store each expression in its lvalue, which no expression may read."""
+        """Add statements that store each expression in its lvalue, which none of the expressions may read."""
         self._resolved, self._before = {}, {}
         roots = [self._resolve(e) for _, e in targets]
         for (target, _), root in zip(targets, roots, strict=True):

@@ -1,4 +1,4 @@
-"""Functions of C, and the listing that they become: each line with the block that it belongs to."""
+"""Functions of C and their listing, in which each line has the block to which it belongs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def describe(node: Node) -> str:
 
 @dataclass(eq=False)
 class Function:
-    """A function: its result, name, parameters and body; `part` is its name in the source map."""
+    """A C function: type of the result, name, parameters, body, a comment `remark`; `part` names it in source maps."""
 
     result: str
     name: str
@@ -52,7 +52,7 @@ class Function:
 
     @property
     def head(self) -> str:
-        """The line before the body."""
+        """Declaration before the body."""
         return f"{self.result} {self.name}({', '.join(self.parameters) or 'void'})"
 
     def arguments(self) -> list[str]:
@@ -62,7 +62,7 @@ class Function:
 
 @dataclass(frozen=True)
 class Mark:
-    """Which function or struct a line stands in, and which block it belongs to, or its role."""
+    """Origin of a line of C: its function or struct `part`, and the path of its block or, without one, its role."""
 
     part: str = ""
     block: str = ""
@@ -74,14 +74,14 @@ NO_MARK = Mark()
 
 @dataclass
 class Listing:
-    """Lines of C with their marks; `cost` is that of `EmittedProgram`."""
+    """Lines of C with a mark for each; `cost` estimates the work of compiling them (see `EmittedProgram`)."""
 
     lines: list[str] = field(default_factory=list)
     marks: list[Mark] = field(default_factory=list)
     cost: int = 0
 
     def add(self, text: str, mark: Mark = NO_MARK) -> None:
-        """Add whole lines that have one mark."""
+        """Add whole lines that all have the same mark."""
         more = text.splitlines()
         self.lines += more
         self.marks += [mark] * len(more)

@@ -1,4 +1,4 @@
-"""Rewriting of expressions: over the whole program, short loops written out, ranges of indices, derived parameters."""
+"""Rewriting of expressions: over the program's leaves, short loops unrolled, `prepare` in float64; ranges of indices."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -16,7 +16,7 @@ _LOW, _HIGH = -(2**31), 2**31 - 1
 EXACT = "float64"
 
 Span = tuple[int, int]
-"""The least and the largest value of an integer."""
+"""Range of an integer: its least and its largest value."""
 
 
 class ProgramGraph:
@@ -76,9 +76,9 @@ def leaf(signal: FlatSignal) -> Expr:
 
 
 def written_out(loop: Expr, own: Callable[[Expr], Expr]) -> Expr:
-    """Return a short loop as its rounds, one after another; any other node unchanged. `own` is called with new nodes.
+    """Return a short loop unrolled, and any other node unchanged. `own` is called with each new node and returns it.
 
-    The operations stay the same, and so do all bits.
+    The operations are the same, and so are all bits.
     """
     if loop.op not in LOOPS or loop.data[0] > SHORT:
         return loop
@@ -135,9 +135,9 @@ def _folded(item: Expr, args: tuple[Expr, ...]) -> Expr:
 
 
 def index_range(item: Expr, limits: Mapping[tuple[int, int], int], depth: int = 0) -> Span | None:
-    """Return the least and the largest value of an int32, or None if unknown or if it may wrap around.
+    """Return the range of an int32 expression, or None if it is unknown or the value may wrap around.
 
-    `limits` has one more than the largest value of each loop counter, by its depth and 0.
+    `limits` is the number of rounds of each loop around it, by the key of its counter, (depth, 0).
     """
     if item.kind != "int32" or item.width is not None or depth > DEEPEST:
         return None
@@ -173,9 +173,9 @@ def _chosen(item: Expr, limits: Mapping[tuple[int, int], int], depth: int) -> Sp
 
 
 def in_doubles(exprs: Mapping[str, Expr]) -> dict[str, Expr]:
-    """Return the results of `prepare` computed in float64 and rounded once, in builds of float32 too.
+    """Return the expressions of `prepare` with float64 arithmetic, rounded to real once at the end.
 
-    Parameters and results stay real. In a build of float64 the arithmetic is the same.
+    So derived parameters have that accuracy in builds of float32 too. Nothing changes in builds of float64.
     """
     wide: dict[int, Expr] = {}
     for item in walk(exprs.values()):

@@ -1,4 +1,4 @@
-"""Small C functions that emitted C brings along: operations of the language, and memory where there is no C library."""
+"""Small C functions included in emitted C: operations of the language, and memory functions without a C library."""
 
 import re
 from importlib import resources

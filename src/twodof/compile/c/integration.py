@@ -1,4 +1,4 @@
-"""The integration within the step function: a loop over the method's stages, edges, and projections."""
+"""Integration of continuous states in the step function: a loop over the method's stages, edges, and projections."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -19,8 +19,8 @@ LONGEST_UNROLLED = 300  # statements of a stage that may appear four times in th
 class Method(NamedTuple):
     """Butcher table of an explicit method in which each stage starts from the slopes of the one before.
 
-    A stage looks for its slopes `ahead` of the last one's, in parts of the step. The step takes `share` of the sum
-    of the slopes, each with its weight.
+    With the step h, the stage after stage k is at x + h ahead[k] slope_k. The new state is x + h share times the sum of
+    weights[k] slope_k.
     """
 
     ahead: tuple[float, ...]
@@ -50,7 +50,7 @@ class Integration:
         self._inside = {s for g in self.program.stage if g.guard.always for a in g.actions for s in a.signals}
 
     def write(self) -> None:
-        """Add the statements that move the states over a step, from edge to edge, and project them."""
+        """Add the statements that integrate the states over a step, from edge to edge, and project them."""
         step, out = self.step, self.step.renderer.out
         out.append(Assign(self.x, "s->x", self.struct, role=ROLE, reads=frozenset("s")))
         if step.fractions:

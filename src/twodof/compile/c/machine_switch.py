@@ -1,7 +1,7 @@
 """MachineSwitch: a state machine as a `switch` over its modes that reads like the drawing.
 
-The first switch takes a transition, the second does what each mode does while it lasts. The variables stand in S and
-change in place, as the actions follow each other: only the machine reads them.
+The first switch takes a transition, the second has the `during` actions of each mode. The variables are members of S
+and change in place, in the order of the actions, as only the machine reads them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,10 @@ from twodof.compile.program.flat_program import FlatSignal, Node
 
 
 class MachineSwitch:
-    """Writes one machine; `states` are the lvalues of its states, `targets` those of the outputs to write, by name."""
+    """Emitter of one machine; `states` are the lvalues of its states, `targets` those of the outputs to write, by name.
+
+    `signal` gives the C of a signal that the machine reads; the statements are added to the renderer `outer`.
+    """
 
     def __init__(
         self,
@@ -53,7 +56,7 @@ class MachineSwitch:
         self.variables = {v.name for v in machine.variables}
 
     def write(self) -> None:
-        """Add the tick: the transition, what the modes do, the outputs that show a variable."""
+        """Add the statements of a tick: the transition, the `during` actions, and outputs that return a variable."""
         for clock in (ELAPSED, OUTER_ELAPSED):
             if clock in self.states:
                 step: list[Statement] = [self._line(f"{self.states[clock]} += 1u;")]

@@ -12,16 +12,16 @@ C_TYPES |= {kind: f"{kind}_t" for kind in INTEGERS}
 ATOM, PRODUCT, SUM, SIGNED, COMPARISON, LOOSE = range(6)
 COMPARISONS = {"lt": "<", "le": "<=", "eq": "==", "ne": "!="}
 PLAIN = {op: f"plain_{op}" for op in ("add", "sub", "mul", "quot", "rem")}
-"""The rows of int32's arithmetic where the result is known not to wrap around."""
+"""Names of the rows for int32 arithmetic whose result cannot wrap around, by operation."""
 BITWISE = {"and": "&", "or": "|", "xor": "^"}
 
 
 @dataclass(frozen=True)
 class Operator:
-    """How an operation is written: C with `{0}`, `{1}` for its operands, or the call of a `helper`.
+    """C of an operation: `text` with `{0}`, `{1}` for its operands, which may call the function `helper`.
 
-    `operands` are the loosest that each operand may bind without brackets, `binding` is how the whole binds. `{f}` is
-    the suffix of float32's functions in the build's precision.
+    `operands` are the loosest bindings at which each operand needs no brackets, `binding` is that of the whole text.
+    `{f}` is the suffix of C's functions for the build's precision: "f" for float32.
     """
 
     text: str
@@ -31,12 +31,12 @@ class Operator:
 
     @property
     def arity(self) -> int:
-        """How many operands it has."""
+        """Number of operands."""
         return sum(f"{{{i}}}" in self.text for i in range(3))
 
 
 def called(name: str, operands: int, helper: str = "") -> Operator:
-    """Return the operator that calls a function."""
+    """Return the operator that calls the C function `name` with `operands` arguments."""
     return Operator(f"{name}({', '.join(f'{{{i}}}' for i in range(operands))})", helper=helper)
 
 
@@ -101,4 +101,4 @@ def _rows() -> Iterator[tuple[str, Operator]]:
 
 
 OPERATORS = dict(_rows())
-"""By what `row` gives."""
+"""The operators, by the name that `row` returns."""

@@ -1,6 +1,6 @@
-"""Long functions in pieces, as a compiler needs a time that grows with the square of a function's length.
+"""Division of long functions into pieces, since compile time grows with the square of a function's length.
 
-Variables that one piece declares and another one reads stand in a struct that the pieces hand on.
+Variables that one piece declares and another one reads are members of a struct that is passed to all pieces.
 """
 
 from collections.abc import Iterable
@@ -22,7 +22,10 @@ WORK = frozenset(("work",))
 
 
 def in_pieces(function: Function, every_tick: bool) -> tuple[str, list[Function], int]:
-    """Return the text of the struct, the pieces with the function itself as the last one, and the struct's elements."""
+    """Return the struct's C ("" without), the pieces and last the function that calls them, and the struct's elements.
+
+    A function is divided if it is long; one that runs at `every_tick` may be longer.
+    """
     if _length(function.body) <= (LONGEST if every_tick else LONGEST_SETUP):
         return "", [function], 0
     without_unread(function.body)

@@ -1,4 +1,4 @@
-"""Schedule: in which part of a tick each signal is computed."""
+"""Schedule: the part of a tick in which each signal is computed and each state replaced."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from twodof.compile.program.lower import inputs_of
 
 @dataclass(eq=False)
 class Segment:
-    """Actions of one guard that are computed together, and one that stands behind them.
+    """Actions under one guard that are computed together, and the action `behind` that follows them, if any.
 
     `behind` sets states to their initial values, or is the whole tick of a state machine. `updates` are the blocks
     whose states are replaced at the end of the segment, before `behind`.
@@ -25,9 +25,9 @@ class Segment:
 
 
 class Schedule:
-    """The segments of a tick, by groups of one guard; `last` are the blocks that are updated at its end.
+    """Schedule of a tick: its segments in groups with the same guard, and blocks `last` that are updated at its end.
 
-    A signal that is not `fixed` is computed where it is first needed.
+    A `fixed` signal is computed at its position in the order, any other one where it is first needed.
     """
 
     def __init__(self, program: FlatProgram, layout: MemoryLayout) -> None:
@@ -77,7 +77,7 @@ class Schedule:
         return given == set(action.signals) and self.ready(node)
 
     def ready(self, node: Node) -> bool:
-        """Return True if all signals that a state machine reads have been computed, and its starts."""
+        """Return True if all signals that a state machine reads, and those that reset it, have been computed."""
         assert isinstance(node.block, StateMachine)
         needed = [s for s in inputs_of(node, node.block.graph.expressions) if s.node is not None]
         return all(s in self._at for s in (*needed, *node.starts))

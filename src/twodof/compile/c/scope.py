@@ -1,4 +1,4 @@
-"""Scope: what the functions of one program share, such as the C of leaves and of initial values."""
+"""Scope of a program: data that its functions share, and the C of leaves, parameters, states and initial values."""
 
 from collections.abc import Callable
 
@@ -27,19 +27,22 @@ class Scope:
         self.used = Used()
 
     def names(self, *arguments: str) -> CNames:
-        """Return the identifiers of a function: its locals must not hide its arguments or the program's names."""
+        """Return the namespace of a function, whose locals must not hide its `arguments` or the program's names."""
         return CNames({*arguments, *(f"{self.program.name}_{own}" for own in OWN)})
 
     def constant(self, value: object, kind: str) -> str:
-        """Return a literal of the program's precision."""
+        """Return the C literal of a value of the type `kind` in the program's precision."""
         return constant(value, kind, self.precision).text
 
     def renderer(self, names: CNames, leaves: Leaves) -> Renderer:
-        """Return what writes expressions into a function."""
+        """Return a renderer, which writes expressions into one function with the identifiers `names`."""
         return Renderer(names, self.precision, self.lean, self.used, leaves)
 
     def leaf(self, signal: Callable[[FlatSignal], str], state: Callable[[Node, str], str]) -> Callable[[Expr], Text]:
-        """Return the C of leaves, given that of signals and states; the text of a state reads its lvalue as well."""
+        """Return the function from a leaf to its C, given those from a signal and from a state to theirs.
+
+        The text of a state counts its whole lvalue, not only the variable, among the names that it reads.
+        """
 
         def text(item: Expr) -> Text:
             found = "s->tick"
@@ -55,7 +58,7 @@ class Scope:
         return text
 
     def parameter(self, key: FlatParameter | tuple[Node, str]) -> str:
-        """Return the C of a given parameter, or of a derived one by its node and name."""
+        """Return the C of a given parameter, or of a derived one, whose key is its node and name."""
         return f"p->{(self.layout.derived[key] if isinstance(key, tuple) else self.layout.parameters[key]).name}"
 
     def given(self, node: Node, name: str) -> str:
@@ -68,7 +71,10 @@ class Scope:
         return f"s->x.{member}" if any(s.name == name for s in node.continuous) else f"s->{member}"
 
     def initial(self, node: Node, zeroed: bool = False) -> list[Statement]:
-        """Return the statements that set a node's states to their initial values; `zeroed`: all bytes are 0 before."""
+        """Return the statements that set a node's states to their initial values.
+
+        With `zeroed` the memory is zero already, so zeros are not stored.
+        """
         made: list[Statement] = []
         for state in node.block.states:
             target = self.state(node, state.name)
@@ -91,7 +97,10 @@ class Scope:
         zeroed: bool = False,
         role: str = "",
     ) -> list[Statement]:
-        """Return the statements that store a constant number, or a sequence of them."""
+        """Return the statements that store the constant `value`, a number or an array, in `target`.
+
+        There are none if the memory is zero already (`zeroed`) and the value is zero too.
+        """
         kind, width = declared.kind, declared.width
         if width is None:
             text = self.constant(value, kind)

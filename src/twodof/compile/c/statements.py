@@ -1,4 +1,4 @@
-"""Literals, identifiers and statements of C. A statement knows the names that it reads and its block."""
+"""Literals, identifiers and statements of C. A statement has the names that it reads, and its block."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Text(NamedTuple):
 
 
 def constant(value: Any, kind: str, precision: str) -> Text:
-    """Return a C literal of the final type; a real number is decimal if that reads back to the same bits."""
+    """Return the C literal of a value of the type `kind`; a real is decimal if that reads back to the same bits."""
     value = value.value if isinstance(value, Integer) else value
     if kind == "bool":
         return Text("true" if value else "false")
@@ -79,7 +79,7 @@ def name_of(lvalue: str) -> str:
 
 @dataclass(eq=False)
 class Statement:
-    """Base of statements: `owner` is the block that it belongs to, else `role` says what it is for."""
+    """Base of statements: `owner` is its block, else `role` tells its purpose; `reads` are the names that it reads."""
 
     owner: Node | None = field(default=None, kw_only=True)
     role: str = field(default="", kw_only=True)
@@ -87,7 +87,7 @@ class Statement:
 
     @property
     def bodies(self) -> Sequence[list[Statement]]:
-        """The lists of statements inside."""
+        """Lists of the statements inside."""
         return ()
 
     def text(self) -> str:
@@ -97,7 +97,7 @@ class Statement:
 
 @dataclass(eq=False)
 class Assign(Statement):
-    """`target = value;`, with the type `declared` where it declares a variable, an array if it has a `size`."""
+    """`target = value;`. With the type `declared` it declares a variable, or an array of `size` elements."""
 
     target: str
     value: str = ""
@@ -146,13 +146,13 @@ class IfStatement(Statement):
 
     @property
     def bodies(self) -> Sequence[list[Statement]]:
-        """Both sides."""
+        """Statements of both sides."""
         return self.then, self.otherwise
 
 
 @dataclass(eq=False)
 class LoopStatement(Statement):
-    """A block behind a head such as `for (...)`, and perhaps an end such as `while (...);`."""
+    """A block `{...}` after a head such as `for (...)`, "" for none, and before an end such as `while (...);`."""
 
     head: str
     body: list[Statement]
@@ -160,7 +160,7 @@ class LoopStatement(Statement):
 
     @property
     def bodies(self) -> Sequence[list[Statement]]:
-        """The body."""
+        """Statements of the body."""
         return (self.body,)
 
 
@@ -182,7 +182,7 @@ class SwitchStatement(Statement):
 
     @property
     def bodies(self) -> Sequence[list[Statement]]:
-        """The cases."""
+        """Statements of each case."""
         return [case.body for case in self.cases]
 
 
@@ -200,7 +200,7 @@ def written(statement: Statement) -> str:
 
 
 def without_unread(body: list[Statement]) -> None:
-    """Remove the computation of variables that nothing reads: a reader may need less in the end than was prepared."""
+    """Remove from `body` the statements that compute variables which no statement reads."""
     local = {s.target for s in every(body) if isinstance(s, Assign) and s.declared}
     reads = Counter(name for s in every(body) for name in s.reads)
     _remove_unread(body, local, reads)
@@ -241,14 +241,14 @@ FUNCTIONS = HELPER_NAMES | {f"td_{name}{kind}" for name in ARGUMENTS for kind in
 
 @dataclass
 class CNames:
-    """Identifiers of one C scope, each different."""
+    """Identifiers of one C scope, all different."""
 
     taken: set[str] = field(default_factory=set)
     last: dict[str, int] = field(default_factory=dict)
     tried: dict[str, int] = field(default_factory=dict)  # of a stem that is taken: the number that was tried last
 
     def new(self, stem: str) -> str:
-        """`stem` with dots as underscores; with a number behind it if that is taken."""
+        """Return a new identifier: `stem` with dots as underscores, and a number appended if that is taken."""
         name = base = stem.replace(".", "_")
         number = self.tried.get(base, 2)
         while name in self.taken or name in KEYWORDS or name in FUNCTIONS or DEFINED.fullmatch(name):
@@ -259,7 +259,7 @@ class CNames:
         return name
 
     def numbered(self, stem: str) -> str:
-        """`stem` with the next number behind it."""
+        """Return a new identifier: `stem` with dots as underscores, and the next number appended."""
         base = stem.replace(".", "_")
         self.last[base] = self.last.get(base, 0) + 1
         return self.new(f"{base}{self.last[base]}")

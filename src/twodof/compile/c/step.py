@@ -1,4 +1,4 @@
-"""StepEmitter: the statements of one tick, apart from the integration."""
+"""Emitter of the statements of one tick, except the integration."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -21,10 +21,10 @@ TICKS = 2**32  # a tick is a uint32
 
 
 class StepEmitter:
-    """Writes the body of the step function.
+    """Emitter of the step function's body.
 
-    `renderer` writes all expressions; `fractions` has, of a signal with an edge inside the step, the variables of the
-    edge's place in the step and of the value behind it.
+    `renderer` writes all expressions. `fractions` holds, for each signal with an edge inside the step, the names of two
+    variables: the fraction of the step at which the edge is, and the value after it.
     """
 
     def __init__(self, scope: Scope, names: CNames) -> None:
@@ -69,7 +69,7 @@ class StepEmitter:
         return self._variables.get(signal, "")
 
     def due(self) -> list[Statement]:
-        """Return the statements that say of the rates that were asked for whether they are due."""
+        """Return the declarations of the flags that tell which rates are due, for the rates in use."""
         made: list[Statement] = []
         for rate in (rate for rate in self._due if rate in self._asked):
             due = f"s->tick % {rate.divider}u == {rate.offset}u"
@@ -79,7 +79,7 @@ class StepEmitter:
         return made
 
     def tests(self, guard: Guard) -> list[Text]:
-        """Return the conditions under which a guard's blocks act."""
+        """Return the conditions that must all hold for the blocks of a guard to act."""
         return [*self._rate(guard), *(self._text(e) for e in guard.enables)]
 
     def _rate(self, guard: Guard) -> list[Text]:
@@ -92,7 +92,7 @@ class StepEmitter:
         return Text(text, reads=frozenset((name_of(text),)))
 
     def guarded(self, tests: Sequence[Text], body: list[Statement]) -> None:
-        """Add statements under conditions, if there are any."""
+        """Add the statements `body`, in an `if` on all of `tests` unless these are empty."""
         if not tests:
             self.renderer.out += body
         elif body:
@@ -203,7 +203,7 @@ class StepEmitter:
         renderer.owner = outer
 
     def updates(self) -> None:
-        """Add the updates of states. A block's own are the only ones that its update reads."""
+        """Add the updates of states. The update of a block reads only its own states."""
         by_guard: dict[Guard, list[Node]] = {}
         for node in self.schedule.last:
             by_guard.setdefault(node.guard, []).append(node)
@@ -224,7 +224,7 @@ class StepEmitter:
         commit(self.renderer, rows)
 
     def returned(self) -> None:
-        """Add the outputs and logged signals."""
+        """Add the stores of outputs and logged signals in Y."""
         for path, signal in self.program.outputs.items():
             target, text = f"y->{self.layout.outputs[path].name}", self.signal(signal)
             reads = frozenset((name_of(text),))

@@ -26,24 +26,24 @@ _HEADERS = """
     wctype
 """
 STANDARD = frozenset(_HEADERS.split())
-"""Headers of C: a file of that name would hide one."""
+"""Standard headers of C, which a file of the same name would hide."""
 
 
 @dataclass(frozen=True)
 class CFiles:
-    """The texts of a program's header and C file, and the program that they were made from."""
+    """Texts of a program's header and C file, and the emitted program that they contain."""
 
     emitted: EmittedProgram
     header: str
 
     @property
     def name(self) -> str:
-        """The prefix of all names, and the files' name."""
+        """Prefix of all names in the C, and name of the files."""
         return self.emitted.name
 
     @property
     def files(self) -> dict[str, str]:
-        """The texts by the files' names."""
+        """Texts by file name."""
         return {f"{self.name}.h": self.header, f"{self.name}.c": self.emitted.source}
 
     def write(self, folder: str | Path, overwrite: bool = False) -> list[Path]:
@@ -55,7 +55,9 @@ class CFiles:
         try:
             make_folder(Path(folder))
         except OSError as error:
-            raise LogError(f"cannot be made: {error.strerror}", str(folder), "choose another folder") from error
+            raise LogError(
+                f"the folder cannot be made: {error.strerror}", str(folder), "choose another folder"
+            ) from error
         for path in paths:
             check_folder(path, overwrite)
         for path, text in zip(paths, self.files.values(), strict=True):
@@ -83,7 +85,9 @@ def c_files(
         program = lower(diagram, dt, log, integrator)
         program = replace(program, name=check_name(name or program.name, "name"))
         if program.name in STANDARD:
-            raise DiagramError(f"{program.name}.h is a header of C", diagram.name, "give the program another `name`")
+            raise DiagramError(
+                f"{program.name}.h is a standard header of C", diagram.name, "give the program another `name`"
+            )
         (emitted,) = emit([program], precision, lean=not tables, header=f"{program.name}.h")
     return CFiles(emitted, header(program, emitted.layout, precision, tables))
 
@@ -161,7 +165,7 @@ def _carried(members: Sequence[Member], scalar: str, array: str) -> Iterator[str
 class SourceLine:
     """A line of C: its number (from 1), the function or struct it stands in, and its block.
 
-    `block` is a path, or "" for a line of no single block, whose `role` then says what it is for ("" if unknown).
+    `block` is a path, or "" for a line that belongs to no single block; `role` then tells its purpose ("" if unknown).
     """
 
     number: int
@@ -178,7 +182,7 @@ class SourceLine:
 
 @dataclass
 class SourceMap:
-    """The C of one program, line by line, and its blocks."""
+    """Map from the lines of one program's C to its blocks."""
 
     lines: list[SourceLine]
     blocks: dict[str, str]  # path -> type

@@ -12,10 +12,10 @@ WIDEST = 120
 
 
 class CInterface:
-    """The declarations of one program.
+    """Declarations of one program's C.
 
-    `types` are the C types of the language's, as `Member.declaration` takes them. `run`: whether the function `run`
-    and the sizes are there; `tables`: whether those of parameters and signals are.
+    `types` are the C types by type of the language. With `run` the function `run` and the sizes are declared too, with
+    `tables` the tables of parameters and signals.
     """
 
     def __init__(
