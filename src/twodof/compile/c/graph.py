@@ -1,4 +1,4 @@
-"""Rewriting of expressions: over the program's leaves, short loops unrolled, `prepare` in float64; ranges of indices."""
+"""Rewriting of expressions: over program leaves, short loops unrolled, `prepare` in float64, ranges of indices."""
 
 from collections.abc import Callable, Mapping, Sequence
 
