@@ -69,6 +69,11 @@ def retag(root: Path, tag: str) -> None:
     git(root, "tag", tag)
 
 
+def within_another_repository(root: Path) -> None:
+    (root / ".git").rename(root.parent / ".git")
+    git(root.parent, "tag", "v0.3")
+
+
 @pytest.mark.parametrize(
     ("change", "level", "what"),
     [
@@ -78,6 +83,7 @@ def retag(root: Path, tag: str) -> None:
         (lambda p: retag(p, "v1.15.4"), WARNING, "is PX4 v1.15.4: modules were flown with v1.16.1 only"),
         (lambda p: retag(p, "mine"), WARNING, "its version is unknown (git describe: mine)"),
         (lambda p: git(p, "tag", "-d", "v1.16.1"), WARNING, "its version is unknown (git describe: fatal: No names"),
+        (within_another_repository, WARNING, "its version is unknown (git describe: fatal: not a git repository"),
         (lambda p: shutil.rmtree(p / "src/modules/mc_rate_control"), WARNING, "has no mc_rate_control, whose place"),
         (lambda p: shutil.rmtree(p / "src/modules"), ERROR, "is not a source tree of PX4"),
         (lambda p: shutil.rmtree(p), ERROR, "is not a source tree of PX4"),
@@ -102,12 +108,14 @@ def test_tag_far_away_says_no_version(px4: Path, exported: Path, monkeypatch: py
 def test_airframe_of_the_same_number_is_a_warning(px4: Path, exported: Path) -> None:
     number = json.loads((exported / MANIFEST).read_text())["airframe"]
     put(px4, f"{AIRFRAMES}/{number}_twodof_pitch")
+    put(px4, f"{AIRFRAMES}/{number}_twodof_pitch.post")
     assert check(px4, exported).rows == ()
     put(px4, f"{AIRFRAMES}/{number}_mine")
     assert f"has an airframe {number} already" in findings(px4, exported, WARNING)
 
 
 def test_folder_without_an_export_raises(px4: Path, tmp_path: Path) -> None:
-    for folder in (px4, tmp_path / "nothing"):
+    put(tmp_path, "damaged/twodof-px4.json", '{"format": 1, "files": {}, "module": "m"}')
+    for folder in (px4, tmp_path / "nothing", tmp_path / "damaged"):
         with pytest.raises(CompileError, match="holds no exported module"):
             check(px4, folder)

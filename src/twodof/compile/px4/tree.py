@@ -17,6 +17,8 @@ from twodof.flightlog.atomic import atomic_write
 
 MANIFEST = "twodof-px4.json"
 FORMAT = 1
+FACTS = {"module": str, "airframe": int, "description": int, "stops": list}
+"""Types of the facts in a manifest that `check` compares."""
 
 
 def manifest(files: Mapping[str, str], facts: Mapping[str, object]) -> str:
@@ -31,9 +33,10 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         data = json.loads((folder / MANIFEST).read_bytes())
     except (OSError, ValueError, RecursionError):
         return None
-    files = data.get("files") if isinstance(data, dict) else None
-    good = isinstance(files, dict) and data.get("format") == FORMAT and all(isinstance(f, str) for f in files.values())
-    return data if good else None
+    if not isinstance(data, dict) or data.get("format") != FORMAT:
+        return None
+    good = all(isinstance(data.get(name), kind) for name, kind in (("files", dict), *FACTS.items()))
+    return data if good and all(isinstance(one, str) for one in (*data["files"].values(), *data["stops"])) else None
 
 
 def absent(folder: Path) -> list[str]:
@@ -188,7 +191,8 @@ def _export(folder: Path) -> Iterator[_Row]:
 
 def _version(root: Path) -> Iterator[Any]:
     """Yield the version, and what is wrong with it."""
-    command = ["git", "-C", str(root), "describe", "--tags", "--exclude", "ext/*"]
+    # Of this folder alone: a source tree without .git may lie in another project's repository.
+    command = ["git", f"--git-dir={root / '.git'}", "describe", "--tags", "--exclude", "ext/*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=DEADLINE)
         tag, reason = done.stdout.strip(), " ".join(done.stderr.split())[:160]
@@ -222,6 +226,6 @@ def _flight(root: Path, facts: dict[str, Any]) -> Iterator[_Row]:
         yield WARNING, what, root, "see that nothing else commands; the .post stops it in vain"
     number, own = facts["airframe"], f"{facts['airframe']}_{facts['module']}"
     for other in (root / "ROMFS").rglob(f"{number}_*"):
-        if other.name != own:
+        if other.name != own and "." not in other.name:  # what runs behind an airframe has a suffix
             remedy = "give the exported airframe's file another number"
             yield WARNING, f"has an airframe {number} already", other, remedy
