@@ -3,6 +3,7 @@
 import asyncio
 import gc
 import random
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from tests.faults.transport import Faults, FaultyTransport
 from tests.faults.virtual_time import on_virtual_time
 from tests.link.ends import SOON, in_loop
-from twodof.errors import LinkLost
+from twodof.errors import LinkError, LinkLost
 from twodof.link.connection import Connection
 from twodof.link.mavlink import dialect
 from twodof.link.mavlink.framing import Parser, encode
@@ -126,6 +127,17 @@ async def test_every_peer_has_its_own_sequence() -> None:
                 pass
             counts = ground.statistics.senders[1, 1]
             assert (counts.received, counts.lost) == (expected, 0)
+
+
+@in_loop
+async def test_a_message_that_does_not_fit_uses_up_no_sequence() -> None:
+    here, there = memory_pair()
+    async with Connection(here, 1, 1) as drone, Connection(there, 255, 190) as ground:
+        for kind in (1, 2, 999, 3):
+            with pytest.raises(LinkError, match="type = 999") if kind == 999 else nullcontext():
+                drone.send(message("HEARTBEAT", type=kind))
+        got = [ground.receive_now() for _ in range(3)]
+        assert [one.frame.sequence for one in got if one] == [0, 1, 2]
 
 
 @in_loop

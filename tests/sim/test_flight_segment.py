@@ -129,7 +129,7 @@ def test_the_bias_of_the_speed_is_that_of_the_last_6_s(before: float, bias: floa
     """The cart goes .1 m in a second from 24 s on, and the estimated speed is .05 m/s too large."""
     log = made_up({20.0: "velocity"}, {}, x=0.1 * np.maximum(TIME, 24.0), v=np.where(TIME < 24.0, 0.5, 0.15))
     found = read_segment(log.slice(30.0 - before, 32.0), DEFAULT, (30.0, 31.0))
-    assert found.velocity_bias == pytest.approx(bias, abs=1e-3)
+    assert found.velocity_bias == pytest.approx(bias, abs=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -98,10 +98,11 @@ class Connection:
         if self.transport.closed:
             raise LinkLost("the link is closed", self.transport.url, "open it again")
         for peer in self.transport.peers if to is None else (to,):
-            sequence = self._sequences.pop(peer, 0)
+            sequence = self._sequences.get(peer, 0)
             signing = (self.signing.outgoing(),) if self.signing is not None else ()
             raw = encode(sent, self.system, self.component, sequence, *signing)
             self._sequences[peer] = (sequence + 1) & 0xFF
+            self._sequences.move_to_end(peer)
             if len(self._sequences) > MOST_PARSERS:
                 self._sequences.popitem(last=False)
             self.transport.send(raw, peer)

@@ -73,10 +73,12 @@ def test_a_message_goes_round_and_pymavlink_agrees(name: str) -> None:
 
 
 def test_mavlink_1_is_read_and_can_be_refused() -> None:
-    raw = bytes(message("HEARTBEAT", type=2, custom_mode=0x01020304).pack(reference(), force_mavlink1=True))
+    theirs = reference()
+    theirs.seq = 5
+    raw = bytes(message("HEARTBEAT", type=2, custom_mode=0x01020304).pack(theirs, force_mavlink1=True))
     assert raw[0] == framing.MARKER_1
     (frame,) = Parser().feed(raw)
-    assert frame.version == 1
+    assert (frame.version, frame.system, frame.component, frame.sequence) == (1, 7, 9, 5)
     assert decode(frame).custom_mode == 0x01020304
     strict = Parser(mavlink1=False)
     assert strict.feed(raw) == []

@@ -48,6 +48,7 @@ def test_signed_frames_are_pymavlinks(tmp_path: Any) -> None:
         signed = encode(packed, 1, 1, 5, own.outgoing())
         (frame,) = Parser().feed(signed)
         assert frame.signed
+        assert (decode(frame).get_header().incompat_flags, decode(frame).get_header().compat_flags) == (1, 0)
         assert theirs.check(frame).name == "ACCEPTED"
         assert decode(frame).pitch == struct.unpack("<f", struct.pack("<f", 0.1))[0]
 
