@@ -55,6 +55,24 @@ def test_with_too_much_delay_it_swings_and_grows() -> None:
     assert found.disk.alpha == 0.0
 
 
+@pytest.mark.parametrize(
+    "one",
+    [
+        loop([1.0], [1.0, 0.0, 0.0]),
+        loop([2.0], [1.0, -1.0], PERIOD),
+        # A state at -1 that nothing reaches stands beside the pole that the feedback moves there.
+        LoopTransfer(
+            np.array([[1.0, 1.0], [0.0, -1.0]]), np.array([[2.0], [0.0]]), np.array([[1.0, 2.0]]), 0.0, PERIOD
+        ),
+    ],
+)
+def test_a_loop_on_the_border_has_infinite_peaks(one: LoopTransfer) -> None:
+    found = margins(one)
+    assert not found.stable
+    assert (found.ms, found.mt, found.disk.alpha) == (math.inf, math.inf, 0.0)
+    assert math.isnan(found.ms_at)
+
+
 def test_an_unstable_plant_needs_its_gain() -> None:
     """k / (s - 1): stable from k = 1 on, at frequency 0, and with as much more gain as one likes."""
     found = margins(loop([3.0], [1.0, -1.0]))

@@ -1,14 +1,17 @@
 """PID forms: the platform's printed gains and margins, and the closed forms against their loops."""
 
+import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from twodof.design.cascade import CascadeLoops, cascade_design
-from twodof.design.pid import pid, pid_at, shaped_pid
+from twodof.design.cascade import CascadeDesign, CascadeLoops, cascade_design
+from twodof.design.pid import PidGains, pid, pid_at, shaped_pid
 from twodof.errors import ParameterError
-from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, Velocity
+from twodof.flight.gains import DEFAULT
+from twodof.models.plant import PAPER_PITCH_RATE, PAPER_VELOCITY_GREYBOX, PitchRate, Velocity
 
 PRINTED = {10: (0.02901, 0.02789, 0.001105), 30: (0.08535, 0.25103, 0.000541), 40: (0.11269, 0.44628, 0.000268)}
 """Crossover [rad/s] -> Kp, Ki, Kd of the course's rate PID on the paper's model."""
@@ -45,6 +48,27 @@ def test_cascade_is_separated() -> None:
     assert at["rate"] == pytest.approx(30.0, rel=1e-6)
     assert [at["attitude"], at["velocity"], at["position"]] == pytest.approx([6.0, 1.2, 0.24])
     assert all(math.radians(50.0) < margin < math.radians(95.0) for margin in made.phase_margins.values())
+
+
+@pytest.mark.parametrize(("natural", "asked"), [(1.5, 35.0), (3.4, 5.0)])
+def test_margin_is_read_at_the_crossover_asked_for(natural: float, asked: float) -> None:
+    """Both loops have |L| = 1 at more than one frequency, and the nearest to -pi is another one."""
+    pitch = PitchRate(natural, 0.02, 350.0, 0.0401 if asked > 10.0 else 0.01)
+    made = cascade_design(pitch, asked)
+    loops, rate = CascadeLoops(pitch), PidGains(*made.gains.rate)
+    for name, omega, of in (("rate", asked, loops.rate), ("attitude", asked / 5.0, loops.theta_by_q0)):
+        at = made.crossovers[name]
+        value = of(rate, at) * (made.gains.attitude if name == "attitude" else 1.0)
+        assert abs(value) == pytest.approx(1.0, rel=1e-6)
+        assert math.remainder(made.phase_margins[name] - math.pi - cmath.phase(value), 2.0 * math.pi) == pytest.approx(
+            0.0, abs=1e-6
+        )
+        assert omega / 1.01 < at < 1.6 * omega
+
+
+def test_a_loop_below_one_has_no_crossover() -> None:
+    found = CascadeDesign.of(PAPER_PITCH_RATE, replace(DEFAULT, rate=(0.0, 0.0, 0.0)))
+    assert all(math.isnan(figure) for figure in (*found.crossovers.values(), *found.phase_margins.values()))
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.design.margins import margins
-from twodof.design.pid import PidGains, pid_at, sampled_response, shaped_pid
-from twodof.design.pitch_family import PitchFamily, PitchMembers
-from twodof.design.pitch_loop import PitchLoop, pitch_loops
+from twodof.design.frequencies import refined_roots
+from twodof.design.loop_transfer import LoopTransfer
+from twodof.design.margins import PhaseCrossing
+from twodof.design.pid import PidGains, pid_at, shaped_pid
+from twodof.design.pitch_family import PitchFamily
+from twodof.design.pitch_loop import PitchLoop
 from twodof.design.sampled_controller import SampledController
 from twodof.design.specification import Specification
 from twodof.design.structured_hinf import System, structured_hinf
@@ -45,16 +47,21 @@ class CascadeDesign:
     phase_margins: Mapping[str, float]
 
     @classmethod
-    def of(cls, pitch: PitchRate, gains: Gains, lag: float = 0.0) -> Self:
-        """Return `gains` with the figures of their rate and attitude loops; the crossover is NaN if |L| is never 1.
+    def of(cls, pitch: PitchRate, gains: Gains, lag: float = 0.0, asked: Mapping[str, float] | None = None) -> Self:
+        """Return `gains` with the figures of their rate and attitude loops, each where |L| falls through 1.
 
-        `lag` [s] is that of the rotors.
+        Of several such frequencies the nearest to `asked` [rad/s] counts; by default that is a rough crossover by the
+        gains. Both figures of a loop are NaN if |L| falls through 1 nowhere within a factor of 4. `lag` [s] is that of
+        the rotors.
         """
-        member = PitchMembers.of({"w_n": pitch.w_n, "xi": pitch.xi, "mu": pitch.mu, "dead_time": pitch.tau, "lag": lag})
-        loops = pitch_loops(member, gains)
-        found = {name: margins(loops[name]) for name in ("rate", "attitude")}
-        crossovers = {name: one.crossover for name, one in found.items()}
-        return cls(gains, crossovers, {name: one.phase_margin for name, one in found.items()})
+        asked = asked or {"rate": max(1.0, gains.rate[0] * pitch.mu), "attitude": max(0.2, gains.attitude)}
+        loops, rate = CascadeLoops(pitch, None, lag), PidGains(*gains.rate)
+        found = {
+            "rate": _crossing(lambda w: loops.rate(rate, w), asked["rate"]),
+            "attitude": _crossing(lambda w: gains.attitude * loops.theta_by_q0(rate, w), asked["attitude"]),
+        }
+        phases = {name: one.phase for name, one in found.items()}
+        return cls(gains, {name: one.omega for name, one in found.items()}, phases)
 
     def to_json(self) -> dict[str, Any]:
         """Return the gains and figures as plain data."""
@@ -69,17 +76,18 @@ class CascadeLoops:
     """The loops of the cascade over `pitch` (a dead time is in it) and, with `velocity`, the cart."""
 
     def __init__(self, pitch: PitchRate, velocity: Velocity | None = None, lag: float = 0.0) -> None:
-        self.pitch, self.lag = pitch, lag
-        self.plant = _with_lag(pitch, lag)
-        self.cart = None if velocity is None else velocity.state_space()
+        plant = _with_lag(pitch, lag).zero_order_hold(PERIOD)
+        self.theta, self.q = LoopTransfer.of(plant, to=_THETA), LoopTransfer.of(plant, to=_Q)
+        cart = None if velocity is None else velocity.state_space().zero_order_hold(PERIOD)
+        self.cart = None if cart is None else LoopTransfer.of(cart, to=1)
 
     def rate(self, gains: PidGains, omega: float) -> complex:
         """Return L of the rate loop at `omega` [rad/s]."""
-        return complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _Q)
+        return complex((gains.response(omega) * self.q.response(omega))[0])
 
     def theta_by_q0(self, gains: PidGains, omega: float) -> complex:
         """Return the response of the published theta, one sample old, to the set-point of q, the rate loop closed."""
-        theta = complex(gains.response(omega)[0]) * sampled_response(self.plant, omega, _THETA)
+        theta = complex((gains.response(omega) * self.theta.response(omega))[0])
         return theta / (1.0 + self.rate(gains, omega)) * cmath.exp(-1j * omega * PERIOD)
 
     def theta_by_theta0(self, gains: PidGains, attitude: float, omega: float) -> complex:
@@ -92,7 +100,7 @@ class CascadeLoops:
         if self.cart is None:
             raise ParameterError("there is no model of the cart", "cascade", "give the `velocity` model")
         tilt = self.theta_by_theta0(gains, attitude, omega)
-        return -tilt / LIFT * sampled_response(self.cart, omega, 1)
+        return -tilt / LIFT * complex(self.cart.response(omega)[0])
 
     def x_by_v0(self, gains: PidGains, attitude: float, velocity: PidGains, omega: float) -> complex:
         """Return the response of x to the set-point of v, the velocity loop closed."""
@@ -125,12 +133,11 @@ def cascade_design(
     if phase_margin is None:
         rate = shaped_pid(pitch.mu, crossover)
     else:
-        rate = pid_at(sampled_response(loops.plant, crossover, _Q), crossover, phase_margin, "PID")
+        rate = pid_at(complex(loops.q.response(crossover)[0]), crossover, phase_margin, "PID")
     first, second, third = (crossover / separation**k for k in (1, 2, 3))
     attitude = pid_at(loops.theta_by_q0(rate, first), first, form="P").kp
-    found = CascadeDesign.of(pitch, replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude), lag)
-    at = {"rate": found.crossovers["rate"] if phase_margin is None else crossover, "attitude": first}
-    found = replace(found, crossovers=at)
+    gains = replace(kept, rate=(rate.kp, rate.ki, rate.kd), attitude=attitude)
+    found = CascadeDesign.of(pitch, gains, lag, {"rate": crossover, "attitude": first})
     if velocity is None:
         return found
     pushed = loops.v_by_force(rate, attitude, second)
@@ -140,10 +147,25 @@ def cascade_design(
     around = {"velocity": complex(speed.response(second)[0]) * pushed, "position": place * moved}
     phases = {name: math.remainder(math.pi + cmath.phase(value), 2.0 * math.pi) for name, value in around.items()}
     return CascadeDesign(
-        replace(found.gains, velocity=(speed.kp, speed.ki), position=place),
+        replace(gains, velocity=(speed.kp, speed.ki), position=place),
         {**found.crossovers, "velocity": second, "position": third},
         {**found.phase_margins, **phases},
     )
+
+
+def _crossing(around: Callable[[float], complex], near: float) -> PhaseCrossing:
+    """Return where |L| falls through 1, nearest to `near` [rad/s] and within a factor of 4; NaN if it does not."""
+
+    def above(omega: float) -> float:
+        return math.log(abs(around(omega)) or 1e-300)
+
+    grid = np.geomspace(near / 4.0, min(4.0 * near, 0.999 * math.pi / PERIOD), 200)
+    roots = refined_roots(above, grid, np.array([above(omega) for omega in grid]))
+    falling = [omega for omega in roots if above(1.0001 * omega) < 0.0]
+    if not falling:
+        return PhaseCrossing(math.nan, math.nan)
+    omega = min(falling, key=lambda one: abs(math.log(one / near)))
+    return PhaseCrossing(math.remainder(math.pi + cmath.phase(around(omega)), 2.0 * math.pi), omega)
 
 
 def _with_lag(pitch: PitchRate, lag: float) -> DelayedStateSpace:

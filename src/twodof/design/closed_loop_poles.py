@@ -64,15 +64,18 @@ def worst_motion(loop: LoopTransfer, poles: Complex) -> Motion | None:
     """Return the motion of the least stable pole among those that the feedback moves; None if it moves none.
 
     The feedback does not move a pole on the border of stability that the open loop has too, such as that of an
-    estimator's bias: the loop does not observe its state, or does not reach it.
+    estimator's bias: the loop does not observe its state, or does not reach it. Each pole of the open loop accounts
+    for one such pole.
     """
     s = logarithms(poles, loop.dt)
     fast = 1.0 / loop.dt if loop.dt else max(1.0, float(np.abs(poles).max(initial=0.0)))
     fixed = loop.poles()
     for growth, place, pole in sorted(zip(s.real, s, poles, strict=True), key=lambda row: -row[0]):
-        near = abs(growth) <= _HIDDEN * fast
-        if near and fixed.size and np.abs(fixed - pole).min() < _HIDDEN * max(1.0, abs(pole)):
-            continue
+        if abs(growth) <= _HIDDEN * fast and fixed.size:
+            nearest = int(np.abs(fixed - pole).argmin())
+            if abs(fixed[nearest] - pole) < _HIDDEN * max(1.0, abs(pole)):
+                fixed = np.delete(fixed, nearest)
+                continue
         swing = abs(float(place.imag))
         swing = swing if swing > _HIDDEN * fast else 0.0
         return Motion(swing, float(growth) if abs(growth) > _ROUNDING * fast else 0.0)

@@ -52,7 +52,8 @@ class LoopMargins:
 
     `gains` and `phases` are all crossings, by rising frequency. `poles` are those of the closed loop (z plane, or
     rad/s), the least stable first; `motion` is that of the worst pole. `ms` and `mt` are the largest |S| and |T|, at
-    `ms_at` and `mt_at` [rad/s]. `bandwidth` [rad/s] is where |T| falls through -3 dB.
+    `ms_at` and `mt_at` [rad/s]. For an unstable loop they are infinite, and their frequencies and that of `disk` are
+    NaN. `bandwidth` [rad/s] is where |T| falls through -3 dB.
     """
 
     loop: LoopTransfer
@@ -168,23 +169,22 @@ def margins(loop: Any, skew: float = 0.0) -> LoopMargins:
     grid = frequency_grid(even, poles, np.unique(np.concatenate([unit, real])))
     values = even.response(grid)
     grid, values = grid[np.isfinite(values)], values[np.isfinite(values)]
-    shift = (skew - 1.0) / 2.0
-    t = Sensitivity(even, -1.0, 1.0)
-    ms, ms_at = largest(Sensitivity(even, 1.0, 0.0), grid)
-    mt, mt_at = largest(t, grid)
-    reach, disk_at = largest(Sensitivity(even, 1.0, shift), grid)
+    s, t, shifted = (Sensitivity(even, *of) for of in ((1.0, 0.0), (-1.0, 1.0), (1.0, (skew - 1.0) / 2.0)))
     stable = motion is None or motion.growth < 0.0
+    # The search for a peak needs a stable loop: on the border of stability a peak is infinite.
+    peaks = [largest(of, grid) if stable else (math.inf, math.nan) for of in (s, t, shifted)]
+    (ms, ms_at), (mt, mt_at), (reach, disk_at) = peaks
     return LoopMargins(
         loop,
         tuple(_gains(even, grid, values)),
         tuple(_phases(even, grid, values)),
         poles,
         motion,
-        ms if stable else math.inf,
+        ms,
         ms_at,
-        mt if stable else math.inf,
+        mt,
         mt_at,
-        DiskMargin(1.0 / reach if stable and reach > 0.0 else 0.0, skew, disk_at),
+        DiskMargin(1.0 / reach if reach > 0.0 else 0.0, skew, disk_at),
         _bandwidth(t, grid),
     )
 

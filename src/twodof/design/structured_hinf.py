@@ -274,7 +274,7 @@ def hinf_norm(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -
 
 
 def peak_gain(a: Array, b: Array, c: Array, d: Array, dt: float | None = None) -> tuple[float, float]:
-    """Return the largest singular value over all frequencies, and its frequency [rad/s], of a system, stable or not."""
+    """Return the largest singular value over all frequencies, and its frequency [rad/s], of a stable system."""
     if dt is not None:
         # The bilinear map keeps the norm: z = (1 + s) / (1 - s), w = tan(omega dt / 2).
         inverse, root = np.linalg.inv(np.eye(len(a)) + a), math.sqrt(2.0)
