@@ -7,6 +7,9 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from enum import IntEnum
 from itertools import islice
+from numbers import Integral, Real
+from sys import float_info
+from typing import Any
 
 _SHORT = reprlib.Repr()
 _COMPARED = 1000  # names, in a third of a second; of more, those that begin alike
@@ -41,6 +44,14 @@ def outside(value: float, low: float, high: float, unit: str = "") -> str:
     """Describe a value outside its bounds. Integers are written with all digits."""
     given, least, most = (str(n) if isinstance(n, int) else f"{n:g}" for n in (value, low, high))
     return f"{given} is outside {least} to {most} {unit}".rstrip()
+
+
+def is_number(value: Any, low: float = -float_info.max, high: float = float_info.max, whole: bool = False) -> bool:
+    """Return True for a real number, or with `whole` an integer, from `low` to `high`: by default a finite one.
+
+    A flag is not a number.
+    """
+    return isinstance(value, Integral if whole else Real) and not isinstance(value, bool) and low <= value <= high
 
 
 def printable(text: object) -> str:

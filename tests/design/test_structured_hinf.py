@@ -2,6 +2,7 @@
 
 import functools
 import math
+from datetime import date
 
 import numpy as np
 import pytest
@@ -122,6 +123,10 @@ def test_refuses_with_a_remedy() -> None:
         lambda: hinf_norm(np.ones((2, 2)), np.ones((1, 1)), np.ones((1, 1)), np.ones((1, 1))),
         lambda: hinf_norm(*(math.nan * np.ones((1, 1)) for _ in range(4))),
         lambda: check(Specification(overshoot=0.1), SampledController.of(pid_attitude()), FAMILY),
+        lambda: Specification(bandwidth=[6.0]),  # type: ignore[arg-type]
+        lambda: Specification(overshoot=date(2026, 1, 1)),  # type: ignore[arg-type]
+        lambda: Specification(step_deg=None),  # type: ignore[arg-type]
+        lambda: Specification.of({"rail": {"loop": ["velocity"]}}, table="rail"),
     ):
         with pytest.raises(ParameterError) as caught:
             call()

@@ -144,9 +144,12 @@ def test_the_reference_removes_closed_loop_bias() -> None:
     [
         ({"given": "c"}, "does not hold 'c'"),
         ({"given": "a"}, "named twice"),
+        ({"given": "y"}, "does not hold 'y' as input"),
+        ({"output": "b"}, "'b' as output"),
         ({"reference": "r"}, "does not hold 'r'"),
         ({"reference": ["b", "y"]}, "2 references for 1 inputs"),
-        ({"segment": float("nan")}, "segments of nan samples"),
+        ({"segment": float("nan")}, "the segment is nan"),
+        ({"segment": [1.0, 4.0]}, "give a length in seconds"),
         ({"segment": 1e300}, "do not fit"),
         ({"window": "nothing"}, "no window is called"),
         ({"given": "twin"}, "move alike"),
@@ -159,7 +162,13 @@ def test_wrong_arguments_are_refused_with_a_reason(arguments: dict[str, object],
     columns = {name: source.inputs[name] for name in ("a", "b")} | {"y": source.outputs["y"].value}
     record = table(**columns, twin=2.0 * columns["a"], still=np.ones(8000))
     with pytest.raises(IdentificationError, match=reason):
-        frequency_response(record, "a", "y", **arguments)  # type: ignore[arg-type]
+        frequency_response(record, "a", **{"output": "y", **arguments})  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("level", [95, 1.0, 0.0, float("nan"), "95 %"])
+def test_a_radius_needs_a_level_below_one(level: float) -> None:
+    with pytest.raises(IdentificationError, match="between 0 and 1"):
+        frequency_response(two_inputs(3, 8000), "a", "y").radius(level)
 
 
 MODEL = PitchRate(3.437, 0.3, 358.5, 0.0187)

@@ -76,5 +76,6 @@ def test_a_damping_below_zero_is_said() -> None:
 
 @pytest.mark.parametrize("seeds", [[], [1], [1, 1]])
 def test_repetitions_need_two_different_flights(seeds: list[int]) -> None:
+    """Refused before any fit, which would refuse the unknown."""
     with pytest.raises(IdentificationError, match="two or more"):
-        repeat(pitch_rate(), [doublet(seed, 0.0) for seed in seeds])
+        repeat(pitch_rate(), [doublet(seed, 0.0) for seed in seeds], estimate=["nothing"])

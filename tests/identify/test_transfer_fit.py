@@ -91,10 +91,24 @@ def test_a_coefficient_and_the_hold_can_be_fixed() -> None:
     assert "held: a0 3" in found.table()
 
 
+def test_a_band_of_none_is_the_whole() -> None:
+    good = response_of(5.0 / (1j * OMEGA + 3.0))
+    assert fit_transfer(good, 0, 1, band=None)["a0"] == fit_transfer(good, 0, 1)["a0"]
+
+
 def test_what_cannot_be_fitted_is_refused() -> None:
     good = response_of(5.0 / (1j * OMEGA + 3.0))
-    with pytest.raises(IdentificationError, match="order is -1"):
-        fit_transfer(good, -1, 1)
+    for order in (-1, 1.5, None):
+        with pytest.raises(IdentificationError, match=f"order is {order}"):
+            fit_transfer(good, order, 1)  # type: ignore[arg-type]
+    for value in (np.nan, np.inf, "3"):
+        with pytest.raises(IdentificationError, match="give a finite number"):
+            fit_transfer(good, 0, 1, values={"a0": value})  # type: ignore[dict-item]
+    for band in ((1.0,), 5.0, "ab"):
+        with pytest.raises(IdentificationError, match="the band is"):
+            fit_transfer(good, 0, 1, band=band)  # type: ignore[arg-type]
+    with pytest.raises(IdentificationError, match="call frequency_response first"):
+        fit_transfer(good.response, 0, 1)  # type: ignore[arg-type]
     with pytest.raises(IdentificationError, match="no coefficient 'mu'"):
         fit_transfer(good, 0, 1, values={"mu": 3.0})
     with pytest.raises(IdentificationError, match="0 points with a coherence"):

@@ -90,7 +90,15 @@ def test_what_is_refused() -> None:
     for b in ([[1, 2]], [[1], [2]], []):
         with pytest.raises(IdentificationError, match="`b` is not 1 rows of 1"):
             linear_model([[-1]], b, [[1]], inputs=["u"], outputs=["y"], guess={})  # type: ignore[arg-type]
-    for entry in (float("nan"), "-", "2k"):
+    for one in ("u", [1]):
+        with pytest.raises(IdentificationError, match="give a list of names"):
+            linear_model([[-1]], [[1]], [[1]], inputs=one, outputs=["y"], guess={})  # type: ignore[arg-type]
+    for a in (["k"], [1], ["-"]):
+        with pytest.raises(IdentificationError, match="`a` is not 1 rows of 1"):
+            linear_model(a, [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"k": 1.0})  # type: ignore[arg-type]
+    with pytest.raises(IdentificationError, match="'k' has no first guess"):
+        linear_model([["k"]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={"k": "1"})  # type: ignore[dict-item]
+    for entry in (float("nan"), "-", "2k", None, True):
         with pytest.raises(IdentificationError, match="`a` holds"):
             linear_model([[entry]], [[1]], [[1]], inputs=["u"], outputs=["y"], guess={})  # type: ignore[list-item]
     with pytest.raises(IdentificationError, match=r"no first guess.*finite numbers"):

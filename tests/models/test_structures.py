@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,8 +11,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
 
+from twodof.blocks.block import Block, Clock
+from twodof.blocks.declarations import Param, Port
 from twodof.blocks.reference.interpreter import Reference
-from twodof.errors import IdentificationError
+from twodof.errors import DiagramError, IdentificationError
 from twodof.models import (
     Longitudinal,
     PitchRate,
@@ -259,6 +262,20 @@ def test_a_name_that_is_no_parameter_is_refused() -> None:
         Structure(diagram, ("muu",))
     with pytest.raises(IdentificationError, match="there is nothing to estimate"):
         Structure(diagram, ())
+
+
+def test_a_parameter_named_like_an_input_is_refused() -> None:
+    with pytest.raises(DiagramError, match="is used twice"):
+        Structure.of_block(TwiceNamed())
+
+
+class TwiceNamed(Block):
+    inputs = (Port("u"),)
+    outputs = (Port("y"),)
+    params = (Param("u", 1.0),)
+
+    def output(self, u: Any, x: Any, p: Any, t: Clock) -> Any:
+        return p.u * u.u
 
 
 def test_a_step_of_many_time_constants_is_held_exactly() -> None:

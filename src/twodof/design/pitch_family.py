@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import ParameterError, listed, shown
+from twodof.errors import ParameterError, is_number, listed, shown
 
 Array = NDArray[np.float64]
 
@@ -72,8 +72,8 @@ class PitchFamily:
         figures |= {name: (getattr(self, name), 0.0, _MOST) for name in ("gust", "q_noise")}
         figures["gust_time"] = (self.gust_time, _LEAST_TIME, _MOST)
         for name, (value, low, high) in figures.items():
-            if not low <= value <= high:
-                raise _error(f"{name} = {value!r} is out of range", f"give {low:g} to {high:g}")
+            if not is_number(value, low, high):
+                raise _error(f"{name} = {shown(value)} is out of range", f"give {low:g} to {high:g}")
         k = len(self.uncertain)
         if not set(self.uncertain) <= set(PARAMETERS) or len(set(self.uncertain)) < k:
             what = f"the uncertain parameters {listed(self.uncertain)} are unknown or named twice"
@@ -187,8 +187,8 @@ class PitchFamily:
 
         Raises ParameterError for a count that is not 1 to `MOST_MEMBERS`, and if most draws are out of bounds.
         """
-        if not 1 <= count <= MOST_MEMBERS:
-            raise _error(f"{count} members cannot be drawn", f"give 1 to {MOST_MEMBERS}")
+        if not is_number(count, 1, MOST_MEMBERS, whole=True):
+            raise _error(f"{shown(count)} members cannot be drawn", f"give 1 to {MOST_MEMBERS}")
         columns = {name: np.full(count, float(self.values[name])) for name in PARAMETERS}
         if self.uncertain:
             centre = np.array([self.values[name] for name in self.uncertain], dtype=float)

@@ -13,7 +13,7 @@ from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.sampled_controller import SampledController
 from twodof.design.step_statistics import TRIM, interval, step_bands, step_statistics
-from twodof.errors import ParameterError, shown
+from twodof.errors import ParameterError, is_number, shown
 from twodof.flightlog.events import steps_by
 from twodof.flightlog.log import FlightLog
 from twodof.signals import PERIOD
@@ -398,8 +398,8 @@ def promise(
     responses spread there, times one factor for the whole time. `progress` is called with the share done. Raise
     ParameterError for numbers out of range.
     """
-    if not 1e-3 <= goal <= 0.8:
-        raise _error(f"a step of {goal!r} rad is out of range", "give 0.001 to 0.8 rad")
+    if not is_number(goal, 1e-3, 0.8):
+        raise _error(f"a step of {shown(goal)} rad is out of range", "give 0.001 to 0.8 rad")
     check_numbers(duration, level, members, (_LEAST_MEMBERS, _MOST_MEMBERS))
     loop = PitchLoop(family.draw(members, seed), controller, family.gust_time)
     steps = round(duration / PERIOD) + 1
@@ -414,12 +414,12 @@ def promise(
 
 def check_numbers(duration: float, level: float, members: int, among: tuple[int, int]) -> None:
     """Raise ParameterError for a duration [s], a level or a number of members (`among` its bounds) out of range."""
-    if not 0.1 <= duration <= 20.0:
-        raise _error(f"a duration of {duration!r} s is out of range", "give 0.1 to 20 s")
-    if not 0.5 <= level <= 0.999:
-        raise _error(f"a level of {level!r} is out of range", "give 0.5 to 0.999")
-    if not among[0] <= members <= among[1]:
-        raise _error(f"{members} members are too few or too many", f"give {among[0]} to {among[1]}")
+    if not is_number(duration, 0.1, 20.0):
+        raise _error(f"a duration of {shown(duration)} s is out of range", "give 0.1 to 20 s")
+    if not is_number(level, 0.5, 0.999):
+        raise _error(f"a level of {shown(level)} is out of range", "give 0.5 to 0.999")
+    if not is_number(members, *among, whole=True):
+        raise _error(f"{shown(members)} members are out of range", f"give {among[0]} to {among[1]}")
 
 
 def _row(given: Mapping[str, float | None] | Sequence[float | None]) -> tuple[float, float, float]:

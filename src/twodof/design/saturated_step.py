@@ -15,7 +15,7 @@ from twodof.design.pitch_loop import PitchLoop, Q
 from twodof.design.promise import DURATION, GOAL
 from twodof.design.sampled_controller import SampledController
 from twodof.design.tuning_preview import SETTLED
-from twodof.errors import ParameterError
+from twodof.errors import ParameterError, is_number, shown
 from twodof.models.lti import step_figures
 from twodof.signals import HOVER, PERIOD
 
@@ -82,8 +82,8 @@ def saturated_step(
     motors limit M as `acting_moment` says. Raises DiagramError for another diagram, ParameterError for a step that is
     not .001 to 1.5 rad and a duration that is not .1 to 20 s.
     """
-    if not (1e-3 <= goal <= 1.5 and 0.1 <= duration <= 20.0):
-        what = f"a step of {goal!r} rad for {duration!r} s is out of range"
+    if not (is_number(goal, 1e-3, 1.5) and is_number(duration, 0.1, 20.0)):
+        what = f"a step of {shown(goal)} rad for {shown(duration)} s is out of range"
         raise ParameterError(what, "saturated_step", "give .001 to 1.5 rad, and .1 to 20 s")
     controller = SampledController.of(diagram)
     loop = PitchLoop(family.nominal(), controller)

@@ -2,7 +2,7 @@
 
 from twodof.blocks import Diagram
 from twodof.blocks.library import Constant, Divide, Gain, Saturation, Sum, Switch
-from twodof.errors import ParameterError
+from twodof.errors import ParameterError, is_number
 from twodof.flight.starters.position import motor_pairs
 from twodof.flight.templates import MOTOR
 from twodof.signals import HOVER
@@ -18,7 +18,7 @@ def gain_ratio(thrust: float, curve: float, designed_at: float = HOVER) -> float
     Raises ParameterError for a curve or thrust outside 0 to 1.
     """
     for name, value in (("curve", curve), ("thrust", thrust), ("designed_at", designed_at)):
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value <= 1.0:
+        if not is_number(value, 0.0, 1.0):
             raise ParameterError(f"{name} = {value!r:.40} is out of range", "schedule", "give 0 to 1")
     if curve == 1.0 and designed_at == 0.0:
         raise ParameterError("with curve = 1, no moment acts at thrust 0", "schedule", "give a designed_at above 0")

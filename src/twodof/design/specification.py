@@ -15,7 +15,7 @@ from twodof.design.pitch_family import PitchFamily
 from twodof.design.pitch_loop import PitchLoop
 from twodof.design.promise import STEPS, Promise
 from twodof.design.sampled_controller import SampledController
-from twodof.errors import LogError, ParameterError, listed, nearest, shown
+from twodof.errors import LogError, ParameterError, is_number, listed, nearest, shown
 from twodof.flightlog.provenance import read_bytes
 
 MAX_BYTES = 1 << 20
@@ -82,12 +82,12 @@ class Specification:
     loop: str = "attitude"
 
     def __post_init__(self) -> None:
-        if self.loop not in STEPS:
+        if self.loop not in tuple(STEPS):
             what = f"loop = {shown(self.loop)} is not a loop"
             raise ParameterError(what, "specification", f"give {' or '.join(STEPS)}")
         for name, (low, high, *_) in {**{name: FIGURES[name] for name in self.asked}, **_STEP_BOUNDS}.items():
             value = getattr(self, name)
-            if isinstance(value, bool | str) or not low <= value <= high:
+            if not is_number(value, low, high):
                 what = f"{name} = {shown(value)} is out of range"
                 raise ParameterError(what, "specification", f"give {low:g} to {high:g}")
         if foreign := [name for name in TABLES[self.table] if name in self.asked]:

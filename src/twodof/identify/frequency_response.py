@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from twodof.errors import nearest, shown
-from twodof.identify.record import Record
+from twodof.errors import is_number, nearest, shown
+from twodof.identify.record import Record, check_record
+from twodof.identify.validate import check_level
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -91,8 +92,9 @@ class FrequencyResponse:
         """Radius of the disk around `response` that holds the true one with the probability `level`, shape (n,).
 
         |error|^2 / (2 sigma^2) is distributed as F with 2 and 2 `freedom` degrees of freedom (Bendat and Piersol,
-        Random Data, section 9.2.3).
+        Random Data, section 9.2.3). Raises IdentificationError for a level that is not between 0 and 1.
         """
+        check_level(level)
         ratio = self.freedom * np.expm1(-math.log1p(-level) / self.freedom)
         return np.asarray(self.sigma * np.sqrt(2.0 * ratio))
 
@@ -166,8 +168,13 @@ def frequency_response(
     """
     from scipy.signal import get_window  # imported late: most commands start without it
 
+    check_record(record)
     others, references = ((one,) if isinstance(one, str) else tuple(one) for one in (given, reference))
     inputs = (input, *others)
+    for name in inputs:
+        record.signals(name, output)
+    if segment is not None and not is_number(segment):
+        raise record.error(f"the segment is {shown(segment)}", "give a length in seconds")
     signals = np.array([_grid_signal(record, name) for name in (*inputs, *references, output)])
     for names, role in ((inputs, "input"), (references, "reference")):
         if len(set(names)) < len(names):

@@ -204,6 +204,7 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
     tested = None if found is None or found.model.kind == "white" else found.prediction_error
     noise = {} if found is None else found.model.noise
     ahead = {k: noise.get(problem.noise_label(i)) for i, blocks in enumerate(problem.noises) for k in blocks}
+    simulated = [problem.simulate(x, r) for r in range(len(problem.records))]
     compared = []
     for k, block in enumerate(problem.blocks):
         record, model = problem.records[block.record], ahead[k]
@@ -214,7 +215,7 @@ def _comparisons(problem: Problem, x: Array, found: Disturbed | None = None) -> 
                 block.output,
                 record.output_time(block.output),
                 problem.measured(k),
-                np.array(problem.simulate(x, block.record)[block.output]),
+                simulated[block.record][block.output],
                 {name: record.inputs[name][step] for name in problem.structure.inputs},
                 prediction_error=None if tested is None else tested[block.rows],
                 unpredicted=None if model is None else model.sigma,

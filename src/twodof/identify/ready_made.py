@@ -15,7 +15,7 @@ from twodof.identify.estimate import Estimate
 from twodof.identify.experiments import KINDS, kind_of, only
 from twodof.identify.greybox import fit
 from twodof.identify.record import SHORTEST_PIECE, Record
-from twodof.identify.repeated import Repeated
+from twodof.identify.repeated import Repeated, check_repetitions
 from twodof.identify.simple_pitch import SimplePitch, identify_pitch
 from twodof.identify.simple_velocity import SimpleVelocity, identify_velocity
 from twodof.identify.validate import deviations
@@ -271,6 +271,8 @@ def by_output_error(
     doublet: its fit with the same structure fixes the poles. Several `records` are repetitions, each fitted by itself.
     Raises IdentificationError as `fit` and `repeat`, and for flights in closed loop of different machines.
     """
+    if len(records) > 1:
+        check_repetitions([record.name for record in records])
     given, checked = dict(values or {}), list(others)
     wanted = tuple(estimate) if estimate else None
     if free is not None:

@@ -12,7 +12,7 @@ from twodof.errors import IdentificationError
 from twodof.identify.disturbance.disturbance_model import Disturbance
 from twodof.identify.estimate import Estimate, finite
 from twodof.identify.greybox import fit
-from twodof.identify.record import Record
+from twodof.identify.record import Record, check_record
 from twodof.models.structure import Structure
 
 
@@ -38,9 +38,7 @@ class Repeated:
     estimates: tuple[Estimate, ...]
 
     def __post_init__(self) -> None:
-        if len(self.names) < 2 or len(set(self.names)) < len(self.names):
-            what = f"records {', '.join(self.names) or 'none'}"
-            raise IdentificationError(what, "repetitions", "give two or more, each with a name of its own")
+        check_repetitions(self.names)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -138,5 +136,16 @@ def repeat(
 
     Raises IdentificationError as `fit` does, and for fewer than two records or two of one name.
     """
+    for one in records:
+        check_record(one)
+    names = tuple(one.name for one in records)
+    check_repetitions(names)
     options: dict[str, Any] = {"estimate": estimate, "values": values, "disturbance": disturbance, "prior": prior}
-    return Repeated(tuple(one.name for one in records), tuple(fit(structure, one, **options) for one in records))
+    return Repeated(names, tuple(fit(structure, one, **options) for one in records))
+
+
+def check_repetitions(names: Sequence[str]) -> None:
+    """Raise IdentificationError for fewer than two flights, and for two of one name."""
+    if len(names) < 2 or len(set(names)) < len(names):
+        what = f"records {', '.join(names) or 'none'}"
+        raise IdentificationError(what, "repetitions", "give two or more, each with a name of its own")

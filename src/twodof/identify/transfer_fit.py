@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import IdentificationError, nearest, shown
+from twodof.errors import IdentificationError, is_number, nearest, shown
 from twodof.identify.frequency_response import FrequencyResponse
 from twodof.identify.validate import deviations
 
@@ -179,7 +179,7 @@ def fit_transfer(
     dead_time: bool = True,
     values: Mapping[str, float] | None = None,
     held: bool = True,
-    band: tuple[float, float] = (0.0, math.inf),
+    band: tuple[float, float] | None = None,
     coherence: float = 0.6,
 ) -> TransferFit:
     """Fit s^power (b_m s^m + ... + b_0) / (s^k + a_k-1 s^k-1 + ... + a_0) exp(-tau s) of the orders m and k.
@@ -195,28 +195,36 @@ def fit_transfer(
     neighbouring points counted as the share of an independent one that they are. Source: Tischler and Remple, Aircraft
     and Rotorcraft System Identification, chapter 11.
 
-    Raises IdentificationError for orders outside 0 to 10, fewer points than unknowns, an unknown name in `values`, and
-    coefficients that the data cannot tell apart.
+    Raises IdentificationError for orders outside 0 to 10, fewer points than unknowns, an unknown name or a number that
+    is not finite in `values`, and coefficients that the data cannot tell apart.
     """
     from scipy.optimize import least_squares  # imported late: most commands start without it
 
+    if not isinstance(response, FrequencyResponse):
+        remedy = "call frequency_response first"
+        raise IdentificationError(f"{shown(response)} is not a frequency response", "fit_transfer", remedy)
+    ends = (0.0, math.inf) if band is None else band
+    if not isinstance(ends, Sequence) or len(ends) != 2 or not all(is_number(end, high=math.inf) for end in ends):
+        raise IdentificationError(f"the band is {shown(band)}", "fit_transfer", "give (from, to) in rad/s")
     orders = (numerator, denominator)
     for what, order, low in (
-        ("numerator's", numerator, 0),
-        ("denominator's", denominator, 0),
-        ("s's", power, -MAX_ORDER),
+        ("numerator's order", numerator, 0),
+        ("denominator's order", denominator, 0),
+        ("power of s", power, -MAX_ORDER),
     ):
-        if not low <= order <= MAX_ORDER:
-            raise IdentificationError(f"the {what} order is {order}", "fit_transfer", f"give {low} to {MAX_ORDER}")
+        if not is_number(order, low, MAX_ORDER, whole=True):
+            raise IdentificationError(f"the {what} is {shown(order)}", "fit_transfer", f"give {low} to {MAX_ORDER}")
     names = (*(f"b{i}" for i in range(numerator + 1)), *(f"a{i}" for i in range(denominator)), "tau")
     fixed = {**({} if dead_time else {"tau": 0.0}), **(values or {})}
-    for name in fixed:
+    for name, value in fixed.items():
         if name not in names:
             raise IdentificationError(f"there is no coefficient {shown(name)}", "values", f"of {nearest(name, names)}")
+        if not is_number(value):
+            raise IdentificationError(f"{name} is {shown(value)}", "values", "give a finite number")
     labels = tuple(name for name in names if name not in fixed)
     if not labels:
         raise IdentificationError("every coefficient is held", "values", "leave one of them out")
-    use = response.trusted(coherence) & (response.omega >= band[0]) & (response.omega <= band[1])
+    use = response.trusted(coherence) & (response.omega >= ends[0]) & (response.omega <= ends[1])
     use &= np.isfinite(response.sigma) & (abs(response.response) > 0.0)
     if 2 * np.count_nonzero(use) <= len(labels):
         raise IdentificationError(

@@ -7,7 +7,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 
 Array = NDArray[np.float64]
 
@@ -76,9 +76,14 @@ def deviations(level: float) -> float:
 
     Raises IdentificationError for a level that is not between 0 and 1.
     """
-    if not 0.0 < level < 1.0:
-        raise IdentificationError(f"the level is {level:g}", "confidence", "give one between 0 and 1, as 0.95")
+    check_level(level)
     return NormalDist().inv_cdf(0.5 + level / 2.0)
+
+
+def check_level(level: float) -> None:
+    """Raise IdentificationError for a confidence level that is not between 0 and 1."""
+    if not (is_number(level) and 0.0 < level < 1.0):
+        raise IdentificationError(f"the level is {shown(level)}", "confidence", "give one between 0 and 1, as 0.95")
 
 
 def whiteness(residual: ArrayLike, lags: int = 25, level: float = 0.99) -> Correlation:

@@ -9,7 +9,7 @@ from typing import Any, Self
 from twodof.blocks.block import Block, Clock
 from twodof.blocks.declarations import Param, Port, State
 from twodof.blocks.diagram import Diagram
-from twodof.errors import IdentificationError
+from twodof.errors import IdentificationError, is_number, shown
 from twodof.models.around_plant import Offset
 from twodof.models.zero_order_hold import held, times, total
 
@@ -97,7 +97,9 @@ class Structure:
         diagram = Diagram(name)
         for port in block.inputs:
             diagram.input(port.name, unit=port.unit)
-        diagram.params.update({param.name: replace(param, value=float(param.value)) for param in _reals(block.params)})
+        for param in _reals(block.params):
+            value = float(param.value)
+            diagram.param(param.name, value, unit=param.unit, low=param.low, high=param.high, text=param.text)
         names = tuple(diagram.params)
         diagram.add("model", block, params={name: name for name in names})
         for port in block.inputs:
@@ -203,9 +205,12 @@ def linear_model(
     Raises IdentificationError for shapes that do not fit and for names without a guess.
     """
     where = f"structure '{name}'"
+    for key, names in (("inputs", inputs), ("outputs", outputs)):
+        if isinstance(names, str) or not all(isinstance(one, str) for one in names):
+            raise IdentificationError(f"`{key}` is {shown(names)}", where, "give a list of names")
     zero = [[0.0] * len(inputs) for _ in outputs]
     a, b, c, feed = (getattr(one, "tolist", lambda one=one: one)() for one in (a, b, c, zero if d is None else d))
-    n, m, p = len(a), len(inputs), len(outputs)
+    n, m, p = _length(a), len(inputs), len(outputs)
     if not (1 <= n <= MAX_STATES and m and p):
         raise IdentificationError(
             f"the model has {n} states, {m} inputs, {p} outputs",
@@ -213,11 +218,11 @@ def linear_model(
             f"give 1 to {MAX_STATES} states, an input and an output",
         )
     for key, matrix, rows, columns in (("a", a, n, n), ("b", b, n, m), ("c", c, p, n), ("d", feed, p, m)):
-        if len(matrix) != rows or any(len(row) != columns for row in matrix):
+        if _length(matrix) != rows or any(_length(row) != columns for row in matrix):
             raise IdentificationError(f"`{key}` is not {rows} rows of {columns}", where, "check the matrices")
         for entry in (entry for row in matrix for entry in row):
             named = isinstance(entry, str) and entry.removeprefix("-").isidentifier()
-            if not named and (isinstance(entry, str) or not math.isfinite(entry)):
+            if not named and not is_number(entry):
                 raise IdentificationError(
                     f"`{key}` holds {entry!r:.40}", where, "use finite numbers and names, as 'k' and '-k'"
                 )
@@ -228,7 +233,7 @@ def linear_model(
     if twice := [one for one in unknowns if one in local]:
         raise IdentificationError(f"'{twice[0]}' names two unknowns", where, "give the one in a matrix another name")
     for one in dict.fromkeys([*unknowns, *guess, *(bounds or {})]):
-        if one not in unknowns or not math.isfinite(guess.get(one, math.nan)):
+        if one not in unknowns or not is_number(guess.get(one)):
             raise IdentificationError(
                 f"'{one}' has no first guess" if one in unknowns else f"no element of a matrix is called '{one}'",
                 where,
@@ -251,6 +256,11 @@ def linear_model(
         diagram.add(f"bias_{one}", Offset(""), params={"offset": f"{one}_bias"}, u=f"model.{one}")
         diagram.output(one, f"bias_{one}")
     return Structure(diagram, (*unknowns, *states), local)
+
+
+def _length(rows: Any) -> int:
+    """Return the number of rows of a matrix, or of entries of a row; 0 for anything but a list."""
+    return len(rows) if isinstance(rows, Sequence) and not isinstance(rows, str) else 0
 
 
 class _LinearModel(Block):
