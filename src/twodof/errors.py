@@ -51,7 +51,8 @@ def is_number(value: Any, low: float = -float_info.max, high: float = float_info
 
     A flag is not a number.
     """
-    return isinstance(value, Integral if whole else Real) and not isinstance(value, bool) and low <= value <= high
+    is_of_kind = isinstance(value, Integral if whole else Real) and not isinstance(value, bool)
+    return is_of_kind and bool(low <= value <= high)
 
 
 def printable(text: object) -> str:

@@ -85,7 +85,7 @@ class Specification:
         if self.loop not in tuple(STEPS):
             what = f"loop = {shown(self.loop)} is not a loop"
             raise ParameterError(what, "specification", f"give {' or '.join(STEPS)}")
-        for name, (low, high, *_) in {**{name: FIGURES[name] for name in self.asked}, **_STEP_BOUNDS}.items():
+        for name, (low, high) in {**{name: FIGURES[name][:2] for name in self.asked}, **_STEP_BOUNDS}.items():
             value = getattr(self, name)
             if not is_number(value, low, high):
                 what = f"{name} = {shown(value)} is out of range"
