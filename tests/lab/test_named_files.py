@@ -32,6 +32,11 @@ def test_files_are_kept_listed_and_deleted(tmp_path: Path) -> None:
         kept.delete("before the flight")
 
 
+def test_a_name_with_the_suffix_is_found_not_made(tmp_path: Path) -> None:
+    (tmp_path / "old.params.params").write_text("text")
+    assert NamedFiles(tmp_path, ".params", "snapshot", 2).content("old.params") == b"text"
+
+
 @pytest.mark.parametrize("name", ["", "../up", "a/b", ".hidden", "x" * 81, "a\0b", "n.params"])
 def test_a_name_stays_in_its_folder(tmp_path: Path, name: str) -> None:
     with pytest.raises(ParameterError, match="cannot be a snapshot's name"):

@@ -45,10 +45,12 @@ class NamedFiles:
 
     def place(self, name: str) -> Path:
         """Return the place of a file, which may be missing. Raises ParameterError for a wrong name."""
-        if not _NAME.fullmatch(name) or name.endswith(self._suffix):
-            remedy = f"take at most {LONGEST_NAME} letters, digits, space, . _ + -, and begin with a letter or digit"
+        path = self.folder / f"{name}{self._suffix}"
+        if not _NAME.fullmatch(name) or (name.endswith(self._suffix) and not path.is_file()):
+            letters = f"at most {LONGEST_NAME} letters, digits, space, . _ + -"
+            remedy = f"take {letters}, begin with a letter or digit, and leave {self._suffix} out"
             raise ParameterError(f"{shown(name)} cannot be a {self._kind}'s name", f"{self._kind}s", remedy)
-        return self.folder / f"{name}{self._suffix}"
+        return path
 
     def there(self, name: str) -> Path:
         """Return the place of a file that is there. Raises ParameterError for a wrong name, NotThere."""
