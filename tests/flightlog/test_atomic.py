@@ -12,7 +12,8 @@ import pytest
 from tests.patience import PATIENCE_S, patiently
 from tests.processes import started
 from twodof.errors import LogError
-from twodof.flightlog.atomic import atomic_write
+from twodof.flightlog.atomic import atomic_write, check_free, partial_of
+from twodof.flightlog.files import check_folder
 
 
 def write_half(path: Path, end: BaseException) -> None:
@@ -63,6 +64,9 @@ def test_refusals_name_the_place(tmp_path: Path) -> None:
         pass
     with pytest.raises(LogError, match="is a directory"), atomic_write(tmp_path):
         pass
+    for check in (check_free, check_folder, partial_of):
+        with pytest.raises(LogError, match="cannot be written: File name too long"):
+            check(tmp_path / ("x" * 300))
 
 
 def test_ctrl_c_in_a_running_program_leaves_no_file(tmp_path: Path) -> None:

@@ -19,10 +19,22 @@ from twodof.errors import LogError
 REPLACE = "name another file, or replace it with --force (in Python overwrite=True)"
 
 
+@contextmanager
+def refused_places(path: str | Path) -> Iterator[None]:
+    """Raise LogError where the file system refuses the place `path`: its name, or a folder above it."""
+    try:
+        yield
+    except (OSError, ValueError) as refusal:
+        why = refusal.strerror if isinstance(refusal, OSError) else refusal  # a name with a null character
+        what = f"cannot be written: {why}"
+        raise LogError(what, str(path), "choose a folder that exists and is writable") from refusal
+
+
 def check_free(path: str | Path, overwrite: bool = False) -> None:
     """Check that no file is at `path`, or that it may be overwritten. Raises LogError."""
-    if not overwrite and Path(path).exists():
-        raise LogError("is there already", str(path), REPLACE)
+    with refused_places(path):
+        if not overwrite and Path(path).exists():
+            raise LogError("is there already", str(path), REPLACE)
 
 
 def numbered(path: str | Path) -> Path:
@@ -34,23 +46,22 @@ def numbered(path: str | Path) -> Path:
 
 def partial_of(path: str | Path) -> Path:
     """Return the name under which a file begins that will replace `path`. Raises LogError for a folder."""
-    # A link is followed: its target is replaced, not the link.
-    target = Path(path).resolve()
-    if target.is_dir():
-        raise LogError("is a directory", str(path), "name a file")
+    with refused_places(path):
+        # A link is followed: its target is replaced, not the link.
+        target = Path(path).resolve()
+        if target.is_dir():
+            raise LogError("is a directory", str(path), "name a file")
     return target.with_name(f".{target.name}.{secrets.token_hex(6)}.tmp")
 
 
 def create(begun: Path, path: str | Path) -> int:
     """Create the file `begun`, which becomes `path`, and return its descriptor. Raises LogError, also if it exists."""
-    try:
-        # os.open, and not tempfile, so that the user's umask decides who may read the result.
-        return os.open(begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
-    except FileExistsError as there:
-        raise LogError("is there already", str(path), REPLACE) from there
-    except OSError as refusal:
-        what = f"cannot be written: {refusal.strerror}"
-        raise LogError(what, str(path), "choose a folder that exists and is writable") from refusal
+    with refused_places(path):
+        try:
+            # os.open, and not tempfile, so that the user's umask decides who may read the result.
+            return os.open(begun, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        except FileExistsError as there:
+            raise LogError("is there already", str(path), REPLACE) from there
 
 
 @contextmanager
@@ -61,7 +72,8 @@ def atomic_write(path: str | Path, mode: Literal["wb", "w"] = "wb") -> Iterator[
     of Unix. On return the file and its name are on the disk (fsync of the file, then of its folder). Raises LogError
     where the file system refuses.
     """
-    target, partial = Path(path).resolve(), partial_of(path)
+    partial = partial_of(path)
+    target = Path(path).resolve()
     descriptor = create(partial, path)
     encoding, newline = ("utf-8", "\n") if mode == "w" else (None, None)
     try:

@@ -3,6 +3,7 @@
 import importlib
 import os
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from twodof.errors import LogError
 from twodof.flightlog import fence
-from twodof.flightlog.atomic import check_free, partial_of
+from twodof.flightlog.atomic import check_free, partial_of, refused_places
 from twodof.flightlog.log import Channel, FlightLog
 from twodof.flightlog.mcap_encoder import Attachment
 from twodof.flightlog.provenance import naming_file
@@ -124,11 +125,12 @@ def check_place(path: str | Path, overwrite: bool = False) -> None:
 
 def check_folder(path: str | Path, overwrite: bool = False) -> None:
     """Check that a file of any kind can be written there, before its content is made. Raises LogError."""
-    target = Path(path).resolve()
-    if target.is_dir():
-        raise LogError("is a directory", str(path), "name a file")
-    if not target.parent.is_dir():
-        raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
+    with refused_places(path):
+        target = Path(path).resolve()
+        if target.is_dir():
+            raise LogError("is a directory", str(path), "name a file")
+        if not target.parent.is_dir():
+            raise LogError("its folder is not there", str(path), f"make it: mkdir -p {target.parent}")
     if not os.access(target.parent, os.W_OK | os.X_OK):
         raise LogError("its folder may not be written", str(path), "choose another one")
     check_free(path, overwrite)
@@ -140,8 +142,9 @@ def convert(src: str | Path, dst: str | Path, wide: bool = False, overwrite: boo
     Raises LogError before anything is written.
     """
     _check(dst, wide)
-    if Path(dst).exists() and Path(src).exists() and Path(dst).samefile(src):
-        raise LogError("would be written over itself", str(src), "name another file to write")
+    with suppress(OSError, ValueError):  # one of them is not there
+        if Path(dst).samefile(src):
+            raise LogError("would be written over itself", str(src), "name another file to write")
     check_free(dst, overwrite)
     log = read_log(src)
     write_log(log, dst, wide, overwrite)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from twodof.errors import LogError, ParameterError, Rejected, shown
-from twodof.flightlog.atomic import atomic_write, check_free, make_folder, numbered
+from twodof.flightlog.atomic import atomic_write, make_folder, numbered
 from twodof.flightlog.provenance import read_bytes
 from twodof.lab.answers import NotThere
 
@@ -74,10 +74,8 @@ class NamedFiles:
         make_folder(self.folder)
         if not path.exists() and len(self.listed()) >= self._most:
             raise Rejected(f"there are {self._most} {self._kind}s already", f"{self._kind}s", "delete one")
-        try:
-            check_free(path, overwrite)
-        except LogError as reason:
-            raise Rejected(f"there is a {self._kind} '{name}'", f"{self._kind}s", "choose another name") from reason
+        if path.exists() and not overwrite:
+            raise Rejected(f"there is a {self._kind} '{name}'", f"{self._kind}s", "choose another name")
         with atomic_write(path, "w") as file:
             file.write(text)
 
