@@ -99,6 +99,12 @@ def test_a_simulated_flight_with_two_controllers_is_given_back(before: Mapping[s
     assert max(before.values()) < 1e-12
 
 
+def test_a_users_controller_is_not_judged_before_its_first_reset(flown: FlightLog) -> None:
+    ((start, end),) = flown.armed()
+    found = replay(flown.slice(start + 5.0, end - 1.0))
+    assert (found.nrms, {*found.coverage.values()}) == ({}, {0.0})
+
+
 @pytest.mark.parametrize(
     "value", ["?", None, math.nan, math.inf, True, 10**400, -(10**400), [], {}, [1.0, 2.0]], ids=shown
 )

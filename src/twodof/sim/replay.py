@@ -266,6 +266,7 @@ def replay_user(
         return {}, {}
     inputs, lost = _inputs(log, paired)
     machine = build(_diagram(flown), dt=PERIOD, precision=precision, target="wasm").machine()
+    machine.set_state("arming.count", machine.get("arming.samples"))  # a log may begin in flight, without a reset
     _tune(machine, flown.tuning)
     n = len(paired.time)
     places = [int(place) for place in np.searchsorted(paired.time, [row[0] for row in flown.changes], "right")]
